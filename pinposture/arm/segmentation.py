@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm.kinematics import PARALLEL, Skeleton
+from pinposture.arm.module_kinematics import is_registry_empty, joints_in_base_frame, registered_kinematics
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -31,6 +32,8 @@ MIN_DISTANCE = 1e-3
 """Distance of the end from the base of the module, relative to the mean distance between joints."""
 MAX_EXTRA_JOINTS = 4
 """How many joints more than the fewest a module may have where nothing repeats."""
+MAX_REGISTERED_JOINTS = 24
+"""Largest number of joints of a module with registered kinematics that is looked for."""
 MAX_IDLE_JOINTS = 1
 """How many joints may move the end of a module beyond those that it takes to place it."""
 
@@ -101,12 +104,79 @@ def segment(skeleton: Skeleton) -> Segmentation:
     however well its end lies on the curve: consecutive parallel axes make such modules. It is cut again, into
     pieces whose ends move in at least one direction across, as many as possible of them in both.
 
+    Joints that registered kinematics recognise (`register_module_kinematics`) are modules of their own; all
+    of this holds for the joints between them.
+
     Args:
         skeleton: the joints of the arm.
 
     Returns:
         The sizes of the modules, and why.
+
+    Raises:
+        InvalidValue: registered kinematics that contradict the joints.
     """
+    if not is_registry_empty():
+        recognised = _find_registered(skeleton)
+        if recognised:
+            return _around_registered(skeleton, recognised)
+    return _segment_unregistered(skeleton)
+
+
+def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
+    """Find modules with registered kinematics: first joint, joint after the last, and class of each.
+
+    They cover as many joints as possible, with as many modules as possible.
+    """
+    n, columns = len(skeleton.names), skeleton.columns
+    last = {column: u for u, column in enumerate(columns.tolist())}
+    first = {column: n - 1 - u for u, column in enumerate(columns[::-1].tolist())}
+    best: list[tuple[int, int, list[tuple[int, int, str]]]] = [(0, 0, [])] * (n + 1)
+    for start in range(n - 1, -1, -1):
+        best[start] = best[start + 1]
+        for stop in range(start + 1, min(start + MAX_REGISTERED_JOINTS, n) + 1):
+            own = columns[start:stop].tolist()
+            if any(first[column] < start or last[column] >= stop for column in own):
+                continue  # others are coupled to them
+            inputs = [first[column] for column in dict.fromkeys(own)]
+            part, stations = slice(start, stop), skeleton.stations[[start, *range(start, stop), stop]]
+            limits = np.array([skeleton.lower[inputs], skeleton.upper[inputs]]) / skeleton.ratios[inputs]
+            kinds = skeleton.names[part], skeleton.revolute[part], skeleton.axes[part]
+            moved = columns[part], skeleton.ratios[part], *np.sort(limits, axis=0)
+            found = registered_kinematics(joints_in_base_frame(*kinds, stations, *moved))
+            if found is not None:
+                covered, count, modules = best[stop]
+                entry = (covered + stop - start, count + 1)
+                if entry > best[start][:2]:
+                    best[start] = (*entry, [(start, stop, type(found).__name__), *modules])
+    return best[0][2]
+
+
+def _around_registered(skeleton: Skeleton, recognised: Sequence[tuple[int, int, str]]) -> Segmentation:
+    """Return the modules with registered kinematics, and those of the joints between them."""
+    sizes, can_follow, at = list[int](), True, 0
+    for start, stop, _ in (*recognised, (len(skeleton.names), 0, "")):
+        if at < start:
+            part = slice(at, start)
+            own = {name: getattr(skeleton, name)[part] for name in ("names", "axes", "revolute", "columns")}
+            own |= {name: getattr(skeleton, name)[part] for name in ("lower", "upper", "ratios")}
+            between = _segment_unregistered(
+                replace(skeleton, stations=skeleton.stations[at : start + 1], **own)
+            )
+            sizes.extend(between.sizes)
+            can_follow = can_follow and between.can_follow is not False
+        if stop:
+            sizes.append(stop - start)
+        at = stop
+    counts = Counter(name for *_, name in recognised)
+    listed = ", ".join(f"{name} ({count})" for name, count in counts.items())
+    reason = f"registered kinematics recognise modules: {listed}"
+    if len(sizes) > len(recognised):
+        reason += f"; {len(sizes) - len(recognised)} of the joints between and beside them"
+    return Segmentation(tuple(sizes), reason, can_follow=can_follow)
+
+
+def _segment_unregistered(skeleton: Skeleton) -> Segmentation:
     mobility, n = EndMobility(skeleton), len(skeleton.names)
     choices = []
     for repetition in find_repetitions(skeleton):

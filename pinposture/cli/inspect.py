@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -120,7 +121,11 @@ _MEASURES = {
 
 def _print_tables(about: Mapping[str, Any]) -> None:
     coupled = sum("follows" in joint for joint in about["joints"])
-    placing = "closed form for every module" if about["closed_form"] else "least squares over the whole arm"
+    counts = Counter(about["kinematics"])
+    listed = ", ".join(f"{name} ({count})" for name, count in counts.items())
+    placing = "closed form for every module" if about["closed_form"] else f"module by module: {listed}"
+    if not counts:
+        placing = "least squares over the whole arm"
     facts = {
         "robot": about["name"],
         "chain": f"from link {about['base']} to link {about['tip']}",
@@ -185,6 +190,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
         "reach": float(np.linalg.norm(arm.at(arm.straight()).points[-1] - arm.chain.base)),
         "closed_form": not unsolved,
         "closed_form_reason": unsolved,
+        "kinematics": _kinematics(arm),
         "warnings": list(arm.warnings),
         "held": [joint.name for joint in description.joints if joint.moves and joint.name not in moving],
         "joints": _joints(arm, {joint.name: joint for joint in description.joints}),
@@ -218,6 +224,7 @@ def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
     return {
         "name": curve,
         "placed_by": target.method,
+        "fallback": target.fallback,
         "placed_points": int(target.has_target.sum()),
         "largest_residual": float(target.residual.max()),
         "distance_from_curve": target.distance_from_curve(arm),
@@ -237,6 +244,8 @@ def _following_in_words(about: Mapping[str, Any]) -> dict[str, str]:
         f"{found['largest_residual']:.2g} m off the curve",
         "whole arm": f"its links at most {away:.2g} m from the curve, {share:.2g} of its length",
     }
+    if found["fallback"]:
+        words["why not in turn"] = found["fallback"]
     if found["too_much"]:
         words["too much"] = "\n".join(found["too_much"])
     if found["incomplete"]:
@@ -277,10 +286,24 @@ def _without_closed_form(arm: Arm) -> str:
     from pinposture.placement.module_kinematics import arm_units
 
     try:
-        arm_units(arm.chain)
+        units = arm_units(arm)
     except UnsupportedModule as error:
         return str(error)
-    return ""
+    numeric = next((unit for unit in units if unit.reason), None)
+    if numeric is None:
+        return ""
+    joints = arm.module_joints[numeric.module]
+    return str(UnsupportedModule(numeric.module + 1, joints, f"{numeric.reason}; it is placed numerically"))
+
+
+def _kinematics(arm: Arm) -> list[str]:
+    """The kinematics that place each module, by name; empty if only least squares over the whole arm do."""
+    from pinposture.placement.module_kinematics import kinematics_names
+
+    try:
+        return list(kinematics_names(arm))
+    except UnsupportedModule:
+        return []
 
 
 def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from pinposture.control.planner.plan import plan
 from pinposture.control.reach import ReachedPosture, reach
 from pinposture.control.registry import CONTROLLERS, controller_named
 from pinposture.control.tasks import ControlTask, EndEffector, JointPosture, Tangents, TaskRows
+from pinposture.control.thesis.null_space import JointSpeeds, ObstaclePotential
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.sections import SectionSet, SectionTree, best_index, section_indices
 from pinposture.control.thesis.selection import Selection, active_set, candidate_sets
@@ -27,9 +28,11 @@ __all__ = [
     "JointInterpolation",
     "JointPath",
     "JointPosture",
+    "JointSpeeds",
     "Limits",
     "Memory",
     "Objective",
+    "ObstaclePotential",
     "PathProgress",
     "Projection",
     "ReachedPosture",

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from pinposture.kernels.modules import circle_inverse as circle_inverse
     from pinposture.kernels.modules import neighbours as neighbours
     from pinposture.kernels.modules import place_modules as place_modules
+    from pinposture.kernels.modules import roll_pitch_crossings as roll_pitch_crossings
+    from pinposture.kernels.modules import roll_pitch_forward as roll_pitch_forward
+    from pinposture.kernels.modules import roll_pitch_inverse as roll_pitch_inverse
     from pinposture.kernels.modules import torus_crossings as torus_crossings
     from pinposture.kernels.modules import torus_faces as torus_faces
     from pinposture.kernels.modules import torus_forward as torus_forward
@@ -77,6 +80,9 @@ if TYPE_CHECKING:
     from pinposture.kernels.spline import parameters_at as parameters_at
     from pinposture.kernels.spline import spline_coefficients as spline_coefficients
     from pinposture.kernels.spline import spline_values as spline_values
+    from pinposture.kernels.target_point import module_ends as module_ends
+    from pinposture.kernels.target_point import move_frame as move_frame
+    from pinposture.kernels.target_point import next_target_point as next_target_point
 
 _KERNELS = {
     "bounding_volumes": "build_tree",
@@ -92,8 +98,8 @@ _KERNELS = {
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
     ),
     "modules": (
-        "circle_crossings circle_forward circle_inverse neighbours place_modules torus_crossings "
-        "torus_faces torus_forward torus_inverse"
+        "circle_crossings circle_forward circle_inverse neighbours place_modules roll_pitch_crossings "
+        "roll_pitch_forward roll_pitch_inverse torus_crossings torus_faces torus_forward torus_inverse"
     ),
     "path_following": (
         "advance find_speed_profile joint_distance look_ahead next_path_speed position_excess shorten_step "
@@ -106,6 +112,7 @@ _KERNELS = {
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "
         "spline_coefficients spline_values"
     ),
+    "target_point": "module_ends move_frame next_target_point",
 }
 """The kernels that other packages call, by module."""
 

@@ -183,6 +183,32 @@ class ScrewChain(NamedTuple):
     near: Array1
 
 
+class ModuleArrays(NamedTuple):
+    """The joints of a module in its base frame, with n joints and k degrees of freedom.
+
+    Attributes:
+        slides: True for a joint that slides, (n,).
+        axes: unit joint axes, (n, 3).
+        origins: a point on each axis, (n, 3).
+        end: the end of the module, (3,).
+        inputs: degree of freedom of each joint, (n,).
+        ratios: motion of each joint relative to that, (n,).
+        units: motion of each degree of freedom that counts as one, (k,).
+        turning: True for a degree of freedom that turns a joint, (k,).
+        reach: largest distance of the end from the base, (1,).
+    """
+
+    slides: Flags1
+    axes: Array2
+    origins: Array2
+    end: Array1
+    inputs: Ints1
+    ratios: Array1
+    units: Array1
+    turning: Flags1
+    reach: Array1
+
+
 class JointTree(NamedTuple):
     """The joints of a model, numbered as there: the first is the world, and parents come before children.
 

@@ -8,8 +8,11 @@ from pinposture.kernels.arrays import Array1, Array2, Array3, Four, Ints1, Ints2
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import parameter_at, span_at, value
 
-# All closed forms are in the frame at the base of a module, x along it and y its first hinge. Signs and
-# branches are explained in `pinposture.placement.module_kinematics`.
+# All closed forms are in the frame at the base of a module, x along it and y its first hinge across.
+# Signs and branches are explained in `pinposture.placement.module_kinematics`.
+
+CIRCLE, TORUS, ROLL_PITCH = 1, 2, 3
+"""The closed forms, by number: one hinge; two across the module; a roll along it and a hinge across."""
 
 FIRST_CROSSING, LAST_CROSSING = 1e-9, 1.0 + 1e-9
 """Range of a crossing on a segment from 0 to 1: after its start, and with rounding at its end."""
@@ -35,6 +38,15 @@ def circle_forward(link: float, q0: float) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end."""
     c, s = np.cos(q0), np.sin(q0)
     return (link * c, 0.0, -link * s, c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
+
+
+@compiled
+def roll_pitch_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> tuple[float, ...]:
+    """Return position x, y, z and orientation (row by row) of the end."""
+    c0, s0 = np.cos(sense * q0), np.sin(sense * q0)
+    c1, s1 = np.cos(q1), np.sin(q1)
+    x, y, z = l1 + l2 * c1, l2 * s0 * s1, -l2 * c0 * s1
+    return (x, y, z, c1, 0.0, s1, s0 * s1, c0, -s0 * c1, -c0 * s1, s0, c0 * c1)
 
 
 @compiled
@@ -67,6 +79,24 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
             out[count, 0], out[count, 1] = a0, a1
             count += 1
     return count
+
+
+@compiled
+def roll_pitch_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2) -> int:
+    """Find the angles that put the end at a point, into out (2, 2), that with the smaller roll first.
+
+    Returns the number of pairs. The roll is zero where it does not move the end.
+    """
+    rho, reach = np.hypot(y, z), l1 + l2
+    if abs(np.hypot(x - l1, rho) - l2) > 1e-7 * reach:
+        return 0
+    bend = np.arctan2(rho, x - l1)
+    roll = np.arctan2(y, -z) if rho > 1e-12 * reach else 0.0
+    other = roll - np.pi if roll > 0.0 else roll + np.pi
+    first = int(abs(other) < abs(roll))
+    out[first, 0], out[first, 1] = sense * roll, bend
+    out[1 - first, 0], out[1 - first, 1] = sense * other, -bend
+    return 2
 
 
 @compiled
@@ -224,11 +254,44 @@ def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
     return count
 
 
+@compiled
+def roll_pitch_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> int:
+    """Find where the segment from a to b crosses the sphere around the hinge, as `torus_crossings`."""
+    count, smallest = 0, (1e-6 * (l1 + l2)) ** 2
+    for i in range(circle_crossings(l2, (a[0] - l1, a[1], a[2]), (b[0] - l1, b[1], b[2]), out)):
+        s = out[i]
+        x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
+        if x * x + y * y + z * z > smallest:
+            out[count] = s
+            count += 1
+    return count
+
+
 @subkernel
-def inverse(dof: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
+def crossings(form: int, shape: Array1, a: Three, b: Three, out: Array1) -> int:
+    """Find where the segment from a to b crosses the reachable set of a form, as `torus_crossings`."""
+    if form == CIRCLE:
+        return circle_crossings(shape[0], a, b, out)
+    if form == ROLL_PITCH:
+        return roll_pitch_crossings(shape[0], shape[1], a, b, out)
+    return torus_crossings(shape[0], shape[1], a, b, out)
+
+
+@subkernel
+def faces(form: int, shape: Array1, x: float, y: float, z: float) -> bool:
+    """Whether a point is where the last hinge of a form bends by less than 90 degrees."""
+    if form == ROLL_PITCH:
+        return x >= shape[0] * (1.0 - 1e-12)
+    return form == CIRCLE or torus_faces(shape[0], shape[1], x, y, z)
+
+
+@subkernel
+def inverse(form: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
     """Find joint positions that put a module's end at a point, into out (2, 2); return their number."""
-    if dof == 1:
+    if form == CIRCLE:
         return circle_inverse(shape[0], x, y, z, out)
+    if form == ROLL_PITCH:
+        return roll_pitch_inverse(shape[0], shape[1], shape[2], x, y, z, out)
     return torus_inverse(shape[0], shape[1], shape[2], x, y, z, out)
 
 
@@ -244,10 +307,12 @@ def clip_to_limits(dof: int, q: Array1, first: int, lower: Array1, upper: Array1
 
 
 @subkernel
-def end_frame(dof: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2) -> None:
+def end_frame(form: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2) -> None:
     """Fill next_turn (3, 3) with the rotation of the next module, from the base frame (3, 3) of this one."""
-    if dof == 1:
+    if form == CIRCLE:
         e = circle_forward(shape[0], q[0])
+    elif form == ROLL_PITCH:
+        e = roll_pitch_forward(shape[0], shape[1], shape[2], q[0], q[1])
     else:
         e = torus_forward(shape[0], shape[1], shape[2], q[0], q[1])
     for i in range(3):
@@ -278,17 +343,20 @@ def in_frame(frame: Array2, x: float, y: float, z: float) -> Three:
 
 
 @subkernel
-def free_distance(dof: int, shape: Array1, a: Three) -> float:
+def free_distance(form: int, shape: Array1, a: Three) -> float:
     """Return the radius around a point of the base frame that is in reach and off the reachable set."""
     away = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
-    if dof == 1:
+    if form == CIRCLE:
         return float(abs(shape[0] - away))
+    if form == ROLL_PITCH:
+        off = np.sqrt((a[0] - shape[0]) ** 2 + a[1] * a[1] + a[2] * a[2])
+        return float(min(shape[0] + shape[1] - away, abs(off - shape[1])))
     return float(min(shape[0] + shape[1] - away, torus_distance(shape[0], shape[1], a[0], a[1], a[2])))
 
 
 @subkernel
 def search_segment(
-    dof: int,
+    form: int,
     shape: Array1,
     joint: int,
     lower: Array1,
@@ -308,17 +376,13 @@ def search_segment(
     Returns:
         Number of crossings regardless of joint limits, and whether the choice faces the module.
     """
-    found = 0
-    if dof == 1:
-        count = circle_crossings(shape[0], a, b, roots)
-    else:
-        count = torus_crossings(shape[0], shape[1], a, b, roots)
-    for i in range(count):
+    found, dof = 0, min(form, 2)
+    for i in range(crossings(form, shape, a, b, roots)):
         r = roots[i]
         x, y, z = a[0] + r * (b[0] - a[0]), a[1] + r * (b[1] - a[1]), a[2] + r * (b[2] - a[2])
-        n = inverse(dof, shape, x, y, z, qs)
+        n = inverse(form, shape, x, y, z, qs)
         found += int(n > 0)
-        facing = dof == 1 or torus_faces(shape[0], shape[1], x, y, z)
+        facing = faces(form, shape, x, y, z)
         for j in range(n):
             if clip_to_limits(dof, qs[j], joint, lower, upper):
                 if facing or np.isnan(choice[0]):
@@ -360,7 +424,7 @@ def place_modules(
         lengths: of `measure_length`.
         series: of `measure_length`.
         samples: number of samples, at least 2.
-        units: number of joints (1: a circle, 2: a torus), first joint and module of each unit, (n, 3).
+        units: closed form (`CIRCLE`, `TORUS` or `ROLL_PITCH`), first joint and module of each unit, (n, 3).
         shapes: l1, l2 and sense of each unit (a circle has its link for l1), and the axes of its base frame
             in the neutral posture, row by row, (n, 12).
         lower: lower limits of the joints of the chain.
@@ -384,8 +448,8 @@ def place_modules(
     px, py, pz = state[1], state[2], state[3]
     sx, sy, sz = state[4], state[5], state[6]
     for k in range(len(units)):
-        dof, joint, shape = units[k, 0], units[k, 1], shapes[k]
-        reach = shape[0] + shape[1]
+        form, joint, shape = units[k, 0], units[k, 1], shapes[k]
+        dof, reach = min(form, 2), shape[0] + shape[1]
         base_frame(turn, shape, frame)
         a, s, at = in_frame(frame, sx - px, sy - py, sz - pz), parameter, parameter
         state[0] = parameter
@@ -399,7 +463,7 @@ def place_modules(
         while following < samples and not beyond and not facing:
             # Jump to the last sample that cannot be across the reachable set or out of reach, if any. The
             # thousandth of a step is for errors of the arc length.
-            clear = free_distance(dof, shape, a) - REACH_TOLERANCE * reach
+            clear = free_distance(form, shape, a) - REACH_TOLERANCE * reach
             ahead = int(min((s + clear) / step - 1e-3, samples - 1.0))
             jump = ahead >= following
             following = max(ahead, following)
@@ -410,7 +474,7 @@ def place_modules(
             if not jump:
                 beyond = np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) > reach * (1.0 + REACH_TOLERANCE)
                 before = choice[0]
-                crossed, facing = search_segment(dof, shape, joint, lower, upper, a, b, roots, qs, choice)
+                crossed, facing = search_segment(form, shape, joint, lower, upper, a, b, roots, qs, choice)
                 found += crossed
                 if facing or (np.isnan(before) and not np.isnan(choice[0])):
                     at = s + (s_next - s) * choice[0]
@@ -422,7 +486,7 @@ def place_modules(
             return k
         for j in range(dof):
             positions[joint + j] = choice[4 + j]
-        end_frame(dof, shape, choice[4:], frame, turn)
+        end_frame(form, shape, choice[4:], frame, turn)
         px += frame[0, 0] * choice[1] + frame[0, 1] * choice[2] + frame[0, 2] * choice[3]
         py += frame[1, 0] * choice[1] + frame[1, 1] * choice[2] + frame[1, 2] * choice[3]
         pz += frame[2, 0] * choice[1] + frame[2, 1] * choice[2] + frame[2, 2] * choice[3]

@@ -1,7 +1,30 @@
 """Target posture of an arm: module kinematics, placement on a curve, fit to points."""
 
+from pinposture.arm.module_kinematics import (
+    ModuleJoints,
+    ModuleKinematics,
+    register_module_kinematics,
+    unregister_module_kinematics,
+)
+from pinposture.placement.constant_curvature import ConstantCurvature
+from pinposture.placement.module_kinematics import Circle, NumericModule, RollPitch, Torus, curve_crossings
 from pinposture.placement.points import PointFilter, fit_points
 from pinposture.placement.resolve import resolve_targets
 from pinposture.placement.target import Target
 
-__all__ = ["PointFilter", "Target", "fit_points", "resolve_targets"]
+__all__ = [
+    "Circle",
+    "ConstantCurvature",
+    "ModuleJoints",
+    "ModuleKinematics",
+    "NumericModule",
+    "PointFilter",
+    "RollPitch",
+    "Target",
+    "Torus",
+    "curve_crossings",
+    "fit_points",
+    "register_module_kinematics",
+    "resolve_targets",
+    "unregister_module_kinematics",
+]

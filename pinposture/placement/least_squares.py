@@ -94,7 +94,7 @@ def fit_curve(
     tangents = curve.tangent(s)
     turns = transported_turns(tangents)
     stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / TURN_PER_STAGE))
-    problem = FitProblem(arm, start, bending, _base_positions(arm, curve, start))
+    problem = FitProblem(arm, start, bending, base_positions(arm, curve, start))
     unknowns = problem.first_guess()
     for share in np.arange(stages) / max(stages, 1):
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
@@ -121,7 +121,7 @@ def fit_near(
         q: the configuration, (nq,).
         parameters: arc lengths of its control points, (m,) [m]; None: those of the nearest points.
     """
-    problem = FitProblem(arm, start, bending, _base_positions(arm, curve, start))
+    problem = FitProblem(arm, start, bending, base_positions(arm, curve, start))
     if parameters is None:
         parameters = _nearest_parameters(arm, curve, start, q)
     guess = problem.joined(arm.positions(q), parameters)
@@ -156,7 +156,7 @@ def _bent_curve(s: Array, origin: Array, tangent: Array, turns: Array) -> Sample
     return Samples(s, origin + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]), tangents)
 
 
-def _base_positions(arm: Arm, curve: Curve, start: float) -> Array:
+def base_positions(arm: Arm, curve: Curve, start: float) -> Array:
     """Return positions (nv,) of the base's unlimited slides that bring it nearest to its point on the curve.
 
     All other entries are zero (`Arm.roaming`).

@@ -1,28 +1,104 @@
-"""Closed-form kinematics of modules (Section 6.1.1), and which of them applies to which joints of an arm."""
+"""Kinematics of modules (Section 6.1.1): closed forms, a numeric one, and which applies to which joints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple, cast
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import qmc
 
 from pinposture import kernels
-from pinposture.arm.kinematics import Chain
+from pinposture.arm import Arm
+from pinposture.arm.module_kinematics import (
+    ModuleJoints,
+    ModuleKinematics,
+    joints_in_base_frame,
+    registered_kinematics,
+    registry_state,
+)
+from pinposture.curve import Curve
 from pinposture.errors import UnsupportedModule
+from pinposture.kernels.arrays import ModuleArrays, ScrewChain
+from pinposture.kernels.modules import CIRCLE, ROLL_PITCH, TORUS
 
 # The RyRz module of the thesis turns by q0 about its y axis, goes l1 along x, turns by q1 about its z axis
 # and goes l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any other
 # pair of perpendicular hinges across the arm, is the same module in another frame. If l1 = 0 it is a
-# universal joint, and the torus a sphere.
+# universal joint, and the torus a sphere. The roll-pitch module turns by q0 about its x axis, goes l1 along
+# x, turns by q1 about its y axis and goes l2 along x: its end lies on a sphere around the second hinge.
 
 Array = NDArray[np.float64]
+Level = Callable[[Array], Array]
 
 SHAPE_TOLERANCE = 1e-9
 """Largest deviation from a module with a closed form, relative to its length or to one radian."""
+
+
+CROSSING_SAMPLES = 200  # number of samples of a curve in the length of the reach, in the search for crossings
+
+AHEAD = 1e-6  # smallest distance of a crossing ahead of the base, relative to the reach
+
+GRID, MANY_SAMPLES = 21, 512
+"""Postures from which the numeric search starts: per degree of freedom, and for more than two of them."""
+
+IK_VISITS, EXACT = 40, 1e-10
+"""Number of tries of the numeric IK, and the distance that it accepts, relative to the reach."""
+
+
+def curve_crossings(
+    curve: Curve, base: pin.SE3, start: float, level: Level, reach: float
+) -> Iterator[tuple[float, Array]]:
+    """Find where a curve crosses the surface on which a module can put its end: TP of any such module.
+
+    Args:
+        curve: the curve.
+        base: placement of the base frame of the module in the frame of the curve.
+        start: arc length of the base on the curve [m].
+        level: a continuous function of points (n, 3) [m] in the base frame that is zero on the surface and
+            changes sign across it, (n,).
+        reach: largest distance of the end from the base [m].
+
+    Yields:
+        Arc length of each crossing [m], increasing, and its point in the base frame (3,) [m]. They end where
+        the curve leaves the reach. A surface that is touched, not crossed, counts as missed.
+    """
+
+    def inside(s: float) -> Array:
+        return np.asarray(base.rotation.T @ (np.asarray(curve.at(s)) - base.translation))
+
+    step = reach / CROSSING_SAMPLES
+    s, value = start + AHEAD * reach, np.nan
+    while s < curve.length:
+        block = np.minimum(s + step * np.arange(CROSSING_SAMPLES + 1), curve.length)
+        points = (curve.at(block) - base.translation) @ base.rotation
+        values = np.asarray(level(points))
+        out = np.linalg.norm(points, axis=1) > reach * (1.0 + 1e-9)
+        for i, (low, high) in enumerate(pairwise(block.tolist())):
+            value = float(values[i])
+            if high > low and (value > 0.0) != (float(values[i + 1]) > 0.0):
+                edge = 1e-15 * max(curve.length, reach)
+                found = brentq(lambda at: float(level(inside(at)[None])[0]), low, high, xtol=edge, rtol=1e-15)
+                yield float(found), inside(float(found))
+            if out[i + 1]:
+                return
+        s = float(block[-1])
+
+
+def _first_facing(crossings: Iterator[tuple[float, Array]], faces: Callable[[Array], bool]) -> float | None:
+    """Return the first crossing that faces a module, else the first, else None."""
+    first = None
+    for s, point in crossings:
+        if faces(point):
+            return s
+        first = s if first is None else first
+    return first
 
 
 @dataclass(frozen=True)
@@ -75,6 +151,17 @@ class Torus:
         x, y, z = map(float, p)
         return bool(kernels.torus_faces(self.l1, self.l2, x, y, z))
 
+    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
+        """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
+        l1, l2 = self.l1, self.l2
+
+        def level(p: Array) -> Array:
+            rho = np.hypot(p[:, 0], p[:, 2])
+            outer = np.hypot(rho - l1, p[:, 1]) - l2
+            return np.asarray(outer * (np.hypot(rho + l1, p[:, 1]) - l2) if l2 > l1 > 0.0 else outer)
+
+        return _first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
+
     def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
         """TP, (6.13)-(6.15) corrected: where a polyline crosses the torus.
 
@@ -119,6 +206,15 @@ class Circle:
         x, y, z = map(float, p)
         return list(out[: kernels.circle_inverse(self.link, x, y, z, out), :1])
 
+    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
+        """TP, as `ModuleKinematics.target_point`, where the curve is in the plane of the module."""
+
+        def level(p: Array) -> Array:
+            return np.asarray(np.linalg.norm(p, axis=1) - self.link)
+
+        crossings = curve_crossings(curve, base, start, level, self.reach * (1.0 + AHEAD))
+        return next((s for s, point in crossings if self.inverse(point)), None)
+
     def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
         """TP: where a polyline (n + 1, 3) [m] crosses the sphere around the base, as `Torus.crossings`.
 
@@ -131,94 +227,429 @@ class Circle:
 
 
 @dataclass(frozen=True)
-class Unit:
-    """Consecutive joints of a module that one closed form places.
+class RollPitch:
+    """FK, IK and TP of a module with a roll and a hinge across it, in the frame at its base (y is the hinge).
 
     Attributes:
-        module: index of the module, 0-based.
+        l1: distance from the base to the second hinge, along the roll axis [m]; may be 0.
+        l2: distance from the second hinge to the end [m].
+        sense: +1 if the first joint turns about +x, -1 if about -x.
+    """
+
+    l1: float
+    l2: float
+    sense: float = 1.0
+    dof: int = 2
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the end from the base [m]."""
+        return self.l1 + self.l2
+
+    def forward(self, q: Array) -> tuple[Array, Array]:
+        """FK: position (3,) [m] and orientation (3, 3) of the end at q, (2,) [rad], base frame."""
+        end = kernels.roll_pitch_forward(self.l1, self.l2, self.sense, float(q[0]), float(q[1]))
+        return np.array(end[:3]), np.array(end[3:]).reshape(3, 3)
+
+    def inverse(self, p: Array) -> list[Array]:
+        """IK: both pairs of angles (2,) [rad] that put the end at p, (3,) [m], the smaller roll first.
+
+        Empty if p is not on the sphere. The roll is 0 where it does not move the end.
+        """
+        out = np.empty((2, 2))
+        x, y, z = map(float, p)
+        return list(out[: kernels.roll_pitch_inverse(self.l1, self.l2, self.sense, x, y, z, out)])
+
+    def faces(self, p: Array) -> bool:
+        """Return whether p is on the half of the sphere where the hinge bends < 90 degrees."""
+        return bool(p[0] >= self.l1 * (1.0 - 1e-12))
+
+    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
+        """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
+
+        def level(p: Array) -> Array:
+            return np.asarray(np.linalg.norm(p - [self.l1, 0.0, 0.0], axis=1) - self.l2)
+
+        return _first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
+
+    def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
+        """TP: where a polyline (n + 1, 3) [m] crosses the sphere, as `Torus.crossings`."""
+        out = np.empty(4)
+        for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
+            for t in out[: kernels.roll_pitch_crossings(self.l1, self.l2, tuple(a), tuple(b), out)]:
+                yield i, float(t)
+
+
+@dataclass(frozen=True, eq=False)
+class NumericModule:
+    """FK, IK and TP of a module of any joints, found by search; the means where there is no closed form.
+
+    Where its joints leave a choice, they stay near the preferred positions.
+
+    Attributes:
+        joints: its joints, in its base frame.
+        preferred: positions to stay near, (k,) [rad or m].
+    """
+
+    joints: ModuleJoints
+    preferred: Array
+
+    @property
+    def dof(self) -> int:
+        """Number of degrees of freedom, k."""
+        return self.joints.dof
+
+    @cached_property
+    def reach(self) -> float:
+        """Length of the links and the slides at their longest: the end is never farther from the base [m]."""
+        joints = self.joints
+        line = np.vstack([np.zeros(3), joints.origins, joints.end])
+        farthest = np.maximum(np.abs(self._low), np.abs(self._high))[joints.inputs]
+        slides = np.abs(joints.ratios[~joints.revolute]) * farthest[~joints.revolute]
+        return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() + slides.sum())
+
+    @property
+    def _turning(self) -> NDArray[np.bool_]:
+        """Which degrees of freedom turn joints, (k,)."""
+        return np.bincount(self.joints.inputs, self.joints.revolute, minlength=self.dof) > 0.0
+
+    @cached_property
+    def _low(self) -> Array:
+        return self._bounds(self.joints.lower, -1.0)
+
+    @cached_property
+    def _high(self) -> Array:
+        return self._bounds(self.joints.upper, 1.0)
+
+    def _bounds(self, limits: Array, side: float) -> Array:
+        """Return the limits, or where there are none half a turn or one length of the module, (k,)."""
+        far = np.where(self._turning, np.pi, max(float(np.linalg.norm(self.joints.end)), 1e-9))
+        none = self.preferred + side * far
+        wide = (self.joints.upper - self.joints.lower) > np.where(self._turning, 100.0, 200.0 * far)
+        return np.where(wide, none, limits)
+
+    @cached_property
+    def _arrays(self) -> ModuleArrays:
+        joints = self.joints
+        turned = np.bincount(joints.inputs, np.abs(joints.ratios) * joints.revolute, minlength=self.dof)
+        slid = np.bincount(joints.inputs, np.abs(joints.ratios) * ~joints.revolute, minlength=self.dof)
+        length = float(np.linalg.norm(joints.end)) or 1.0
+        units = np.where(turned > 0.0, 1.0 / np.maximum(turned, 1e-300), length / np.maximum(slid, 1e-300))
+        return ModuleArrays(
+            slides=~joints.revolute,
+            axes=joints.axes,
+            origins=joints.origins,
+            end=np.ascontiguousarray(joints.end),
+            inputs=joints.inputs,
+            ratios=joints.ratios,
+            units=units,
+            turning=turned > 0.0,
+            reach=np.array([self.reach]),
+        )
+
+    @cached_property
+    def _samples(self) -> tuple[Array, Array]:
+        """Postures to start from, (s, k), the preferred one first, and where they put the end, (s, 3) [m]."""
+        k, low, high = self.dof, self._low, self._high
+        if k <= 2:
+            shares = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * k), axis=-1).reshape(-1, k)
+        else:
+            shares = qmc.Sobol(k, scramble=False).random(MANY_SAMPLES)
+        inside = np.clip(self.preferred, low, high)
+        samples = np.ascontiguousarray(np.vstack([inside, low + shares * (high - low)]))
+        ends = np.empty((len(samples), 3))
+        kernels.module_ends(self._arrays, samples, ends)
+        return samples, ends
+
+    def forward(self, q: Array) -> tuple[Array, Array]:
+        """FK: position (3,) [m] and orientation (3, 3) of the end at q, (k,), base frame."""
+        return self.joints.forward(q)
+
+    def inverse(self, p: Array) -> list[Array]:
+        """IK: positions (k,) within the limits that put the end at p, (3,) [m]; one, or none."""
+        joints, k, found = self.joints, self.dof, np.clip(self.preferred, self._low, self._high)
+        chain = ScrewChain(
+            slides=~joints.revolute,
+            axes=joints.axes,
+            origins=joints.origins,
+            inputs=joints.inputs,
+            ratios=joints.ratios,
+            points=np.ascontiguousarray(joints.end[None]),
+            joints=np.array([0, len(joints.names)]),
+            begins=np.array([0, k]),
+            sliding=~self._turning,
+            lower=np.array(joints.lower),
+            upper=np.array(joints.upper),
+            near=found.copy(),
+        )
+        goals, shares = np.array(p, dtype=float).reshape(1, 3), qmc.Sobol(k, scramble=False).random(32)
+        given = chain, goals, self.reach, EXACT * self.reach, 1, IK_VISITS, np.ascontiguousarray(shares)
+        return [found] if kernels.search_branches(*given, found) == 1 else []
+
+    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
+        """TP, as `ModuleKinematics.target_point`, within the limits and near the preferred positions."""
+        s, _ = self.place(base, curve, start)
+        return s if s >= 0.0 else None
+
+    def place(
+        self, base: pin.SE3, curve: Curve, start: float, near: Array | None = None
+    ) -> tuple[float, Array]:
+        """Find the next point of a curve and the posture that puts the end there.
+
+        Args:
+            base: as for `target_point`.
+            curve: as for `target_point`.
+            start: as for `target_point`.
+            near: positions to stay near, (k,); the preferred ones if None.
+
+        Returns:
+            Its arc length [m] and the joint positions (k,). The arc length is NaN if there is none before the
+            curve leaves the reach, -1 if the curve ends before.
+        """
+        placed = np.ascontiguousarray(np.column_stack([base.rotation, base.translation]))
+        wanted = self.preferred if near is None else near
+        found, inside = np.empty(self.dof), np.clip(wanted, self.joints.lower, self.joints.upper)
+        samples, ends = self._samples
+        if near is not None:
+            samples, ends = samples.copy(), ends.copy()
+            samples[0] = inside
+            kernels.module_ends(self._arrays, samples[:1], ends[:1])
+        given = self._arrays, *curve.measured, placed, start, self.joints.lower, self.joints.upper, inside
+        return float(kernels.next_target_point(*given, samples, ends, found)), found
+
+
+ClosedForm = Torus | Circle | RollPitch
+
+FORMS: dict[type, int] = {Circle: CIRCLE, Torus: TORUS, RollPitch: ROLL_PITCH}
+"""The closed forms by which `kernels.place_modules` places modules, and their numbers there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """Consecutive joints of an arm that are placed together.
+
+    Attributes:
+        module: index of the module at whose end theirs is, 0-based.
         joints: indices into the chain.
-        frame: axes of its base frame as columns, in the neutral posture, (3, 3), world frame.
-        kinematics: its closed form.
+        first: index into `Arm.columns` of their first degree of freedom.
+        base: where they begin at the neutral configuration, (3,) [m], world frame.
+        frame: axes of the base frame there as columns, (3, 3), world frame.
+        kinematics: their kinematics.
+        reason: why these are numeric; empty if they are not.
     """
 
     module: int
     joints: slice
+    first: int
+    base: Array
     frame: Array
-    kinematics: Torus | Circle
+    kinematics: ModuleKinematics
+    reason: str = ""
+
+    @property
+    def inputs(self) -> slice:
+        """Their degrees of freedom as a range into `Arm.columns`."""
+        return slice(self.first, self.first + self.kinematics.dof)
 
 
-@lru_cache(maxsize=64)
-def arm_units(chain: Chain) -> tuple[Unit, ...]:
-    """Return the closed forms that place the modules of an arm, from base to tip.
+def arm_units(arm: Arm) -> tuple[Unit, ...]:
+    """Return the kinematics that place the modules of an arm one by one, from base to tip.
 
-    A module with two perpendicular hinges is a `Torus`; parallel hinges are placed one by one as `Circle`s.
+    Registered kinematics come first. A module with two perpendicular hinges is a `Torus`, one with a roll and
+    a hinge a `RollPitch`; parallel hinges are placed one by one as `Circle`s; others are `NumericModule`s.
+    Joints at the end of a module that do not move its end belong to the next module if that needs them, and
+    stay where they are otherwise. Slides without limits that carry the base (`Arm.roaming`) belong to none.
 
     Raises:
-        UnsupportedModule: a module that is neither.
+        UnsupportedModule: none of its joints moves the end of a module.
     """
-    units: list[Unit] = []
-    start = chain.base
-    for module, (joints, end) in enumerate(zip(chain.module_slices, chain.points, strict=True)):
-        units.extend(_module_units(chain, module, joints, start, end))
-        start = end
-    return tuple(units)
+    return _units(arm).units
 
 
-@lru_cache(maxsize=64)
-def unit_arrays(chain: Chain) -> tuple[NDArray[np.int64], Array]:
-    """Return the units of an arm as `kernels.place_modules` takes them, `units` (n, 3) and `shapes` (n, 12).
+class _Units(NamedTuple):
+    """The units of an arm, and what is derived from them."""
+
+    registry: int  # state of the registry for which it holds
+    units: tuple[Unit, ...]
+    names: tuple[str, ...]  # kinematics of each module
+    arrays: tuple[NDArray[np.int64], Array] | None  # of `unit_arrays`; None if a unit has no closed form
+
+
+def _units(arm: Arm) -> _Units:
+    known: _Units | None = arm.cache.get(arm_units)
+    if known is None or known.registry != registry_state():
+        units = _find_units(arm)
+        named = {unit.module: type(unit.kinematics).__name__ for unit in units}
+        arrays = None
+        if all(isinstance(unit.kinematics, ClosedForm) for unit in units):
+            rows = [(FORMS[type(unit.kinematics)], unit.first, unit.module) for unit in units]
+            shapes = [_shape(cast(ClosedForm, unit.kinematics), unit.frame) for unit in units]
+            arrays = np.array(rows, dtype=np.int64), np.array(shapes)
+        names = tuple(named[module] for module in range(arm.n_modules))
+        known = arm.cache[arm_units] = _Units(registry_state(), units, names, arrays)
+    return known
+
+
+def kinematics_names(arm: Arm) -> tuple[str, ...]:
+    """Return the name of the kinematics of each module of an arm, (m,).
 
     Raises:
         UnsupportedModule: as `arm_units`.
     """
-    numbers, shapes = [], []
-    for unit in arm_units(chain):
-        form = unit.kinematics
-        numbers.append((form.dof, int(chain.input_numbers[unit.joints.start]), unit.module))
-        lengths = (form.l1, form.l2, form.sense) if isinstance(form, Torus) else (form.link, 0.0, 1.0)
-        shapes.append([*lengths, *unit.frame.ravel()])
-    return np.array(numbers, dtype=np.int64), np.array(shapes)
+    return _units(arm).names
 
 
-def _module_units(chain: Chain, module: int, joints: slice, start: Array, end: Array) -> list[Unit]:
+def unit_arrays(arm: Arm) -> tuple[NDArray[np.int64], Array]:
+    """Return the units of an arm as `kernels.place_modules` takes them, `units` (n, 3) and `shapes` (n, 12).
+
+    Raises:
+        UnsupportedModule: a module that is not placed by a closed form of the library.
+    """
+    known = _units(arm)
+    if known.arrays is not None:
+        return known.arrays
+    unit = next(unit for unit in known.units if not isinstance(unit.kinematics, ClosedForm))
+    name = type(unit.kinematics).__name__
+    reason = unit.reason or f"it is placed by kinematics of your own ({name})"
+    raise UnsupportedModule(unit.module + 1, arm.module_joints[unit.module], reason)
+
+
+def unit_row(unit: Unit, frame: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return `unit_arrays` of one unit with a closed form, at its base frame (3, 3) in a posture."""
+    form = cast(ClosedForm, unit.kinematics)
+    return np.array([[FORMS[type(form)], 0, 0]], dtype=np.int64), np.array([_shape(form, frame)])
+
+
+def _shape(form: ClosedForm, frame: Array) -> list[float]:
+    lengths = (form.link, 0.0, 1.0) if isinstance(form, Circle) else (form.l1, form.l2, form.sense)
+    return [*lengths, *frame.ravel().tolist()]
+
+
+def is_compiled(arm: Arm) -> bool:
+    """Return whether closed forms of the library place all modules, so that one kernel does all of it."""
+    return _units(arm).arrays is not None
+
+
+def _find_units(arm: Arm) -> tuple[Unit, ...]:
+    chain, units = arm.chain, list[Unit]()
+    own = [_registered(arm, k) for k in range(arm.n_modules)]
+    waiting = int(np.count_nonzero(arm.roaming[chain.columns]))  # the first joint that is free
+    base = chain.base
+    for k, (joints, end) in enumerate(zip(chain.module_slices, chain.points, strict=True)):
+        claimed = own[k]
+        if claimed is not None:
+            units.append(claimed)
+        else:
+            start, stop = max(waiting, joints.start), _last_mover(arm, k)
+            if waiting < joints.start and stop - joints.start < (1 if arm.dimension == 2 else 2):
+                start = waiting
+            if stop <= start:
+                raise UnsupportedModule(k + 1, chain.joints[joints], "none of its joints moves its end")
+            units.extend(_units_of(arm, k, slice(start, stop), base, end))
+        waiting, base = units[-1].joints.stop, end
+    return tuple(units)
+
+
+def _registered(arm: Arm, module: int) -> Unit | None:
+    """Return the unit of a module that has registered kinematics, or None."""
+    chain = arm.chain
+    joints = chain.module_slices[module]
+    base = chain.base if module == 0 else chain.points[module - 1]
+    described = module_joints(arm, joints, base, chain.points[module])
+    kinematics = registered_kinematics(described)
+    if kinematics is None:
+        return None
+    first = int(chain.input_numbers[joints.start])
+    return Unit(module, joints, first, described.base, described.frame, kinematics)
+
+
+def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoints:
+    """Describe consecutive joints of an arm, from a base to an end, (3,) each [m], world frame."""
+    chain = arm.chain
+    columns = chain.columns[joints]
+    own = np.array(list(dict.fromkeys(columns.tolist())))
+    stations = chain.flattened(np.vstack([base, chain.origins[joints], end]))
+    lower, upper = arm.limits.lower[own], arm.limits.upper[own]
+    kinds = chain.joints[joints], chain.revolute[joints], chain.axes[joints]
+    return joints_in_base_frame(*kinds, stations, columns, chain.ratios[joints], lower, upper)
+
+
+def _last_mover(arm: Arm, module: int) -> int:
+    """Return the index after the last joint that moves the end of a module."""
+    chain = arm.chain
+    joints = chain.module_slices[module]
+    alone, stop = np.bincount(chain.columns)[chain.columns] == 1, joints.stop
+    while stop > joints.start and chain.revolute[stop - 1] and alone[stop - 1]:
+        lever = chain.points[module] - chain.origins[stop - 1]
+        if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > SHAPE_TOLERANCE * chain.length:
+            break
+        stop -= 1
+    return int(stop)
+
+
+def _units_of(arm: Arm, module: int, joints: slice, base: Array, end: Array) -> list[Unit]:
+    try:
+        return _closed_forms(arm, module, joints, base, end)
+    except UnsupportedModule as error:
+        reason = error.reason
+    described = module_joints(arm, joints, base, end)
+    first = int(arm.chain.input_numbers[joints.start])
+    columns = arm.columns[first : first + described.dof]
+    kinematics = NumericModule(described, arm.positions(arm.straight())[columns])
+    return [Unit(module, joints, first, described.base, described.frame, kinematics, reason)]
+
+
+def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array) -> list[Unit]:
+    """Return the units with closed forms that place the end of a module.
+
+    Raises:
+        UnsupportedModule: there are none; says why.
+    """
+    chain = arm.chain
     axes, origins = chain.axes[joints], chain.origins[joints]
     stations = np.vstack([start, origins[1:], end])
     links = np.diff(stations, axis=0)
     lengths = np.linalg.norm(links, axis=1)
-    names = chain.joints[joints]
 
     def refuse(reason: str) -> UnsupportedModule:
-        supported = "closed-form solvers exist for two perpendicular hinges and for parallel hinges"
-        return UnsupportedModule(module + 1, names, f"{reason}; {supported}, across a straight module")
+        return UnsupportedModule(module + 1, chain.joints[joints], reason)
 
     if len(set(chain.columns[joints].tolist())) < len(axes):
-        raise refuse("has coupled joints")
+        raise refuse("it has coupled joints")
     if not np.all(chain.revolute[joints]):
-        raise refuse("has a sliding joint")
+        raise refuse("it has a sliding joint")
     none = lengths <= SHAPE_TOLERANCE * lengths.max()
     universal = len(axes) == 2 and none[0] and not none[1]
     if np.any(none) and not universal:
-        raise refuse("has a link without length")
+        raise refuse("it has a link without length")
     along = links[-1] / lengths[-1]
     if np.abs(links[~none] / lengths[~none, None] - along).max() > SHAPE_TOLERANCE:
-        raise refuse("is not straight at its neutral configuration")
+        raise refuse("it is not straight at its neutral configuration")
     if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > SHAPE_TOLERANCE * lengths.sum():
         raise refuse("its first joint does not sit at its base")
-    if np.abs(axes @ along).max() > SHAPE_TOLERANCE:
-        raise refuse("has a joint axis that is not across the module")
 
+    def unit(first: int, last: int, base: Array, frame: Array, form: ClosedForm) -> Unit:
+        own = slice(joints.start + first, joints.start + last)
+        return Unit(module, own, int(chain.input_numbers[own.start]), base, frame, form)
+
+    first_link = 0.0 if universal else float(lengths[0])
+    perpendicular = len(axes) == 2 and abs(axes[0] @ axes[1]) < SHAPE_TOLERANCE
+    rolls = float(np.linalg.norm(np.cross(axes[0], along))) < SHAPE_TOLERANCE
+    if perpendicular and rolls:
+        form = RollPitch(first_link, float(lengths[1]), sense=float(np.sign(along @ axes[0])))
+        return [unit(0, 2, start, _frame(along, axes[1]), form)]
+    if np.abs(axes @ along).max() > SHAPE_TOLERANCE:
+        raise refuse("it has a joint axis that is neither along nor across it")
     parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < SHAPE_TOLERANCE
-    first = joints.start
     if np.all(parallel) and not universal:
         return [
-            Unit(module, slice(first + i, first + i + 1), _frame(along, axes[i]), Circle(float(lengths[i])))
+            unit(i, i + 1, stations[i], _frame(along, axes[i]), Circle(float(lengths[i])))
             for i in range(len(axes))
         ]
-    if len(axes) == 2 and abs(axes[0] @ axes[1]) < SHAPE_TOLERANCE:
+    if perpendicular:
         frame = _frame(along, axes[0])
-        first_link = 0.0 if universal else float(lengths[0])
         torus = Torus(first_link, float(lengths[1]), sense=float(np.sign(frame[:, 2] @ axes[1])))
-        return [Unit(module, joints, frame, torus)]
+        return [unit(0, 2, start, frame, torus)]
     raise refuse("its joint axes are neither parallel nor a perpendicular pair")
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import finite_vector
 from pinposture.arm import Arm
+from pinposture.arm.module_kinematics import ModuleKinematics
 from pinposture.curve import Curve
 from pinposture.errors import (
     CurveBendsTooMuch,
@@ -24,11 +28,32 @@ from pinposture.errors import (
     UnknownName,
     UnsupportedModule,
 )
-from pinposture.placement.least_squares import fit_curve, fit_near
-from pinposture.placement.module_kinematics import Unit, arm_units, unit_arrays
-from pinposture.placement.target import ON_CURVE, Moved, Placement, Target, beginning, place_curve
+from pinposture.placement.least_squares import base_positions, fit_curve, fit_near
+from pinposture.placement.module_kinematics import (
+    Circle,
+    ClosedForm,
+    NumericModule,
+    Torus,
+    Unit,
+    arm_units,
+    is_compiled,
+    kinematics_names,
+    unit_arrays,
+    unit_row,
+)
+from pinposture.placement.target import (
+    ON_CURVE,
+    Moved,
+    Placement,
+    Target,
+    beginning,
+    distance_from_curve,
+    place_curve,
+)
 
 Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
 
 PLACEMENTS = ("as_is", "translate", "align")
 METHODS = ("auto", "sequential", "smooth", "closest")
@@ -43,6 +68,10 @@ FAR = 0.1
 """How far the start of a curve may be moved, and the farthest link be from the curve, without a warning, in
 arm lengths."""
 
+OWN_TOLERANCE = 1e-7  # how far kinematics of your own may be off, in reaches of the module or radians
+
+MAX_ASKED = 1000  # how often kinematics of your own are asked for the next target point of a module
+
 AT_LIMIT = 1e-6  # distance from a position limit at which a joint counts as at it, in `Arm.joint_units`
 
 OFF_CURVE = 0.1
@@ -50,21 +79,43 @@ OFF_CURVE = 0.1
 row of modules that are bound to one plane together (`Chain.spans`)."""
 
 
-def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
-    """Place modules from base to tip, each where it first crosses the curve ahead (Algorithm 1).
+def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = None) -> Placement:
+    """Place modules from base to tip, each on the next point of the curve that it can reach (Algorithm 1).
 
     Args:
-        arm: the arm; each of its modules has a closed form.
+        arm: the arm.
         curve: the curve, placed in the world.
-        samples: number of points at equal arc length that stand for the curve.
+        samples: number of points at equal arc length that stand for the curve for closed forms.
+        near: a target with the configuration near which redundant modules stay; the straight arm if None.
 
     Returns:
         The placement, with a failure if a module could not be placed.
 
     Raises:
-        UnsupportedModule: a module without a closed form.
+        UnsupportedModule: none of its joints moves the end of a module.
+        InvalidValue: kinematics of your own contradict themselves.
     """
-    units, shapes = unit_arrays(arm.chain)
+    units, names = arm_units(arm), kinematics_names(arm)
+    if is_compiled(arm):
+        return _place_compiled(arm, curve, samples, units)._replace(placed_by=names)
+    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
+    walk = Walk(arm, curve, samples, preferred)
+    parameters, failure = np.full(arm.n_modules, curve.length), None
+    for unit in units:
+        failure = walk.place(unit)
+        if failure is not None:
+            break
+        parameters[unit.module] = walk.parameter
+    if failure is not None:
+        parameters[failure.module - 1 :] = curve.length
+        ahead = arm.columns[unit.first :]
+        walk.positions[ahead] = arm.positions(arm.straight())[ahead]
+    return Placement(walk.positions, parameters, failure, names)
+
+
+def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...]) -> Placement:
+    """Place modules that all have closed forms of the library."""
+    numbers, shapes = unit_arrays(arm)
     parameter, on_curve = beginning(arm, curve)
     base = np.array(arm.chain.base)
     state = np.empty(9)
@@ -72,15 +123,116 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
     found, parameters = np.zeros(len(lower)), np.full(arm.n_modules, curve.length)
     stopped = kernels.place_modules(
-        *curve.measured, samples, units, shapes, lower, upper, state, found, parameters
+        *curve.measured, samples, numbers, shapes, lower, upper, state, found, parameters
     )
     positions = np.zeros(arm.nv)
     positions[arm.columns] = found
     failure: TargetError | None = None
     if stopped >= 0:
-        failure = _failure(arm, curve, arm_units(arm.chain)[stopped], state)
+        failure = _failure(arm, curve, units[stopped], state)
         parameters[failure.module - 1 :] = curve.length
     return Placement(positions, parameters, failure)
+
+
+class Walk:
+    """Algorithm 1 along an arm whose modules have kinematics of several kinds.
+
+    Attributes:
+        parameter: arc length of the end of the last module that was placed [m].
+        positions: joint positions (nv,) [rad or m]; the preferred ones where nothing is placed yet.
+    """
+
+    def __init__(self, arm: Arm, curve: Curve, samples: int, preferred: Array) -> None:
+        self._arm, self._curve, self._samples = arm, curve, samples
+        self.parameter, on_curve = beginning(arm, curve)
+        self.positions = np.where(arm.roaming, base_positions(arm, curve, self.parameter), preferred)
+        self._turn, self._place, self._carried = np.eye(3), np.zeros(3), 0
+        self._from_base = on_curve or bool(np.any(arm.roaming))
+
+    def place(self, unit: Unit) -> TargetError | None:
+        """Place the next unit; return why that cannot be."""
+        self._carry(unit.joints.start)
+        columns = self._arm.columns[unit.inputs]
+        base = pin.SE3(self._turn @ unit.frame, self._turn @ unit.base + self._place)
+        if isinstance(unit.kinematics, ClosedForm):
+            found = self._by_closed_form(unit, base)
+        elif isinstance(unit.kinematics, NumericModule):
+            found = self._numerically(unit, base, self.positions[columns])
+        else:
+            found = self._by_your_own(unit, unit.kinematics, base)
+        if isinstance(found, TargetError):
+            return found
+        self.parameter, self.positions[columns] = found
+        self._carry(unit.joints.stop)
+        return None
+
+    def _carry(self, stop: int) -> None:
+        """Move the frame along the joints before an index."""
+        chain, own = self._arm.chain, slice(self._carried, stop)
+        amounts = chain.ratios[own] * self.positions[chain.columns[own]]
+        screws = ~chain.revolute[own], chain.axes[own], chain.origins[own]
+        kernels.move_frame(*screws, np.ascontiguousarray(amounts), self._turn, self._place)
+        self._carried = stop
+
+    def _by_closed_form(self, unit: Unit, base: pin.SE3) -> tuple[float, Array] | TargetError:
+        arm, state = self._arm, np.empty(9)
+        numbers, shapes = unit_row(unit, base.rotation)
+        state[0], state[1:4] = self.parameter, base.translation
+        here = unit.joints.start > 0 or self._from_base
+        state[4:7] = base.translation if here else self._curve.at(self.parameter)
+        columns = arm.columns[unit.inputs]
+        found, parameters = np.zeros(unit.kinematics.dof), np.zeros(1)
+        limits = arm.limits.lower[columns], arm.limits.upper[columns]
+        measured, options = self._curve.measured, (self._samples, numbers, shapes, *limits)
+        if kernels.place_modules(*measured, *options, state, found, parameters) >= 0:
+            return _failure(arm, self._curve, unit, state)
+        return float(parameters[0]), found
+
+    def _numerically(self, unit: Unit, base: pin.SE3, near: Array) -> tuple[float, Array] | TargetError:
+        module = cast(NumericModule, unit.kinematics)
+        s, found = module.place(base, self._curve, self.parameter, near)
+        return (s, found) if s >= 0.0 else self._no_place(unit, base, s == -1.0)
+
+    def _by_your_own(
+        self, unit: Unit, kinematics: ModuleKinematics, base: pin.SE3
+    ) -> tuple[float, Array] | TargetError:
+        arm, s, name = self._arm, self.parameter, type(kinematics).__name__
+        columns = arm.columns[unit.inputs]
+        lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
+        for _ in range(MAX_ASKED):
+            following = kinematics.target_point(base, self._curve, s)
+            if following is None:
+                break
+            if not s < following <= self._curve.length * (1.0 + 1e-12):
+                allowed = f"an arc length above {s:.6g} m, at most {self._curve.length:.6g} m, or None"
+                raise InvalidValue(f"{name}.target_point", following, allowed)
+            s = float(following)
+            p = base.rotation.T @ (np.asarray(self._curve.at(s)) - base.translation)
+            for each in kinematics.inverse(p):
+                q = finite_vector(f"{name}.inverse", each, kinematics.dof)
+                away = float(np.linalg.norm(np.asarray(kinematics.forward(q)[0]) - p))
+                if away > OWN_TOLERANCE * kinematics.reach:
+                    allowed = f"positions whose forward is the point; it is {away:.3g} m off"
+                    raise InvalidValue(f"{name}.inverse", q.tolist(), allowed)
+                if np.all((q >= lower - OWN_TOLERANCE) & (q <= upper + OWN_TOLERANCE)):
+                    return s, np.clip(q, lower, upper)
+        return self._no_place(unit, base, False)
+
+    def _no_place(self, unit: Unit, base: pin.SE3, in_reach: bool) -> TargetError:
+        """Explain why there is no point for a module; `in_reach` if the curve ends within its reach."""
+        curve, at, module = self._curve, self.parameter, unit.module + 1
+        left, reach = curve.length - at, unit.kinematics.reach
+        gap = float(np.linalg.norm(curve.at(at) - base.translation))
+        to_end = float(np.linalg.norm(curve.at(curve.length) - base.translation))
+        if in_reach or (left < reach and to_end < reach):
+            advice = f"the module reaches {reach:.4g} m; lengthen the curve or use fewer modules"
+            return CurveEndsEarly(module, at, f"the curve ends {left:.4g} m farther on; {advice}")
+        if gap > reach:
+            advice = 'use placement="translate" or "align"'
+            return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
+        text = "no posture within its joint limits puts its end on the curve ahead"
+        kind = CurveLeavesTooSharply if unit.module == 0 else CurveBendsTooMuch
+        return kind(module, at, f"{text}; use a gentler curve, wider joint limits or shorter modules")
 
 
 def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
@@ -126,9 +278,10 @@ def resolve_targets(
 ) -> Target:
     """Find the point of a curve for each control point, and the configuration that puts it there.
 
-    Modules are placed "sequential"ly as in Algorithm 1 (exact, from base to tip, for modules with closed-form
-    kinematics), or all at once by least squares within the joint limits, for any arm: "closest" to the
-    curve, or "smooth", which accepts some distance for less bending. Sequential placement multiplies the
+    Modules are placed "sequential"ly as in Algorithm 1 (exact, from base to tip, each by its own kinematics:
+    a closed form, a numeric search, or yours, see `register_module_kinematics`), or all at once by least
+    squares within the joint limits: "closest" to the curve, or "smooth", which accepts some distance for
+    less bending. `Target.placed_by` tells which. Sequential placement multiplies the
     angle between a module and the curve by -l1 / l2 from module to module, and can zigzag along a curve that
     leaves the base at an angle; smooth placement does not.
 
@@ -145,7 +298,8 @@ def resolve_targets(
         incomplete: what to do if a module cannot be placed: "raise" an error, or return a "partial"
             target that gives the reason in `incomplete` and weight 0 to the points from there on.
         method: as above; "auto" is sequential where that works and does not zigzag, else smooth, or
-            closest where a module has no closed-form kinematics.
+            closest where a module has no closed-form kinematics. `Target.fallback` then says why, and so does
+            the log.
         near: the target on a slightly different curve, or of a configuration that nearly takes this one
             (`Target.from_configuration`). Least squares then start there and search no farther, which is
             fast; None: they start with the straight arm, and take tenths of a second for 20 modules and
@@ -165,7 +319,7 @@ def resolve_targets(
         CurveBendsTooMuch: a later module cannot turn to where the curve goes, the curve leaves the plane of a
             planar module, or a control point stays farther from the curve than a tenth of its module's
             length, or of the length of neighbouring modules that are bound to one plane together.
-        UnsupportedModule: sequential placement of a module without a closed form.
+        UnsupportedModule: sequential placement of a module whose end none of its joints moves.
         InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, or a `near` of
             another arm or without configuration.
         UnknownName: a `placement`, `incomplete` or `method` that does not exist.
@@ -174,15 +328,18 @@ def resolve_targets(
     placed, moved = place_curve(arm, curve, placement, roll)
     if placement is None and moved.distance > FAR * arm.length:
         warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=2)
+    used, fallback = str(method), ""
     if method == "sequential":
-        result = place_in_turn(arm, placed, samples)
+        result = place_in_turn(arm, placed, samples, near)
     elif method == "auto":
-        result, method = _choose(arm, placed, samples, near)
+        result, used, fallback = _choose(arm, placed, samples, near)
     else:
         result = _place_together(arm, placed, method, near)
     if result.failure is not None and incomplete == "raise":
         raise result.failure
-    target = replace(_target(arm, placed, result, method, near), moved=moved)
+    if fallback:
+        logger.info("least squares place the whole arm on the curve: %s", fallback)
+    target = replace(_target(arm, placed, result, used, near), moved=moved, fallback=fallback)
     if near is None and result.failure is None:
         _warn_if_far(arm, target)
     return target
@@ -226,25 +383,66 @@ def far_moved(arm: Arm, what: str, moved: Moved) -> str:
     return f"{what} was {moved} to the base of the arm, {share}; {advice}"
 
 
-def _choose(
-    arm: Arm, curve: Curve, samples: int, near: Target | None
-) -> tuple[Placement, Literal["sequential", "smooth", "closest"]]:
+def _choose(arm: Arm, curve: Curve, samples: int, near: Target | None) -> tuple[Placement, str, str]:
+    """Place modules one by one if that works, else all at once.
+
+    Returns:
+        The placement, its method, and why that is least squares; empty if it is not.
+    """
     try:
-        in_turn = place_in_turn(arm, curve, samples)
-    except UnsupportedModule:
-        return _place_together(arm, curve, "closest", near), "closest"
-    ends_early = isinstance(in_turn.failure, CurveEndsEarly)
-    if ends_early or (in_turn.failure is None and not _zigzags(arm, in_turn.positions)):
-        return in_turn, "sequential"
-    together = _place_together(arm, curve, "smooth", near)
-    return (together, "smooth") if together.failure is None else (in_turn, "sequential")
+        in_turn, compiled = place_in_turn(arm, curve, samples, near), is_compiled(arm)
+    except UnsupportedModule as error:
+        return _place_together(arm, curve, "closest", near), "closest", str(error)
+    ends_early = compiled and isinstance(in_turn.failure, CurveEndsEarly)
+    reason = "" if in_turn.failure is None else str(in_turn.failure)
+    if in_turn.failure is None:
+        if _zigzags(arm, in_turn.positions):
+            reason = "placed one by one, modules would zigzag"
+        elif not compiled:
+            reason = _leaves_curve(arm, curve, in_turn)
+    if ends_early or not reason:
+        return in_turn, "sequential", ""
+    method = "smooth" if compiled else "closest"
+    together = _place_together(arm, curve, method, near)
+    if together.failure is None or not compiled:
+        return together, method, reason
+    return in_turn, "sequential", ""
+
+
+def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
+    """Say that links are far from a curve although the control points are on it; empty if they are not."""
+    q = arm.configuration(placed.positions)
+    if max(_link_lengths(arm, q)) / 2.0 <= FAR * arm.length:
+        return ""
+    away = distance_from_curve(arm, q, curve)
+    return f"placed one by one, links would be {away:.3g} m beside it" if away > FAR * arm.length else ""
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
     """Return whether most modules bend in the opposite direction to the one before."""
-    starts = np.append(arm.module_starts, len(arm.columns))
-    products, norms = kernels.neighbours(positions[arm.columns], starts)
+    if {Torus.__name__, Circle.__name__}.issuperset(kinematics_names(arm)):
+        starts = np.append(arm.module_starts, len(arm.columns))
+        products, norms = kernels.neighbours(positions[arm.columns], starts)
+    else:
+        before, after = _bends(arm, positions)
+        products = float(np.einsum("ij,ij->", after[:-1], before[1:]))
+        norms = float(np.linalg.norm(after[:-1], axis=1) @ np.linalg.norm(before[1:], axis=1))
     return norms > 1e-6 * arm.n_modules and products < -0.5 * norms
+
+
+def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
+    """Return by how much each module turns its axis, as vectors in the frames before and after it, (m, 3)."""
+    chain, before, after = arm.chain, np.empty((arm.n_modules, 3)), np.empty((arm.n_modules, 3))
+    spans = np.diff(np.vstack([chain.base, chain.points]), axis=0)
+    axes = spans / np.maximum(np.linalg.norm(spans, axis=1), 1e-300)[:, None]
+    for k, joints in enumerate(chain.module_slices):
+        turn, place = np.eye(3), np.zeros(3)
+        amounts = np.ascontiguousarray(chain.ratios[joints] * positions[chain.columns[joints]])
+        screws = ~chain.revolute[joints], chain.axes[joints], chain.origins[joints]
+        kernels.move_frame(*screws, amounts, turn, place)
+        before[k] = np.cross(axes[k], turn @ axes[k])
+        after[k] = before[k] @ turn
+    return before, after
 
 
 def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) -> Placement:
@@ -283,7 +481,8 @@ def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target
     q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
     points = arm.at(q).compiled.points
     residual = _distances(arm, result.positions, curve, result.parameters)
-    return Target(points, weights, q, curve, result.parameters, residual, method, reason)
+    told = result.placed_by or ("least squares",) * arm.n_modules
+    return Target(points, weights, q, curve, result.parameters, residual, method, reason, placed_by=told)
 
 
 def _warn_if_far(arm: Arm, target: Target) -> None:

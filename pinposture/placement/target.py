@@ -38,6 +38,11 @@ class Target:
             have weight 0, and their `points` continue straight on from the last that was placed.
         velocity: how fast the joints move that configuration, if the target moves, (nv,) [rad/s or m/s]; None
             if unknown.
+        placed_by: for each control point what put it on the curve, (m,): the kinematics of its module,
+            "Torus", "Circle", "RollPitch", "NumericModule" or your own class; or "least squares" over the
+            whole arm. Empty without a curve.
+        fallback: why least squares placed the whole arm although `method="auto"` places modules one by one
+            where it can; empty if they did not, or were asked for.
         approximate: by how much the posture at `q` misses given points (`fit_points`), which may be a local
             minimum; empty if it takes them, or none is known.
     """
@@ -53,6 +58,8 @@ class Target:
     moved: Moved | None = None
     approximate: str = ""
     velocity: Array | None = None
+    placed_by: tuple[str, ...] = ()
+    fallback: str = ""
 
     def __post_init__(self) -> None:
         for name in ("points", "weights", "q", "parameters", "residual", "velocity"):
@@ -209,11 +216,13 @@ class Placement(NamedTuple):
         positions: joint positions, (nv,) [rad or m]; zero for modules that could not be placed.
         parameters: arc length of each control point, (m,) [m]; the curve's end where it could not be placed.
         failure: why a module, and all after it, could not be placed; None if all are placed.
+        placed_by: for each module the kinematics that placed it, by name; or "least squares"; (m,).
     """
 
     positions: Array
     parameters: Array
     failure: TargetError | None
+    placed_by: tuple[str, ...] = ()
 
 
 def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> tuple[Curve, Moved]:

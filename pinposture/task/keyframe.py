@@ -25,7 +25,7 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, PostureWarning, TargetError, TaskError, UnknownName
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
-from pinposture.placement.module_kinematics import unit_arrays
+from pinposture.placement.module_kinematics import is_compiled, unit_arrays
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
 from pinposture.placement.target import beginning
 from pinposture.task.reference import AnchoredCurve, BentCurve
@@ -355,8 +355,8 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
 def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMotion:
     """Resolve all keyframes, those that have `joints` near these, and all that leave it open by one method.
 
-    That is sequential placement if it works for all keyframes without joints, else the least squares method
-    that works for those where it does not.
+    That is sequential placement if closed forms do it for all keyframes without joints, else the least
+    squares method that works for those where they do not.
 
     Raises:
         TargetError: as `resolve_targets`, naming the keyframe.
@@ -369,7 +369,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
     free = [k for k, keyframe in enumerate(keyframes) if keyframe.joints is None]
     methods = {targets[k].method for k in free or range(len(targets))}
     method = "sequential"
-    if methods != {"sequential"}:
+    if methods != {"sequential"} or not is_compiled(arm):
         method = "smooth" if "smooth" in methods else "closest"
     resolved = []
     for index, keyframe in enumerate(keyframes):
@@ -506,7 +506,7 @@ class SequentialFollower:
     """Sequential placement on curves that begin at the base of the arm, or beside it."""
 
     def __init__(self, arm: Arm) -> None:
-        self._arm, (self._units, self._shapes) = arm, unit_arrays(arm.chain)
+        self._arm, (self._units, self._shapes) = arm, unit_arrays(arm)
         self._limits = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
         self._base = np.array(arm.chain.base)
 

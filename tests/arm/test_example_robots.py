@@ -34,6 +34,11 @@ LOADED = {
     "talos_data/robots/talos_left_arm.urdf": ([3, 4], None),
     "b1_description/urdf/b1-z1.urdf": ([2, 5], "gripperMover"),
 }
+PLACED = [
+    "kinova_description/robots/kinova.urdf",
+    "panda_description/urdf/panda.urdf",
+    *[f"ur_description/urdf/ur{size}_robot.urdf" for size in (3, 5, 10)],
+]
 REFUSED = {
     "double_pendulum_description/urdf/double_pendulum.urdf": "limits leave one position",
     "ur_description/urdf/ur3.urdf": "<robot>: has no name",
@@ -90,3 +95,18 @@ def test_each_arm_of_a_robot_with_two_can_be_had_by_its_tip():
     assert [arm.nv for arm in arms] == [7, 7]
     assert arms[0].length == pytest.approx(arms[1].length, rel=1e-3)
     assert "joints off the chain" in arms[0].warnings[0]
+
+
+@pytest.mark.skipif(not FILES, reason="example-robot-data is not installed")
+@pytest.mark.parametrize("file", PLACED)
+def test_curves_are_taken_and_the_means_told(file: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        arm = pp.Arm.load(ROBOTS / file)
+        points = [(0, 0, 0), (0.25, 0, 0), (0.5, 0.05, 0.04), (0.75, 0.15, 0.05), (1, 0.2, 0), (1.5, 0.2, 0)]
+        target = pp.resolve_targets(arm, pp.Curve.spline(arm.length * np.array(points)))
+    assert target.residual.max() < 1e-6 * arm.length
+    assert arm.within_limits(target.q)
+    in_turn = target.method == "sequential"
+    assert bool(target.fallback) != in_turn
+    assert ("least squares" in target.placed_by) != in_turn

@@ -112,6 +112,8 @@ def test_it_says_which_module_has_no_closed_form_kinematics(command, arm_file):
     options = ("--modules", "2,2,4,4")
     about = json.loads(command("inspect", arm_file, *options, "--json").out)
     assert about["closed_form"] is False
+    assert about["kinematics"] == ["Torus", "Torus", "NumericModule", "NumericModule"]
+    assert "Torus (2), NumericModule (2)" in command("inspect", arm_file, *options).out
     assert about["closed_form_reason"].startswith("module 3 (joints m03_j1_y, m03_j2_z, m04_j1_y, m04_j2_z)")
     assert about["closed_form_reason"] in command("inspect", arm_file, *options).out
 

@@ -23,6 +23,7 @@ PAGES = (
         "controllers.md",
         "urdf.md",
         "coupled_joints.md",
+        "your_own_module.md",
         "scenes.md",
         "reach.md",
         "robot.md",

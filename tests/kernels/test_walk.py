@@ -40,7 +40,7 @@ def arm_called(name: str) -> pp.Arm:
 
 def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> int:
     """Compare the two; the index of the unit without a place, or -1."""
-    units, shapes = unit_arrays(arm.chain)
+    units, shapes = unit_arrays(arm)
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
     start = arm.chain.base if parameter == 0.0 else curve.at(parameter)
     state = np.concatenate([[parameter], arm.chain.base, start, [0.0, 0.0]])

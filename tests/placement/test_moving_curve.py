@@ -39,7 +39,7 @@ def test_the_target_follows_without_jumps(described: tuple, placement: str) -> N
 def test_the_solvers_one_after_the_other_are_the_arm() -> None:
     modules = [pp.template("RyRz").with_lengths((0.03, 0.02)), pp.template("RzRz"), pp.template("RzRy")]
     arm = pp.Arm.from_modules(modules)
-    units = arm_units(arm.chain)
+    units = arm_units(arm)
     q = 0.3 * np.random.default_rng(0).normal(size=arm.nv)
     turn, point, ends = np.eye(3), arm.chain.base, []
     for unit in units:

@@ -189,10 +189,15 @@ def test_every_failure_is_a_target_error_and_never_nan() -> None:
     assert 10 < failures < 120
 
 
-def test_modules_without_a_solver_are_named() -> None:
-    roll = pp.ModuleTemplate("RxRy", (pp.JointSpec("x"), pp.JointSpec("y")), (0.02, 0.03))
-    with pytest.raises(UnsupportedModule, match=r"module 2 .*not across the module"):
-        pp.resolve_targets(pp.Arm.from_modules([pp.template("RyRz"), roll]), LINE, method="sequential")
+def test_modules_that_cannot_move_their_ends_are_named() -> None:
+    roll = pp.ModuleTemplate("Rx", (pp.JointSpec("x"),), (0.05,))
+    arm = pp.Arm.from_modules([pp.template("RyRz"), roll])
+    with pytest.raises(UnsupportedModule, match=r"module 2 .*none of its joints moves its end"):
+        pp.resolve_targets(arm, LINE, method="sequential")
+    target = pp.resolve_targets(arm, LINE)
+    assert target.method == "closest"
+    assert set(target.placed_by) == {"least squares"}
+    assert "module 2" in target.fallback
 
 
 @pytest.mark.parametrize(

@@ -350,13 +350,21 @@ def test_narrow_limits_name_the_module_and_the_place_on_the_path(method):
     assert bent[0] - 2 * LINK < caught.value.parameter < bent[-1] + 2 * LINK
 
 
-def test_sequential_placement_needs_closed_forms():
-    rolling = ModuleTemplate("RyRx", [JointSpec("y"), JointSpec("x")], [0.02, 0.03])
-    arm = Arm.from_modules([feed(), *[rolling] * 8])
+def test_sequential_placement_needs_joints_that_move_the_end():
+    rolling = ModuleTemplate("Rx", [JointSpec("x")], [0.05])
+    arm = Arm.from_modules([feed(), rolling, *CROSSED[:4]])
     with pytest.raises(UnsupportedModule) as caught:
         follow_leader(arm, arc(0.2, 1.5), 0.1, 0.1, depth=0.1, method="sequential")
     assert caught.value.module == 2
     assert caught.value.joints == arm.module_joints[1]
+
+
+def test_modules_without_closed_forms_follow_in_turn_too():
+    tilted = ModuleTemplate("tilted", [JointSpec("y"), JointSpec((0.3, 0.2, 1.0))], [0.02, 0.03])
+    arm = Arm.from_modules([feed(), *[tilted] * 4])
+    run = follow_leader(arm, arc(0.2, 1.5), 0.1, 0.1, depth=0.15, method="sequential")
+    deviation = path_deviation(arm, rows(run), arc(0.2, 1.5))
+    assert deviation.points[:, 1:].max() < 1e-4
 
 
 @pytest.mark.parametrize("q", [np.zeros((2, 3)), np.zeros((0, 9)), np.zeros(9)])

@@ -23,6 +23,7 @@ from pinposture.control.thesis.posture_matrix import (
     gained,
     null_motion,
 )
+from pinposture.control.thesis.sections import best_chain, checked_strides
 from pinposture.errors import UnknownName
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
 from pinposture.placement import Target
@@ -55,6 +56,9 @@ class Projection:
             for each control point, (m,).
         null_gain: weight of the null-space term of (4.7).
         null_objective: what to follow in the null space in its place, as for `Selection`.
+        strides: how many modules a section may have, as for `Selection`: (2, 3) for planar arms of one-joint
+            modules (Section 4.6). The ends of the chain of sections with the best geometric mean of indices
+            are moved, and the points between follow in the null space. None: every control point is moved.
     """
 
     threshold: float = 0.2
@@ -63,6 +67,7 @@ class Projection:
     null_gain: float = 0.5
     null_objective: NullObjective | None = None
     name: str = "projection"
+    strides: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         require_share("threshold", self.threshold)
@@ -71,6 +76,17 @@ class Projection:
         require_positive("null_gain", self.null_gain, zero=True)
         if self.coupling not in COUPLINGS:
             raise UnknownName("coupling", self.coupling, COUPLINGS)
+        if self.strides is not None:
+            object.__setattr__(self, "strides", checked_strides(self.strides))
+
+    @classmethod
+    def as_printed(cls, planar: bool = False) -> Projection:
+        """Return the method as Chapter 5 prints it, with the sign of the errors put right.
+
+        The matrix is block diagonal (5.9), and there is no null-space term. Planar arms of one-joint modules
+        have sections of two and three joints.
+        """
+        return cls(coupling="local", null_gain=0.0, strides=(2, 3) if planar else None)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -171,6 +187,8 @@ class Projection:
         The own columns of a section are the same in all couplings, and those of later ones are zero: the
         matrix is block triangular, and of full row rank, in each of them.
         """
+        if self.strides is not None:
+            eligible = best_chain(arm, screws, eligible, self.strides)
         stations = np.flatnonzero(eligible)  # where sections end; modules, if all points have a target
         lengths = _differences(np.cumsum(arm.chain.module_lengths)[stations])
         directions, ranks = np.empty((len(stations), 3, 3)), np.zeros(len(stations), dtype=np.int64)

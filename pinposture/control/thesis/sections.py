@@ -220,6 +220,36 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
     return SectionSet(tuple(points), left, found)
 
 
+LEAST_INDEX = 1e-6
+"""What the index of a singular section counts as where it may be part of a chain."""
+
+
+def best_chain(
+    arm: Arm, screws: Screws, eligible: NDArray[np.bool_], strides: tuple[int, ...]
+) -> NDArray[np.bool_]:
+    """Choose the ends of the chain of sections with the best geometric mean of indices; none is left out.
+
+    Args:
+        arm: the arm.
+        screws: how its joints move it.
+        eligible: which control points have a target, (m,).
+        strides: how many modules a section may have; increasing.
+
+    Returns:
+        Which control points are ends of sections, (m,); the last eligible one if no section fits.
+    """
+    chosen, region = np.zeros(len(eligible), dtype=np.bool_), np.flatnonzero(eligible)
+    if not len(region):
+        return chosen
+    edges = section_edges(arm, screws, eligible, LEAST_INDEX, strides)
+    fits = np.arange(len(eligible) + 1) >= np.array(strides)[:, None]
+    logs = np.where(edges.stable, edges.logs, np.log(LEAST_INDEX))
+    edges = edges._replace(stable=fits & np.append(False, eligible), logs=logs)
+    points = best_branch(edges, int(region[0]), int(region[-1]), "geometric").points
+    chosen[list(points) or region[-1:]] = True
+    return chosen
+
+
 def _root(first: int) -> int:
     return 0 if first == 0 else first + 1
 

@@ -136,6 +136,8 @@ def _conditions(
 MAX_COUNTED_MODULES = 50
 """How many modules of an arm count as its length where its conditioning is judged."""
 
+NO_CONDITIONING = 1e-12  # a bound on singular values that drops no point
+
 SCORES = ("auto", "error", "geometric", "thesis")
 
 
@@ -194,6 +196,15 @@ class Selection:
         if self.score not in SCORES:
             raise UnknownName("score", self.score, SCORES)
         object.__setattr__(self, "strides", checked_strides(self.strides))
+
+    @classmethod
+    def as_printed(cls, planar: bool = False) -> Selection:
+        """Return the method as Chapter 4 prints it, with the sign of the errors put right.
+
+        The set has the largest posture error (4.5), or in planar arms of one-joint modules the largest (4.8).
+        No point is dropped for conditioning. The null-space term (4.7), summed over active points, is zero.
+        """
+        return cls(score="thesis" if planar else "error", conditioning=NO_CONDITIONING, null_gain=0.0)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None

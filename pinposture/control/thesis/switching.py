@@ -107,6 +107,12 @@ class Switching:
         if self.hand_back not in get_args(HandBack):
             raise UnknownName("hand_back", self.hand_back, get_args(HandBack))
 
+    @classmethod
+    def as_printed(cls, planar: bool = False) -> Switching:
+        """Return the method of Section 4.6.2: both methods as printed; Selection takes over when it can."""
+        methods = Selection.as_printed(planar), Projection.as_printed(planar)
+        return cls(*methods, hand_back="when_possible")
+
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:

@@ -1,0 +1,275 @@
+"""What a module is to the library: its kinematics FK, IK and TP (Section 4.1), and a registry of your own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+Chosen = TypeVar("Chosen", bound=Callable[..., object])
+
+ACROSS = 1e-3
+"""Sine of the smallest angle between a joint axis and the module at which the axis counts as across it."""
+
+FK_TOLERANCE = 1e-6
+"""How far the FK of registered kinematics may be from that of the joints, in reaches or radians."""
+
+CHECKED_POSTURES = 8
+"""Number of postures in which registered kinematics are compared with the joints."""
+
+
+@runtime_checkable
+class ModuleKinematics(Protocol):
+    """The kinematics of a module, as Algorithm 1 uses them.
+
+    Everything is in the base frame of the module: its origin is the base of the module (the control point
+    before), x points to the end of the module at its neutral configuration, y is the part across x of the
+    first joint axis that is not along x. Lengths are in metres, angles in radians. Joint positions q are
+    those of the degrees of freedom of the module from base to end, zero at the neutral configuration.
+
+    Kinematics that only approximate the joints say so by an attribute `tolerance`: the largest error of their
+    FK, in reaches of the module or radians; 1e-6 without it.
+
+    Attributes:
+        dof: number of degrees of freedom, k.
+        reach: largest distance of the end from the base [m].
+    """
+
+    @property
+    def dof(self) -> int:
+        """Number of degrees of freedom, k."""
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the end from the base [m]."""
+
+    def forward(self, q: Array) -> tuple[Array, Array]:
+        """FK: position of the end (3,) [m] and its orientation (3, 3) at joint positions q, (k,)."""
+
+    def inverse(self, p: Array) -> Sequence[Array]:
+        """IK: joint positions (k,) that put the end at p, (3,) [m]; the best first, none if out of reach."""
+
+    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
+        """TP: the next point of a curve on which the module can put its end.
+
+        Args:
+            base: placement of the base frame in the frame of the curve.
+            curve: the curve.
+            start: arc length of the base on the curve [m].
+
+        Returns:
+            Arc length of the point, above `start` [m]; None if there is none. If joint limits, which the
+            library checks, rule out every posture there, it is asked again from that point on.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleJoints:
+    """The joints of a module at its neutral configuration, in its base frame (`ModuleKinematics`).
+
+    Attributes:
+        names: names of the joints from base to end, (n,).
+        revolute: True for a joint that turns, False for one that slides, (n,).
+        axes: unit joint axes, (n, 3).
+        origins: a point on each axis, (n, 3) [m].
+        end: the end of the module, (3,) [m].
+        inputs: index of the degree of freedom that moves each joint, (n,); 0, 1, ... from the base.
+        ratios: motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled.
+        lower: smallest positions of the degrees of freedom, (k,) [rad or m].
+        upper: largest ones, (k,).
+        base: the base of the module in the world, (3,) [m].
+        frame: axes of the base frame as columns, (3, 3), world frame.
+    """
+
+    names: tuple[str, ...]
+    revolute: NDArray[np.bool_]
+    axes: Array
+    origins: Array
+    end: Array
+    inputs: NDArray[np.int64]
+    ratios: Array
+    lower: Array
+    upper: Array
+    base: Array
+    frame: Array
+
+    @property
+    def dof(self) -> int:
+        """Number of degrees of freedom, k."""
+        return len(self.lower)
+
+    def forward(self, q: Array) -> tuple[Array, Array]:
+        """FK by exponentials: position (3,) [m] and orientation (3, 3) of the end at q, (k,)."""
+        turn, place = np.eye(3), np.zeros(3)
+        for u, amount in enumerate(self.ratios * np.asarray(q, dtype=float)[self.inputs]):
+            if not self.revolute[u]:
+                place = place + turn @ (amount * self.axes[u])
+                continue
+            own = np.asarray(pin.exp3(amount * self.axes[u]))
+            place = place + turn @ (self.origins[u] - own @ self.origins[u])
+            turn = turn @ own
+        return turn @ self.end + place, turn
+
+
+def joints_in_base_frame(
+    names: Iterable[str],
+    revolute: NDArray[np.bool_],
+    axes: Array,
+    stations: Array,
+    columns: NDArray[np.intp],
+    ratios: Array,
+    lower: Array,
+    upper: Array,
+) -> ModuleJoints:
+    """Describe consecutive joints as a module.
+
+    Args:
+        names: names of the joints, (n,).
+        revolute: which of them turn, (n,).
+        axes: unit axes, (n, 3), world frame.
+        stations: the base of the module, a point on each axis, and its end, (n + 2, 3) [m], world frame.
+        columns: degree of freedom of each joint, (n,).
+        ratios: motion relative to that, (n,).
+        lower: smallest positions of these degrees of freedom in the order of the joints, (k,).
+        upper: largest ones, (k,).
+    """
+    base, end = stations[0], stations[-1]
+    frame = _base_frame(end - base, axes)
+    numbers = {column: number for number, column in enumerate(dict.fromkeys(columns.tolist()))}
+    return ModuleJoints(
+        names=tuple(names),
+        revolute=np.ascontiguousarray(revolute),
+        axes=np.ascontiguousarray(axes @ frame),
+        origins=np.ascontiguousarray((stations[1:-1] - base) @ frame),
+        end=(end - base) @ frame,
+        inputs=np.array([numbers[column] for column in columns.tolist()], dtype=np.int64),
+        ratios=np.ascontiguousarray(ratios, dtype=float),
+        lower=np.array(lower, dtype=float),
+        upper=np.array(upper, dtype=float),
+        base=np.array(base),
+        frame=frame,
+    )
+
+
+def _base_frame(span: Array, axes: Array) -> Array:
+    """Return the axes of the base frame of a module (3, 3) as columns, in the frame of the arguments."""
+    length = float(np.linalg.norm(span))
+    x = span / length if length > 0.0 else axes[0]
+    across = axes - np.outer(axes @ x, x)
+    sizes = np.linalg.norm(across, axis=1)
+    first = int(np.argmax(sizes > ACROSS))
+    y = across[first] if sizes[first] > ACROSS else np.cross(x, np.eye(3)[np.argmin(np.abs(x))])
+    y = y / np.linalg.norm(y)
+    return np.column_stack([x, y, np.cross(x, y)])
+
+
+Recogniser: TypeAlias = Callable[[ModuleJoints], ModuleKinematics | None]
+"""Kinematics of a module that has these joints; None if it is another kind of module."""
+
+
+class _Registry:
+    """Functions that recognise modules, the last one first, and how often they have changed."""
+
+    functions: tuple[Recogniser, ...] = ()
+    changes: int = 0
+
+    def set(self, functions: Iterable[Recogniser]) -> None:
+        self.functions, self.changes = tuple(functions), self.changes + 1
+
+
+_registry = _Registry()
+
+
+def register_module_kinematics(recognise: Chosen) -> Chosen:
+    """Have the library use kinematics of your own for modules that a function recognises.
+
+    Arms that are loaded from then on are cut into such modules where they fit (`Arm.load` with
+    `modules=None`), and Algorithm 1 places such modules by them in every arm. Those registered last are asked
+    first, and all of them before those of the library. Other processes, such as workers of a batch, need the
+    registration too.
+
+        @register_module_kinematics
+        def recognise(joints: ModuleJoints) -> ModuleKinematics | None: ...
+
+    Args:
+        recognise: takes `ModuleJoints` and returns the `ModuleKinematics`, or None.
+
+    Returns:
+        The function, so that this can be a decorator.
+
+    Raises:
+        InvalidValue: not a function.
+    """
+    if not callable(recognise):
+        raise InvalidValue("recognise", recognise, "a function of ModuleJoints")
+    _registry.set((recognise, *_registry.functions))  # type: ignore[arg-type]
+    return recognise
+
+
+def unregister_module_kinematics(recognise: Recogniser) -> None:
+    """Forget a function given to `register_module_kinematics`.
+
+    Raises:
+        InvalidValue: it is not registered.
+    """
+    if recognise not in _registry.functions:
+        raise InvalidValue("recognise", recognise, "a function that was registered")
+    _registry.set(each for each in _registry.functions if each is not recognise)
+
+
+def registry_state() -> int:
+    """Return a number that changes with every registration; 0 if there never was one."""
+    return _registry.changes
+
+
+def is_registry_empty() -> bool:
+    """Tell whether there are no kinematics but those of the library."""
+    return not _registry.functions
+
+
+def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
+    """Return the registered kinematics of a module, or None.
+
+    Raises:
+        InvalidValue: a function returns something else; or kinematics that contradict the joints.
+    """
+    for recognise in _registry.functions:
+        found = recognise(joints)
+        if found is not None:
+            _check(recognise, found, joints)
+            return found
+    return None
+
+
+def _check(recognise: Recogniser, found: object, joints: ModuleJoints) -> None:
+    """Compare kinematics with the joints that they are for, within their own `tolerance` if they have one."""
+    name = f"module kinematics of {getattr(recognise, '__qualname__', recognise)!s}"
+    if not isinstance(found, ModuleKinematics):
+        raise InvalidValue(name, found, "ModuleKinematics: dof, reach, forward, inverse and target_point")
+    listed = ", ".join(joints.names)
+    if found.dof != joints.dof:
+        raise InvalidValue(f"{name}: dof", found.dof, f"{joints.dof}, as joints {listed} have")
+    length = max(float(found.reach), float(np.linalg.norm(joints.end)))
+    most = float(getattr(found, "tolerance", 0.0)) or FK_TOLERANCE
+    low, high = np.maximum(joints.lower, -np.pi), np.minimum(joints.upper, np.pi)
+    low, high = np.minimum(low, high), np.maximum(low, high)
+    for q in np.random.default_rng(0).uniform(low, high, (CHECKED_POSTURES, joints.dof)):
+        place, turn = joints.forward(q)
+        at, facing = found.forward(q)
+        apart = float(np.linalg.norm(np.asarray(at, dtype=float) - place)) / length
+        turned = float(np.linalg.norm(np.asarray(facing, dtype=float) - turn))
+        if not max(apart, turned) <= most:
+            values = ", ".join(f"{value:.4g}" for value in q)
+            allowed = (
+                f"the placement to which joints {listed} move the end, to {most:g}: "
+                f"{apart:.3g} reaches and {turned:.3g} rad off"
+            )
+            raise InvalidValue(f"{name}: forward([{values}])", np.asarray(at).tolist(), allowed)

@@ -1,0 +1,338 @@
+"""The next point of a curve on which a module of any joints can put its end, found numerically."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Ints1, ModuleArrays
+from pinposture.kernels.branch_search import apply_joint, solve_cholesky
+from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.spline import parameter_at, span_at, value
+
+# Unknowns are the joint positions and the arc length of the point. The end of the module is to be on the
+# curve: three equations. Two joints solve them in isolated places; with more, the motion from the preferred
+# positions is to be as small as possible. Both are found by Gauss-Newton steps from several postures whose
+# ends are near the curve.
+
+CURVE_SAMPLES = 48  # number of samples of the curve in the length of the reach
+MAX_CURVE_SAMPLES = 400  # largest number of samples ahead
+STARTS, STARTS_OF_MANY, ENOUGH = 8, 16, 4
+"""Number of postures from which the search starts, for up to two degrees of freedom and for more; of the
+latter, how many that reach the curve are enough."""
+
+START_DISTANCE = 0.3  # smallest difference of two of them, in units of the joints
+COST_OF_DISTANCE = 25.0  # weight of the squared distance from the curve, in reaches, against joint motion
+
+STEPS, POLISHING_STEPS = 40, 8
+"""Largest number of steps to the curve, and of those along it towards the preferred posture; and of those to
+the curve after that."""
+
+LARGEST_STEP = 0.5  # in units of the joints, and in reaches along the curve
+COST_ALONG = 0.01  # cost of moving along the curve by one reach, against one unit of a joint
+STILL = 1e-7  # largest change of the unknowns that ends the search
+ON_TARGET = 1e-11  # distance from the curve that counts as zero, relative to the reach
+AHEAD = 1e-6  # smallest distance ahead, relative to the reach
+FACING = 0.5 * np.pi  # motion of a hinge up to which a posture counts as facing the curve [rad]
+
+
+@compiled
+def move_frame(
+    slides: Flags1, axes: Array2, origins: Array2, amounts: Array1, turn: Array2, place: Array1
+) -> None:
+    """Carry a frame, turn (3, 3) and place (3,), along joints that move by given amounts, (n,)."""
+    for u in range(len(amounts)):
+        apply_joint(slides[u], axes[u], origins[u], amounts[u], turn, place)
+
+
+@subkernel
+def end_and_jacobian(
+    module: ModuleArrays, q: Array1, turn: Array2, place: Array1, screws: Array3, end: Array1, columns: Array2
+) -> None:
+    """Fill end (3,) with the end of a module at q, (k,), and columns (3, k) with its Jacobian.
+
+    turn (3, 3), place (3,) and screws (n, 2, 3) are scratch.
+    """
+    turn[:] = 0.0
+    turn[0, 0] = turn[1, 1] = turn[2, 2] = 1.0
+    place[:] = 0.0
+    for u in range(len(module.slides)):
+        a, o = module.axes[u], module.origins[u]
+        for i in range(3):
+            screws[u, 0, i] = turn[i, 0] * a[0] + turn[i, 1] * a[1] + turn[i, 2] * a[2]
+            screws[u, 1, i] = turn[i, 0] * o[0] + turn[i, 1] * o[1] + turn[i, 2] * o[2] + place[i]
+        apply_joint(module.slides[u], a, o, module.ratios[u] * q[module.inputs[u]], turn, place)
+    c = module.end
+    for i in range(3):
+        end[i] = turn[i, 0] * c[0] + turn[i, 1] * c[1] + turn[i, 2] * c[2] + place[i]
+    columns[:] = 0.0
+    for u in range(len(module.slides)):
+        a, j, ratio = screws[u, 0], module.inputs[u], module.ratios[u]
+        if module.slides[u]:
+            m0, m1, m2 = a[0], a[1], a[2]
+        else:
+            x, y, z = end[0] - screws[u, 1, 0], end[1] - screws[u, 1, 1], end[2] - screws[u, 1, 2]
+            m0, m1, m2 = a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x
+        columns[0, j] += ratio * m0
+        columns[1, j] += ratio * m1
+        columns[2, j] += ratio * m2
+
+
+@compiled
+def module_ends(module: ModuleArrays, positions: Array2, ends: Array2) -> None:
+    """Fill ends (s, 3) with the ends of a module at positions (s, k)."""
+    n = len(module.slides)
+    turn, place, screws = np.empty((3, 3)), np.empty(3), np.empty((n, 2, 3))
+    columns = np.empty((3, positions.shape[1]))
+    for i in range(len(positions)):
+        end_and_jacobian(module, positions[i], turn, place, screws, ends[i], columns)
+
+
+@subkernel
+def curve_point(
+    t: Array1,
+    table: Array3,
+    degree: int,
+    edges: Array1,
+    lengths: Array1,
+    series: Array2,
+    base: Array2,
+    s: float,
+    work: Array2,
+    point: Array1,
+    tangent: Array1,
+) -> None:
+    """Fill in the point of a curve at arc length s and its unit tangent, in the base frame (3, 4)."""
+    u = parameter_at(edges, lengths, series, s)
+    span = span_at(t, degree, u)
+    x, y, z = value(t, table, degree, 0, span, u, work)
+    x, y, z = x - base[0, 3], y - base[1, 3], z - base[2, 3]
+    for i in range(3):
+        point[i] = base[0, i] * x + base[1, i] * y + base[2, i] * z
+    x, y, z = value(t, table, degree, 1, span, u, work)
+    size = max(np.sqrt(x * x + y * y + z * z), 1e-300)
+    for i in range(3):
+        tangent[i] = (base[0, i] * x + base[1, i] * y + base[2, i] * z) / size
+
+
+@subkernel
+def least_solution(
+    rows: Array2, wanted: Array1, costs: Array1, share: float, held: Flags1, matrix: Array2, x: Array1
+) -> None:
+    """Find the x (k + 1,) of least cost with rows (3, k + 1) x = wanted (3,), but for entries that are held.
+
+    `share` is that of the trace by which the equations are softened; matrix (3, 3) is scratch.
+    """
+    trace, right = 0.0, wanted.copy()
+    for i in range(3):
+        for j in range(len(x)):
+            if held[j]:
+                right[i] -= rows[i, j] * x[j]
+        for k in range(i + 1):
+            inner = 0.0
+            for j in range(len(x)):
+                if not held[j]:
+                    inner += rows[i, j] * rows[k, j] / costs[j]
+            matrix[i, k] = inner
+        trace += matrix[i, i]
+    for i in range(3):
+        matrix[i, i] += max(share, 1e-14) * trace + 1e-300
+    solve_cholesky(matrix, right, 3)
+    for j in range(len(x)):
+        if not held[j]:
+            x[j] = (rows[0, j] * right[0] + rows[1, j] * right[1] + rows[2, j] * right[2]) / costs[j]
+
+
+@subkernel
+def nearest_starts(
+    candidates: Array2, ends: Array2, points: Array2, count: int, reach: float, starts: Ints1, at: Ints1
+) -> int:
+    """Choose postures whose ends are near a curve and whose joints have moved little, the best first.
+
+    Args:
+        candidates: postures in units of the joints, relative to the preferred one, (s, k).
+        ends: where they put the end, (s, 3).
+        points: samples of the curve, of which `count` matter.
+        count: number of samples.
+        reach: of the module.
+        starts: filled with the indices of the postures chosen.
+        at: filled with the sample nearest to each.
+
+    Returns:
+        Their number.
+    """
+    n, nearest, scores = len(candidates), np.empty(len(candidates), np.int64), np.empty(len(candidates))
+    for i in range(n):
+        least, best = np.inf, 0
+        for j in range(count):
+            x, y, z = ends[i, 0] - points[j, 0], ends[i, 1] - points[j, 1], ends[i, 2] - points[j, 2]
+            away = x * x + y * y + z * z
+            if away < least:
+                least, best = away, j
+        motion = 0.0
+        for j in range(candidates.shape[1]):
+            motion += candidates[i, j] ** 2
+        nearest[i], scores[i] = best, COST_OF_DISTANCE * least / (reach * reach) + motion
+    found = 0
+    while found < len(starts):
+        best = int(np.argmin(scores))
+        if not np.isfinite(scores[best]):
+            break
+        starts[found], at[found] = best, nearest[best]
+        found += 1
+        for i in range(n):
+            apart = 0.0
+            for j in range(candidates.shape[1]):
+                apart = max(apart, abs(candidates[i, j] - candidates[best, j]))
+            if apart < START_DISTANCE:
+                scores[i] = np.inf
+    return found
+
+
+@compiled
+def next_target_point(
+    module: ModuleArrays,
+    t: Array1,
+    table: Array3,
+    degree: int,
+    edges: Array1,
+    lengths: Array1,
+    series: Array2,
+    base: Array2,
+    start: float,
+    lower: Array1,
+    upper: Array1,
+    preferred: Array1,
+    samples: Array2,
+    ends: Array2,
+    found: Array1,
+) -> float:
+    """Find the next point of a curve on which a module can put its end within its limits.
+
+    With up to two degrees of freedom it is the first one at which every hinge is within 90 degrees of its
+    preferred position; if there is none, or with more degrees of freedom, the one with the least motion.
+
+    Args:
+        module: its joints.
+        t: knots of the curve.
+        table: of `spline_coefficients`.
+        degree: of the spline.
+        edges: of `measure_length`.
+        lengths: of `measure_length`.
+        series: of `measure_length`.
+        base: axes of the base frame as columns, and its origin, in the frame of the curve, (3, 4).
+        start: arc length of the base on the curve.
+        lower: smallest positions, (k,).
+        upper: largest ones, (k,).
+        preferred: positions to stay near, (k,).
+        samples: postures to start from, (s, k).
+        ends: of `module_ends` at these, (s, 3).
+        found: filled with the positions, (k,).
+
+    Returns:
+        The arc length of the point; NaN if there is none; -1 if there is none and the curve ends in reach.
+    """
+    k, n, reach, total = len(preferred), len(module.slides), module.reach[0], lengths[-1]
+    work, points = np.empty((6, 3)), np.empty((MAX_CURVE_SAMPLES, 3))
+    point, tangent, end = np.empty(3), np.empty(3), np.empty(3)
+    turn, place, screws = np.empty((3, 3)), np.empty(3), np.empty((n, 2, 3))
+    columns, rows, matrix = np.empty((3, k)), np.empty((3, k + 1)), np.empty((3, 3))
+    step, count, beyond, s = reach / CURVE_SAMPLES, 0, False, start
+    while count < MAX_CURVE_SAMPLES and s < total and not beyond:
+        s = min(start + (count + 1) * step, total)
+        curve_point(t, table, degree, edges, lengths, series, base, s, work, points[count], tangent)
+        p = points[count]
+        beyond = np.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) > reach * (1.0 + 1e-9)
+        count += 1
+    last = s
+    if count == 0:
+        return -1.0
+    low, high = np.empty(k + 1), np.empty(k + 1)
+    for j in range(k):
+        low[j] = (lower[j] - preferred[j]) / module.units[j]
+        high[j] = (upper[j] - preferred[j]) / module.units[j]
+    low[k], high[k] = (start + AHEAD * reach) / reach, last / reach
+    tries = STARTS if k <= 2 else STARTS_OF_MANY
+    candidates, begins, at = np.empty(samples.shape), np.empty(tries, np.int64), np.empty(tries, np.int64)
+    for i in range(len(samples)):
+        for j in range(k):
+            candidates[i, j] = (samples[i, j] - preferred[j]) / module.units[j]
+    chosen = nearest_starts(candidates, ends, points, count, reach, begins, at)
+    z, x, q = np.empty(k + 1), np.empty(k + 1), np.empty(k)
+    offset, costs, held = np.zeros(k + 1), np.ones(k + 1), np.zeros(k + 1, np.bool_)
+    gap, wanted, kept = np.empty(3), np.empty(3), np.empty(k + 1)
+    costs[k] = COST_ALONG
+    best_cost, best_s, best_facing = np.inf, np.nan, False
+    arrivals = 0
+    for each in range(chosen):
+        if k > 2 and arrivals == ENOUGH:
+            break
+        z[:k] = candidates[begins[each]]
+        z[k] = max(min(start + (at[each] + 1) * step, last) / reach, low[k])
+        # First straight to the curve; with joints to spare then along it towards the preferred positions, and
+        # to the curve again, if that works.
+        pulled, left, reached, arrived = False, STEPS, False, False
+        while left > 0:
+            left -= 1
+            for j in range(k):
+                q[j] = preferred[j] + z[j] * module.units[j]
+            end_and_jacobian(module, q, turn, place, screws, end, columns)
+            curve_point(t, table, degree, edges, lengths, series, base, z[k] * reach, work, point, tangent)
+            distance = 0.0
+            for i in range(3):
+                gap[i] = point[i] - end[i]
+                distance += gap[i] ** 2
+                for j in range(k):
+                    rows[i, j] = columns[i, j] * module.units[j]
+                rows[i, k] = -tangent[i] * reach
+            reached = distance <= (ON_TARGET * reach) ** 2
+            if reached and not pulled:
+                if arrived or k <= 2:
+                    break
+                arrived, pulled, left = True, True, STEPS
+                kept[:] = z
+            # Unknowns x: by how much the joints move, or, when pulled, where they are to be; s moves.
+            for j in range(k):
+                offset[j] = z[j] if pulled else 0.0
+            for i in range(3):
+                wanted[i] = gap[i]
+                for j in range(k):
+                    wanted[i] += rows[i, j] * offset[j]
+            softened = 1e-3 * min(1.0, distance / (0.1 * reach) ** 2)
+            held[:] = False
+            for _ in range(k + 1):
+                least_solution(rows, wanted, costs, softened, held, matrix, x)
+                worst, which, edge = 1e-12, -1, 0.0
+                for j in range(k + 1):
+                    to = z[j] + x[j] - offset[j]
+                    over = max(low[j] - to, to - high[j])
+                    if not held[j] and over > worst:
+                        worst, which, edge = over, j, low[j] if to < low[j] else high[j]
+                if which < 0:
+                    break
+                held[which] = True  # it goes to its limit, and the others do what is left
+                x[which] = edge - z[which] + offset[which]
+            largest = 0.0
+            for j in range(k + 1):
+                largest = max(largest, abs(x[j] - offset[j]))
+            scale = min(1.0, LARGEST_STEP / max(largest, 1e-300))
+            for j in range(k + 1):
+                z[j] = min(max(z[j] + scale * (x[j] - offset[j]), low[j]), high[j])
+            if pulled and (largest <= STILL or left == 0):
+                pulled, left = False, POLISHING_STEPS
+        if arrived and not reached:
+            z[:], reached = kept, True
+        if not reached or z[k] <= low[k]:
+            continue
+        arrivals += 1
+        cost, facing = 0.0, k <= 2
+        for j in range(k):
+            cost += z[j] ** 2
+            facing = facing and (not module.turning[j] or abs(z[j]) <= FACING)
+        better = z[k] * reach < best_s if facing and best_facing else cost < best_cost
+        if (facing and not best_facing) or (facing == best_facing and better):
+            best_cost, best_s, best_facing = cost, z[k] * reach, facing
+            for j in range(k):
+                found[j] = min(max(preferred[j] + z[j] * module.units[j], lower[j]), upper[j])
+    if np.isnan(best_s) and not beyond:
+        return -1.0
+    return best_s

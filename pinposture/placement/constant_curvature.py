@@ -1,0 +1,112 @@
+"""The kinematics of a section that bends in an arc of constant curvature, in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinposture._validation import require_positive
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue
+from pinposture.placement.module_kinematics import AHEAD, curve_crossings
+
+Array = NDArray[np.float64]
+
+ON_SURFACE = 1e-7
+"""How far a point may be from the surface on which the end can be, relative to the length."""
+
+STRETCH_SAMPLES = 400
+"""Number of samples of a curve among which a section that stretches chooses where none needs no stretch."""
+
+
+@dataclass(frozen=True)
+class ConstantCurvature:
+    """FK, IK and TP of an arc, in the frame at its base (x along the straight section).
+
+    Joint positions are the bending about y and about z [rad], and by how much the section is longer than its
+    length [m] if it can stretch. The end turns by the vector (0, q0, q1). Bending by a full turn or more has
+    no IK.
+
+    Attributes:
+        length: length of the section [m].
+        stretch: largest change of the length, either way [m]; 0 if it cannot.
+
+    Raises:
+        InvalidValue: a length that is not positive, or a stretch that is negative or not below the length.
+    """
+
+    length: float
+    stretch: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("length", self.length)
+        require_positive("stretch", self.stretch, zero=True)
+        if not self.stretch < self.length:
+            raise InvalidValue("stretch", self.stretch, f"less than the length of {self.length:g} m")
+
+    @property
+    def dof(self) -> int:
+        """Number of degrees of freedom: 2, or 3 if it can stretch."""
+        return 3 if self.stretch else 2
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the end from the base [m]."""
+        return self.length + self.stretch
+
+    def forward(self, q: Array) -> tuple[Array, Array]:
+        """FK: position (3,) [m] and orientation (3, 3) of the end at q, (2,) or (3,), base frame."""
+        bend_y, bend_z = float(q[0]), float(q[1])
+        length = self.length + (float(q[2]) if self.stretch else 0.0)
+        bend = np.hypot(bend_y, bend_z)
+        along = np.sinc(bend / np.pi)  # sin(bend) / bend
+        across = 0.5 * np.sinc(0.5 * bend / np.pi) ** 2  # (1 - cos(bend)) / bend^2
+        place = length * np.array([along, across * bend_z, -across * bend_y])
+        return place, np.asarray(pin.exp3(np.array([0.0, bend_y, bend_z])))
+
+    def inverse(self, p: Array) -> list[Array]:
+        """IK: the positions that put the end at p, (3,) [m], base frame; empty if there are none.
+
+        The chord makes half the angle of the bend with x.
+        """
+        x, y, z = map(float, p)
+        across, half = np.hypot(y, z), float(np.arctan2(np.hypot(y, z), x))
+        length = float(self._lengths(np.array([[x, y, z]]))[0])
+        slack = max(self.stretch, 0.0) + ON_SURFACE * self.length
+        if not abs(length - self.length) <= slack or half >= np.pi:
+            return []
+        direction = np.array([-z, y]) / across if across > 0.0 else np.zeros(2)
+        bends = 2.0 * half * direction
+        if not self.stretch:
+            return [bends]
+        return [np.append(bends, np.clip(length - self.length, -self.stretch, self.stretch))]
+
+    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
+        """TP, as `ModuleKinematics.target_point`, with the least stretch; bends up to half a turn first."""
+        first = None
+        for s, p in curve_crossings(curve, base, start, self._level, self.reach):
+            if p[0] >= 0.0:
+                return s
+            first = s if first is None else first
+        if first is not None or not self.stretch:
+            return first
+        ahead = np.linspace(start + AHEAD * self.reach, start + self.reach * np.pi, STRETCH_SAMPLES)
+        ahead = ahead[ahead < curve.length] if start < curve.length else ahead[:0]
+        ahead = np.append(ahead, curve.length) if start < curve.length else ahead
+        points = (np.asarray(curve.at(ahead)).reshape(-1, 3) - base.translation) @ base.rotation
+        needed = np.abs(self._lengths(points) - self.length)
+        if not len(ahead) or not needed.min() <= self.stretch:
+            return None
+        return float(ahead[np.argmin(needed)])
+
+    def _lengths(self, p: Array) -> Array:
+        """Return the lengths of the arcs from the base, along x there, to points (n, 3), (n,) [m]."""
+        half = np.arctan2(np.hypot(p[:, 1], p[:, 2]), p[:, 0])
+        return np.asarray(np.linalg.norm(p, axis=1) / np.maximum(np.sinc(half / np.pi), 1e-300))
+
+    def _level(self, p: Array) -> Array:
+        half = np.arctan2(np.hypot(p[:, 1], p[:, 2]), p[:, 0])
+        return np.asarray(np.linalg.norm(p, axis=1) - self.length * np.sinc(half / np.pi))
