@@ -44,7 +44,7 @@ from websockets.sync.client import ClientConnection, connect
 import pinposture as pp
 from pinposture.editor import Editor
 from pinposture.editor.edits import with_obstacle
-from pinposture.editor.first_task import first_task
+from pinposture.editor.files import first_task
 from pinposture.editor.session import Session
 from pinposture.editor.tip import hold_tip
 

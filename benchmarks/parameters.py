@@ -36,8 +36,7 @@ from joblib import Parallel, delayed
 
 import pinposture as pp
 from pinposture.study import case, study
-from pinposture.study.scenarios import PLANAR_SCENARIOS, SCENARIOS, SPATIAL_SCENARIOS, Scenario
-from pinposture.study.thesis_arms import ARMS
+from pinposture.study.scenarios import ARMS, PLANAR_SCENARIOS, SCENARIOS, SPATIAL_SCENARIOS, Scenario
 
 SEEDS = range(1000, 1020)
 FLOOR = 1e-6

@@ -28,8 +28,7 @@ from rich.table import Table
 import pinposture as pp
 from pinposture.control.thesis.switching import HandBack
 from pinposture.study import case
-from pinposture.study.scenarios import FAMILIES, Scenario
-from pinposture.study.thesis_arms import ARMS
+from pinposture.study.scenarios import ARMS, FAMILIES, Scenario
 
 CONTROLLERS = ("selection", "projection", "switching")
 STEPS = 400

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pinposture as pp
 from pinposture.editor import Editor
-from pinposture.editor.first_task import first_task
+from pinposture.editor.files import first_task
 
 # An arm whose joints bend by half a radian, and a first task: straight, then bent three seconds later.
 module = pp.template("RyRz").with_limits(-0.5, 0.5)

@@ -137,7 +137,7 @@ def read_task(
         # What was never saved, or whose file is gone, goes on from what was kept.
         left = None if version_of(path) else recover(path)
         return (Task.load(path) if left is None or left.task is None else left.task), path
-    from pinposture.editor.first_task import first_task
+    from pinposture.editor.files import first_task
 
     if suffix in (".urdf", ".xml", ".xacro") or version_of(Path(source)):
         arm, name = arm_options.read(source), Path(source).stem

@@ -17,7 +17,7 @@ from pinposture import kernels
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
 from pinposture.collision.obstacles import Solid
-from pinposture.collision.pieces import join_trees
+from pinposture.collision.shapes import join_trees
 from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, JointTree, Pairs
 
 Array = NDArray[np.float64]

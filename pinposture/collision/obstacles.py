@@ -13,9 +13,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture._validation import known_keys
-from pinposture.collision.pieces import Piece
 from pinposture.collision.scan import Scan
-from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Sphere
+from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Piece, Sphere
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pinposture.kernels.bounding_volumes import build_tree as build_tree
+    from pinposture.kernels.branch_search import minimise_posture_errors as minimise_posture_errors
     from pinposture.kernels.branch_search import search_branches as search_branches
     from pinposture.kernels.chain_solver import find_screws as find_screws
     from pinposture.kernels.chain_solver import measure_point_errors as measure_point_errors
@@ -72,7 +73,6 @@ if TYPE_CHECKING:
     from pinposture.kernels.posture_matrix import extreme_value as extreme_value
     from pinposture.kernels.posture_matrix import least_change as least_change
     from pinposture.kernels.posture_matrix import well_conditioned as well_conditioned
-    from pinposture.kernels.posture_search import minimise_posture_errors as minimise_posture_errors
     from pinposture.kernels.spline import expand_spans as expand_spans
     from pinposture.kernels.spline import find_stationary_point as find_stationary_point
     from pinposture.kernels.spline import measure_length as measure_length
@@ -86,7 +86,7 @@ if TYPE_CHECKING:
 
 _KERNELS = {
     "bounding_volumes": "build_tree",
-    "branch_search": "search_branches",
+    "branch_search": "minimise_posture_errors search_branches",
     "chain_solver": "find_screws measure_point_errors minimise_in_box move_points stiffness",
     "collision": (
         "contacts_along differentiate_distances near_pairs place_axes place_joints smallest_distance"
@@ -107,7 +107,6 @@ _KERNELS = {
     ),
     "path_relaxation": "measure_path_lengths refine_waypoints relax_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",
-    "posture_search": "minimise_posture_errors",
     "spline": (
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "
         "spline_coefficients spline_values"

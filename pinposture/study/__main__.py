@@ -2,6 +2,6 @@
 
 import sys
 
-from pinposture.study.thesis_arms import main
+from pinposture.study.scenarios import main
 
 sys.exit(main(sys.argv[1:]))

@@ -22,8 +22,7 @@ from pinposture.errors import FileError, InvalidValue, PostureError, PostureWarn
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
-from pinposture.study.scenarios import NEARLY, TARGET_CURVES, arbitrary_configuration
-from pinposture.study.thesis_arms import PLANAR, SPATIAL
+from pinposture.study.scenarios import NEARLY, PLANAR, SPATIAL, TARGET_CURVES, arbitrary_configuration
 
 # Does it work on arms that nobody here made? Load every file of a directory, place it on a curve, track.
 #

@@ -21,9 +21,8 @@ from pinposture.errors import FileError
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.storage import read_text, write_text
 from pinposture.study.clutter import dense_clearance, draw_problem
-from pinposture.study.scenarios import SCENARIOS, case
+from pinposture.study.scenarios import ARMS, SCENARIOS, case, urdf_files
 from pinposture.study.scenes import situation_arm
-from pinposture.study.thesis_arms import ARMS, urdf_files
 
 Array = NDArray[np.float64]
 

@@ -1,9 +1,11 @@
-"""Scenarios of the thesis, their cases, and what controllers make of many seeds."""
+"""The arms and scenarios of the thesis, and how controllers fare on them."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, NamedTuple, get_args
 
@@ -14,12 +16,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, smooth_configuration
+from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.curve import HELIX, LINE, PLANAR_LINE, Curve
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
+from pinposture.storage import write_text
 from pinposture.study.baselines import register_baselines
 
 # The tracking scenarios of chapter 6, and the families that they belong to, as data.
@@ -43,7 +47,7 @@ class Scenario:
         target: "helix" (6.17), "line" (6.16), "near-line" for a curve that is almost straight, "random" for
             an arbitrary non-singular posture, "opposite" for the start with all joints reversed, on the other
             side of the straight posture.
-        arm: name of the arm, one of `pinposture.study.thesis_arms.ARMS`.
+        arm: name of the arm, one of `pinposture.study.scenarios.ARMS`.
     """
 
     name: str
@@ -352,3 +356,60 @@ def _one(
     start, target = case(arm, scenario, seed)
     run = track(arm, target, start, controller, limits, max_steps=max_steps)
     return outcome(run, scenario.name, controller.name, seed)
+
+
+SPATIAL: tuple[ModuleTemplate, ...] = (template("RyRz").with_lengths((0.025, 0.025)),) * 20
+"""The spatial arm of Section 6.1: 20 RyRz modules, 40 DOF, 1 m."""
+
+PLANAR: tuple[ModuleTemplate, ...] = (template("Rz").with_lengths((0.15,)),) * 45
+"""The planar arm of Section 6.2: 45 DOF, links of 15 cm, 6.75 m."""
+
+MIXED: tuple[ModuleTemplate, ...] = (
+    template("RyRz").with_lengths((0.03, 0.04)),
+    template("RzRy").with_lengths((0.02, 0.035)),
+) * 6
+"""Two kinds of modules in turn, each with links of two lengths: 12 modules, 24 DOF, 0.75 m."""
+
+ARMS: Mapping[str, tuple[ModuleTemplate, ...]] = MappingProxyType(
+    {"ryrz20": SPATIAL, "planar45": PLANAR, "mixed12": MIXED}
+)
+"""The arms by name; the name is that of the robot and, with ".urdf", of its file."""
+
+
+def urdf_files() -> dict[str, str]:
+    """The generated robot descriptions: file name -> URDF text."""
+    command = "python -m pinposture.study"
+    return {f"{name}.urdf": modules_to_urdf(modules, name, command) for name, modules in ARMS.items()}
+
+
+def write_urdf_files(directory: str | Path) -> list[Path]:
+    """Write the robot descriptions; each file is either the old one or the new one, never half of it.
+
+    Args:
+        directory: where to; made if it does not exist.
+
+    Returns:
+        Paths of the files.
+
+    Raises:
+        FileError: the directory or a file in it cannot be written.
+    """
+    paths = []
+    for name, text in urdf_files().items():
+        paths.append(Path(directory) / name)
+        write_text(paths[-1], text)
+    return paths
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the files into the directory given, and say so. Returns the exit status."""
+    if len(arguments) != 1 or arguments[0].startswith("-"):
+        sys.stderr.write("usage: python -m pinposture.study DIRECTORY\n")
+        return 2
+    try:
+        paths = write_urdf_files(arguments[0])
+    except PostureError as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    sys.stdout.write(f"wrote {', '.join(map(str, paths))}\n")
+    return 0

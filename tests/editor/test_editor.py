@@ -18,8 +18,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import pinposture as pp
 from pinposture.control import Geodesic
 from pinposture.editor import edits, obstacles, solver
-from pinposture.editor.files import autosave_path
-from pinposture.editor.first_task import first_task
+from pinposture.editor.files import autosave_path, first_task
 from pinposture.editor.session import Session
 from pinposture.editor.solver import STEP_TIME, Problem, Solver
 from pinposture.errors import TaskError, ViewerError

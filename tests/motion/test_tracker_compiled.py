@@ -15,7 +15,7 @@ import numpy as np
 from numba.core import event
 import pinposture as pp
 from pinposture.control import CONTROLLERS
-from pinposture.study.thesis_arms import PLANAR
+from pinposture.study.scenarios import PLANAR
 
 class Count(event.Listener):
     compiled = 0

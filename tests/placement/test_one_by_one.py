@@ -11,11 +11,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arms import template_arm
-from pinposture.curve import HELIX
 
 import pinposture as pp
 from pinposture.arm import continuum_section
 from pinposture.arm.template import TEMPLATES
+from pinposture.curve import HELIX
 from pinposture.errors import CurveBendsTooMuch, CurveEndsEarly, InvalidValue
 from pinposture.placement import (
     ModuleJoints,

@@ -16,7 +16,6 @@ import pytest
 from pinposture.arm.template import DENSITY
 from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError
-from pinposture.study import thesis_arms
 
 DIRECTORY = Path(__file__).resolve().parents[2] / "urdf"
 # name: joint letters, links [m], length [m]; written down here from Sections 6.1 and 6.2
@@ -45,14 +44,14 @@ def tip_placement(model, data, q):
 
 def test_the_files_are_not_stale():
     written = {path.name: path.read_bytes().decode() for path in DIRECTORY.glob("*.urdf")}
-    assert written == thesis_arms.urdf_files(), "run `make urdf`"
+    assert written == scenarios.urdf_files(), "run `make urdf`"
 
 
 def test_the_data_are_the_arms_of_the_thesis():
-    assert set(thesis_arms.urdf_files()) == {f"{name}.urdf" for name in NAMES}
-    assert [module.name for module in thesis_arms.SPATIAL] == ["RyRz"] * 20
-    assert [module.name for module in thesis_arms.PLANAR] == ["Rz"] * 45
-    assert [module.name for module in thesis_arms.MIXED] == ["RyRz", "RzRy"] * 6
+    assert set(scenarios.urdf_files()) == {f"{name}.urdf" for name in NAMES}
+    assert [module.name for module in scenarios.SPATIAL] == ["RyRz"] * 20
+    assert [module.name for module in scenarios.PLANAR] == ["Rz"] * 45
+    assert [module.name for module in scenarios.MIXED] == ["RyRz", "RzRy"] * 6
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -154,11 +153,11 @@ def test_writing_makes_the_directory_replaces_files_and_leaves_nothing_else(tmp_
     directory.mkdir(parents=True)
     (directory / "ryrz20.urdf").write_text("old")
     with (directory / "ryrz20.urdf").open() as reader:
-        paths = thesis_arms.write_urdf_files(directory)
+        paths = scenarios.write_urdf_files(directory)
         assert reader.read() == "old"  # whoever has the old file open keeps it whole
     assert {
         path.name: path.read_text(encoding="utf-8") for path in directory.iterdir()
-    } == thesis_arms.urdf_files()
+    } == scenarios.urdf_files()
     assert sorted(paths) == sorted(directory.iterdir())
 
 
@@ -166,10 +165,10 @@ def test_where_nothing_can_be_written_the_file_is_named_and_no_draft_stays(tmp_p
     blocked = tmp_path / "blocked"
     blocked.write_text("a file, not a directory")
     with pytest.raises(FileError, match="blocked: is a file"):
-        thesis_arms.write_urdf_files(blocked)
+        scenarios.write_urdf_files(blocked)
     (tmp_path / "ryrz20.urdf").mkdir()
     with pytest.raises(FileError):
-        thesis_arms.write_urdf_files(tmp_path)
+        scenarios.write_urdf_files(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["blocked", "ryrz20.urdf"]
 
 
@@ -177,11 +176,11 @@ def test_the_command_says_what_it_wrote(tmp_path, monkeypatch):
     out, err = io.StringIO(), io.StringIO()
     monkeypatch.setattr(sys, "stdout", out)
     monkeypatch.setattr(sys, "stderr", err)
-    assert thesis_arms.main([str(tmp_path)]) == 0
+    assert scenarios.main([str(tmp_path)]) == 0
     assert out.getvalue().count("\n") == 1 and str(tmp_path / "mixed12.urdf") in out.getvalue()
-    assert [thesis_arms.main(arguments) for arguments in ([], ["--help"], ["a", "b"])] == [2, 2, 2]
+    assert [scenarios.main(arguments) for arguments in ([], ["--help"], ["a", "b"])] == [2, 2, 2]
     assert err.getvalue().count("usage") == 3
-    assert thesis_arms.main([str(tmp_path / "mixed12.urdf")]) == 1
+    assert scenarios.main([str(tmp_path / "mixed12.urdf")]) == 1
     assert "is a file" in err.getvalue()
 
 
@@ -190,4 +189,4 @@ def test_the_command_runs_as_a_module(tmp_path):
     command = [sys.executable, "-m", "pinposture.study", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=DIRECTORY.parent, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert {path.name for path in tmp_path.iterdir()} == set(thesis_arms.urdf_files())
+    assert {path.name for path in tmp_path.iterdir()} == set(scenarios.urdf_files())

@@ -14,6 +14,7 @@ from pinposture.errors import InvalidValue
 from pinposture.study import case
 from pinposture.study.reproduce.runs import thesis_arm
 from pinposture.study.scenarios import (
+    ARMS,
     FAMILIES,
     HEADINGS,
     NEARLY,
@@ -24,7 +25,6 @@ from pinposture.study.scenarios import (
     bent_configuration,
     family,
 )
-from pinposture.study.thesis_arms import ARMS
 
 
 def planar():

@@ -24,8 +24,7 @@ from pinposture.kernels.arrays import Screws
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
 from pinposture.motion.track import Callback
-from pinposture.study.scenarios import SCENARIOS, Outcome, case, outcome
-from pinposture.study.thesis_arms import ARMS
+from pinposture.study.scenarios import ARMS, SCENARIOS, Outcome, case, outcome
 
 # What can be measured on a run: how it went, how it moved, how it stood to singularities.
 
@@ -409,7 +408,7 @@ Pool = Mapping[tuple[str, str], Sequence[MeasuredRun]]
 
 @lru_cache(maxsize=8)
 def thesis_arm(name: str, free: bool = False) -> Arm:
-    """The arm of that name, one of `pinposture.study.thesis_arms.ARMS`; made once.
+    """The arm of that name, one of `pinposture.study.scenarios.ARMS`; made once.
 
     Args:
         name: its name.

@@ -16,8 +16,7 @@ from editor.browser.window import Window
 import pinposture as pp
 from pinposture.editor import Editor
 from pinposture.editor.edits import keyframes_of
-from pinposture.editor.files import autosave_path
-from pinposture.editor.first_task import first_task
+from pinposture.editor.files import autosave_path, first_task
 
 pytestmark = pytest.mark.browser
 
