@@ -16,6 +16,7 @@ import pytest
 from pinposture.arm.template import DENSITY
 from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError
+from pinposture.study import scenarios
 
 DIRECTORY = Path(__file__).resolve().parents[2] / "urdf"
 # name: joint letters, links [m], length [m]; written down here from Sections 6.1 and 6.2
