@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -189,7 +190,9 @@ def next_step(
         raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
     dq, active, diagnostics, remembered = step
     nv = state.arm.nv
-    if not (isinstance(dq, np.ndarray) and dq.shape == (nv,) and np.isfinite(dq).all()):
+    if not (
+        isinstance(dq, np.ndarray) and dq.shape == (nv,) and (isfinite(dq @ dq) or np.isfinite(dq).all())
+    ):
         raise _unfit(
             controller, "dq", dq, f"an array of {nv} finite numbers, as `limits.apply(state, dq).dq`"
         )
@@ -201,7 +204,7 @@ def next_step(
     ):
         allowed = f"a tuple of control points from 0 to {state.arm.n_modules - 1}; () if that means nothing"
         raise _unfit(controller, "active", active, allowed)
-    if not isinstance(remembered, Memory | None):
+    if not (remembered is None or isinstance(remembered, Memory)):
         raise _unfit(controller, "memory", remembered, "a Memory(dq), or a class derived from it; or None")
     return step if remembered is not None else step._replace(memory=Memory(dq))
 

@@ -22,18 +22,24 @@ from pinposture.errors import InvalidValue
 
 
 def case(name: str, modules: int, seed: int) -> tuple[pp.Arm, pp.ArmState, pp.Target]:
-    arm, rng = template_arm(name, modules), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
+    if name == "on a slide":
+        slide = pp.JointSpec("x", type="prismatic", lower=-0.5, upper=0.5)
+        feed = pp.ModuleTemplate("Feed", (slide,), (0.05,), 0.01)
+        arm = pp.Arm.from_modules([feed, *[pp.template("RyRz")] * (modules - 1)])
+    else:
+        arm = template_arm(name, modules)
     q, goal = (smooth_configuration(arm, rng, 0.5) for _ in range(2))
     return arm, arm.at(q), pp.Target.from_configuration(arm, goal)
 
 
-@pytest.mark.parametrize(("name", "modules"), [("RyRz", 6), ("Rz", 9), ("Continuum", 3)])
+@pytest.mark.parametrize(("name", "modules"), [("RyRz", 6), ("Rz", 9), ("Continuum", 3), ("on a slide", 5)])
 def test_joint_speeds_are_descended(name: str, modules: int) -> None:
     arm, state, target = case(name, modules, 0)
     objective, errors = JointSpeeds(), (target.points - state.points) @ arm.plane.T
 
     def half_square(q: np.ndarray) -> float:
-        jacobian = (arm.at(q).task_jacobians * arm.joint_units).reshape(-1, arm.nv)
+        jacobian = (arm.plane @ arm.at(q).jacobians * arm.joint_units).reshape(-1, arm.nv)
         damped = jacobian @ jacobian.T + (0.01 * arm.length) ** 2 * np.eye(len(jacobian))
         return 0.5 * float(errors.ravel() @ np.linalg.solve(damped, errors.ravel()))
 
