@@ -5,7 +5,6 @@ python examples/07_export_a_motion.py
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import pinposture as pp
@@ -39,10 +38,5 @@ for suffix in ("npz", "csv", "json"):
 # Resample it for a controller with another cycle time.
 print("at 1 kHz:", joints.sampled(0.001))
 
-figure, axes = plt.subplots(2, 1, sharex=True, figsize=(9, 5), layout="constrained")
-axes[0].plot(joints.time, joints.positions)
-axes[0].set_ylabel("position [rad]")
-axes[1].plot(joints.time, joints.velocities)
-axes[1].set(xlabel="time [s]", ylabel="velocity [rad/s]")
-figure.savefig(out / "joints.png", dpi=100)
+pp.plot(joints).savefig(out / "joints.png", dpi=100)
 print(f"figure: {out / 'joints.png'}")

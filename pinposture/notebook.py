@@ -98,22 +98,10 @@ def show_motion(motion: Motion) -> str:
 
 
 def show_joints(trajectory: JointTrajectory) -> str:
-    """Return a joint trajectory as HTML: its joints, and the figure of their positions."""
-    from matplotlib.figure import Figure
+    """Return a joint trajectory as HTML: the figure of `plot`."""
+    from pinposture.viz import plot
 
-    figure = Figure(figsize=(10.0, 3.0), layout="constrained")
-    ax = figure.add_subplot()
-    ax.plot(trajectory.time, trajectory.positions, lw=0.9)
-    unit = "/".join(sorted({*trajectory.units} - {""}))
-    ax.set(xlabel="time [s]", ylabel=f"joint positions [{unit}]" if unit else "joint positions")
-    speeds, accelerations = trajectory.peaks
-    rows = [
-        ("joints", str(len(trajectory.joint_names))),
-        ("duration", f"{trajectory.duration:.4g} s, {len(trajectory.time)} rows"),
-        ("largest speed", f"{speeds.max():.4g} {unit}/s"),
-        ("largest acceleration", f"{accelerations.max():.4g} {unit}/s²"),
-    ]
-    return _page(trajectory.name or "Joint trajectory", rows, figure)
+    return _page(trajectory.name or "Joint trajectory", (), plot(trajectory))
 
 
 SHOWN: tuple[tuple[str, str, Callable[[Any], str]], ...] = (

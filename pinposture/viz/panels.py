@@ -14,10 +14,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from pinposture.errors import InvalidValue
-from pinposture.motion import Motion, Trajectory
+from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
 from pinposture.viz import palette
 from pinposture.viz.palette import (
+    FIGURE_HEIGHT,
+    FIGURE_WIDTH,
     MAX_NAME_LENGTH,
     Place,
     add_colorbar,
@@ -443,7 +445,33 @@ def plot_places(motion: Motion, ax: Axes) -> None:
 # Runs.
 
 
-def plot(run: Trajectory | Motion) -> Figure:
+def plot_joints(trajectory: JointTrajectory) -> Figure:
+    """Draw positions, velocities and accelerations of joints over time; see `plot`."""
+    count = len(trajectory.joint_names)
+    figure = Figure(figsize=(FIGURE_WIDTH, FIGURE_HEIGHT), layout="constrained")
+    panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
+    colors, norm = colors_along(count)
+    unit = " or ".join(each for each in dict.fromkeys(trajectory.units) if each)
+    drawn = {
+        "position": (trajectory.positions, ""),
+        "velocity": (trajectory.velocities, "/s"),
+        "acceleration": (trajectory.accelerations, "/s²"),
+    }
+    for ax, (name, (table, per)) in zip(panels, drawn.items(), strict=True):
+        for number, values in enumerate(table.T):
+            style: dict[str, Any] = {"lw": 1.0, "marker": marker(len(values)), "ms": 3}
+            ax.plot(trajectory.time, values, color=colors(norm(number + 1)), **style)
+        format_time_axes(ax, f"{name} [{unit}{per}]" if unit else name)
+    share_axis(panels)
+    add_colorbar(panels, count, "joint, in the order of the trajectory", pad=0.01, aspect=40)
+    speeds, accelerations = trajectory.peaks
+    largest = f"at most {speeds.max():.3g} {unit}/s and {accelerations.max():.3g} {unit}/s²" if unit else ""
+    size = f"{count} joints, {len(trajectory.time)} rows, {trajectory.duration:.4g} s"
+    add_title(figure, [", ".join(filter(None, (trajectory.name, size, largest)))])
+    return figure
+
+
+def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
     """Draw a run in one figure: postures, posture error, point errors, active points, clearance.
 
     Active points are left out if the controller does not choose any, clearance if there was no scene. For a
@@ -451,20 +479,23 @@ def plot(run: Trajectory | Motion) -> Figure:
     steps are shaded; red bars below it mark steps in which a constraint was relaxed.
 
     A motion in time is drawn by the postures at its named places, and over time by the posture error, joint
-    speeds and accelerations relative to their limits, delays, and clearance.
+    speeds and accelerations relative to their limits, delays, and clearance. A joint trajectory is drawn by
+    positions, velocities and accelerations, a line for each joint.
 
     Args:
-        run: the run, or the motion.
+        run: the run, the motion, or the joint trajectory.
 
     Returns:
         A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
         know of it.
 
     Raises:
-        InvalidValue: it is neither a run nor a motion.
+        InvalidValue: it is none of these.
     """
     if isinstance(run, Motion):
         return plot_motion(run)
+    if isinstance(run, JointTrajectory):
+        return plot_joints(run)
     if not isinstance(run, Trajectory):
         raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
     draws = [plot_posture_error, plot_point_errors]

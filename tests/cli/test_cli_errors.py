@@ -74,11 +74,6 @@ CASES = [
     Case(
         "unknown method", "track ARM --curve helix --method best", ("'best'", "auto, sequential, smooth, cl")
     ),
-    Case(
-        "no closed form",
-        "track ARM --curve helix --method sequential --modules 4",
-        ("module 1", "neither parallel nor a perpendicular pair"),
-    ),
     Case("roll NaN", "track ARM --curve helix --roll nan", ("roll is nan", "finite")),
     # the motion
     Case("unknown controller", "track ARM --curve line --controller magic", ("'magic'", "selection, projec")),

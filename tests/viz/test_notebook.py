@@ -122,9 +122,7 @@ def test_motions_and_joint_trajectories_show_their_time(shown: Any, arm: pp.Arm)
     rows = table(shown(motion))
     assert rows["duration"].startswith(f"{motion.dt * motion.run.steps:.4g} s, ")
     joints = motion.joint_trajectory()
-    rows = table(shown(joints))
-    assert rows["joints"] == str(arm.nv)
-    assert rows["largest speed"] == f"{joints.peaks.speeds.max():.4g} rad/s"
+    assert picture(shown(joints)).startswith(b"\x89PNG")
 
 
 @pytest.mark.process

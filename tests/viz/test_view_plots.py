@@ -353,3 +353,20 @@ def test_steps_that_were_left_to_projection_are_marked_on_the_axis():
     np.testing.assert_array_equal(marks.get_xdata(), np.flatnonzero(run.method == "projection") + 1)
     alone = pp.plot(pp.track(arm, target, arm.straight(), "projection", max_steps=3))
     assert not any("red" in ax.get_xlabel() for ax in alone.axes)
+
+
+def test_a_joint_trajectory_is_drawn_joint_by_joint() -> None:
+    q = np.random.default_rng(0).normal(size=(7, 12))
+    joints = pp.JointTrajectory.from_configurations(six_modules(), q, 0.1)
+    panels = pp.plot(joints).axes[:3]
+    for ax, table in zip(panels, (joints.positions, joints.velocities, joints.accelerations), strict=True):
+        assert len(ax.lines) == 12
+        for line, values in zip(ax.lines, table.T, strict=True):
+            np.testing.assert_array_equal(line.get_xdata(), joints.time)
+            np.testing.assert_array_equal(line.get_ydata(), values)
+    assert [ax.get_ylabel() for ax in panels] == [
+        "position [rad]",
+        "velocity [rad/s]",
+        "acceleration [rad/s²]",
+    ]
+    draw(pp.plot(pp.JointTrajectory.from_positions(["a"], [[0.5]], 1.0)))  # one row, and no units
