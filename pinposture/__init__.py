@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
     from pinposture.task.task import Task, move_through, perform
-    from pinposture.viz import plot, plot_arm, plot_comparison, save_html, view
+    from pinposture.viz import animate, plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"
 
@@ -104,6 +104,7 @@ __all__ = [
     "TimedPath",
     "Tracker",
     "Trajectory",
+    "animate",
     "find_path",
     "fit_points",
     "follow",
@@ -194,7 +195,7 @@ _PACKAGES = {
         "path_deviation",
         "perform",
     ),
-    "viz": ("plot", "plot_arm", "plot_comparison", "save_html", "view"),
+    "viz": ("animate", "plot", "plot_arm", "plot_comparison", "save_html", "view"),
 }
 _PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names}
 

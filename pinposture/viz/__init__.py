@@ -2,7 +2,7 @@
 
 from pinposture.viz.arm_figure import plot_arm
 from pinposture.viz.drawing import visual_model
-from pinposture.viz.meshcat import Viewer, save_html, view
+from pinposture.viz.meshcat import AnimationPage, Viewer, animate, save_html, view
 from pinposture.viz.panels import (
     plot,
     plot_active_points,
@@ -14,7 +14,9 @@ from pinposture.viz.panels import (
 from pinposture.viz.postures import plot_postures
 
 __all__ = [
+    "AnimationPage",
     "Viewer",
+    "animate",
     "plot",
     "plot_active_points",
     "plot_arm",

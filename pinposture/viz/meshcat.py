@@ -11,6 +11,7 @@ import subprocess
 import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -66,6 +67,9 @@ from pinposture.viz.postures import (
 logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
+
+FRAME = '<iframe {} style="width: 100%; height: 480px; border: 0"></iframe>'
+"""What a notebook shows of a page."""
 
 # Where meshcat's commands go: to a server, or into a list for a page.
 
@@ -469,6 +473,9 @@ class Viewer:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
+    def _repr_html_(self) -> str:
+        return FRAME.format(f'src="{html.escape(self.url)}"')
+
     def __repr__(self) -> str:
         return f"Viewer({self.url})"
 
@@ -612,6 +619,80 @@ def _color_key(entries: Sequence[tuple[str, str]]) -> str:
 MAX_RUN_FRAMES, MAX_MOTION_FRAMES = 240, 1200
 
 
+@dataclass(frozen=True)
+class AnimationPage:
+    """An animation as an HTML page that contains everything, including the script of the viewer.
+
+    A notebook shows it where it is the value of a cell.
+
+    Attributes:
+        html: the page, 2 MB.
+    """
+
+    html: str
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page to one file, atomically.
+
+        Args:
+            path: the file; ".html" is added to a name without suffix.
+
+        Returns:
+            The path written.
+
+        Raises:
+            FileError: the name has another suffix, or the file cannot be written.
+        """
+        path = with_suffix(Path(path), ".html", ".htm")
+        write_text(path, self.html)
+        return path
+
+    def _repr_html_(self) -> str:
+        return FRAME.format(f'srcdoc="{html.escape(self.html)}"')
+
+    def __repr__(self) -> str:
+        return f"AnimationPage({len(self.html)} characters)"
+
+
+def animate(
+    arm: Arm,
+    run: Trajectory | Motion,
+    target: Target | None = None,
+    fps: float = 20.0,
+    max_frames: int | None = None,
+    ellipsoids: ControlPoints = (),
+) -> AnimationPage:
+    """Make an animation of a run or a motion that plays in any browser, offline, and in notebooks.
+
+    The run plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and
+    large. Obstacles are translucent; a half-space is drawn as a plate. A motion in time plays as by `view`.
+    Its caption tells which of its named places it has reached.
+
+    Args:
+        arm: the arm.
+        run: the run, or the motion in time, to show.
+        target: a fixed target to show; that of a run if None.
+        fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
+        max_frames: largest number of configurations shown; of longer runs some are skipped. None: 240 of a
+            run, 1200 of a motion.
+        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page explains
+            their colours and their scale.
+
+    Returns:
+        The animation.
+
+    Raises:
+        InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
+        UnknownName: a name that no control point has.
+    """
+    target = run.target if target is None and isinstance(run, Trajectory) else target
+    require_fitting(arm, run, target)
+    points = chosen_points(arm.control_points, ellipsoids)
+    if max_frames is None:
+        max_frames = MAX_MOTION_FRAMES if isinstance(run, Motion) else MAX_RUN_FRAMES
+    return AnimationPage(_page_html(arm, playback(run, fps, max_frames), target, points))
+
+
 def save_html(
     arm: Arm,
     run: Trajectory | Motion,
@@ -621,41 +702,27 @@ def save_html(
     max_frames: int | None = None,
     ellipsoids: ControlPoints = (),
 ) -> Path:
-    """Write a run or a motion as an animation to one HTML file, atomically.
-
-    The file contains everything, including the script of the viewer, so it opens from disk, offline. The run
-    plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and large.
-    Obstacles are translucent; a half-space is drawn as a plate.
-
-    A motion in time plays as by `view`. Its caption tells which of its named places it has reached.
+    """Write a run or a motion as an animation to one HTML file, atomically; see `animate`.
 
     Args:
-        arm: the arm.
-        run: the run, or the motion in time, to show.
+        arm: as for `animate`.
+        run: likewise.
         path: the file; ".html" is added to a name without suffix.
-        target: a fixed target to show; that of a run if None.
-        fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
-        max_frames: largest number of configurations shown; of longer runs some are skipped. None: 240 of a
-            run, 1200 of a motion.
-        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page explains
-            their colours and their scale.
+        target: as for `animate`.
+        fps: likewise.
+        max_frames: likewise.
+        ellipsoids: likewise.
 
     Returns:
         The path written.
 
     Raises:
         FileError: the name has another suffix, or the file cannot be written.
-        InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
-        UnknownName: a name that no control point has.
+        InvalidValue: as `animate`.
+        UnknownName: as `animate`.
     """
     path = with_suffix(Path(path), ".html", ".htm")
-    target = run.target if target is None and isinstance(run, Trajectory) else target
-    require_fitting(arm, run, target)
-    points = chosen_points(arm.control_points, ellipsoids)
-    if max_frames is None:
-        max_frames = MAX_MOTION_FRAMES if isinstance(run, Motion) else MAX_RUN_FRAMES
-    write_text(path, _page_html(arm, playback(run, fps, max_frames), target, points))
-    return path
+    return animate(arm, run, target, fps, max_frames, ellipsoids).save(path)
 
 
 def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[int, ...]) -> str:

@@ -137,3 +137,19 @@ def test_importing_the_package_in_a_shell_registers_it_and_imports_no_viewer() -
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip().endswith("<div><b>RyRz_2</b><t")
+
+
+def test_an_animation_is_a_page_in_a_frame(shown: Any, arm: pp.Arm, tmp_path: Any) -> None:
+    run = pp.track(arm, pp.Target.from_configuration(arm, arm.configuration([0.2] * arm.nv)), arm.straight())
+    made = pp.animate(arm, run)
+    frame = shown(made)
+    parsed = HTMLParser()
+    found: list[str] = []
+    parsed.handle_starttag = lambda tag, attrs: found.append(dict(attrs)["srcdoc"])  # type: ignore[method-assign]
+    parsed.feed(frame)
+    assert found == [made.html]
+    assert (
+        made.html
+        == pp.save_html(arm, run, tmp_path / "run").read_text()
+        == made.save(tmp_path / "b").read_text()
+    )
