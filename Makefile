@@ -42,6 +42,7 @@ docs: $(VENV)/docs.stamp
 # The pictures of the documentation; some minutes. They are kept with the source.
 pictures: $(VENV)/test-all.stamp
 	$(RUN) docs/pictures.py
+	$(RUN) docs/notebook.py
 	PICTURES=docs/screenshots $(RUN) -m pytest --full tests/editor/browser
 
 # The generated robot descriptions under urdf/; a test fails when they are stale.
