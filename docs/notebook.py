@@ -1,4 +1,7 @@
-"""Write and execute the notebook of the documentation: python docs/notebook.py"""
+"""Write and execute the notebook of the documentation.
+
+python docs/notebook.py
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ import pinposture as pp
 
 arm = pp.Arm.from_template("RyRz", modules=12)  # or pp.Arm.load("arm.urdf")
 arm""",
-    "A curve becomes a target: a point on the curve for each module, and the configuration that takes it there.",
+    "A curve becomes a target: a point for each module, and the configuration that puts it there.",
     """curve = pp.Curve.helix(radius=0.08, pitch=0.25, turns=1.5)
 target = pp.resolve_targets(arm, curve, placement="align")
 target""",
@@ -24,7 +27,7 @@ target""",
     """limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=4.0)
 run = pp.track(arm, target, arm.straight(), limits=limits)
 run""",
-    """`pp.animate(arm, run)` shows the run as an animation; `pp.view(arm, run)` opens meshcat, also inside the notebook.
+    """`pp.animate(arm, run)` shows an animation; `pp.view(arm, run)` opens meshcat inside the notebook.
 For the robot, a run becomes a joint trajectory:""",
     """joints = run.joint_trajectory()
 pp.save(joints, "motion.json")  # trajectory_msgs/msg/JointTrajectory
