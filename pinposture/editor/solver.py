@@ -377,7 +377,7 @@ class Solver:
             self._verdict = Verdict(None, str(error))
         except Exception as error:  # a bug must not end the thread, which others wait for
             logger.exception("a problem could not be looked at")
-            self._verdict = Verdict(None, f"that could not be worked out ({error})")
+            self._verdict = Verdict(None, f"an internal error ({error})")
 
     def _change_arm(self, problem: Problem) -> None:
         """Turn to another arm, which begins straight.
