@@ -1,4 +1,4 @@
-"""What came of a run, or of a motion in time: configurations, how it ended, speeds against the limits."""
+"""The result of a run or of a motion in time: configurations, status, velocities against their limits."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     for step in steps:
         kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
         ratios.append(float((speeds[step], accelerations[step])[kind][joint]))
-        limit = f"{('speed', 'acceleration')[kind]} limit of joint {run.arm.joint_names[joint]!r}"
-        words.append(f"{limit}: {ratios[-1]:.4g} times as much")
+        what = f"{('velocity', 'acceleration')[kind]} of joint {run.arm.joint_names[joint]!r}"
+        words.append(f"{what} is {ratios[-1]:.4g} times its limit")
     most = int(np.argmax(ratios))
     number, worst = len(steps), int(steps[most])
     count = f"{number} step" + ("s" if number > 1 else "")
@@ -120,19 +120,19 @@ ENDINGS: Mapping[str, str] = MappingProxyType(
     {
         "converged": "converged",
         "stalled": "stalled",
-        "no_control_points": "found no control point to move",
+        "no_control_points": "found no control point that it may move",
         "max_steps": "ran out of steps",
         "stopped": "was stopped",
-        "missed": "came to its end elsewhere",
-        "unstable": "ran away",
+        "missed": "ended away from its target",
+        "unstable": "became unstable",
         "failed": "failed",
     }
 )
-"""How a motion can end, with what is said of it.
+"""How a motion can end, and the words for it in messages.
 
-"converged": the arm is where it was to be. "stalled": no step leads closer. "no_control_points": the
+"converged": the arm reached its target. "stalled": no step reduces the error. "no_control_points": the
 controller found none that it may move. "max_steps": it ran out of steps, or cycles. "stopped": by the user.
-"missed": the time of a simulation is over, and the arm is elsewhere. "unstable": the simulated arm ran away.
+"missed": a simulation ended with the arm away from its target. "unstable": the simulation diverged.
 "failed": an error ended the run.
 """
 
@@ -189,13 +189,13 @@ def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
         row = int(motion.clearance.argmin())
         pair = " and ".join(CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair or ())
         when = f"after {row} steps" if row else "at the start"
-        found.append(f"{pair} are {-1e3 * motion.clearance[row]:.3g} mm inside each other {when}")
+        found.append(f"{pair} penetrate by {-1e3 * motion.clearance[row]:.3g} mm {when}")
     return tuple(found)
 
 
 def describe_result(motion: FinishedMotion) -> str:
     """Return in one line whether a motion converged, its faults and the reason of its end."""
-    there = "got there" if motion.status == "converged" else "did not get there"
+    there = "reached the target" if motion.status == "converged" else "did not reach the target"
     but = "".join(f", but {what}" for what in _faults_before_end(motion) if what not in motion.reason)
     return f"{there} ({motion.status}){but}: {motion.reason}"
 
