@@ -109,16 +109,16 @@ def find_path(
     _check_ends(follower, begin, end, ahead)
     sharpest = body.can_follow(Curve.line(begin, end)).max_curvature
     if sharpest <= 0.0:
-        raise InvalidValue("arm", arm, "an arm all of whose modules bend")
+        raise InvalidValue("arm", arm, "an arm whose modules all bend")
     link = float(np.linalg.norm(np.diff(body.at(body.straight()).links, axis=0), axis=1).max())
     thickness = max((solid(each.shape).radius for each in bodies_of(arm, scene.arm_radius)), default=0.0)
     space = _FreeSpace(scene, scene.margin + thickness + sharpest * link**2 / 8.0)
     for name, place in (("start", begin), ("goal", end)):
         if not space.is_free(place[None]):
-            raise ReachError(end, f"the {name} is nearer than {space.radius:.4g} m to an obstacle")
+            raise ReachError(end, f"the {name} is within {space.radius:.4g} m of an obstacle")
     rng = np.random.default_rng(seed)
     found: list[Curve] = []
-    why = "the tree did not get there within the budget"
+    why = "the tree did not reach the goal within the budget"
     while len(found) < ENOUGH_PATHS:
         bend = sharpest * BEND_SHARES[rng.integers(len(BEND_SHARES))]
         tree = _ArcTree(begin, ahead, end, bend, plane, arm.length, space)
@@ -171,12 +171,12 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
     ):
         across = float(np.linalg.norm(vector - plane.T @ (plane @ vector)))
         if across > SAME_PLACE * max(body.length, 1.0):
-            raise OutOfReach(end, f"the {name} is {across:.4g} off the plane in which the arm moves")
+            raise OutOfReach(end, f"the {name} is {across:.4g} m off the plane in which the arm moves")
     apart = float(np.linalg.norm(end - begin))
     if apart <= SAME_PLACE * body.length:
-        raise InvalidValue("goal", end.tolist(), "a place away from the start")
+        raise InvalidValue("goal", end.tolist(), "a position away from the start")
     if apart > follower.longest:
-        reason = f"it is {apart:.4g} m from the start, and the arm follows for {follower.longest:.4g} m"
+        reason = f"it is {apart:.4g} m from the start; the arm can follow {follower.longest:.4g} m"
         raise OutOfReach(end, reason)
 
 
@@ -185,12 +185,12 @@ def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest:
     count = max(CHECKED_PLACES, int(np.ceil(curve.length / (0.1 * space.radius))))
     s = np.linspace(0.0, curve.length, count)
     if curve.length > longest:
-        return f"the best is {curve.length:.4g} m long, and the arm follows for {longest:.4g} m"
+        return f"the best is {curve.length:.4g} m long; the arm can follow {longest:.4g} m"
     if not space.is_free(curve.at(s)):
-        return "the smooth curve comes too near an obstacle"
+        return "the smooth curve comes too close to an obstacle"
     bend = float(np.asarray(curve.curvature(s)).max())
     if bend > sharpest:
-        return f"the best bends by {bend:.4g} /m, and the modules by {sharpest:.4g} /m"
+        return f"the curvature of the best is {bend:.4g} /m; the modules allow {sharpest:.4g} /m"
     # Feasibility looks no farther than the arm is long.
     stretch = body.length
     for first in np.arange(0.0, curve.length, stretch):

@@ -111,7 +111,7 @@ def test_another_controller_tells_the_distances_and_that_it_does_not_heed_them(c
     result = command(*asked, "--scene", scene_file, "--json")
     assert json.loads(result.out)["clearance"]["smallest"] < 0.0
     assert result.err.count("\n") == 1
-    assert "joint does not keep clear of anything" in result.err
+    assert "joint does not avoid obstacles" in result.err
 
 
 def test_the_table_says_what_the_json_says(command, arm_file, scene_file, passed):

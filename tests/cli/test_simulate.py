@@ -73,7 +73,7 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
     result = command("simulate", file, "--urdf", weak, "--hold", 1)
     assert result.code == 1  # the arm hangs down
     assert result.out.startswith("verdict")
-    assert "did not get there (missed): mean point error " in result.out.splitlines()[0]
+    assert "did not reach the target (missed): mean point error " in result.out.splitlines()[0]
     assert "servos were at their limit, up to" in result.err
     assert command("simulate", file, "--urdf", weak, "--hold", 1, "--tolerance", 1).code == 0
     free = command("simulate", file, "--urdf", weak, "--hold", 0.1, "--no-torque-limits")

@@ -253,9 +253,9 @@ class Geodesic:
         if avoidance is not None:
             dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
             if share < 1.0:
-                violated += ("position limits: coming back faster would come too close to something",)
+                violated += ("position limits: a faster return would violate the margin to an obstacle",)
             violated += relaxed
-        reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
+        reason = "" if np.any(dq) else "joints are outside their limits, and an obstacle blocks their return"
         return _step_before_planning(state, target, dq, share, violated, reason, stopping)
 
     def _back_out(

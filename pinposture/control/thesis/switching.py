@@ -53,7 +53,7 @@ HandBack = Literal["after_stay", "when_possible"]
 
 RESUMED = "Selection can lower the posture error again"
 
-HANDED_BACK = "Projection has had its time, and Selection has control points"
+HANDED_BACK = "the stint of Projection is over, and Selection has control points"
 
 TRAVEL_ROUNDING = 1e-6
 """Share of a step by which sums of steps may be off."""
