@@ -319,7 +319,7 @@ def track(
 
     Args:
         arm: the arm.
-        target: where its control points should be.
+        target: the target posture.
         q0: configuration to start from, (nq,).
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
         limits: the limits of each step; `Limits()` if None.

@@ -65,34 +65,34 @@ def find_path(
     seed: int = 0,
     budget: float = 5.0,
 ) -> Curve:
-    """Find a smooth curve to a place through free space, which the arm can follow with its tip ahead.
+    """Find a smooth collision-free curve to a goal that the arm can follow with its tip ahead.
 
     A tree of arcs grows from the start in its direction. A path to the goal in it is shortened and replaced
-    by a spline, which is judged as a whole. The curve is farther from all obstacles than the scene's margin,
-    the radius of the arm and the height of the arcs over its links together. It bends no more than all
-    modules can (`Arm.can_follow`), wherever on it they are. It is a search: that it finds nothing is no
-    proof, and the curve is not the shortest. The direction at the goal is free. Behind the start the path of
-    the arm is not looked at, nor whether the arm comes too near itself.
+    by a spline, which is checked as a whole. Its distance from all obstacles exceeds the sum of the margin of
+    the scene, the radius of the arm and the height of the arcs over its links. Its curvature is at most what
+    all modules allow (`Arm.can_follow`). This is a search: it may miss a curve that exists, and the curve is
+    not the shortest. The direction at the goal is free. Neither the part of the arm behind the start nor
+    self-collision is checked.
 
     Args:
-        scene: what to keep clear of.
-        start: where the curve begins, (3,) [m], world frame; None: at the tip of an arm on a feed that is
-            pulled back (see `follow_leader`), at the base of any other.
-        goal: where it ends, (3,) [m], world frame.
-        arm: the arm that is to follow it.
+        scene: the obstacles.
+        start: start of the curve, (3,) [m], world frame; None: the tip of an arm on a retracted feed (see
+            `follow_leader`), the base of any other arm.
+        goal: its end, (3,) [m], world frame.
+        arm: the arm that has to follow it.
         direction: its direction at the start, (3,), world frame; that of the straight arm if None.
-        seed: what the search is drawn from.
-        budget: time [s]. Where it ends the search, the curve depends on the machine; else it is the same for
-            a given seed.
+        seed: seed of the random numbers.
+        budget: time [s]. If it ends the search, the curve depends on the machine; otherwise it is the same
+            for a given seed.
 
     Returns:
         The curve, in the world: `follow_leader(arm, curve, ..., placement="as_is")` follows it.
 
     Raises:
-        InvalidValue: something of another type, or that does not fit the arm.
+        InvalidValue: an argument of the wrong type, or one that does not fit the arm.
         OutOfReach: start or goal are off the plane of a planar arm, or farther apart than the arm is long or
-            its feed can push.
-        ReachError: no curve was found; says why.
+            the travel of its feed.
+        ReachError: no curve was found; the message says why.
     """
     until = perf_counter() + budget if isinstance(budget, int | float) else inf
     if not isinstance(arm, Arm):
@@ -162,7 +162,7 @@ def _follower(arm: Arm) -> _Follower:
 
 
 def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> None:
-    """Refuse ends between which no curve can be followed."""
+    """Raise for ends that no curve for the arm can join."""
     body, plane = follower.body, follower.body.plane
     for name, vector in (
         ("goal", end - follower.entry),
@@ -181,7 +181,7 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
 
 
 def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest: float) -> str:
-    """Return why an arm cannot follow a curve, in words; empty if it can."""
+    """Return why an arm cannot follow a curve; empty if it can."""
     count = max(CHECKED_PLACES, int(np.ceil(curve.length / (0.1 * space.radius))))
     s = np.linspace(0.0, curve.length, count)
     if curve.length > longest:
