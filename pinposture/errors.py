@@ -1,4 +1,4 @@
-"""What can go wrong, by kind. Every error names the thing, the value and what was allowed."""
+"""Errors and warnings. Each message names the thing at fault, its value and what is allowed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _rebuild(cls: type[PostureError], args: tuple[Any, ...], data: dict[str, Any
 
 
 class PostureError(Exception):
-    """Root of every error that this package raises on purpose."""
+    """Base class of the errors of this package."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Errors cross process borders in studies; the default would call __init__ with the message.
@@ -24,16 +24,16 @@ class PostureError(Exception):
 
 
 class PostureWarning(UserWarning):
-    """Something in the input that was settled in a way that the user may not expect."""
+    """An input was interpreted or corrected in a way that the user may not expect."""
 
 
 class InvalidValue(PostureError, ValueError):
-    """A value of the wrong shape, size, sign, or not finite.
+    """A value of the wrong type, shape, size or sign, or one that is not finite.
 
     Attributes:
-        name: what the value is called.
-        value: the value as given.
-        allowed: what would have been accepted, in words.
+        name: name of the value.
+        value: the value.
+        allowed: which values are allowed.
     """
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
@@ -46,8 +46,8 @@ class UnknownName(PostureError, KeyError):
     """A name (template, controller, frame, joint, preset) that does not exist.
 
     Attributes:
-        kind: what sort of thing was named.
-        name: the name as given.
+        kind: kind of thing, e.g. "controller".
+        name: the unknown name.
         allowed: the names that exist.
     """
 
@@ -63,7 +63,7 @@ class UnknownName(PostureError, KeyError):
 
 
 class FileError(PostureError, OSError):
-    """A file that is missing, unreadable, or does not hold what it should.
+    """A file that is missing, unreadable, or of the wrong content.
 
     Attributes:
         path: the file.
@@ -106,7 +106,7 @@ class CurveError(PostureError, ValueError):
 
 
 class UnsupportedModule(PostureError):
-    """A module for which no kinematics solver (FK, IK, TP) is known.
+    """A module without a kinematics solver (FK, IK, TP).
 
     Attributes:
         module: index of the module, 1-based as in the thesis.
@@ -121,12 +121,12 @@ class UnsupportedModule(PostureError):
 
 
 class TargetError(PostureError):
-    """A curve on which some control point has no place (Section 4.2).
+    """A curve on which a module cannot be placed (Section 4.2).
 
     Attributes:
         module: index of the first module that could not be placed, 1-based.
-        parameter: arc length along the curve where its base stands [m].
-        reason: why, and what to do about it.
+        parameter: arc length of its base along the curve [m].
+        reason: why, and how to correct it.
     """
 
     def __init__(self, module: int, parameter: float, reason: str) -> None:
@@ -135,45 +135,45 @@ class TargetError(PostureError):
 
 
 class CurveEndsEarly(TargetError):
-    """The curve is over before the last module is placed."""
+    """The curve ends before the last module is placed."""
 
 
 class CurveLeavesTooSharply(TargetError):
-    """The curve leaves the base in a direction that the first module cannot take."""
+    """The curve leaves the base in a direction that the first module cannot follow."""
 
 
 class CurveBendsTooMuch(TargetError):
-    """The curve bends more than a module can within its joint limits, or leaves its plane."""
+    """The curve bends more than a module can within its joint limits, or leaves the plane of the module."""
 
 
 class CurveOutOfReach(TargetError):
-    """The curve lies where the slides of the arm do not get to within their limits."""
+    """The curve is beyond the range of the prismatic joints."""
 
 
 class ReachError(PostureError):
-    """A place for the tip that no clear posture was found for.
+    """A goal of the tip for which no clear posture was found.
 
     Attributes:
-        place: where the tip should be, three coordinates [m], world frame.
-        reason: why, and how near the search came.
+        place: the goal, three coordinates [m], world frame.
+        reason: why, and how close the search came.
     """
 
     def __init__(self, place: Iterable[float], reason: str) -> None:
         self.place, self.reason = tuple(float(each) for each in place), reason
         listed = ", ".join(f"{each:.4g}" for each in self.place)
-        super().__init__(f"the tip cannot be brought to ({listed}) m: {reason}")
+        super().__init__(f"the tip cannot reach ({listed}) m: {reason}")
 
 
 class OutOfReach(ReachError):
-    """A place that is farther away than the arm is long, or off the plane of a planar arm."""
+    """A goal that is farther away than the arm reaches, or off the plane of a planar arm."""
 
 
 class TaskError(PostureError, ValueError):
-    """A task in time that contradicts itself, or that the arm cannot do.
+    """A task that is inconsistent, or that the arm cannot perform.
 
     Attributes:
         where: the part of the task at fault, e.g. "keyframe 3 'coil'".
-        reason: what is wrong with it, and what to do about it.
+        reason: what is wrong with it, and how to correct it.
     """
 
     def __init__(self, where: str, reason: str) -> None:
@@ -182,24 +182,24 @@ class TaskError(PostureError, ValueError):
 
 
 class MotionError(PostureError, ValueError):
-    """A motion that is not to be handed to a robot as it is.
+    """A motion that should not be sent to a robot.
 
     Attributes:
-        faults: what speaks against it, in words.
+        faults: its faults, in words.
     """
 
     def __init__(self, faults: Iterable[str]) -> None:
         self.faults = tuple(faults)
-        advice = "force=True (--force) hands it on all the same"
-        super().__init__(f"the motion is not fit for a robot: {'; '.join(self.faults)}; {advice}")
+        advice = "force=True (--force) overrides this"
+        super().__init__(f"the motion should not be sent to a robot: {'; '.join(self.faults)}; {advice}")
 
 
 class ViewerError(PostureError, ConnectionError):
     """A viewer that cannot be started or reached.
 
     Attributes:
-        viewer: what was to be started or reached.
-        reason: what went wrong.
+        viewer: the viewer.
+        reason: why it cannot be.
     """
 
     def __init__(self, viewer: str, reason: str) -> None:

@@ -1,4 +1,4 @@
-"""Files: read with a reason where that fails, written whole or not at all, named relative to another file."""
+"""Files: read with clear errors, written atomically, named relative to another file."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pinposture.errors import FileError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Files: read with a reason where that fails, written whole or not at all.
+# Files: read with clear errors, written atomically.
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file beside its final place, then put it there.
+    """Write a file atomically: first next to its destination, then renamed.
 
-    A file of that name stays as it was until then, and for good if writing fails; no reader ever sees half
-    of the new one. Missing directories are made; a link is followed, not replaced.
+    Until then, and if writing fails, an existing file stays unchanged; no reader sees a partial file. Missing
+    directories are created; a link is followed, not replaced.
 
     Raises:
         FileError: it cannot be written, or a directory or device has that name.
@@ -28,7 +28,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     check_writable(path.parent)
     if path.exists() and not path.is_file():
         kind = "a directory" if path.is_dir() else "a device"
-        raise FileError(path, f"is {kind}; allowed: a file, or a name that is free")
+        raise FileError(path, f"is {kind}; allowed: a file, or a new name")
     try:
         final = path.resolve()
     except RuntimeError:  # links in a circle; from Python 3.13 on, these are left as they are
@@ -98,13 +98,13 @@ def with_suffix(path: Path, *allowed: str) -> Path:
 
 
 def check_writable(directory: Path) -> None:
-    """Refuse a directory in which no file can be made, before work is done that would be lost.
+    """Raise if no file can be created in a directory, before the work whose result it is for.
 
     Args:
-        directory: need not exist yet.
+        directory: the directory; it need not exist yet.
 
     Raises:
-        FileError: it is a file, or it or the directory above in which it would be made is not writable.
+        FileError: it is a file, or it, or the parent in which it would be created, is not writable.
     """
     there = directory.absolute()
     while not there.exists() and there != there.parent:
@@ -119,7 +119,7 @@ def check_writable(directory: Path) -> None:
 
 
 def settled(path: str | Path) -> Path:
-    """An absolute path without links and dots on the way to the file; if that is a link, it stays one."""
+    """Return the absolute path of a file, its parent without links and dots; a link itself stays one."""
     given = Path(path)
     try:
         return Path(os.path.realpath(given.parent)) / given.name

@@ -89,7 +89,7 @@ def run(
     makes of that start and curve, whatever the number of processes. Runs are counted from 0.
 
     With -o all runs are kept in a directory, in batch.npz: pp.load of the Python package reads it, as
-    NumPy does. The exit code is 0 if the arm got there in every run and was clear of everything, 1 if not, 2
+    NumPy does. The exit code is 0 if the arm converged in every run without penetration, 1 if not, 2
     if it could not start.
     """
     from pinposture.motion import save, track_many

@@ -51,7 +51,7 @@ def run(
             "--output",
             "-o",
             metavar="FILE",
-            help=".json for ROS 2, .csv for a table, .npz for NumPy, .mcap for a bag of ROS 2.",
+            help=".json for ROS 2, .csv for a table, .npz for NumPy, .mcap for a ROS 2 bag.",
         ),
     ],
     form: Annotated[
@@ -59,36 +59,35 @@ def run(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="follow-joint-trajectory: a goal of that action, in JSON. rosbag: a bag of ROS 2, a folder. "
-            "By default the suffix decides.",
+            help="follow-joint-trajectory: a goal of that action, as JSON. rosbag: a ROS 2 bag, a folder. "
+            "Default: by the suffix.",
         ),
     ] = "",
     dt: Annotated[
         float | None,
-        typer.Option(help="Duration of a step in seconds; needed if the run was made without one."),
+        typer.Option(help="Duration of a step in seconds; required if the run has none."),
     ] = None,
     force: Annotated[
         bool,
         typer.Option(
-            "--force", help="Write it even if it did not get there, or not clear and within limits."
+            "--force", help="Write it even if it has faults: not converged, limits exceeded, penetration."
         ),
     ] = False,
     coupled: Annotated[
-        bool, typer.Option("--coupled", help="Write the joints that follow others (<mimic>), too.")
+        bool, typer.Option("--coupled", help="Also write the joints that follow others (<mimic>).")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a motion as positions, velocities and accelerations of the joints in time.
 
-    A .json file is a trajectory_msgs/msg/JointTrajectory of ROS 2, as controllers of ros2_control take it. A
-    .csv file has a column for each, with units. A .npz file holds the arrays to the last bit. Joints have the
-    names that the URDF gives them; continuous ones have angles without jumps. A bag (.mcap, or a folder with
-    --format rosbag) has the topics /joint_states, /joint_trajectory, /tf and /robot_description; it needs the
-    extra "ros".
+    A .json file is a ROS 2 trajectory_msgs/msg/JointTrajectory, for the controllers of ros2_control. A .csv
+    file has a column for each quantity, with units. A .npz file holds the exact arrays. Joints keep their
+    names in the URDF; the angles of continuous joints have no jumps. A bag (.mcap, or a folder with --format
+    rosbag) has the topics /joint_states, /joint_trajectory, /tf and /robot_description; it needs the extra
+    "ros".
 
-    A motion that did not get where it was to, that exceeds its limits, or on which something was inside of
-    another, is refused unless --force is given. The summary tells the largest speed and acceleration from
-    step to step, from rest and to rest.
+    A motion that did not converge, that exceeds its limits, or in which bodies penetrate is refused unless
+    --force is given. The summary lists the largest velocity and acceleration, from rest to rest.
     """
     from pinposture.storage import check_writable
 
@@ -98,21 +97,21 @@ def run(
     if which:
         print_note(which)
     if output.exists() and output.samefile(source):
-        raise FileError(output, "is the run itself; allowed: another file")
+        raise FileError(output, "is the input; allowed: another file")
     kept = load_kept(source)
     trajectory = _joint_trajectory(kept, dt, force)
     if coupled:
         trajectory = trajectory.with_coupled(kept.arm)
     _write(trajectory, output, form, kept.arm)
     for fault in kept.faults:
-        print_warning(f"exported all the same: {fault}")
+        print_warning(f"exported despite a fault: {fault}")
     verdict = {"verdict": kept.verdict, "faults": list(kept.faults)}
     data = {"run": str(source), **verdict, **_summary(trajectory), "file": str(output)}
     print_result(as_json, data, _in_words(trajectory), [output])
 
 
 def check_form(output: Path, form: str) -> None:
-    """Refuse a format that does not exist, and a file that cannot be of it."""
+    """Raise for an unknown format, or a suffix without a format."""
     from pinposture.motion.joint_files import check_format
 
     if form not in ("", *NAMED_FORMATS):
@@ -145,7 +144,7 @@ def _joint_trajectory(moved: Trajectory | Motion, dt: float | None, force: bool)
 
 
 def _summary(trajectory: JointTrajectory) -> dict[str, Any]:
-    """What is in it, in numbers that JSON can hold."""
+    """The content of a trajectory as data for JSON."""
     return {
         "robot": trajectory.name,
         "joints": list(trajectory.joint_names),
@@ -158,7 +157,7 @@ def _summary(trajectory: JointTrajectory) -> dict[str, Any]:
 
 
 def _in_words(trajectory: JointTrajectory) -> dict[str, str]:
-    """What is in it, as a person reads it."""
+    """The content of a trajectory in words."""
     peaks = _peaks(trajectory)
     return {
         "motion": f"{len(trajectory.joint_names)} joints, {len(trajectory.time)} points, "

@@ -27,7 +27,7 @@ verb_examples: dict[Callable[..., None], tuple[str, ...]] = {}
 
 
 def examples(*lines: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a verb command lines that its help shows as examples."""
+    """Register example command lines for the help of a verb."""
 
     def register(run: Callable[..., None]) -> Callable[..., None]:
         verb_examples[run] = lines
@@ -41,7 +41,7 @@ UNLIMITED = 10_000
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    """Print one JSON object on stdout; a number that is infinite, as an absent limit is, becomes null."""
+    """Print one JSON object on stdout; an infinite number, such as an absent limit, becomes null."""
     typer.echo(json.dumps(_finite(data), indent=2, allow_nan=False))
 
 
@@ -115,29 +115,29 @@ def _print(content: RenderableType) -> None:
 
 
 def print_note(text: str) -> None:
-    """Say something on stderr that is not part of the result."""
+    """Print a text on stderr that is not part of the result."""
     _print_line("", "", text)
 
 
 def print_warning(text: str) -> None:
-    """Say on stderr, in one line, what was settled in a way that may surprise."""
+    """Print a warning on stderr, on one line."""
     _print_line("note: ", "yellow", text)
 
 
 def print_error(text: str) -> None:
-    """Say on stderr, in one line, why there is no result."""
+    """Print on stderr, on one line, why there is no result."""
     _print_line("error: ", "bold red", text)
 
 
 def end_with(faults: Sequence[str]) -> None:
-    """End the command with code 1 if something did not go as it should: it did what it could, and no more."""
+    """Exit with code 1 if there are faults."""
     if faults:
         raise typer.Exit(1)
 
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print every `PostureWarning` as a note on stderr, whatever the filters say; others as Python does."""
+    """Print every `PostureWarning` as a note on stderr, regardless of filters; others as Python does."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", PostureWarning)
         show = warnings.showwarning

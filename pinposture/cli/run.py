@@ -179,9 +179,9 @@ def run(
     admit the times of the file, it takes longer, and the summary says by how much. docs/tasks.md describes
     the file; a mistake in it is named with its line.
 
-    With -o the motion is kept in a directory. Each file appears there whole or not at all, and status.json
-    says whether all are there. The exit code is 0 if the arm got there within its limits and was clear of
-    everything, 1 if not, 2 if it could not start; what is for a robot (.csv, .json) is kept only if it is 0.
+    With -o the motion is kept in a directory. Each file is written atomically, and status.json says
+    whether all are there. The exit code is 0 if the arm converged within its limits without penetration, 1 if
+    not, 2 if it could not start; files for a robot (.csv, .json) are written only if it is 0.
     """
     from pinposture.task import Task
 

@@ -375,9 +375,9 @@ def run_postures(
 
     The first two columns are the share of runs whose mean point error ends below 1e-6 and 1e-3 of the arm
     length. The others tell of the runs that moved and came below 1e-3: median (90th percentile) of the number
-    of steps, of the share of steps on which the posture error rises, of those of them that were flagged as an
-    escape, of the highest posture error relative to the first one, and of the length of the paths of the
-    control points relative to the straight ways. A thousand cases with six controllers take some five minutes
+    of steps, of the share of steps on which the posture error rises, of those in which the controller lets
+    it rise, of the highest posture error relative to the first one, and of the length of the paths of the
+    control points relative to straight lines. A thousand cases with six controllers take some five minutes
     on two processes for each arm.
     """
     from pinposture.study import loaded_subject, study_postures, summarise
@@ -440,7 +440,7 @@ def run_headings(
     largest value along the arm: past pi, what knows the control points alone turns the short way round, and
     kinks. Counted are the runs that end with a mean point error below 1e-3 of the arm length and never left
     the limits, of all; behind them is the median length of the paths of the control points relative to the
-    straight ways, of those that moved and came near. At most 0.1 rad per step and joint, and 400 steps.
+    straight lines, of those that moved and came near. At most 0.1 rad per step and joint, and 400 steps.
     """
     from pinposture.study import Bin, by_heading, study_headings
     from pinposture.study.pictures import draw_headings
@@ -509,8 +509,8 @@ def run_scenes(
     Room is the smallest distance, looked up at ten places of every step, minus the margin, in the worst run;
     negative where the arm starts in collision. Such a run keeps its margin if the arm never goes deeper,
     comes out, and keeps it from there on. The last four columns are median (90th percentile) of the number
-    of steps, of the length of the paths of the control points relative to the straight ways, of the share
-    of steps flagged as an escape, and of the time of a run. Runs that did not do as they should are named
+    of steps, of the length of the paths of the control points relative to straight lines, of the share
+    of steps in which the error may rise, and of the time of a run. Runs with faults are listed
     one by one. All of it takes some ten minutes on two processes.
     """
     from pinposture.study.scenes import SITUATIONS, by_scene, study_scenes
@@ -578,8 +578,8 @@ def run_clutter(
     goal are drawn until they are clear, by code that plans nothing. A third of the starts are inside of the
     hole, the pipe or the machine.
 
-    Room is the smallest distance in the runs that got there, every 0.01 rad, minus the margin. Planning time
-    and path length ratio of the plans are median (90th percentile). Problems that were not solved are named.
+    Room is the smallest distance in runs that reached the goal, every 0.01 rad, minus the margin. Planning
+    time and path length ratio of the plans are median (90th percentile). Unsolved problems are listed.
     With -o the first problem of each kind is left as an animation, too.
     """
     from pinposture.study.clutter import KINDS_OF_CLUTTER, by_kind, draw_problem, run_problem, study_clutter

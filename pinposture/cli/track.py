@@ -98,12 +98,12 @@ def run(
     radius = 0.02}. There are also sphere (center, radius), capsule (as cylinder), box (center, size,
     rotation), half_space (point; normal, towards the free side), mesh (path, scale, center, rotation) and
     scan (as mesh; of points or a surface). A rotation is roll, pitch, yaw in rad, or a 3x3 matrix. It may set
-    margin (the distance to keep, else 0.005), self_collision (true or false) and arm_radius (of capsules in
-    place of the arm's own geometry) as well. Lengths in metres, in the world.
+    margin (the distance to keep; default 0.005), self_collision (true or false) and arm_radius (of capsules
+    that replace the geometry of the arm). Lengths are in metres, in the world frame.
 
     With -o the run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in
-    any browser. The exit code is 0 if the arm got there within its limits and was clear of everything, 1 if
-    not, 2 if it could not start.
+    any browser. The exit code is 0 if the arm converged within its limits without penetration, 1 if not, 2
+    if it could not start.
     """
     from pinposture.motion import track
     from pinposture.storage import check_writable
@@ -153,29 +153,31 @@ class TipOptions:
     tip_pose: Annotated[
         str | None,
         TIP(
-            "Bring it here, turned from the axes of the world by roll about x, then pitch about y, then "
-            "yaw about z, in rad.",
+            "Goal pose of the tip: its position, and its rotation in the world by roll about x, then pitch "
+            "about y, then yaw about z, in rad.",
             "X,Y,Z,ROLL,PITCH,YAW",
         ),
     ] = None
     hold_tip: Annotated[
-        str | None, TIP("Keep the tip where the start has it: its position, or its pose.", "WHAT")
+        str | None, TIP("Keep the position or the pose that the tip has at the start.", "WHAT")
     ] = None
     tip_weight: Annotated[
-        float | None, TIP("What the tip counts, where a control point on the curve counts 1; else 1.")
+        float | None, TIP("Weight of the tip task; a control point on the curve has weight 1. Default: 1.")
     ] = None
-    strict_tip: Annotated[bool, TIP("The tip comes first, the shape after it.", flags="--strict-tip")] = False
+    tip_priority: Annotated[bool, TIP("Give the tip priority over the shape.", flags="--tip-priority")] = (
+        False
+    )
 
     def read(self, start: ArmState) -> EndEffector | None:
-        """The task of the tip that these options ask for; None if they ask for none.
+        """Return the tip task of these options; None without one.
 
         Args:
-            start: where the arm begins.
+            start: the start of the arm.
 
         Raises:
-            InvalidValue: more than one place for the tip; a weight, or a priority, without any; other
+            InvalidValue: more than one goal of the tip; a weight or a priority without a goal; invalid
                 numbers.
-            UnknownName: something else to hold.
+            UnknownName: neither the position nor the pose is to be held.
         """
         from pinposture.control import EndEffector
 
@@ -191,13 +193,16 @@ class TipOptions:
         weight = 1.0 if self.tip_weight is None else self.tip_weight
         if self.tip_position is not None:
             position = _finite("--tip-position", self.tip_position, "X,Y,Z")
-            return EndEffector(position=position, weight=weight, priority=self.strict_tip)
+            return EndEffector(position=position, weight=weight, priority=self.tip_priority)
         if self.tip_pose is not None:
             pose = _placement(_finite("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW"))
-            return EndEffector(pose=pose, weight=weight, priority=self.strict_tip)
+            return EndEffector(pose=pose, weight=weight, priority=self.tip_priority)
         if self.hold_tip is not None:
-            return EndEffector.held(start, self.hold_tip, weight=weight, priority=self.strict_tip)
-        for option, value in (("--tip-weight", self.tip_weight), ("--strict-tip", self.strict_tip or None)):
+            return EndEffector.held(start, self.hold_tip, weight=weight, priority=self.tip_priority)
+        for option, value in (
+            ("--tip-weight", self.tip_weight),
+            ("--tip-priority", self.tip_priority or None),
+        ):
             if value is not None:
                 raise InvalidValue(option, value, f"together with one of {', '.join(places)}")
         return None
@@ -237,7 +242,7 @@ def tip_off(task: EndEffector, motion: Trajectory) -> dict[str, float | None]:
 
 
 WORDY = 200
-"""Characters after which it is enough of what gave way in a step."""
+"""Largest number of characters of a violated constraint that are printed."""
 
 
 def summarize(motion: Trajectory) -> dict[str, Any]:
@@ -281,7 +286,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
 
 
 def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
-    """How far the whole arm is from the curve in the end, where there is one."""
+    """Return the final distance of the whole arm from the curve, if there is one."""
     away = summary["distance_from_curve"]
     if away is None:
         return {}
@@ -290,7 +295,7 @@ def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """A summary as a person reads it; the verdict with the colour in which to print it."""
+    """Return a summary in words; the verdict comes with the colour in which to print it."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
     from pinposture.placement.target import Moved
 
@@ -308,12 +313,10 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         "paths": f"of control points {summary['path_length_ratio']:.3g} times as long as straight ones",
     }
     if summary["moved"] is not None and Moved(**summary["moved"]):
-        how = "; --placement as_is leaves it where it is drawn"
+        how = "; --placement as_is keeps it in place"
         words["curve"] = f"{Moved(**summary['moved'])} to the base of the arm{how}"
     if summary["escape_share"]:
-        words["escapes"] = (
-            f"{100 * summary['escape_share']:.3g} % of the steps; the posture error may rise there"
-        )
+        words["rising"] = f"{100 * summary['escape_share']:.3g} % of the steps may raise the posture error"
     if summary["switches"]:
         first_switch = summary["switches"][0]
         words["switches"] = (
@@ -326,7 +329,7 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
         count, first = len(summary["violated_constraints"]), first_relaxed["step"] + 1
-        words["gave way"] = f"something in {count} steps; first in step {first}: {what}"
+        words["violated"] = f"constraints in {count} steps; first in step {first}: {what}"
     if summary.get("tip") is not None:
         distance, turn = summary["tip"]["distance"], summary["tip"]["turn"]
         words["tip"] = f"{distance:.4g} m off" + ("" if turn is None else f", turned by {turn:.4g} rad")

@@ -153,7 +153,7 @@ def _always_close(
     pairs: Sequence[IndexPair],
     margin: float,
 ) -> list[IndexPair]:
-    """Return the pairs nearer than the margin in every posture that is tried."""
+    """Return the pairs that are closer than the margin in all sampled postures."""
     rng, left = np.random.default_rng(0), list(pairs)
     distances = PairDistances(solids, [body.joint for body in bodies], fixed, left)
     for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(RANDOM_POSTURES))):
@@ -162,7 +162,7 @@ def _always_close(
         found = np.sort(distances.near(kinematics.place(q), margin).pairs)
         left = [(int(distances.first[k]), int(distances.second[k])) for k in found]
         distances = distances.among(left)
-    # An obstacle that even the last body never clears does not stand beside the base: the arm is inside it.
+    # If even the last body never clears an obstacle, the arm is inside that obstacle.
     around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
     return [pair for pair in left if pair[1] not in around_all]
 
@@ -347,7 +347,7 @@ class CollisionModel:
         return other
 
     def _elsewhere(self, moved: Mapping[str, Obstacle]) -> PairDistances:
-        """Return the distances with some obstacles elsewhere."""
+        """Return the distances with some obstacles moved."""
         changes = {
             number: each
             for name, obstacle in moved.items()
@@ -356,7 +356,7 @@ class CollisionModel:
         return self._distances.with_obstacles(changes)
 
     def _velocities_in(self, scene: Scene) -> Array:
-        """Return the velocities of all solids of obstacles, (o, 3) [m/s], with one more row for none."""
+        """Return the velocities of all solids of obstacles, (o, 3) [m/s], the last row zero."""
         velocities = np.zeros((1 + sum(map(len, self._numbers.values())), 3))
         for name, velocity in scene.velocities.items():
             velocities[self._numbers[name]] = velocity

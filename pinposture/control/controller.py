@@ -38,10 +38,10 @@ class SingularValues(NamedTuple):
 
 
 class Diagnostics(NamedTuple):
-    """How a step came about.
+    """Diagnostics of a step.
 
     Attributes:
-        clipped: which joints were cut short at a position limit, (nv,).
+        clipped: which joints were clipped at a position limit, (nv,).
         reason: why the controller does not move; empty if it does.
         manipulability: smallest manipulability index of an active point, relative to the base and to the
             active point before, in [0, 1]; of Projection, of a section within its manipulability space. 0 if
@@ -50,17 +50,17 @@ class Diagnostics(NamedTuple):
         rows: number of rows of the posture control matrix.
         dropped: control points that met their conditions and were dropped because the stacked matrix was too
             close to singular, 0-based.
-        scale: factor by which the step was shortened to meet the step limit, in (0, 1]; to keep clear of
-            something, in [0, 1].
-        method: which of its methods a controller used that has several, by name; empty if it has one.
-        switched: why it changed to that method in this step; empty if it did not.
-        error_increasing: whether the posture error rises in this step, or may rise because the step leads
-            out of a place where the error cannot fall.
-        violated_constraints: constraints that were relaxed in this step because not all could hold, in words,
-            in the order in which they were.
-        near: distances to obstacles that hold the step back, in words.
-        following_path: whether the step makes progress along a path that ends where the controller wants to
-            be, whatever the posture error does on it.
+        scale: factor by which the step was shortened to meet the step limit, in (0, 1]; to avoid obstacles,
+            in [0, 1].
+        method: name of the method, if the controller has several; else empty.
+        switched: why it switched to that method in this step; empty if it did not.
+        error_increasing: whether the posture error rises in this step, or may rise because the step leaves a
+            local minimum.
+        violated_constraints: constraints that this step violates because not all could hold, in words, in
+            the order in which they were relaxed.
+        near: distances to obstacles that limit the step, in words.
+        following_path: whether the step makes progress along a path to the target; the posture error may
+            rise on it.
     """
 
     clipped: NDArray[np.bool_]
@@ -90,14 +90,14 @@ class Diagnostics(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a controller needs to know again at the next step.
+    """State of a controller between steps.
 
-    A controller that keeps more than this derives a class of its own.
+    A controller that keeps more state derives its own class.
 
     Attributes:
         dq: the previous step, (nv,) [rad or m].
-        stopping: steps that bring the arm to rest from there, within its limits and clear of what the
-            controller knows, (k, nv) [rad or m]. None, or after the last of them: `Limits.hold` does.
+        stopping: steps that then bring the arm to rest, within its limits and clear of the known obstacles,
+            (k, nv) [rad or m]. None, or after the last of them: `Limits.hold` brakes.
     """
 
     dq: Array
@@ -110,7 +110,7 @@ class Memory:
         return replace(self, dq=self.stopping[0], stopping=self.stopping[1:])
 
     def with_motion_of(self: SomeMemory, other: Memory) -> SomeMemory:
-        """Return the same knowledge for an arm that moves as another memory says."""
+        """Return the same memory with the motion of another one."""
         return replace(self, dq=other.dq, stopping=other.stopping)
 
 
@@ -120,8 +120,8 @@ class Step(NamedTuple):
     Attributes:
         dq: joint displacement within the limits, (nv,) [rad or m].
         active: the active control set, indices of control points, 0-based and increasing.
-        diagnostics: how it came about.
-        memory: to be passed to the next step.
+        diagnostics: its diagnostics.
+        memory: the memory to pass to the next step.
     """
 
     dq: Array
@@ -131,7 +131,7 @@ class Step(NamedTuple):
 
 
 class Controller(Protocol):
-    """Anything that moves an arm one step towards a target."""
+    """Interface of a controller: moves an arm one step towards a target."""
 
     @property
     def name(self) -> str:
@@ -143,16 +143,16 @@ class Controller(Protocol):
         """Compute one step.
 
         Args:
-            state: where the arm is.
-            target: where its control points should be.
-            limits: what the step may not exceed; `Limits()` if None.
-            memory: `memory` of the previous step; None at the first. Without it a controller that plans plans
-                anew, one that takes turns forgets whose it is, and the arm is taken to be at rest.
+            state: the state of the arm.
+            target: the target posture.
+            limits: the limits of the step; `Limits()` if None.
+            memory: `memory` of the previous step; None at the first. Without it the controller replans, or
+                starts with its first method, and assumes that the arm is at rest.
         """
 
 
 def require_step_arguments(state: object, target: object, memory: object = None) -> None:
-    """Raise InvalidValue for arguments of a step that are of a wrong type."""
+    """Raise InvalidValue for arguments of a step of a wrong type."""
     if not isinstance(state, ArmState):
         raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
     if not isinstance(target, Target):
@@ -179,7 +179,7 @@ def stack_rows(jacobians: Array) -> Array:
 def next_step(
     controller: Controller, state: ArmState, target: Target, limits: Limits | None, memory: Memory | None
 ) -> Step:
-    """The step of a controller; of one that remembers nothing, the displacement is remembered for it.
+    """Return the step of a controller; if it keeps no memory, add one with the displacement.
 
     Raises:
         InvalidValue: the controller returns something other than a `Step` for this arm.

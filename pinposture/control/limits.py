@@ -29,12 +29,12 @@ class JointBounds(NamedTuple):
 
     Attributes:
         bound: largest |dq|, (nv,) [rad or m]; infinite where there is no limit.
-        travel: joint travel that this allows, median over the joints, at most `USUAL_STEP` [rad].
-        edges: joint positions to stay between, margin included, (2, nv) [rad or m].
+        travel: joint travel per step, median over the joints, at most `USUAL_STEP` [rad].
+        edges: position limits with the margin, (2, nv) [rad or m].
         brake: largest change of dq from one step to the next, (nv,) [rad or m]; None: any.
-        units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
+        units: unit of motion of each joint of the chain, (n,) [rad or m].
         leaning: how far outside its limits each may be before it is brought back, (n,) [rad or m].
-        dt: duration of a step [s]; None: steps have none.
+        dt: duration of a step [s]; None: undefined.
 
     Kernels take the arrays. Do not write to them.
     """
@@ -237,14 +237,14 @@ LIMIT_ROUNDING = 1e-9
 
 
 class StepBox(NamedTuple):
-    """The steps that the limits allow: all dq with lower <= dq <= upper. There always are some.
+    """The steps that the limits allow: all dq with lower <= dq <= upper; never empty.
 
     Attributes:
         lower: smallest joint displacement, (nv,) [rad or m].
         upper: largest joint displacement, (nv,) [rad or m].
         violated_constraints: the limits that cannot be kept from here on, in words; see `Limits.box`.
         outside: whether a joint of the chain is outside its position limits, by more than rounding.
-        sides: both of the former, (2, nv), for kernels.
+        sides: lower and upper, (2, nv), for kernels.
     """
 
     lower: Array
@@ -260,8 +260,7 @@ class LimitedStep(NamedTuple):
     Attributes:
         dq: joint displacement, (nv,) [rad or m].
         scale: factor by which the whole step was shortened to meet the step limit, in (0, 1].
-        clipped: which joints were cut short at a position limit, or on their way to it because they could not
-            stop there otherwise, (nv,).
+        clipped: which joints were clipped at a position limit, or before it to stop there, (nv,).
     """
 
     dq: Array
@@ -274,13 +273,13 @@ class Limits:
     """Limits of one control step. Joint position limits of the arm always hold as well.
 
     Attributes:
-        step: largest |dq| of each joint in one step [rad or m]; one number or (nv,). None: no such limit.
-        velocity: largest joint speed [rad/s or m/s]; one number or (nv,). Needs `dt`. None: the arm's own.
-        dt: duration of a step [s]. None: speeds are not limited.
+        step: largest |dq| of each joint in one step [rad or m]; one number or (nv,). None: no limit.
+        velocity: largest joint velocity [rad/s or m/s]; one number or (nv,). Needs `dt`. None: the arm's.
+        dt: duration of a step, the cycle time [s]. None: velocities are not limited.
         position_margin: distance to keep from each joint position limit [rad or m].
         acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. In one
             step dq changes by at most acceleration * dt^2, and joints brake early enough to stop at their
-            position limits. None: no such limit.
+            position limits. None: no limit.
     """
 
     step: float | Array | None = 0.1
@@ -322,31 +321,31 @@ class Limits:
         return bound
 
     def travel(self, state: ArmState) -> float:
-        """Return the joint travel that limits allow in a step, median over the joints, at most 0.1 [rad]."""
+        """Return the joint travel that the limits allow in a step, median over joints, at most 0.1 [rad]."""
         return self.for_arm(state.arm).travel
 
     def box(self, state: ArmState, previous: Array | None = None) -> StepBox:
-        """Return the steps that each joint may take so that it keeps its limits now and can keep them later.
+        """Return the steps with which each joint keeps its limits now and can keep them later.
 
-        That is, it keeps its step, speed and acceleration limits and its position limits, and after the step
-        it can still brake and stop before its position limit; the derivation is in `control.limits`. Some
-        states leave no such step. Then this is relaxed:
+        It keeps its step, velocity, acceleration and position limits, and can still stop before its position
+        limit after the step; the derivation is in `control.limits`. In some states no such step exists. Then
+        limits are relaxed:
 
-        * Never the step and speed limits: a drive has no more, and people rely on it.
+        * Never the step and velocity limits: drives cannot exceed them, and safety depends on them.
         * The acceleration limit, if the joint was faster than its bound before. It then takes the bound.
-        * The position limit, if the joint cannot stop before it. It then brakes as hard as it may: stopping
-          harder on paper makes no real joint stop harder.
-        * The position limit, if the joint is outside to begin with. It then comes back, as fast as it can
-          come to rest at the limit, or faster. From rest it never goes farther out.
+        * The position limit, if the joint cannot stop before it. It then brakes at the acceleration limit: a
+          real joint cannot brake harder.
+        * The position limit, if the joint starts outside it. It then returns, at least as fast as it can
+          come to rest at the limit. From rest it never moves farther out.
 
-        Joints that move no control point have no position limits here: they are left where they are.
+        Joints that move no control point have no position limits here: they do not move.
 
         Args:
-            state: where the step begins.
-            previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
+            state: the state of the arm.
+            previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
 
         Raises:
-            InvalidValue: limits that do not fit the arm, or a previous step that does not.
+            InvalidValue: the limits or the previous step do not fit the arm.
         """
         arm, bounds = state.arm, self.for_arm(state.arm)
         positions = state.forward.positions
@@ -359,19 +358,18 @@ class Limits:
         return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
-        """Shorten a step until it meets the step limit, then cut it at the position limits.
+        """Scale a step to meet the step limit, then clip it at the position limits.
 
-        A joint that is outside its position limits to begin with is brought back, no faster than the
-        step limit allows.
+        A joint that starts outside its position limits is brought back, no faster than the step limit allows.
 
-        With an acceleration limit, the step asked for counts as the distance that each joint has to go: it
-        goes no faster than it can stop at the end of it, or it would swing about its goal. The step is then
+        With an acceleration limit, the requested step is the distance that each joint has to travel: it moves
+        no faster than it can stop at the end of it, or it would oscillate about its goal. The step is then
         moved into the `box`.
 
         Args:
-            state: where the step begins.
-            dq: the step asked for, (nv,) [rad or m].
-            previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
+            state: the state of the arm.
+            dq: the requested step, (nv,) [rad or m].
+            previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
         """
         arm, bounds = state.arm, self.for_arm(state.arm)
         before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
@@ -382,14 +380,14 @@ class Limits:
         return LimitedStep(cut, scale, clipped)
 
     def hold(self, state: ArmState, previous: Array | None = None) -> LimitedStep:
-        """Return the step of a controller that has nowhere to go: joints stop as soon as limits allow.
+        """Return the step that holds: joints stop as soon as the limits allow.
 
-        Without an acceleration limit that is at once. Joints outside their position limits are not brought
+        Without an acceleration limit they stop at once. Joints outside their position limits are not brought
         back.
 
         Args:
-            state: where the step begins.
-            previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
+            state: the state of the arm.
+            previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
         """
         bounds = self.for_arm(state.arm)
         dq = np.zeros(state.arm.nv)
@@ -413,7 +411,7 @@ def require_limits(limits: Limits | None) -> Limits:
     """Return limits; `Limits()` for None.
 
     Raises:
-        InvalidValue: something else.
+        InvalidValue: another type.
     """
     if not (limits is None or isinstance(limits, Limits)):
         raise InvalidValue("limits", limits, "Limits(...), or None")
@@ -421,10 +419,10 @@ def require_limits(limits: Limits | None) -> Limits:
 
 
 def cycle_of(limits: object) -> float:
-    """Return the duration of a control cycle that limits are for [s].
+    """Return the cycle time of limits [s].
 
     Raises:
-        InvalidValue: no limits, or they know of no time.
+        InvalidValue: no limits, or limits without `dt`.
     """
     if not isinstance(limits, Limits) or limits.dt is None:
         raise InvalidValue("limits", limits, "Limits(dt=...), with the duration of a control cycle")

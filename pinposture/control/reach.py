@@ -28,55 +28,55 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 
 TIP_TOLERANCE = 1e-6
-"""How near its goal the tip is unless told otherwise, in arm lengths."""
+"""Default tolerance of the tip position, in arm lengths."""
 
 DISTINCT = 0.05
-"""Largest distance between points of two postures from which on they are different, in arm lengths."""
+"""Distance between points of two postures beyond which they are distinct, in arm lengths."""
 
 SEEDS_PER_WAVE, CHOSEN, MAX_WAVES, MAX_IDLE_WAVES = 24, 6, 40, 3
-"""Postures to begin with in each wave, how many of them are brought clear, the largest number of waves, and
-how many in a row may find nothing new after the first find."""
+"""Seed postures per wave, how many of them are made clear, the largest number of waves, and how many waves
+in a row may find nothing new after the first find."""
 
 SPARE = 3
-"""How many more postures than asked for are looked for, to choose from."""
+"""Number of postures sought beyond `count`, to choose from."""
 
 SEED_AMPLITUDES = 0.15, 1.3
-"""Smallest and largest joint position of smooth postures to begin with, in `Arm.joint_units`."""
+"""Range of the amplitudes of smooth seed postures, in `Arm.joint_units`."""
 
 FEW_JOINTS = 8
-"""Number of joints up to which postures to begin with are uniformly random."""
+"""Largest number of joints for which seed postures are uniformly random."""
 
 MAX_JOINT_MOTION = 0.3
 """Largest joint motion of one iteration, in `Arm.joint_units`."""
 
 TIP_ITERATIONS, CLEAR_ITERATIONS, POLISH_ITERATIONS = 40, 80, 12
-"""Iterations that bring the tip to its goal, that bring the arm clear, and that improve a posture."""
+"""Iterations to bring the tip to its goal, to make the arm clear, and to improve a posture."""
 
 BUFFER = 1e-4
-"""By how much more than the margin clearance is asked for, in arm lengths: it is then kept exactly."""
+"""Clearance sought beyond the margin, in arm lengths, so that the margin is kept exactly."""
 
 AMPLE = 0.05
-"""Clearance that needs no more, in arm lengths."""
+"""Clearance beyond which more is not better, in arm lengths."""
 
 NEAR_LIMIT_SHARE = 0.7
-"""Share of half its range, from the middle, from which on a joint is drawn back."""
+"""Distance from the middle of its range beyond which a joint is drawn back, in halves of the range."""
 
 MANIPULABILITY_GAIN = 2e-3
 """Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
 
 DECREASE, INCREASE, MAX_DAMPING = 0.2, 5.0, 1e6
-"""How the damping changes after a step that helped or did not, and where the search ends."""
+"""Factors of the damping after a step that reduces the error or not, and its value that ends the search."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReachedPosture:
-    """A clear posture that brings the tip where it should be.
+    """A clear posture with the tip at its goal.
 
     Attributes:
         q: the configuration, (nq,) [rad or m].
         target: the posture as a target, for `plan`, `track` and the rest of the library.
-        path: the path to it from the start; None if no start was given. Its `hindrance` says what it comes
-            too close to, if no clear path was found.
+        path: the path to it from the start; None without a start. If no clear path was found, its
+            `hindrance` names what the path comes too close to.
         error: distance of the tip from its goal [m].
         clearance: smallest distance from obstacles, and of the arm from itself if the scene says so [m];
             infinite without a scene.
@@ -84,9 +84,9 @@ class ReachedPosture:
             1 if no joint has limits.
         manipulability: index of the tip (see `Ellipsoid.index`), in [0, 1]; 0 in a singular posture.
         path_ratio: length of the path in joint space over that of the straight line; None without a path.
-        score: mean of the shares by which postures are ranked, in [0, 1]: clearance (1 from a twentieth of
-            the arm's length on), limit distance, manipulability, and the inverse of the path ratio if there
-            is a path. Postures with a clear path come before those without.
+        score: rank of the posture, in [0, 1]: mean of clearance (1 from a twentieth of the arm's length),
+            limit distance, manipulability, and the inverse of the path ratio if there is a path. Postures
+            with a clear path come before those without.
     """
 
     q: Array
@@ -115,33 +115,33 @@ def reach(
 ) -> tuple[ReachedPosture, ...]:
     """Find clear postures that bring the tip to a position or a pose, and the paths to them.
 
-    Many postures, that of the start among them, are brought to the goal by damped least squares, first
-    without obstacles; those that intrude least are pushed clear, and then use the freedom that is left for
-    clearance, distance from limits and manipulability. It is a search: that it finds nothing is no proof.
+    Damped least squares bring many postures, among them the start, to the goal, first without obstacles.
+    Those that intrude least are pushed clear, then improved in the null space: clearance, distance from joint
+    limits, manipulability. This is a search: if it finds nothing, a posture may still exist.
 
     Args:
         arm: the arm.
-        goal: where the tip should be: a position (3,) [m], or a pose as a `pin.SE3` or a rigid transform
-            (4, 4), world frame.
-        direction: where the last link should point, (3,), world frame, for a position.
-        scene: what to keep clear of, by its margin; None: nothing.
-        start: where the arm is, (nq,); paths begin there. None: no paths.
-        count: how many different postures are wanted. Fewer are returned where no more are found.
-        seed: what the search is drawn from.
-        budget: time for everything [s]. Where it ends the search, the result depends on the machine; else it
-            is the same for a given seed.
-        tolerance: largest distance of the tip from its goal [m]; a turn counts as the arc at a lever of
+        goal: the goal of the tip: a position (3,) [m], or a pose as a `pin.SE3` or a rigid transform (4, 4),
+            world frame.
+        direction: direction of the last link at the goal, (3,), world frame, if the goal is a position.
+        scene: the obstacles and their margin; None: no obstacles.
+        start: the current configuration, (nq,), where the paths begin. None: no paths.
+        count: number of distinct postures wanted. Fewer are returned if no more are found.
+        seed: seed of the random numbers.
+        budget: time for everything [s]. If it ends the search, the result depends on the machine; otherwise
+            it is the same for a given seed.
+        tolerance: largest distance of the tip from its goal [m]; a rotation counts as the arc at a radius of
             `Arm.characteristic_length`. A millionth of the arm's length if None.
-        limits: the margin to position limits, for the paths as well; `Limits()` if None.
+        limits: the margin to position limits, also for the paths; `Limits()` if None.
 
     Returns:
         At most `count` postures, the best first, at least one. In any two of them, some points of the arm are
         at least a twentieth of its length apart.
 
     Raises:
-        InvalidValue: something of another type, or that does not fit the arm.
-        OutOfReach: the goal is farther away than the arm is long, or off the plane of a planar arm.
-        ReachError: no clear posture was found; says how near the search came.
+        InvalidValue: an argument of the wrong type, or one that does not fit the arm.
+        OutOfReach: the goal is farther away than the arm reaches, or off the plane of a planar arm.
+        ReachError: no clear posture was found; the message says how close the search came.
     """
     began = perf_counter()
     if not isinstance(arm, Arm):
@@ -183,24 +183,24 @@ def reach_from(
     scene: Scene | None = None,
     limits: Limits | None = None,
 ) -> ReachedPosture | None:
-    """Find the clear posture with the tip at a place that one descent from another posture leads to.
+    """Find a clear posture with the tip at a goal by a single descent from a given posture.
 
-    This is one of the many descents of `reach`, quick enough for a place that is dragged.
+    `reach` runs many such descents; one is quick enough while a user drags the goal.
 
     Args:
         arm: the arm.
-        place: where the tip should be, (3,) [m], world frame.
-        start: the posture to begin with, (nq,).
-        scene: what to keep clear of, by its margin; None: nothing.
+        place: the goal of the tip, (3,) [m], world frame.
+        start: the initial posture, (nq,).
+        scene: the obstacles and their margin; None: no obstacles.
         limits: the margin to position limits; `Limits()` if None.
 
     Returns:
-        The posture, without a path; None if the descent ends elsewhere, or too near something.
+        The posture, without a path; None if the descent misses the goal or violates the margin.
 
     Raises:
-        InvalidValue: something that does not fit the arm.
-        OutOfReach: no posture has its tip there.
-        ReachError: the place is inside an obstacle.
+        InvalidValue: an argument does not fit the arm.
+        OutOfReach: the goal is out of reach.
+        ReachError: the goal is inside an obstacle.
     """
     task, tolerance = _tip_task(arm, place, None), TIP_TOLERANCE * arm.length
     _check_in_reach(arm, _place_of(task), tolerance, scene)
@@ -365,10 +365,10 @@ class _Search:
 
     def _why_none(self, nearest: float, intruding: int) -> str:
         if nearest > self.tolerance:
-            return f"no posture was found that brings the tip nearer than {nearest:.3g} m"
+            return f"the closest posture found leaves the tip {nearest:.3g} m from its goal"
         return (
-            f"no clear posture was found: all of the {intruding} that were tried come too near something, "
-            "or lose the goal where they do not; a larger budget tries more"
+            f"no clear posture was found: each of the {intruding} postures tried either violates the margin "
+            "or misses the goal; a larger budget tries more"
         )
 
     def _seeds(self, start: Array | None, first: bool, rng: np.random.Generator) -> Iterator[Array]:

@@ -101,7 +101,7 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
     E e = e, the step that covers the error turns the point straight to that orientation.
 
     Args:
-        state: where the arm is.
+        state: the state of the arm.
         point: index of the control point, 0-based.
         wanted: the orientation, from the frame of the control point to the world, (3, 3).
 
@@ -132,7 +132,7 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
     them, [0, pi]. Opposite directions are half a turn apart in a direction that depends on t alone.
 
     Args:
-        state: where the arm is.
+        state: the state of the arm.
         points: indices of the control points, 0-based, (k,).
         wanted: unit vectors, (k, 3), world frame.
 
@@ -244,7 +244,7 @@ class ControlTask(Protocol):
         """Return the rows of the task at a state.
 
         Args:
-            state: where the arm is.
+            state: the state of the arm.
             target: the target posture that the arm is taking.
 
         Raises:

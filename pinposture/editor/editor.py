@@ -175,10 +175,10 @@ class Editor:
                 self.session.say(str(error), "error")
             except Exception as error:  # a bug; editing goes on
                 logger.exception("a request failed")
-                self.session.say(f"that did not work, and nothing was changed ({error})", "error")
+                self.session.say(f"an internal error; nothing was changed ({error})", "error")
         if self._flooded:
             self._flooded = False
-            self.session.say("too much at once: some of it was not done", "warning")
+            self.session.say("too many requests at once: some were dropped", "warning")
 
     def _next_request(self) -> Request | None:
         """Return the next request; None while a final proposal waits for its verdict."""

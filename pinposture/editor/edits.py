@@ -41,7 +41,7 @@ def keyframes_of(task: Task) -> tuple[Keyframe, ...]:
         TaskError: the task follows a leader and has no keyframes.
     """
     if isinstance(task.motion, Leader):  # which is a tuple, too
-        raise TaskError("the task", "it follows a leader; only tasks of keyframes can be edited")
+        raise TaskError("the task", "follows a leader; only tasks of keyframes can be edited")
     return task.motion
 
 
@@ -124,13 +124,13 @@ class Shape:
             position: where to, (3,) [m], world frame.
 
         Raises:
-            CurveError: the point would lie on another, or the points give no curve.
-            InvalidValue: the first point, which stands at the base of the arm; not a position.
+            CurveError: the point is too close to another, or the points define no curve.
+            InvalidValue: the first point, which is at the base of the arm, or not a position.
         """
         self._check_index(index)
         place = finite_vector("position", position, 3)
         if index == 0 and not math.dist(place, self.points[0]) <= 1e-9 * arm.length:
-            raise InvalidValue("point 1", place.tolist(), "where it is: it stands at the base of the arm")
+            raise InvalidValue("point 1", place.tolist(), "its position at the base of the arm")
         if index > 0 and arm.dimension == 2:
             base, plane = arm.chain.base, arm.plane
             place = np.asarray(base + (place - base) @ plane.T @ plane)
@@ -158,11 +158,11 @@ class Shape:
 
         Raises:
             CurveError: too few would be left.
-            InvalidValue: the first point, which stands at the base of the arm.
+            InvalidValue: the first point, which is at the base of the arm.
         """
         self._check_index(index)
         if index == 0:
-            raise InvalidValue("point 1", "deleted", "to stay: it stands at the base of the arm")
+            raise InvalidValue("point 1", "deleted", "other points; this one is at the base of the arm")
         least = self.degree + 1
         if len(self.points) <= least:
             reason = f"cannot be deleted: a curve of degree {self.degree} needs {least} control points"
@@ -177,7 +177,7 @@ class Shape:
         """Move the last point straight on until the curve is long enough; the changed point is checked first.
 
         Raises:
-            CurveError: the changed point lies on another, or the curve cannot be made long enough.
+            CurveError: the changed point is too close to another, or the curve cannot be made long enough.
         """
         points = self.points
         if changed is not None:
@@ -186,7 +186,7 @@ class Shape:
             other = int(np.argmin(distances))
             least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
             if distances[other] < least:
-                reason = f"would lie on point {other + 1}; allowed: {least:.2g} m or more from it"
+                reason = f"is too close to point {other + 1}; allowed: {least:.2g} m or more from it"
                 raise CurveError(f"point {changed + 1}", reason)
         required = required_length(arm)
         for _ in range(MAX_EXTENSIONS):
@@ -198,7 +198,7 @@ class Shape:
             step = (missing + 0.01 * arm.length) / max(float(np.linalg.norm(ahead)), 1e-12)
             points = points.copy()
             points[-1] = points[-1] + step * ahead
-        reason = f"cannot be moved on until the curve is {required:.4g} m long, as the arm needs it"
+        reason = f"cannot be moved far enough to make the curve {required:.4g} m long, as the arm requires"
         raise CurveError(f"point {len(points)}", reason)
 
 
@@ -256,12 +256,12 @@ def retimed(index: int, time: float) -> Edit:
         keyframes, gaps = list_keyframes(task, index), _gaps(task)
         if index == 0:
             if time != 0.0:
-                raise InvalidValue("time of keyframe 1", time, "0 s: the motion begins with it")
+                raise InvalidValue("time of keyframe 1", time, "0 s, the start of the motion")
             return _with_gaps(task, keyframes, gaps)
         least_gap = _min_gap(task)
         least = times_of(task)[index] - gaps[index] + least_gap
         if not least - TIME_TOLERANCE <= time < math.inf:
-            allowed = f"{least:.4g} s or later, after the one before"
+            allowed = f"{least:.4g} s or later, after the previous keyframe"
             raise InvalidValue(f"time of keyframe {index + 1}", time, allowed)
         later = time - times_of(task)[index]
         gaps[index] += later
@@ -322,7 +322,7 @@ def reordered(index: int, to: int) -> Edit:
     def edit(task: Task) -> Task:
         keyframes = list_keyframes(task, index)
         if not 0 <= to < len(keyframes):
-            raise TaskError(f"keyframe {index + 1}", "there is none before the first or after the last")
+            raise TaskError(f"keyframe {index + 1}", "cannot be moved before the first or after the last")
         keyframes.insert(to, keyframes.pop(index))
         return _with_gaps(task, keyframes, _gaps(task))
 

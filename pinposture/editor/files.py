@@ -62,13 +62,13 @@ class Recovered(NamedTuple):
 
 
 def autosave_path(path: Path) -> Path:
-    """Return the autosave file of a task file, which is beside it."""
+    """Return the autosave file of a task file, in the same folder."""
     suffix = path.suffix if path.suffix in (".toml", ".json") else ".toml"
     return path.with_name(f"{path.stem}.autosave{suffix}")
 
 
 def recover(path: Path) -> Recovered | None:
-    """Read what was autosaved beside a task file; None if there is nothing."""
+    """Read the autosave of a task file; None if there is none."""
     kept = autosave_path(path)
     left, file = version_of(kept), version_of(path)
     if left is None:
@@ -137,7 +137,7 @@ class Autosave:
         """Write a state, or remove the file."""
         found = version_of(path)
         foreign = path in self._written and found not in (None, self._written[path])
-        complaint = f"somebody else writes {path.name}, too: is its task open twice?" if foreign else ""
+        complaint = f"another program also writes {path.name}: is the task open twice?" if foreign else ""
         files = (path, path.with_suffix(".urdf"))  # an arm that nothing else describes is written beside it
         try:
             if task is not None:
@@ -151,7 +151,7 @@ class Autosave:
                 for each in files:
                     each.unlink(missing_ok=True)
         except Exception as error:  # of any kind: the next state is tried again
-            complaint = f"your changes cannot be kept: {error}"
+            complaint = f"your changes cannot be autosaved: {error}"
             level = logging.WARNING if isinstance(error, PostureError | OSError) else logging.ERROR
             logger.log(level, "%s: %s", path, error, exc_info=level == logging.ERROR)
         self.complaint = complaint
@@ -183,24 +183,22 @@ class Files:
         """Save the task in its file, or in another one, which then becomes its file.
 
         Raises:
-            FileError: it cannot be written, another file has that name, or somebody else changed the file:
-                that is reported once, and saving again replaces it. Nothing changes.
+            FileError: it cannot be written, another file has that name, or another program changed the file:
+                that is reported once, and saving again overwrites it. Nothing changes.
         """
         path = session.path if path is None else path
         if path is None:
-            raise FileError("the task", "has no file yet; give it a name, such as task.toml")
+            raise FileError("the task", "has no file yet; enter a file name, such as task.toml")
         path = path.absolute()
         there = version_of(path)
         if path != session.path and there is not None:
-            raise FileError(
-                path, "exists already; allowed: a name that is free, or that of the file being edited"
-            )
+            raise FileError(path, "already exists; allowed: a new name, or that of the file being edited")
         if there is not None and there != self._version:
             self._version = there
-            raise FileError(path, "somebody else changed it; save again to replace that, or save elsewhere")
+            raise FileError(path, "was changed by another program; save again to overwrite it")
         arm = path.with_suffix(".urdf")
         if arm.is_symlink() and not arm.exists():  # the arm may be written there
-            raise FileError(arm, "is a link to nowhere; remove it, or save elsewhere")
+            raise FileError(arm, "is a broken link; remove it, or save elsewhere")
         session.task.save(path)
         before, session.path, session.saved = session.path, path, session.task
         self._version = version_of(path)
@@ -224,7 +222,7 @@ class Files:
                 if not isinstance(error, PostureError):  # a bug, which has to be reported, too
                     logger.exception("%s could not be opened", path)
                 reason = str(error)
-                self._post(lambda session: session.say(f"not opened: {reason}", "error"))
+                self._post(lambda session: session.say(f"cannot open it: {reason}", "error"))
                 return
 
             def opened(session: Session) -> None:
@@ -243,9 +241,9 @@ class Files:
 
 
 def restore(session: Session) -> None:
-    """Take up the autosaved changes of an editor of the same file that ended before it saved.
+    """Restore the autosaved changes of an editor that ended before it saved the same file.
 
-    Undo takes them back. Where the file was written after them, it counts, and redo takes them up.
+    Undo discards them. If the task file is newer, the file wins, and redo restores the changes.
     """
     left = None if session.path is None else recover(session.path)
     if left is None:
@@ -254,18 +252,18 @@ def restore(session: Session) -> None:
         try:
             name = _rename_aside(left.path).name
         except OSError as error:
-            name = f"{left.path.name}, which is going to be replaced ({error.strerror or error})"
-        text = f"changes that were not saved cannot be read, and are in {name}: {left.complaint}"
+            name = f"{left.path.name} (about to be overwritten: {error.strerror or error})"
+        text = f"the unsaved changes in {name} cannot be read: {left.complaint}"
         session.say(text, "error")
         return
     task = _with_same_arm(left.task, session.task, left.path)
     session.take_up(task, min(session.selected, len(keyframes_of(task)) - 1))
     if left.older:
         session.undo()
-        text = f"{left.path.name} holds changes from before the file was written; redo takes them up"
+        text = f"{left.path.name} holds changes older than the task file; redo restores them"
     else:
-        back = "takes that back" if session.saved is None else "goes back to the file"
-        text = f"recovered what was not saved (from {left.path.name}); undo {back}"
+        back = "discards them" if session.saved is None else "returns to the file"
+        text = f"recovered unsaved changes (from {left.path.name}); undo {back}"
     session.say(text, "warning")
 
 
@@ -320,7 +318,7 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
     except (OSError, RuntimeError, ValueError) as error:  # a null byte, links in a circle
         raise FileError(name, f"cannot be found ({error})") from None
     if outside:
-        allowed = "allowed: names in there, or another --folder at the start"
+        allowed = "allowed: files in that folder; --folder chooses another"
         raise FileError(name, f"is not a file in {folder}; {allowed}")
     return path
 
@@ -351,7 +349,7 @@ def export(motion: Motion, kind: str, stem: str) -> Export:
 
     Raises:
         UnknownName: no such kind.
-        MotionError: joints of a motion that is not fit for a robot; `pinposture export --force` writes them.
+        MotionError: the motion has faults; `pinposture export --force` writes it all the same.
         FileError: it cannot be written.
         InvalidValue: times that the format cannot hold.
     """

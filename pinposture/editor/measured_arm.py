@@ -87,7 +87,7 @@ class JointStateLines:
 
     def _read_named(self, names: Any, positions: Any, stamp: float | None) -> JointPositions:
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise InvalidValue("name", names, "a list of names of joints")
+            raise InvalidValue("name", names, "a list of joint names")
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise InvalidValue("name", twice, "each joint once")
@@ -109,7 +109,7 @@ def _numbers(name: str, values: Any, count: int) -> list[float]:
     for k, value in enumerate(values):
         # NaN fails every comparison; a bool is no number here.
         if type(value) not in (float, int) or not -NO_LIMIT <= value <= NO_LIMIT:
-            raise InvalidValue(f"{name}[{k}]", value, f"a finite number within {NO_LIMIT:g} either way")
+            raise InvalidValue(f"{name}[{k}]", value, f"a finite number from {-NO_LIMIT:g} to {NO_LIMIT:g}")
     return [float(value) for value in values]
 
 
@@ -325,7 +325,7 @@ class JointStates:
             latest, received = self._latest, self._received
         complaint = latest.complaint
         if latest.count and latest.unheard and not complaint:
-            complaint = f"never told of, and taken to be at zero: {_listed(latest.unheard)}"
+            complaint = f"no positions yet, shown at zero: {_listed(latest.unheard)}"
         return replace(latest, age=time.monotonic() - received, complaint=complaint)
 
     @property
@@ -353,7 +353,7 @@ class JointStates:
                 if came.lines or came.partial or came.restarted:
                     self._take(came)
         except OSError as error:
-            self._complain(f"{self._source.name} cannot be read any more ({error.strerror or error})")
+            self._complain(f"{self._source.name} can no longer be read ({error.strerror or error})")
         except Exception as error:  # without a complaint the last posture would look current
             logger.exception("reading joint states ended")
             self._complain(f"reading ended ({type(error).__name__}: {error})")
@@ -406,7 +406,7 @@ class JointStates:
         if unknown:
             self._unknown.update(unknown)
             joints = f"{_listed(unknown)}; the arm has {_listed(tuple(self._lines.columns))}"
-            batch.complaint = batch.complaint or f"line {number} names joints that the arm has not: {joints}"
+            batch.complaint = batch.complaint or f"line {number} names unknown joints: {joints}"
         if not len(read.columns):
             batch.skipped += 1
             return

@@ -131,7 +131,7 @@ class Rehearsal:
             raise
         except Exception as error:  # a bug, which has to be reported, too
             logger.exception("a motion could not be worked out")
-            return Rehearsed(task, None, f"the motion could not be worked out ({error})")
+            return Rehearsed(task, None, f"the motion could not be computed ({error})")
 
 
 class Moment(NamedTuple):

@@ -253,7 +253,7 @@ class Session:
         note = ""
         if shape.off != 0.0:
             count, off = len(shape.points), 1000.0 * shape.off
-            note = f"the curve is one of {count} control points now, within {off:.2g} mm of what it was"
+            note = f"the curve now has {count} control points, and is within {off:.2g} mm of the old one"
         self.propose(reshaped(self.selected, change, shape), what, final, note)
 
     def propose(self, edit: Edit, what: str, final: bool = True, note: str = "") -> None:
@@ -284,7 +284,7 @@ class Session:
         target = live.verdict.target
         if target is None:
             self._set_selected(self.selected)
-            reason = f"not done, the arm cannot take that shape: {live.verdict.reason}"
+            reason = f"refused, the arm cannot take that shape: {live.verdict.reason}"
             self.say(f"{proposal.what}: {reason}", "error")
             self.touch()
             return
@@ -317,7 +317,7 @@ class Session:
     def redo(self) -> None:
         """Redo the edit that was undone last."""
         done = self.history.redo()
-        self._go(done, None if done is None else done.after, "done again", "nothing to do again")
+        self._go(done, None if done is None else done.after, "redone", "nothing to redo")
 
     def replace(self, task: Task, path: Path | None, saved: bool) -> None:
         """Edit another task instead, with a new history."""

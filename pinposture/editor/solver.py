@@ -223,7 +223,7 @@ class Live(NamedTuple):
         number: of the problem that was last looked at.
         arm: the arm.
         verdict: what the arm can make of it.
-        state: where the arm is.
+        state: the state of the arm.
         target: where it is going; None if there was nothing yet that it could take.
         errors: distance of each control point from its target, zero where it has none, (m,) [m].
         tip_error: by how much the task of the tip is missed [m]; None without one.
@@ -268,7 +268,7 @@ def at_limit(state: ArmState, dq: Array, bound: Array) -> NDArray[np.bool_]:
     """Return which joints of the chain are at a limit.
 
     Args:
-        state: where the arm is.
+        state: the state of the arm.
         dq: its last step, (nv,) [rad or m].
         bound: the longest step allowed, (nv,) [rad or m].
 
@@ -377,7 +377,7 @@ class Solver:
             self._verdict = Verdict(None, str(error))
         except Exception as error:  # a bug must not end the thread, which others wait for
             logger.exception("a problem could not be looked at")
-            self._verdict = Verdict(None, f"that could not be worked out ({error})")
+            self._verdict = Verdict(None, f"an internal error ({error})")
 
     def _change_arm(self, problem: Problem) -> None:
         """Turn to another arm, which begins straight.

@@ -95,7 +95,7 @@ class ScanShelf:
                 try:
                     path.write_bytes(content)
                     if folder is None:
-                        raise FileError(plain, "is to be kept beside the task file: save the task first")
+                        raise FileError(plain, "needs a task file to be stored next to; save the task first")
                     if avoided:
                         read_obstacle(path, scale)
                     else:
@@ -147,7 +147,7 @@ class ScanShelf:
     def _add(self, path: Path) -> None:
         def request(session: Session) -> None:
             if path in session.task.scans:
-                session.say(f"{path.name} is there already", "warning")
+                session.say(f"{path.name} has already been added", "warning")
             else:
                 session.edit(with_scans((*session.task.scans, path)), f"added the scan {path.name}")
 
@@ -166,7 +166,7 @@ class ScanShelf:
             self._known[path], self._thinned[path] = scan, thinned
         width = float((scan.points.max(axis=0) - scan.points.min(axis=0)).max())
         if new and width > MAX_PLAUSIBLE_WIDTH:
-            text = f"{path.name} is {width:.3g} m wide: is it in millimetres? Scans are taken to be in metres"
+            text = f"{path.name} is {width:.3g} m wide: is it in millimetres? Scans must be in metres"
             self._post(lambda session: session.say(text, "warning"))
         return scan
 

@@ -40,8 +40,8 @@ class Motions:
     Attributes:
         offsets: first configuration of each run, and the number of all, (count + 1,).
         q, clearance: as in `Trajectory`, a row for each configuration.
-        active, index, sigma_min, sigma_max, rows, scale, clipped, escape: likewise, a row for each step.
-        method, switched, relaxed: likewise, (all steps,), as indices of `texts`.
+        active, index, sigma_min, sigma_max, rows, scale, clipped, error_increasing: likewise, a row per step.
+        method, switched, violated_constraints: likewise, (all steps,), as indices of `texts`.
         texts: the different texts.
     """
 
@@ -116,18 +116,18 @@ FAILED = "failed"
 class Batch:
     """Many runs of one arm, in the order in which they were asked for.
 
-    `batch[i]` is run i as a `Trajectory`, from 0, if the motions were kept; `len(batch)` their number, called
-    count below.
+    `batch[i]` is run i as a `Trajectory`, from 0, if the motions were kept; `len(batch)` is the number of
+    runs (count below).
 
-    A run that failed is one that an error ended, for instance because the controller does not take such a
-    target: it has the status "failed", the error for a reason, no steps, and ends where it began.
+    A run fails if an error ends it, for instance because the controller does not support its target. It then
+    has the status "failed", the error as its reason, and no steps, and it ends where it began.
 
     Attributes:
         arm: the arm that moved.
-        targets: the target posture of each run, or the one of all.
-        controller: the controller and its parameters, in words.
-        limits: what a step could not exceed.
-        scene: what the arm was to keep clear of; None if nothing.
+        targets: the target posture of each run, or the one that all share.
+        controller: name and parameters of the controller.
+        limits: the limits that each step had to satisfy.
+        scene: the obstacles that the arm had to avoid; None if there were none.
         max_steps: number of steps after which a run stopped.
         tolerance: mean point error at which a run had converged [m].
         status: as `Trajectory.status`, or "failed", (count,).
@@ -142,7 +142,7 @@ class Batch:
             in penetration, infinite where there was no scene.
         q_start: configurations at the start, (count, nq).
         q_final: configurations at the end, (count, nq).
-        motions: the whole motions, one behind the other; None if only the ends were kept.
+        motions: the whole motions, concatenated; None if only the ends were kept.
     """
 
     arm: Arm
@@ -175,8 +175,8 @@ class Batch:
     def __getitem__(self, number: int) -> Trajectory:
         number = self._checked_number(number)
         if self.motions is None:
-            allowed = 'keep="motions" in track_many, to have whole motions; q_start and q_final are here'
-            raise InvalidValue("what was kept", "ends", allowed)
+            allowed = '"motions" in track_many; the ends alone are in q_start and q_final'
+            raise InvalidValue("keep", "ends", allowed)
         target = self.target(number)
         return Trajectory(
             arm=self.arm,
@@ -195,7 +195,7 @@ class Batch:
     def _checked_number(self, number: int) -> int:
         # IndexError, not one of our own: it is what a sequence raises, and what ends loops over one.
         if not is_whole(number):
-            raise TypeError(f"runs have whole numbers, not {number!r}")
+            raise TypeError(f"a run is indexed by an integer, not by {number!r}")
         if not -len(self) <= number < len(self):
             raise IndexError(f"run {number} of {len(self)}")
         return int(number) % len(self)
@@ -211,25 +211,25 @@ class Batch:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What went wrong in some of the runs, in words; empty if nothing did."""
+        """The faults of the runs, in words; empty if there are none."""
         away = np.flatnonzero(~self.converged)
         inside = np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length)
         found = []
         if len(away):
-            found.append(f"{len(away)} of {len(self)} runs did not get there")
+            found.append(f"{len(away)} of {len(self)} runs did not reach the target")
         if len(inside):
             deepest = int(self.clearance.argmin())
             depth = f"{-1e3 * self.clearance[deepest]:.3g} mm in run {deepest}"
-            found.append(f"in {len(inside)} runs something was inside of another, at most {depth}")
+            found.append(f"bodies penetrate in {len(inside)} of {len(self)} runs, by at most {depth}")
         return tuple(found)
 
     @property
     def verdict(self) -> str:
-        """What to think of it, in one line."""
-        return "; ".join(self.faults) or f"got there in all {len(self)} runs"
+        """The result in one line."""
+        return "; ".join(self.faults) or f"reached the target in all {len(self)} runs"
 
     def to_dict(self) -> dict[str, Any]:
-        """The batch in numbers that JSON can hold, without the configurations; lengths in metres."""
+        """The batch as data for JSON, without the configurations; lengths in metres."""
         runs = [
             {
                 "status": str(self.status[k]),
@@ -257,7 +257,7 @@ class Batch:
         }
 
     def in_words(self) -> dict[str, str]:
-        """What came of it, as a person reads it: names, and what there is to say."""
+        """The result as names and texts, for a person to read."""
         ends = ", ".join(f"{n} {status}" for status, n in Counter(self.status.tolist()).most_common())
         words = {
             "verdict": self.verdict,
@@ -284,7 +284,7 @@ class Batch:
         return words
 
     def summary(self) -> str:
-        """What came of it in a few lines."""
+        """The result in a few lines."""
         words = self.in_words()
         width = max(map(len, words))
         return "\n".join(f"{name:{width}}  {text}" for name, text in words.items())

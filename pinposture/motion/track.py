@@ -36,9 +36,9 @@ class RunRecord:
     """The states and steps of a run so far.
 
     Args:
-        target: where the control points should be, until a step comes with another target.
+        target: the targets of the control points, until a step brings others.
         start: the first state.
-        scene: what its distances are recorded from; none if None.
+        scene: the scene whose distances are recorded; None: none.
     """
 
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
@@ -51,7 +51,7 @@ class RunRecord:
         self.set_target(target)
 
     def set_target(self, target: Target) -> None:
-        """Replace the target, and measure progress towards it from now on."""
+        """Replace the target, and measure progress towards the new one."""
         self._target = target
         self._now = self._point_errors(self._last)
         self._best, self._idle = self.posture_error, 0.0
@@ -89,8 +89,8 @@ class RunRecord:
         Args:
             state: the state.
             step: the step.
-            travel: joint travel that the limits allowed in it [rad].
-            target: where the control points should be now, if that has changed.
+            travel: joint travel that the limits allowed in this step [rad].
+            target: the new target, if it has changed.
         """
         self._target = self._target if target is None else target
         self._steps.append(step._replace(diagnostics=_without_state(step.diagnostics)))
@@ -105,7 +105,7 @@ class RunRecord:
     def travel_without_progress(self, share: float) -> float:
         """Joint travel since the posture error last fell by this share below its lowest before [rad].
 
-        It is the travel that the limits allowed, escapes apart, so that it means the same at any rate.
+        It is the travel that the limits allowed, except in steps along a path; so it does not depend on dt.
         """
         if self.posture_error < self._best * (1.0 - share):
             self._best, self._idle = self.posture_error, 0.0
@@ -114,7 +114,7 @@ class RunRecord:
     def trajectory(
         self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
     ) -> Trajectory:
-        """Return the run so far; steps that exceed limits of speed or acceleration are named in it."""
+        """Return the run so far; it names the steps that exceed velocity or acceleration limits."""
         steps = self._steps
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
@@ -184,9 +184,9 @@ class ControlLoop:
     Attributes:
         arm: the arm.
         controller: the controller.
-        limits: what a step may not exceed.
+        limits: the limits of each step.
         state: the current state.
-        memory: what the controller remembers; None before the first step.
+        memory: state of the controller between steps; None before the first step.
         last_step: the last step that was computed; None before the first.
         record: the run so far.
     """
@@ -220,7 +220,7 @@ class ControlLoop:
 
         Args:
             step: the step.
-            target: where the control points should be after it, if that has changed.
+            target: the target after the step, if it has changed.
         """
         self.state, self.memory = self.arm.at(self.arm.integrate(self.state.q, step.dq)), step.memory
         self.record.append(self.state, step, self.limits.travel(self.state), target)
@@ -231,8 +231,8 @@ class ControlLoop:
         """Take steps until the arm has converged, stalled, or run out of steps.
 
         Args:
-            target: where its control points should be.
-            tolerance: mean distance of them from there that is close enough [m].
+            target: the target posture.
+            tolerance: mean point error at which the run has converged [m].
             max_steps: number of steps of the record after which to stop.
             callback: as for `track`.
 
@@ -319,29 +319,29 @@ def track(
 
     Args:
         arm: the arm.
-        target: where its control points should be.
+        target: the target posture.
         q0: configuration to start from, (nq,).
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
-        limits: what a step may not exceed; `Limits()` if None.
-        scene: what to keep clear of, for a controller that can, as "geodesic"; with others the distances are
-            only recorded. If None, that of the controller.
-        max_steps: number of steps after which to stop. With limits of acceleration an arm that is moving
-            then, or wherever the run ends, is brought to rest in a few more.
+        limits: the limits of each step; `Limits()` if None.
+        scene: the obstacles, for a controller that avoids them, such as "geodesic"; others only record the
+            distances. None: the scene of the controller.
+        max_steps: number of steps after which to stop. With acceleration limits, an arm that still moves when
+            the run ends is brought to rest in a few more.
         tolerance: mean distance of the control points from their targets at which the run has converged
             [m]; 1e-6 of the arm length if None.
-        callback: called after each step with its number (from 1), the state reached and the step; not while
-            the arm is brought to rest. The run stops if it returns True.
+        callback: called after each step with its number (from 1), the state reached and the step, but not
+            while the arm brakes to rest. The run stops if it returns True.
 
     Returns:
-        The motion and everything recorded on the way. `status` is "converged", "stalled" (no step
+        The motion and everything recorded during it. `status` is "converged", "stalled" (no step
         reduces the errors any more, or no progress in 6 rad of allowed joint travel, 60 steps of 0.1 rad,
-        without those of an escape or on the way to a goal), "no_control_points" (the controller found none
-        that it may move), "max_steps" or "stopped" (by the callback); `reason` says it in words.
+        not counting steps along a path or around a local minimum), "no_control_points" (the controller found
+        none that it may move), "max_steps" or "stopped" (by the callback); `reason` explains it in words.
 
     Raises:
-        InvalidValue: q0, the target, max_steps or the tolerance do not fit; or q0 or the configuration of the
-            target are so far outside of the limits that degrees may have been meant.
-        UnknownName: no controller has that name.
+        InvalidValue: q0, the target, max_steps or the tolerance is invalid, or q0 or the configuration of the
+            target is so far outside the limits that it may be in degrees.
+        UnknownName: there is no controller of that name.
     """
     controller, scene = in_scene(controller_named(controller), scene)
     limits = require_limits(limits)
@@ -358,7 +358,7 @@ def track(
     status, reason = loop.run(target, tolerance, max_steps, callback)
     loop.brake_to_rest()
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
-        reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
+        reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
     record = loop.record
     logger.info("%s: %s after %d steps: %s", controller.name, status, record.steps, reason)
     return record.trajectory(arm, controller, limits, status, reason)
@@ -372,7 +372,7 @@ def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, S
         return (controller, controller.scene) if scene is None else (controller.with_scene(scene), scene)
     if scene is not None:
         text = (
-            f'{controller.name} does not keep clear of anything, distances are only recorded; "geodesic" does'
+            f'{controller.name} does not avoid obstacles, it only records distances; "geodesic" avoids them'
         )
         warnings.warn(text, PostureWarning, stacklevel=3)
     return controller, scene

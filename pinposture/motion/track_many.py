@@ -85,7 +85,7 @@ def track_many(
         targets: where its control points should be; one target, or one for each run.
         starts: configurations to start from, (count, nq); or one, (nq,).
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
-        limits: what a step may not exceed; `Limits()` if None.
+        limits: the limits of each step; `Limits()` if None.
         scene: what to keep clear of, as in `track`.
         max_steps: number of steps after which a run stops.
         tolerance: mean distance of the control points from their targets at which a run has converged

@@ -41,14 +41,14 @@ class FeedbackState(NamedTuple):
     Attributes:
         state: state from which the next step starts: the command with a position interface, else the
             measurement; None before the first measurement.
-        reason: why the arm has to hold, in words; else empty.
-        disagreement: largest difference between measured and expected joint positions, in
-            `Arm.joint_units`; None without a measurement that can be used.
+        reason: why the arm must hold; else empty.
+        tracking_error: largest difference between measured and expected joint positions, in
+            `Arm.joint_units`; None without a usable measurement.
     """
 
     state: ArmState | None
     reason: str
-    disagreement: float | None
+    tracking_error: float | None
 
 
 class Feedback:
@@ -118,8 +118,8 @@ class Feedback:
         if largest > self._max_difference and not self._is_confirmed(measured, dt):
             unit = "m" if arm.slides[joint] else "rad"
             far, most = abs(difference[joint]), self._max_difference * arm.joint_units[joint]
-            text = f"joint {arm.joint_names[joint]!r} was measured {far:.3g} {unit} from where it should be"
-            return FeedbackState(self._state(), f"{text}; up to {most:.3g} is fed back", largest)
+            text = f"joint {arm.joint_names[joint]!r} is {far:.3g} {unit} from its expected position"
+            return FeedbackState(self._state(), f"{text}; at most {most:.3g} is fed back", largest)
         if self.restarted:
             difference, largest = np.zeros(arm.nv), 0.0
         self._deviating = None
@@ -272,7 +272,7 @@ INTERFACES = ("position", "velocity")
 MIN_CYCLE = 1e-3
 """Shortest duration of a cycle, relative to the usual one."""
 
-NOT_DONE = "the controller is not done yet"
+NOT_DONE = "the controller is still computing"
 
 REST_TOLERANCE = 1e-9
 """Largest step of an arm at rest, in `Arm.joint_units`: some controllers go on forever by less."""
@@ -282,19 +282,19 @@ ARRIVAL_TOLERANCE = 1e-6
 
 
 class Report(NamedTuple):
-    """What happened in a cycle.
+    """The result of a cycle.
 
     Attributes:
-        status: "moving", "converged" (the posture is taken), "stalled" (the controller has no step that leads
-            closer) or "holding" (braking, or at rest, because something is missing or wrong).
-        reason: why it is stalled or holding, in words; else empty.
+        status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error)
+            or "holding" (braking, or at rest, because an input is missing or wrong).
+        reason: why it is stalled or holding; else empty.
         mean_error: mean distance of the control points from their targets at the beginning of the cycle, by
-            the last measurement that could be used [m]; None before there is a target and a measurement.
+            the last usable measurement [m]; None before the first target and measurement.
         tracking_error: largest difference between measured and expected joint positions, in
-            `Arm.joint_units`; None without a measurement that can be used.
-        target_age: how long ago the target was given, as the cycles tell the time [s]; None without a target.
-        violated_constraints: which constraints gave way in the step, as in `Diagnostics`.
-        step: what the controller answered, its active control set for instance; None if it was not asked.
+            `Arm.joint_units`; None without a usable measurement.
+        target_age: time since the target was set, as the sum of cycle times [s]; None without a target.
+        violated_constraints: constraints that the step violates, as in `Diagnostics`.
+        step: the step of the controller, with its active control set; None if it computed none.
     """
 
     status: str
@@ -307,52 +307,51 @@ class Report(NamedTuple):
 
 
 class Tracker:
-    """Moves an arm towards whatever target it was last given, a step at a time, in closed loop.
+    """Moves an arm towards its latest target, one step per cycle, in closed loop.
 
         tracker = pp.Tracker(arm, limits=pp.Limits(dt=0.01, acceleration=10.0))
         tracker.update(target)                       # whenever there is a new one
         dq = tracker.step(q_measured)                # in every cycle
 
     It never extrapolates: without a target, with a target older than `timeout`, without a measurement, or
-    with one that cannot be true, it brakes within its limits, stands still, and `report` says why.
+    with an implausible one, it brakes within its limits and holds, and `report` gives the reason.
 
-    Drives that take positions are sent `command`, which moves by `dq`, so that limits hold on it exactly;
-    only where the arm turns out to be elsewhere (`resync_time`) does it begin anew from there. What the arm
-    does otherwise, because it sags or lags, is fed back slowly: the command goes as far beyond the target as
-    the arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm
-    was measured.
+    Send `command` to drives that take positions. It moves by `dq`, so it keeps the limits exactly; it
+    restarts from the measured configuration only if the arm stays elsewhere (`resync_time`). Smaller errors,
+    because the arm sags or lags, are fed back slowly: the command goes as far beyond the target as the arm
+    stays behind. Send dq / dt to drives that take velocities; each step then begins at the measurement.
 
     The constructor loads all compiled kernels, so that no cycle has to wait for them: half a second for the
-    first one in a process, and about a minute where they are not compiled yet (`pinposture compile`).
+    first tracker in a process, and about a minute if they are not compiled yet (`pinposture compile`).
 
     Attributes:
         arm: the arm.
-        limits: what a step may not exceed; `dt` is the usual duration of a cycle.
-        report: what happened in the last cycle.
-        scene: the obstacles, as they are known.
+        limits: the limits of each step; `dt` is the nominal cycle time.
+        report: the result of the last cycle.
+        scene: the latest obstacles.
 
     Args:
         arm: the arm.
         controller: as for `track`.
-        limits: as above; `dt` is needed.
+        limits: as above; `dt` is required.
         scene: as for `track`.
-        interface: what the drives take: "position" or "velocity".
-        feedback_time_constant: time in which disagreement between measurement and command is fed back [s].
-            Several times the delay of the drives, or the loop oscillates. Only for positions; infinite: not
-            at all.
+        interface: the command that the drives take: "position" or "velocity".
+        feedback_time_constant: time constant with which the tracking error is fed back [s]. It must be
+            several times the delay of the drives, or the loop oscillates. Only for the position interface;
+            infinite: no feedback.
         max_tracking_error: largest difference between measured and expected joint positions that is fed
-            back, in `Arm.joint_units` (one radian). Where it is larger the arm holds.
-        resync_time: how long such measurements have to agree with each other to be believed [s]. The arm is
-            then taken to be there. Infinite: it holds until `restart`.
-        timeout: age at which a target counts no more [s]; infinite: never.
-        deadline: how long a cycle may wait for the controller [s]. A way round obstacles takes it seconds to
-            plan; where it needs longer it goes on in a thread of its own, and the arm holds until it is done.
-            Threads of Python share their time: a cycle can take some tens of milliseconds more. Infinite:
-            it is always waited for.
+            back, in `Arm.joint_units` (one radian). The arm holds while it is larger.
+        resync_time: how long measurements beyond that must agree with each other before the tracker restarts
+            from them [s]. Infinite: the arm holds until `restart`.
+        timeout: age at which a target expires [s]; infinite: never.
+        deadline: how long a cycle may wait for the controller [s]. Planning a path around obstacles takes
+            seconds; past the deadline it continues in its own thread, and the arm holds until it is done.
+            Python threads share the interpreter, so a cycle can take some tens of milliseconds longer.
+            Infinite: every cycle waits.
 
     Raises:
-        InvalidValue: limits without dt, or numbers that are not positive.
-        UnknownName: no such controller, or interface.
+        InvalidValue: limits without dt, or a number that is not positive.
+        UnknownName: there is no such controller or interface.
     """
 
     def __init__(
@@ -392,37 +391,37 @@ class Tracker:
         self._age = 0.0
         self._memory: Memory | None = None
         self._dt = period
-        self.report = Report("holding", "no step was taken yet", None, None, None)
+        self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
 
     @property
     def command(self) -> Array:
-        """The configuration for drives that take positions, (nq,).
+        """The configuration to send to drives that take positions, (nq,).
 
         Raises:
-            InvalidValue: no measurement has been given yet, so that nothing is known of where the arm is.
+            InvalidValue: there is no measurement yet, so the position of the arm is unknown.
         """
         if self._feedback.command is None:
-            raise InvalidValue("command", None, "a measurement first, given to `step` or to `restart`")
+            raise InvalidValue("command", None, "a command after the first measurement (see `step`)")
         return np.array(self._feedback.command)
 
     @property
     def target(self) -> Target | None:
-        """The target that it was last given."""
+        """The latest target; None before the first."""
         return self._target
 
     def update(self, target: Target, velocity: ArrayLike | None = None) -> None:
-        """Give it a target; it counts from the next step on, until there is another.
+        """Set the target, from the next step on.
 
         Args:
-            target: the target. One that moves should be given anew in each cycle, as it will be at the end
-                of that cycle.
-            velocity: how fast the joints move the configuration that it knows, (nv,) [rad/s or m/s]. None: as
-                `Target.velocity`; if that is None, too, "geodesic" takes the motion since the last cycle.
+            target: the target. Update a moving target in each cycle, with its posture at the end of that
+                cycle.
+            velocity: joint velocities of the target's configuration, (nv,) [rad/s or m/s]. None: those of
+                `Target.velocity`; if that is None too, "geodesic" takes the motion since the last cycle.
 
         Raises:
-            InvalidValue: it does not fit the arm; the one before stays. A velocity for a target that knows no
-                configuration.
+            InvalidValue: the target does not fit the arm (the previous one stays), or a velocity comes
+                with a target without a configuration.
         """
         if not isinstance(target, Target):
             raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
@@ -433,18 +432,18 @@ class Tracker:
         near = self._feedback.command if before is None else before
         given = with_configuration(self.arm, target, near)
         if velocity is not None and given.q is None:
-            raise InvalidValue("velocity", velocity, "None for a target that knows no configuration")
+            raise InvalidValue("velocity", velocity, "None for a target without a configuration")
         self._target, self._age = given, 0.0
 
     def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
-        """Start anew from where the arm is; the target stays.
+        """Restart from the measured configuration; the target stays.
 
         Args:
-            q_measured: the configuration that was measured, (nq,).
-            dq: its displacement in the last cycle, (nv,) [rad or m]; None if it is at rest.
+            q_measured: the measured configuration, (nq,).
+            dq: its displacement in the last cycle, (nv,) [rad or m]; None if the arm is at rest.
 
         Raises:
-            InvalidValue: not a configuration, or not a displacement.
+            InvalidValue: q_measured is not a configuration, or dq not a displacement.
         """
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
         self._feedback.restart(self.arm.checked_start(q_measured, "q_measured"), moved is not None)
@@ -457,24 +456,23 @@ class Tracker:
         points: ArrayLike | None = None,
         scene: Scene | None = None,
     ) -> Array:
-        """Take the step of a control cycle.
+        """Compute the step of a control cycle.
 
         Args:
-            q_measured: the configuration that was measured, (nq,); None, or not finite, if it is missing.
-            dt: time since the cycle before [s]; the usual duration if None. A cycle that was late makes up
-                for nothing; one that is short moves less.
-            points: measured positions of the control points, (m, 3) [m], world frame, which then count in
-                place of those that follow from the joint positions. Rows that are not finite: not seen.
-            scene: the obstacles as they are now, from `Scene.moved`; None: as before. It counts until there
-                is another.
+            q_measured: the measured configuration, (nq,); None, or not finite, if it is missing.
+            dt: time since the previous cycle [s]; the nominal cycle time if None. A late cycle does not move
+                farther; a short one moves less.
+            points: measured positions of the control points, (m, 3) [m], world frame, which replace those
+                computed from the joint positions. Rows that are not finite are points not seen.
+            scene: the current obstacles, from `Scene.moved`; None: unchanged.
 
         Returns:
-            The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide by the duration
-            of the cycle for a speed.
+            The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide it by the cycle
+            time for the velocity.
 
         Raises:
-            InvalidValue: arrays of a wrong shape, a duration that is not positive, or no scene: faults of the
-                program, not of a sensor.
+            InvalidValue: arrays of a wrong shape, a dt that is not positive, or a scene of a wrong type:
+                errors of the program, not of a sensor.
         """
         if scene is not None and scene is not self.scene:
             self._async_step.controller, self.scene = in_scene(self._async_step.controller, scene)
@@ -491,7 +489,7 @@ class Tracker:
                 step, memory = self._async_step.compute(feedback.state, compensated, limits, memory)
                 reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
-                reason = str(error)  # what it cannot work with, as a target that knows no configuration
+                reason = str(error)  # an input that it cannot use, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         if step is None or reason:
@@ -505,7 +503,7 @@ class Tracker:
         return np.array(dq)
 
     def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> Memory:
-        """Brake and stand still, but make way for obstacles that approach."""
+        """Brake and hold, but avoid approaching obstacles."""
         controller, target = self._async_step.controller, self._target
         moving = self.scene is not None and self.scene.velocities
         if moving and state is not None and target is not None and isinstance(controller, Geodesic):
@@ -520,11 +518,11 @@ class Tracker:
         return replace(self._memory, dq=self._memory.dq * (dt / self._dt), stopping=None)
 
     def _target_problem(self) -> str:
-        """Why the target cannot be used, in words; empty if it can."""
+        """Why the target cannot be used; empty if it can."""
         if self._target is None:
-            return "no target was given"
+            return "no target"
         if self._age > self._timeout:
-            return f"the target is {self._age:.3g} s old; after {self._timeout:.3g} s it does not count"
+            return f"the target is {self._age:.3g} s old; it expired after {self._timeout:.3g} s"
         return ""
 
     @cached_property
@@ -550,7 +548,7 @@ class Tracker:
         error = None if target is None or points is None else _mean_distance(points, target)
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
-        return Report(status, reason, error, feedback.disagreement, age, relaxed, step)
+        return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

@@ -1,4 +1,4 @@
-"""What came of a run, or of a motion in time: configurations, how it ended, speeds against the limits."""
+"""The result of a run or of a motion in time: configurations, status, velocities against their limits."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 
 
 class Shares(NamedTuple):
-    """Speeds and accelerations relative to their limits, the largest of all joints; 1 is at the limit.
+    """Velocities and accelerations relative to their limits, the largest of all joints; 1 is at the limit.
 
     Attributes:
         speeds: in each step, (steps,); None if no joint has a limit.
@@ -46,14 +46,14 @@ class Shares(NamedTuple):
 
 
 class LimitViolation(NamedTuple):
-    """How a motion exceeds its limits of speed and acceleration.
+    """How a motion exceeds its velocity and acceleration limits.
 
     Attributes:
-        steps: the steps in which it does, counted from 0. Stopping at the end belongs to the last.
-        words: what is exceeded most in each of them, and how many times it is the limit.
-        worst: the step in which that is most.
-        ratio: how many times the limit it is there.
-        text: that in words.
+        steps: the steps in which it does, counted from 0. The stop at the end belongs to the last.
+        words: the limit that is exceeded most in each of them, and the ratio.
+        worst: the step with the largest ratio.
+        ratio: the largest ratio of a value to its limit.
+        text: a summary in words.
     """
 
     steps: tuple[int, ...]
@@ -64,7 +64,7 @@ class LimitViolation(NamedTuple):
 
 
 def limit_shares(run: Trajectory) -> Shares:
-    """Return speeds and accelerations of a run relative to its limits."""
+    """Return velocities and accelerations of a run relative to its limits."""
     speeds, accelerations = _joint_shares(run)
     bounds = run.limits.for_arm(run.arm)
     limited = bool(np.any(np.isfinite(bounds.bound)))
@@ -75,7 +75,7 @@ def limit_shares(run: Trajectory) -> Shares:
 
 
 def find_limit_violation(run: Trajectory) -> LimitViolation | None:
-    """Return where a run, from and to rest, exceeds its limits of speed and acceleration; None if nowhere."""
+    """Return where a run, from and to rest, exceeds its velocity and acceleration limits; None if nowhere."""
     if not run.steps:
         return None
     bounds = run.limits.for_arm(run.arm)
@@ -91,8 +91,8 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     for step in steps:
         kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
         ratios.append(float((speeds[step], accelerations[step])[kind][joint]))
-        limit = f"{('speed', 'acceleration')[kind]} limit of joint {run.arm.joint_names[joint]!r}"
-        words.append(f"{limit}: {ratios[-1]:.4g} times as much")
+        what = f"{('velocity', 'acceleration')[kind]} of joint {run.arm.joint_names[joint]!r}"
+        words.append(f"{what} is {ratios[-1]:.4g} times its limit")
     most = int(np.argmax(ratios))
     number, worst = len(steps), int(steps[most])
     count = f"{number} step" + ("s" if number > 1 else "")
@@ -120,19 +120,19 @@ ENDINGS: Mapping[str, str] = MappingProxyType(
     {
         "converged": "converged",
         "stalled": "stalled",
-        "no_control_points": "found no control point to move",
+        "no_control_points": "found no control point that it may move",
         "max_steps": "ran out of steps",
         "stopped": "was stopped",
-        "missed": "came to its end elsewhere",
-        "unstable": "ran away",
+        "missed": "ended away from its target",
+        "unstable": "became unstable",
         "failed": "failed",
     }
 )
-"""How a motion can end, with what is said of it.
+"""How a motion can end, and the words for it in messages.
 
-"converged": the arm is where it was to be. "stalled": no step leads closer. "no_control_points": the
+"converged": the arm reached its target. "stalled": no step reduces the error. "no_control_points": the
 controller found none that it may move. "max_steps": it ran out of steps, or cycles. "stopped": by the user.
-"missed": the time of a simulation is over, and the arm is elsewhere. "unstable": the simulated arm ran away.
+"missed": a simulation ended with the arm away from its target. "unstable": the simulation diverged.
 "failed": an error ended the run.
 """
 
@@ -161,7 +161,7 @@ class FinishedMotion(Protocol):
 
     @property
     def scene(self) -> Scene | None:
-        """What the arm was to keep clear of."""
+        """The obstacles that the arm had to avoid; None: none."""
 
     @property
     def clearance(self) -> Array:
@@ -169,14 +169,14 @@ class FinishedMotion(Protocol):
 
     @property
     def excess(self) -> LimitViolation | None:
-        """How they exceed limits of speed and acceleration; None if they do not, or had none to keep."""
+        """How they exceed velocity and acceleration limits; None if they do not, or if there are none."""
 
 
 def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
     """Return why a motion should not be sent to a robot, in words; empty if it may be.
 
-    It did not converge, it exceeds limits of speed or acceleration, or bodies penetrate each other. No other
-    function decides this.
+    It did not converge, it exceeds velocity or acceleration limits, or bodies penetrate each other. Only this
+    function decides it.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
     return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
@@ -189,13 +189,13 @@ def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
         row = int(motion.clearance.argmin())
         pair = " and ".join(CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair or ())
         when = f"after {row} steps" if row else "at the start"
-        found.append(f"{pair} are {-1e3 * motion.clearance[row]:.3g} mm inside each other {when}")
+        found.append(f"{pair} penetrate by {-1e3 * motion.clearance[row]:.3g} mm {when}")
     return tuple(found)
 
 
 def describe_result(motion: FinishedMotion) -> str:
     """Return in one line whether a motion converged, its faults and the reason of its end."""
-    there = "got there" if motion.status == "converged" else "did not get there"
+    there = "reached the target" if motion.status == "converged" else "did not reach the target"
     but = "".join(f", but {what}" for what in _faults_before_end(motion) if what not in motion.reason)
     return f"{there} ({motion.status}){but}: {motion.reason}"
 
@@ -212,11 +212,11 @@ def require_no_faults(motion: FinishedMotion, force: bool) -> None:
 
 
 def closest(motion: FinishedMotion) -> dict[str, Any] | None:
-    """Return the smallest clearance of a motion, as data that JSON can hold.
+    """Return the smallest clearance of a motion, as data for JSON.
 
     Returns:
-        None without a scene; else "smallest" and "final" [m], the names of the "pair" that comes closest
-        (None if there are no two), "after_steps" and the "margin" that was to be kept [m].
+        None without a scene; else "smallest" and "final" [m], the names of the closest "pair" (None if there
+        is none), "after_steps", and the "margin" that had to be kept [m].
     """
     if motion.scene is None:
         return None
@@ -254,7 +254,7 @@ class Switch(NamedTuple):
     Attributes:
         step: the first step of the new method, counted from 0.
         method: its name.
-        reason: why it took over.
+        reason: why the controller switched to it.
     """
 
     step: int
@@ -271,8 +271,8 @@ class Trajectory:
     Attributes:
         arm: the arm that moved.
         target: the target posture.
-        controller: the controller and its parameters, in words.
-        limits: what a step could not exceed.
+        controller: name and parameters of the controller.
+        limits: the limits of each step.
         status: how it ended: "converged", "stalled", "no_control_points", "max_steps" or "stopped"; see
             `pinposture.motion.trajectory`.
         reason: why the run ended, in words.
@@ -285,16 +285,15 @@ class Trajectory:
         sigma_max: largest singular value of the posture control matrix, (steps,) [m/rad].
         rows: rows of the posture control matrix, (steps,).
         scale: factor by which the step was shortened to meet the step limit, (steps,).
-        clipped: which joints were cut short at a position limit, (steps, nv).
-        method: which of its methods the controller used, (steps,) names; empty where it has only one.
-        switched: why it changed to that method, (steps,) sentences; empty where it did not.
-        error_increasing: whether the step was meant to lead out of a place where the posture error cannot
-            fall, (steps,); it may rise there.
-        violated_constraints: which constraints gave way because not all could hold, and which limits of
-            speed and acceleration the configurations exceed, (steps,) lines; usually empty.
+        clipped: which joints were clipped at a position limit, (steps, nv).
+        method: method of the controller, (steps,) names; empty if it has only one.
+        switched: why it switched to that method, (steps,) sentences; empty where it did not.
+        error_increasing: whether the posture error may rise in the step, to leave a local minimum, (steps,).
+        violated_constraints: constraints that the step violates because not all can hold, and velocity and
+            acceleration limits that the configurations exceed, (steps,) lines; usually empty.
         clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
             in penetration, infinite where there was no scene.
-        scene: what the arm was to keep clear of; None if nothing.
+        scene: the obstacles that the arm had to avoid; None: none.
     """
 
     arm: Arm
@@ -332,17 +331,17 @@ class Trajectory:
 
     @property
     def converged(self) -> bool:
-        """True if the mean point error came within the tolerance."""
+        """Whether the mean point error is within the tolerance at the end."""
         return self.status == "converged"
 
     @cached_property
     def faults(self) -> tuple[str, ...]:
-        """Why it should not be sent to a robot, in words; empty if it may be."""
+        """Why it should not be sent to a robot; empty if it may be."""
         return find_faults(self)
 
     @property
     def verdict(self) -> str:
-        """What to think of it, in one line."""
+        """The result in one line."""
         return describe_result(self)
 
     @cached_property
@@ -352,10 +351,10 @@ class Trajectory:
 
     @cached_property
     def distance_from_curve(self) -> float | None:
-        """How far the whole arm is from the curve of the target in the end [m]; None if that has no curve.
+        """Distance of the whole arm from the curve of the target at the end [m]; None without a curve.
 
-        The distance of the farthest place on its links, as `Target.distance_from_curve` has it for the
-        posture that was to be taken.
+        It is the distance of the farthest point of its links, as `Target.distance_from_curve` for the target
+        posture.
         """
         if self.target.curve is None:
             return None
@@ -368,7 +367,7 @@ class Trajectory:
 
     @cached_property
     def excess(self) -> LimitViolation | None:
-        """How its configurations exceed the limits of speed and acceleration; None if they do not."""
+        """How its configurations exceed the velocity and acceleration limits; None if they do not."""
         return find_limit_violation(self)
 
     @cached_property
@@ -378,20 +377,20 @@ class Trajectory:
 
     @cached_property
     def switches(self) -> tuple[Switch, ...]:
-        """Where a controller that has several methods changed from one to another, and why."""
+        """Where a controller with several methods switched between them, and why."""
         changes = np.flatnonzero(self.switched != "")
         return tuple(Switch(int(k), str(self.method[k]), str(self.switched[k])) for k in changes)
 
     def joint_trajectory(self, dt: float | None = None, force: bool = False) -> JointTrajectory:
-        """The run as joint positions, speeds and accelerations in time, ready to be exported.
+        """The run as joint positions, velocities and accelerations in time, ready for export.
 
         Args:
             dt: duration of a step [s]; that of the limits if None.
-            force: True to have it in spite of its `faults`.
+            force: True to return it despite its `faults`.
 
         Raises:
             MotionError: it has faults.
-            InvalidValue: the limits know of no time and none is given, or they know of another.
+            InvalidValue: neither `dt` nor the limits give a duration, or they differ.
         """
         step = step_duration(dt, self.limits.dt)
         require_no_faults(self, force)
@@ -406,19 +405,19 @@ class Trajectory:
 
 
 class Waypoint(NamedTuple):
-    """A named place of a motion, a keyframe for instance, and how the arm passed it.
+    """A named waypoint of a motion, such as a keyframe, and how the arm passed it.
 
     Attributes:
-        name: what it is called.
-        planned: when it was to be there, counted from when the arm sets out on the motion [s].
-        reached: when it was, counted likewise, to the nearest cycle [s]; None if never.
+        name: its name.
+        planned: its planned time, counted from the start of the plan [s].
+        reached: the time at which the arm reached it, to the nearest cycle [s]; None if never.
         row: the row of the motion at that time; None if never.
-        mean_error: mean distance of the control points from where they should be there [m]; None if never.
-            A place that is passed between two cycles is missed by what the arm moves in half of one.
-        off_curve: how far off the curve of this place the control points that follow it belong at most, where
-            the arm cannot take the curve exactly [m]; None if there is no curve.
-        tip_off: by how much the task of its tip is missed then [m]; None if there is none, or never.
-        moved: how the curve of this place was moved from where it was drawn; None if there is no curve.
+        mean_error: mean distance of the control points from their targets then [m]; None if never. Between
+            two cycles the arm misses a waypoint by up to its motion in half a cycle.
+        off_curve: largest distance of the targets of the control points from the curve of the waypoint, if
+            the arm cannot take the curve exactly [m]; None without a curve.
+        tip_off: error of the tip task then [m]; None without a tip task, or if never reached.
+        moved: how its curve was moved from its position as drawn; None without a curve.
     """
 
     name: str
@@ -433,21 +432,21 @@ class Waypoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion in time towards targets that move.
+    """A motion in time towards moving targets.
 
-    Rows begin with the start; the arm is at rest there, and at the end unless `reason` says otherwise.
+    Rows begin with the start. The arm is at rest there, and at the end unless `reason` says otherwise.
 
     Attributes:
-        run: the motion as a run; its `target` is the last one, its errors are distances from the targets of
-            the moment.
-        targets: where the control points should have been, (steps + 1, m, 3) [m], world frame.
+        run: the motion as a run; its `target` is the last one, its errors are distances from the targets at
+            each row.
+        targets: target positions of the control points, (steps + 1, m, 3) [m], world frame.
         target_mask: which control points had a target, (steps + 1, m).
-        plan_time: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it
-            begins.
-        start_index: the row at which the arm sets out on the plan; before that it comes to its first
-            posture. The last row if it did not get so far.
-        planned: how long the plan takes if nothing slows it [s].
-        waypoints: the named places, in order.
+        plan_time: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm moves to its first
+            posture.
+        start_index: the row at which the plan begins; before it the arm moves to its first posture. The
+            last row if it did not reach that.
+        planned: duration of the plan if nothing slows it [s].
+        waypoints: the waypoints, in order.
         deviations: where the arm left the planned path, or fell behind, in words.
     """
 
@@ -486,34 +485,34 @@ class Motion:
 
     @property
     def converged(self) -> bool:
-        """True if the arm took the last posture."""
+        """Whether the arm reached the last posture."""
         return self.run.converged
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Why it should not be sent to a robot, in words; empty if it may be."""
+        """Why it should not be sent to a robot; empty if it may be."""
         return self.run.faults
 
     @property
     def verdict(self) -> str:
-        """What to think of it, in one line."""
+        """The result in one line."""
         return self.run.verdict
 
     @cached_property
     def time(self) -> Array:
-        """When the arm was at each configuration, (steps + 1,) [s]."""
+        """Time of each configuration, (steps + 1,) [s]."""
         return np.asarray(self.dt * np.arange(self.steps + 1, dtype=np.float64))
 
     @property
     def duration(self) -> float:
-        """How long the plan took, from setting out to its last place [s]."""
+        """Time from the start to the end of the plan [s]."""
         arrived = np.flatnonzero(self.plan_time >= self.planned)
         last = int(arrived[0]) if len(arrived) else self.steps
         return (last - self.start_index) * self.dt
 
     @property
     def time_scale(self) -> float:
-        """How many times as long as planned it took, as far as it came; 1 if nothing slowed it."""
+        """Actual duration relative to the planned one, as far as the arm came; 1 if nothing slowed it."""
         done = float(self.plan_time[-1])
         return self.duration / done if done > 0.0 else 1.0
 
@@ -524,24 +523,24 @@ class Motion:
 
     @cached_property
     def velocities(self) -> Array:
-        """Joint speeds in each cycle, (steps, nv) [rad/s or m/s]."""
+        """Joint velocities in each cycle, (steps, nv) [rad/s or m/s]."""
         moved = [self.arm.difference(a, b) for a, b in zip(self.q[:-1], self.q[1:], strict=True)]
         return np.reshape(moved, (self.steps, self.arm.nv)) / self.dt
 
     @cached_property
     def accelerations(self) -> Array:
-        """How joint speeds change from one cycle to the next, from and to rest, (steps + 1, nv) [../s^2]."""
+        """Joint accelerations between cycles, from and to rest, (steps + 1, nv) [rad/s^2 or m/s^2]."""
         rest = np.zeros((1, self.arm.nv))
         return np.diff(np.concatenate([rest, self.velocities, rest]), axis=0) / self.dt
 
     def joint_trajectory(self, force: bool = False) -> JointTrajectory:
-        """The motion as joint positions, speeds and accelerations in time, ready to be exported.
+        """The motion as joint positions, velocities and accelerations in time, ready for export.
 
-        The arm stands still for one more cycle before and after it: players of such files fit splines to the
-        rows, and would otherwise start and stop harder than the limits allow.
+        The arm rests for one more cycle before and after it: players of such files fit splines to the rows,
+        and would otherwise start and stop harder than the limits allow.
 
         Args:
-            force: True to have it in spite of its `faults`.
+            force: True to return it despite its `faults`.
 
         Raises:
             MotionError: it has faults.
@@ -553,4 +552,4 @@ class Motion:
     def __repr__(self) -> str:
         slow = self.converged and self.time_scale > 1.005
         slower = f", {self.time_scale:.3g} times as long as planned" if slow else ""
-        return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.waypoints)} places)"
+        return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.waypoints)} waypoints)"

@@ -226,11 +226,11 @@ class Walk:
         to_end = float(np.linalg.norm(curve.at(curve.length) - base.translation))
         if in_reach or (left < reach and to_end < reach):
             advice = f"the module reaches {reach:.4g} m; lengthen the curve or use fewer modules"
-            return CurveEndsEarly(module, at, f"the curve ends {left:.4g} m farther on; {advice}")
+            return CurveEndsEarly(module, at, f"the curve ends {left:.4g} m beyond its base; {advice}")
         if gap > reach:
             advice = 'use placement="translate" or "align"'
             return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
-        text = "no posture within its joint limits puts its end on the curve ahead"
+        text = "no posture within its joint limits puts its end on the curve"
         kind = CurveLeavesTooSharply if unit.module == 0 else CurveBendsTooMuch
         return kind(module, at, f"{text}; use a gentler curve, wider joint limits or shorter modules")
 
@@ -244,22 +244,22 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
     if found:
         advice = "use a gentler curve, wider joint limits or shorter modules"
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
-        return kind(module, at, f"its joint limits do not let it turn to where the curve goes; {advice}")
+        return kind(module, at, f"its joint limits do not allow it to follow the curve; {advice}")
     if not beyond:
         left, distance = curve.length - at, float(np.linalg.norm(last))
         advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
-        text = f"the curve ends {left:.4g} m farther on, {distance:.4g} m from its base; {advice}"
+        text = f"the curve ends {left:.4g} m beyond its base, {distance:.4g} m away from it; {advice}"
         return CurveEndsEarly(module, at, f"the curve ends there; {advice}" if left <= slack else text)
     gap = float(np.linalg.norm(first))
     if gap > reach:
         advice = 'use placement="translate" or "align"'
         return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
     if unit.kinematics.dof == 1 and abs(last[1]) > slack:
-        text = f"the curve leaves the plane in which the module moves by {abs(last[1]):.4g} m"
+        text = f"the curve is {abs(last[1]):.4g} m off the plane in which the module moves"
         return CurveBendsTooMuch(module, at, f"{text}; use a planar curve in that plane, or two hinges")
     direction = last / np.linalg.norm(last)
     angle = float(np.degrees(np.arccos(np.clip(direction[0], -1.0, 1.0))))
-    text = f"the curve leaves its reach {angle:.3g} degrees off its axis, where it cannot turn"
+    text = f"the curve leaves its reach {angle:.3g} degrees off its axis, beyond its joint limits"
     if off_axis:
         advice = 'placement="align" turns the curve to the arm'
         return CurveLeavesTooSharply(module, at, f"{text}; {advice}")
@@ -315,7 +315,7 @@ def resolve_targets(
         CurveEndsEarly: the curve ends before the last module does.
         CurveLeavesTooSharply: the first module cannot turn to where the curve goes, or the curve passes the
             base at a distance.
-        CurveOutOfReach: slides end before a control point can reach the curve.
+        CurveOutOfReach: the curve is beyond the range of the prismatic joints.
         CurveBendsTooMuch: a later module cannot turn to where the curve goes, the curve leaves the plane of a
             planar module, or a control point stays farther from the curve than a tenth of its module's
             length, or of the length of neighbouring modules that are bound to one plane together.
@@ -379,8 +379,8 @@ def _check_arguments(
 def far_moved(arm: Arm, what: str, moved: Moved) -> str:
     """Return the warning about a curve that was moved far without a `placement` that says so."""
     share = f"{moved.distance / arm.length:.2g} of the arm length"
-    advice = 'placement="as_is" leaves it where it is, "align" says that it may be moved'
-    return f"{what} was {moved} to the base of the arm, {share}; {advice}"
+    advice = 'placement="as_is" keeps it in place, "align" moves it without this warning'
+    return f"{what} was {moved} to the base of the arm ({share}); {advice}"
 
 
 def _choose(arm: Arm, curve: Curve, samples: int, near: Target | None) -> tuple[Placement, str, str]:
@@ -397,7 +397,7 @@ def _choose(arm: Arm, curve: Curve, samples: int, near: Target | None) -> tuple[
     reason = "" if in_turn.failure is None else str(in_turn.failure)
     if in_turn.failure is None:
         if _zigzags(arm, in_turn.positions):
-            reason = "placed one by one, modules would zigzag"
+            reason = "modules placed one by one would zigzag"
         elif not compiled:
             reason = _leaves_curve(arm, curve, in_turn)
     if ends_early or not reason:
@@ -415,7 +415,7 @@ def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
     if max(_link_lengths(arm, q)) / 2.0 <= FAR * arm.length:
         return ""
     away = distance_from_curve(arm, q, curve)
-    return f"placed one by one, links would be {away:.3g} m beside it" if away > FAR * arm.length else ""
+    return f"placed one by one, links would be {away:.3g} m off it" if away > FAR * arm.length else ""
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
@@ -467,7 +467,7 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
         failure = CurveEndsEarly(k + 1, float(bases[k]), f"the curve ends before the module does; {advice}")
     elif len(off):
         k = int(off[0])
-        text = f"the closest that its end can come to the curve is {residual[k]:.4g} m"
+        text = f"its end stays at least {residual[k]:.4g} m off the curve"
         kind, why = _obstruction(arm, curve, positions, k, start)
         failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
     return Placement(positions, ends, failure)
@@ -498,11 +498,11 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
     fits = arm.can_follow(target.curve)
     reasons = [str(excess) for excess in fits.excesses[:2]]
     if np.any(arm.chain.plane_bound):
-        reasons.append("parallel axes in a row leave no plane")
+        reasons.append("joints with parallel axes move in a plane")
     if not reasons:
-        reasons.append("its links are long and its control points few for this curve")
-    share = f"{away:.4g} m, {away / arm.length:.2g} of its length"
-    text = f"the arm does not follow the curve: its links are up to {share}, away from it"
+        reasons.append("it has too few control points, or too long links, for this curve")
+    share = f"{away:.4g} m ({away / arm.length:.2g} of its length)"
+    text = f"the arm does not follow the curve: its links are up to {share} away"
     warnings.warn(f"{text} ({'; '.join(reasons)})", PostureWarning, stacklevel=3)
 
 
@@ -536,16 +536,16 @@ def _obstruction(
     if slides:
         listed = ", ".join(f"{names[u]!r} at {positions[u]:.4g} m" for u in slides[:3])
         advice = "move the curve, or widen their limits"
-        return CurveOutOfReach, f"slides end before it can get there: {listed}; {advice}"
+        return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
     if gap > ON_CURVE * arm.length and not np.any(arm.roaming):
         advice = 'use placement="translate" or "align"'
         return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {advice}"
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"
-        return CurveBendsTooMuch, f"its joints turn about parallel axes and leave no plane; {advice}"
+        return CurveBendsTooMuch, f"its joint axes are parallel, so it moves in a plane; {advice}"
     if stuck:
         listed = ", ".join(repr(names[u]) for u in stuck[:3]) + (", ..." if len(stuck) > 3 else "")
         advice = "use a gentler curve, wider joint limits or shorter modules"
-        return CurveBendsTooMuch, f"at the limits of {listed}; {advice}"
+        return CurveBendsTooMuch, f"joints are at their limits: {listed}; {advice}"
     return CurveBendsTooMuch, "use a gentler curve or shorter modules"

@@ -27,24 +27,23 @@ class Target:
         points: target positions, (m, 3) [m], world frame.
         weights: 1 for a control point that has a target, 0 for one that is free, (m,). `fit_points` and
             `LevenbergMarquardt` weight errors by them; other controllers only test whether they are above 0.
-        q: a configuration that takes the target posture, (nq,), or None if none is known.
+        q: a configuration of the target posture, (nq,); None if unknown.
         curve: the curve as placed in the world, or None.
         parameters: arc length along the curve at each point, (m,) [m], or None.
         residual: distance of each point from the curve, or of the posture at `q` from measured points, (m,)
             [m], or None.
         method: the placement method: "sequential", "smooth" or "closest"; or empty.
-        moved: how the curve was moved from where it was drawn; None without a curve, or if unknown.
+        moved: how the curve was moved from its position as drawn; None without a curve, or if unknown.
         incomplete: why some control points could not be placed on the curve; empty if all are. Those
             have weight 0, and their `points` continue straight on from the last that was placed.
-        velocity: how fast the joints move that configuration, if the target moves, (nv,) [rad/s or m/s]; None
-            if unknown.
-        placed_by: for each control point what put it on the curve, (m,): the kinematics of its module,
+        velocity: joint velocities of `q` if the target moves, (nv,) [rad/s or m/s]; None if unknown.
+        placed_by: what placed each control point on the curve, (m,): the kinematics of its module,
             "Torus", "Circle", "RollPitch", "NumericModule" or your own class; or "least squares" over the
             whole arm. Empty without a curve.
-        fallback: why least squares placed the whole arm although `method="auto"` places modules one by one
-            where it can; empty if they did not, or were asked for.
+        fallback: why least squares placed the whole arm with `method="auto"`, which places modules one by one
+            if possible; empty otherwise.
         approximate: by how much the posture at `q` misses given points (`fit_points`), which may be a local
-            minimum; empty if it takes them, or none is known.
+            minimum; empty if it takes them, or if `q` is unknown.
     """
 
     points: Array
@@ -180,7 +179,7 @@ SAMPLES_PER_LINK, REFINEMENTS = 4, 5
 
 
 class Moved(NamedTuple):
-    """How a curve was moved to the arm from where it was drawn.
+    """How a curve was moved to the arm from its position as drawn.
 
     Attributes:
         translation: of its start, (3,) [m], world frame.

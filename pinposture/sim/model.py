@@ -233,7 +233,7 @@ def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:
     second = axes * np.maximum(moments, least) @ axes.T
     rounded = moments[0] >= -INERTIA_ROUNDING * moments[2] and moments[1] > least
     inertia = np.trace(second) * np.eye(3) - second
-    return RigidBody(body.mass, body.center, inertia), "" if rounded else "moments of no solid"
+    return RigidBody(body.mass, body.center, inertia), "" if rounded else "unphysical moments of inertia"
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,7 +383,7 @@ def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
         are independent.
     """
     if arm.urdf is None:
-        allowed = "an arm from a URDF or from modules; one from Arm.from_model has no description to simulate"
+        allowed = "an arm from a URDF or from modules; Arm.from_model gives no description to simulate"
         raise InvalidValue("arm", arm, allowed)
     text, source = load_text(arm.urdf)
     _check_inertials(text, source)
@@ -396,7 +396,7 @@ def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
         model = pin.buildReducedModel(model, fixed, pin.neutral(model))
     for name in arm.joint_names:
         if not model.existJointName(name):
-            raise URDFError(source, f"joint {name!r}", "of the arm is not a moving joint of its description")
+            raise URDFError(source, f"joint {name!r}", "is not a moving joint of the robot description")
     return model, source
 
 
@@ -437,7 +437,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
     ball = f"a ball of {1e3 * DEFAULT_MASS:g} g with a radius of {1e2 * DEFAULT_RADIUS:g} cm"
     correction = {
         "no mass": f"taken as {ball}",
-        "moments of no solid": "moments raised to the nearest that a solid can have",
+        "unphysical moments of inertia": "moments raised to the nearest physical ones",
     }
     messages = []
     for fault, names in faults.items():
@@ -554,5 +554,5 @@ def _check_control_points(arm: Arm, positions: Array, points: Array, source: str
     off = np.linalg.norm(points - arm.at(arm.configuration(positions)).points, axis=1)
     worst = int(off.argmax())
     if not off[worst] <= POSITION_TOLERANCE * max(1.0, arm.length):
-        reason = f"is {off[worst]:.3g} m elsewhere for MuJoCo than for Pinocchio; nothing is simulated"
+        reason = f"differs by {off[worst]:.3g} m between MuJoCo and Pinocchio; the arm is not simulated"
         raise URDFError(source, f"control point {arm.control_points[worst]!r}", reason)

@@ -106,7 +106,7 @@ def manipulability_measure(state: ArmState, point: int) -> float:
     """Product w of the singular values of the position Jacobian (3.3), relative to length^d of the arm.
 
     Args:
-        state: where the arm is.
+        state: the state of the arm.
         point: control point, 0-based.
     """
     sigma = np.linalg.svd(state.task_jacobians[point], compute_uv=False)
@@ -203,7 +203,7 @@ def objective_value(objective: Objective, state: ArmState, end_effector: int) ->
 
     Args:
         objective: its name.
-        state: where the arm is.
+        state: the state of the arm.
         end_effector: the control point that does the task, 0-based.
     """
     if objective == "manipulability":

@@ -146,7 +146,7 @@ def limit_step(
         rows: number of rows of the matrix that was inverted.
         sigma: its singular values in any order, at least one [m/rad].
         asked: joint displacement asked for, (nv,), in `Arm.joint_units`.
-        limits: what the step may not exceed.
+        limits: the limits of the step.
         previous: the step before, (nv,) [rad or m]; None: there was none.
 
     Returns:

@@ -307,7 +307,7 @@ class ClutterRun(NamedTuple):
         plan_time: time to plan [s], with whatever else the machine did.
         path_length_ratio: length of the paths of the control points on the plan, relative to straight lines.
         plan_clearance: smallest distance on the plan, every 0.01 rad [m].
-        reached: whether `track` got there, within limits of speed and acceleration.
+        reached: whether `track` reached the goal within its velocity and acceleration limits.
         reason: why its run ended.
         run_clearance: smallest distance in its run, every 0.01 rad [m].
         margin: the distance to keep [m].
@@ -379,8 +379,8 @@ class ClutterRow(NamedTuple):
         kind: the kind.
         problems: their number.
         planned: how many plans claim to be clear.
-        reached: how many runs got there.
-        clearance: smallest distance in any run that got there, minus the margin [m].
+        reached: number of runs that reached the goal.
+        clearance: smallest distance in any run that reached the goal, minus the margin [m].
         plan_time: median and 90th percentile of the time to plan [s].
         path_length_ratio: the same of the path length ratio.
         found_by: how many plans were found by each means.

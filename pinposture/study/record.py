@@ -58,7 +58,7 @@ def run_all(
         one: the function, known by name to other processes.
         cases: its arguments.
         jobs: number of processes; joblib's backends apply, so that `joblib.parallel_config` around a study
-            takes it to a cluster.
+            runs it on a cluster.
         progress: called with the number of cases finished so far, and that of all.
 
     Returns:
@@ -103,8 +103,8 @@ class Record(NamedTuple):
         reason: why, in words, on one line.
         steps: number of steps.
         error: mean point error at the end, relative to the arm length.
-        rising: share of steps on which the posture error rises by more than `RISE`, escapes included.
-        escaping: share of steps on which it does and that were flagged as an escape.
+        rising: share of steps on which the posture error rises by more than `RISE`.
+        escaping: share of steps on which it does and the controller lets it.
         peak: largest posture error on the way, relative to that of the start; 1 if that was zero.
         path: length of the paths of all control points relative to the direct distances from start to end.
         turn: largest change of heading between start and target [rad], see `largest_turn`; None where no
@@ -223,7 +223,7 @@ def run_case(
         subject: the arm.
         case: what to call it.
         start: configuration, (nq,).
-        target: where its control points should be.
+        target: the target posture.
         controllers: the controllers.
 
     Returns:
@@ -253,11 +253,11 @@ def drive(
 
     Args:
         arm: the arm.
-        target: where its control points should be.
+        target: the target posture.
         start: configuration, (nq,).
         controller: a controller, or the name of one.
-        scene: what to keep clear of.
-        tolerance: mean point error, relative to the arm length, at which it is there.
+        scene: the obstacles.
+        tolerance: mean point error at which a run has converged, relative to the arm length.
     """
     limits, near = Limits(step=STEP), tolerance * arm.length
     return track(arm, target, start, controller, limits, scene=scene, max_steps=MAX_STEPS, tolerance=near)
@@ -322,7 +322,7 @@ class SummaryRow(NamedTuple):
         refused: number of runs that the controller would not begin.
         steps: as in `Record`, and so the following; here the number of steps.
         rising: share of steps on which the posture error rises.
-        escaping: share of those that were flagged as an escape.
+        escaping: share of those in which the controller lets it rise.
         peak: largest posture error.
         path: length of the paths.
         seconds: time of a step [s].

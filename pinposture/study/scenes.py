@@ -56,7 +56,7 @@ class Situation(NamedTuple):
 
     Attributes:
         name: what to call it.
-        scene: what to keep clear of.
+        scene: the obstacles.
         start: joint positions to start from, (40,) [rad]; each seed varies them a little.
         goal: joint positions that take the target, (40,) [rad]; likewise.
         start_clear: whether the arm keeps the margin at the start; else it overlaps with something there.
@@ -226,7 +226,7 @@ class SceneRun(NamedTuple):
     Attributes:
         scene: name of the situation.
         seed: seed of the case.
-        refused: how many starts and targets were drawn that were not as clear as they should be.
+        refused: number of starts and targets that were rejected as not clear enough.
         reachable: whether the configuration that takes the target keeps the margin.
         status: how the run ended, as `Trajectory.status`.
         reason: why, in words, on one line.
@@ -240,7 +240,7 @@ class SceneRun(NamedTuple):
         loss: how much closer, within a step, the arm came than the margin, or than it was before the step
             where that was closer still [m]; the most of all steps, 0 if it never did.
         path: length of the paths of all control points relative to the direct distances from start to end.
-        escaping: share of steps that were flagged as an escape.
+        escaping: share of steps in which the controller lets the posture error rise.
         seconds: time of the run, with whatever else the machine did [s].
     """
 
@@ -277,7 +277,7 @@ class SceneRun(NamedTuple):
 
     @property
     def explained(self) -> bool:
-        """Whether it got there, or the reason names what it came too close to."""
+        """Whether it reached the target, or the reason names what it came too close to."""
         return self.reached or bool(self.blamed)
 
     @property
@@ -331,7 +331,7 @@ def blamed(reason: str, scene: Scene, bodies: Sequence[str]) -> list[str]:
     return [name for name in distinct(names) if re.search(rf"(?<!\w){re.escape(name)}(?!\w)", reason)]
 
 
-# Arms among obstacles, many times: do they keep clear, get there, and say why where they do not.
+# Arms among obstacles, many times: do they keep the margin, reach the target, and say why if not.
 
 SEEDS = 10
 """Number of runs for each situation unless told otherwise."""
@@ -343,16 +343,16 @@ class SceneRow(NamedTuple):
     Attributes:
         scene: name of the situation.
         runs: number of runs.
-        refused: how many starts and targets were drawn that were not as clear as they should be.
+        refused: number of starts and targets that were rejected as not clear enough.
         reachable: how many targets could be reached.
         reached: how many were.
         kept: number of runs that kept the margin, see `SceneRun.kept`.
-        unexplained: number of runs that did not get there, and named no obstacle.
+        unexplained: number of runs that did not reach the target and named no obstacle.
         room: smallest distance of any run minus the margin [m].
         loss: largest `SceneRun.loss` of any run [m].
         steps: number of steps.
         path: length of the paths of the control points, relative to the direct distances.
-        escaping: share of steps that were flagged as an escape.
+        escaping: share of steps in which the controller lets the posture error rise.
         seconds: time of a run [s].
     """
 

@@ -65,34 +65,34 @@ def find_path(
     seed: int = 0,
     budget: float = 5.0,
 ) -> Curve:
-    """Find a smooth curve to a place through free space, which the arm can follow with its tip ahead.
+    """Find a smooth collision-free curve to a goal that the arm can follow with its tip ahead.
 
     A tree of arcs grows from the start in its direction. A path to the goal in it is shortened and replaced
-    by a spline, which is judged as a whole. The curve is farther from all obstacles than the scene's margin,
-    the radius of the arm and the height of the arcs over its links together. It bends no more than all
-    modules can (`Arm.can_follow`), wherever on it they are. It is a search: that it finds nothing is no
-    proof, and the curve is not the shortest. The direction at the goal is free. Behind the start the path of
-    the arm is not looked at, nor whether the arm comes too near itself.
+    by a spline, which is checked as a whole. Its distance from all obstacles exceeds the sum of the margin of
+    the scene, the radius of the arm and the height of the arcs over its links. Its curvature is at most what
+    all modules allow (`Arm.can_follow`). This is a search: it may miss a curve that exists, and the curve is
+    not the shortest. The direction at the goal is free. Neither the part of the arm behind the start nor
+    self-collision is checked.
 
     Args:
-        scene: what to keep clear of.
-        start: where the curve begins, (3,) [m], world frame; None: at the tip of an arm on a feed that is
-            pulled back (see `follow_leader`), at the base of any other.
-        goal: where it ends, (3,) [m], world frame.
-        arm: the arm that is to follow it.
+        scene: the obstacles.
+        start: start of the curve, (3,) [m], world frame; None: the tip of an arm on a retracted feed (see
+            `follow_leader`), the base of any other arm.
+        goal: its end, (3,) [m], world frame.
+        arm: the arm that has to follow it.
         direction: its direction at the start, (3,), world frame; that of the straight arm if None.
-        seed: what the search is drawn from.
-        budget: time [s]. Where it ends the search, the curve depends on the machine; else it is the same for
-            a given seed.
+        seed: seed of the random numbers.
+        budget: time [s]. If it ends the search, the curve depends on the machine; otherwise it is the same
+            for a given seed.
 
     Returns:
         The curve, in the world: `follow_leader(arm, curve, ..., placement="as_is")` follows it.
 
     Raises:
-        InvalidValue: something of another type, or that does not fit the arm.
+        InvalidValue: an argument of the wrong type, or one that does not fit the arm.
         OutOfReach: start or goal are off the plane of a planar arm, or farther apart than the arm is long or
-            its feed can push.
-        ReachError: no curve was found; says why.
+            the travel of its feed.
+        ReachError: no curve was found; the message says why.
     """
     until = perf_counter() + budget if isinstance(budget, int | float) else inf
     if not isinstance(arm, Arm):
@@ -109,16 +109,16 @@ def find_path(
     _check_ends(follower, begin, end, ahead)
     sharpest = body.can_follow(Curve.line(begin, end)).max_curvature
     if sharpest <= 0.0:
-        raise InvalidValue("arm", arm, "an arm all of whose modules bend")
+        raise InvalidValue("arm", arm, "an arm whose modules all bend")
     link = float(np.linalg.norm(np.diff(body.at(body.straight()).links, axis=0), axis=1).max())
     thickness = max((solid(each.shape).radius for each in bodies_of(arm, scene.arm_radius)), default=0.0)
     space = _FreeSpace(scene, scene.margin + thickness + sharpest * link**2 / 8.0)
     for name, place in (("start", begin), ("goal", end)):
         if not space.is_free(place[None]):
-            raise ReachError(end, f"the {name} is nearer than {space.radius:.4g} m to an obstacle")
+            raise ReachError(end, f"the {name} is within {space.radius:.4g} m of an obstacle")
     rng = np.random.default_rng(seed)
     found: list[Curve] = []
-    why = "the tree did not get there within the budget"
+    why = "the tree did not reach the goal within the budget"
     while len(found) < ENOUGH_PATHS:
         bend = sharpest * BEND_SHARES[rng.integers(len(BEND_SHARES))]
         tree = _ArcTree(begin, ahead, end, bend, plane, arm.length, space)
@@ -162,7 +162,7 @@ def _follower(arm: Arm) -> _Follower:
 
 
 def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> None:
-    """Refuse ends between which no curve can be followed."""
+    """Raise for ends that no curve for the arm can join."""
     body, plane = follower.body, follower.body.plane
     for name, vector in (
         ("goal", end - follower.entry),
@@ -171,26 +171,26 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
     ):
         across = float(np.linalg.norm(vector - plane.T @ (plane @ vector)))
         if across > SAME_PLACE * max(body.length, 1.0):
-            raise OutOfReach(end, f"the {name} is {across:.4g} off the plane in which the arm moves")
+            raise OutOfReach(end, f"the {name} is {across:.4g} m off the plane in which the arm moves")
     apart = float(np.linalg.norm(end - begin))
     if apart <= SAME_PLACE * body.length:
-        raise InvalidValue("goal", end.tolist(), "a place away from the start")
+        raise InvalidValue("goal", end.tolist(), "a position away from the start")
     if apart > follower.longest:
-        reason = f"it is {apart:.4g} m from the start, and the arm follows for {follower.longest:.4g} m"
+        reason = f"it is {apart:.4g} m from the start; the arm can follow {follower.longest:.4g} m"
         raise OutOfReach(end, reason)
 
 
 def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest: float) -> str:
-    """Return why an arm cannot follow a curve, in words; empty if it can."""
+    """Return why an arm cannot follow a curve; empty if it can."""
     count = max(CHECKED_PLACES, int(np.ceil(curve.length / (0.1 * space.radius))))
     s = np.linspace(0.0, curve.length, count)
     if curve.length > longest:
-        return f"the best is {curve.length:.4g} m long, and the arm follows for {longest:.4g} m"
+        return f"the best is {curve.length:.4g} m long; the arm can follow {longest:.4g} m"
     if not space.is_free(curve.at(s)):
-        return "the smooth curve comes too near an obstacle"
+        return "the smooth curve comes too close to an obstacle"
     bend = float(np.asarray(curve.curvature(s)).max())
     if bend > sharpest:
-        return f"the best bends by {bend:.4g} /m, and the modules by {sharpest:.4g} /m"
+        return f"the curvature of the best is {bend:.4g} /m; the modules allow {sharpest:.4g} /m"
     # Feasibility looks no farther than the arm is long.
     stretch = body.length
     for first in np.arange(0.0, curve.length, stretch):

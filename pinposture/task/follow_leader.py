@@ -27,8 +27,8 @@ from pinposture.task.reference import Mark, Reference
 Array = NDArray[np.float64]
 
 FEED_REQUIREMENT = (
-    "an arm whose first joint is a slide along the straight arm and whose second is not, as "
-    "Arm.from_modules([feed, *modules]) makes it of a feed with one prismatic joint about x"
+    "an arm whose first joint is prismatic, along the straight arm, and whose second is revolute, "
+    "such as Arm.from_modules([feed, *modules]) with a feed of one prismatic joint along x"
 )
 FEED_AXIS_TOLERANCE = 1e-6
 """Largest sine of the angle between the axis of the feed and that of the straight arm."""
@@ -80,7 +80,7 @@ class FedArm:
         chain = arm.chain
         if arm.couplings:
             name, leader, *_ = arm.couplings[0]
-            allowed = "joints of their own: the route is followed joint by joint"
+            allowed = "an arm without coupled joints"
             raise InvalidValue(f"joint {name!r}", f"follows {leader!r}", allowed)
         if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
             kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
@@ -97,7 +97,7 @@ class FedArm:
         along = float(chain.axes[0] @ axis)
         if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
             angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
-            text = f"{angle:.3g} degrees off the straight arm"
+            text = f"{angle:.3g} degrees off the axis of the straight arm"
             raise InvalidValue(f"axis of the feed {feed}", text, FEED_REQUIREMENT)
         if start is None:
             rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
@@ -105,7 +105,7 @@ class FedArm:
         else:
             bent = np.abs(rest[columns] - stretched) / body.joint_units
             if bent.max() > STRAIGHT_START_TOLERANCE or not arm.within_limits(arm.configuration(rest)):
-                allowed = "the straight arm, within its limits, wherever the feed is"
+                allowed = "the straight arm, within its limits, at any position of the feed"
                 raise InvalidValue("start", start, allowed)
         self.arm, self.body, self.links = arm, body, links
         self.start: Array = arm.configuration(rest)
@@ -340,7 +340,7 @@ class ClosestPlacement:
         joint = fed.links.chain.module_starts[link]
         module = int(np.searchsorted(fed.body.module_starts, joint, side="right"))
         advice = "use a gentler path, wider joint limits or shorter modules"
-        text = f"the closest that it can come to the path is {distances[link]:.4g} m; {advice}"
+        text = f"it stays {distances[link]:.4g} m or more off the path; {advice}"
         raise CurveBendsTooMuch(module, float(self._s[link]), text)
 
 
@@ -480,7 +480,7 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
     full = 1.0 + 2.0 * RAMP_SHARE  # duration, relative to that at full speed
     rows = full * depth / min(speed * interval, stride)
     if not rows <= MAX_LEADER_ROWS:
-        allowed = f"at most {MAX_LEADER_ROWS} rows; {rows:.3g} are {interval:g} s or {stride:.3g} m apart"
+        allowed = f"a speed for at most {MAX_LEADER_ROWS} rows; this one needs {rows:.3g}"
         raise InvalidValue("speed", speed, allowed)
     interval = interval / max(int(np.ceil(speed * interval / stride)), 1)
     steps = max(int(np.ceil(full * depth / speed / interval)), 2)
@@ -498,14 +498,14 @@ def _checked_depth(route: Route, depth: float | None) -> float:
     slack = 1.0 + 1e-9
     reasons = (
         (path.length, f"the path is {path.length:.6g} m long"),
-        (route.fed.travel, f"the feed can push by {route.fed.travel:.6g} m from the start"),
-        (route.max_straight_depth, "the feed goes straight, and its end would leave the path beyond"),
+        (route.fed.travel, f"the feed has {route.fed.travel:.6g} m of travel from the start"),
+        (route.max_straight_depth, "beyond, the end of the straight feed would leave the path"),
     )
     most, why = min(reasons, key=lambda reason: reason[0])
     if depth is None:
         if path.length <= most * slack:
             return most
-        allowed = f"at most {most:.6g} m: {why}; depth= goes part of the way"
+        allowed = f"at most {most:.6g} m: {why}; depth= follows a part of it"
         raise InvalidValue("length of the path [m]", path.length, allowed)
     require_positive("depth", depth)
     if depth > most * slack:

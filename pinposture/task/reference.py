@@ -160,9 +160,9 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
             continue
         where = f"keyframe {number} {mark.name!r}" if keyed else mark.name
         pair, deep = " and ".join(closest.pair or ()), -1e3 * closest.distance
-        depth = f"{pair} would be {deep:.3g} mm inside each other"
+        depth = f"{pair} would penetrate by {deep:.3g} mm"
         if mark.row == 0:
-            raise TaskError(where, f"{depth}; move one of them, or begin elsewhere")
+            raise TaskError(where, f"{depth}; move one of them, or change the start")
         warnings.warn(f"{where}: {depth}", PostureWarning, stacklevel=4)
 
 

@@ -183,7 +183,7 @@ def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **styl
     ax.plot(places, np.zeros(len(places)), transform=ax.get_xaxis_transform(), **style)
 
 
-# Clearance, escapes and violated constraints, against steps or time.
+# Clearance, rising errors and violated constraints, against steps or time.
 
 MAX_REASON_LENGTH = 44  # of a constraint in a legend [characters]
 
@@ -233,27 +233,27 @@ def plot_clearance(
     add_legend(ax)
 
 
-def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
-    """Shade the escape steps of a run, in which the posture error may rise."""
+def mark_rising_steps(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
+    """Shade the steps of a run in which the controller lets the posture error rise."""
     places = np.arange(run.steps + 1) if time is None else time
     steps = np.flatnonzero(run.error_increasing)
     if len(steps):
         blocks = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
         ends = [(float(places[block[0]]), float(places[block[-1] + 1])) for block in blocks]
         spans = [(begin, end - begin) for begin, end in ends]
-        label = f"{len(steps)} escape step{'s' * (len(steps) > 1)}, the error may rise"
+        label = f"{len(steps)} step{'s' * (len(steps) > 1)} in which the error may rise"
         style: dict[str, Any] = {"color": palette.ESCAPE, "lw": 0.0, "zorder": 0.5, "label": label}
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **style)
 
 
-def mark_relaxed(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
-    """Mark on the axis the steps in which constraints were relaxed; the legend quotes the first of them."""
+def mark_violations(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
+    """Mark on the axis the steps that violate constraints; the legend quotes the first of them."""
     places = np.arange(run.steps + 1) if time is None else time
     steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
     if len(steps):
         first = str(run.violated_constraints[steps[0]])
         words = textwrap.shorten(first, MAX_REASON_LENGTH, placeholder=" ...")
-        label = f"gave way in {len(steps)} step{'s' * (len(steps) > 1)}: {words}"
+        label = f"violated in {len(steps)} step{'s' * (len(steps) > 1)}: {words}"
         _mark_on_axis(ax, places[steps + 1], label, marker="|", ms=7.0, mew=1.2)
 
 
@@ -279,7 +279,7 @@ DASHES = (0, (4, 2))
 
 
 def plot_error(motion: Motion, ax: Axes) -> None:
-    """Draw the posture error [m] of a motion against time, with escapes and violated constraints.
+    """Draw the posture error [m] of a motion against time, with violated constraints.
 
     An error below `NO_ERROR` is not shown.
     """
@@ -301,8 +301,8 @@ def plot_error(motion: Motion, ax: Axes) -> None:
             mark_value(ax, 0, float(values[0]), color, "m", "start")
         if values[-1] and run.steps:
             mark_value(ax, float(motion.time[-1]), float(values[-1]), color, "m", "end")
-    mark_escapes(run, ax, motion.time)
-    mark_relaxed(run, ax, motion.time)
+    mark_rising_steps(run, ax, motion.time)
+    mark_violations(run, ax, motion.time)
     if motion.start_index:
         style: dict[str, Any] = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
         ax.axvspan(0.0, motion.time[motion.start_index], label="coming to the first posture", **style)
@@ -475,8 +475,8 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
     """Draw a run in one figure: postures, posture error, point errors, active points, clearance.
 
     Active points are left out if the controller does not choose any, clearance if there was no scene. For a
-    switching controller, red dots on the axis mark the steps by Projection. Behind the posture error, escape
-    steps are shaded; red bars below it mark steps in which a constraint was relaxed.
+    switching controller, red dots on the axis mark the steps by Projection. Shading behind the posture
+    error marks steps in which it may rise; red bars below it mark violated constraints.
 
     A motion in time is drawn by the postures at its named places, and over time by the posture error, joint
     speeds and accelerations relative to their limits, delays, and clearance. A joint trajectory is drawn by
@@ -507,8 +507,8 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
     plot_postures(run, postures)
     for draw, panel in zip(draws, rows, strict=True):
         draw(run, panel)
-    mark_escapes(run, rows[0])
-    mark_relaxed(run, rows[0])
+    mark_rising_steps(run, rows[0])
+    mark_violations(run, rows[0])
     add_legend(rows[0])
     share_axis(rows)
     if run.switches:

@@ -65,7 +65,7 @@ CASES = [
     Case("text in a CSV", "track ARM --curve DIR/text.csv", ("DIR/text.csv", "line 2", "'hello'")),
     Case("malformed JSON", "track ARM --curve DIR/broken.json", ("DIR/broken.json", "line 1")),
     Case("curve too short", "track ARM --curve DIR/short.json", ("module 4", "lengthen the curve")),
-    Case("curve out of plane", "track DIR/flat.urdf --curve helix", ("module 1", "leaves the plane")),
+    Case("curve out of plane", "track DIR/flat.urdf --curve helix", ("module 1", "off the plane")),
     Case("curve elsewhere", "track ARM --curve DIR/far.json --placement as_is", ("module 1", "5 m", "align")),
     Case(
         "no place at all", "track ARM --curve DIR/tiny.json --partial", ("--curve", "DIR/tiny.json", "first")

@@ -94,7 +94,7 @@ def test_the_scene_in_the_help_is_one_and_names_every_kind_of_obstacle(command, 
     out = " ".join(command("track", "--help", env={"COLUMNS": "80"}).out.split())
     for kind in OBSTACLE_TYPES:
         assert f"{kind} (" in out or f'"{kind}"' in out
-    for key in ("margin", "arm_radius", "self_collision", f"else {scene.margin:g})"):
+    for key in ("margin", "arm_radius", "self_collision", f"default {scene.margin:g})"):
         assert key in out
 
 

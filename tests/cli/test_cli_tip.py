@@ -58,7 +58,7 @@ def test_the_tip_takes_the_pose_that_is_asked(track):
 
 @pytest.mark.parametrize(("hold", "keys"), [("position", 1), ("pose", 2)])
 def test_a_tip_that_is_held_stays_where_the_start_has_it(track, hold, keys):
-    tip, run = track("--hold-tip", hold, "--strict-tip", "--region", "1-2")
+    tip, run = track("--hold-tip", hold, "--tip-priority", "--region", "1-2")
     states = [run.arm.at(q) for q in run.q]
     moved = max(np.linalg.norm(state.points[-1] - states[0].points[-1]) for state in states)
     swung = max(np.abs(state.rotations[-1] - states[0].rotations[-1]).max() for state in states)
@@ -74,7 +74,7 @@ def test_the_weight_and_the_priority_decide_between_tip_and_shape(track):
     place = ("--tip-position", "0.2,0.1,0.05")
     light, heavy, strict = (
         track(*place, *more)[0]["distance"]
-        for more in (("--tip-weight", 0.01), ("--tip-weight", 100), ("--strict-tip",))
+        for more in (("--tip-weight", 0.01), ("--tip-weight", 100), ("--tip-priority",))
     )
     assert light > 3.0 * heavy
     assert strict < 0.05 * heavy
@@ -111,7 +111,7 @@ def test_haste_takes_joints_straight_there(command, arm_file, tmp_path, no_pictu
         (("--hold-tip", "place"), ("'place'", "position, pose")),
         (("--hold-tip", "pose", "--tip-pose", "1,0,0,0,0,0"), ("--hold-tip is 'pose'", "without --tip-pose")),
         (("--tip-weight", 2), ("--tip-weight is 2.0", "together with one of --tip-position")),
-        (("--strict-tip",), ("--strict-tip is True", "together with one of --tip-position")),
+        (("--tip-priority",), ("--tip-priority is True", "together with one of --tip-position")),
         (("--hold-tip", "pose", "--tip-weight", 0), ("weight is 0", "> 0")),
         (("--joint-weight", 0), ("joint_weight is 0", "> 0")),
         (("--joint-weight", "nan"), ("joint_weight is nan", "> 0")),
@@ -119,7 +119,10 @@ def test_haste_takes_joints_straight_there(command, arm_file, tmp_path, no_pictu
             ("--controller", "lm", "--joint-weight", 1),
             ("--controller is 'lm'", "'geodesic'", "--joint-weight"),
         ),
-        (("--controller", "selection", "--hold-tip", "pose", "--strict-tip"), ("--hold-tip, --strict-tip",)),
+        (
+            ("--controller", "selection", "--hold-tip", "pose", "--tip-priority"),
+            ("--hold-tip, --tip-priority",),
+        ),
         (("--controller", "lmm", "--joint-weight", 1), ("did you mean 'lm'",)),
     ],
 )

@@ -63,7 +63,7 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
     lines = dict(line.split("  ", 1) for line in result.out.splitlines())
     facts = {name.strip(): text.strip() for name, text in lines.items()}
     assert facts["verdict"] == summary["verdict"]
-    assert summary["verdict"] == f"did not get there (max_steps): {summary['reason']}"
+    assert summary["verdict"] == f"did not reach the target (max_steps): {summary['reason']}"
     assert facts["steps"] == "4"
     assert f"{summary['start_error']:.4g} m at the start" in facts["posture error"]
     assert f"{summary['final_error']:.4g} m at the end" in facts["posture error"]
@@ -237,7 +237,7 @@ def test_the_exit_code_tells_whether_the_arm_got_there(command, arm_file, tmp_pa
     assert summary["faults"] == [f"it ran out of steps: {summary['reason']}"]
     there = command(*base, "--start", tmp_path / "there.npy")
     assert there.code == 0
-    assert "got there (converged): mean point error " in there.out.splitlines()[0]
+    assert "reached the target (converged): mean point error " in there.out.splitlines()[0]
 
 
 def test_an_arm_comes_through_a_pipe(command):
@@ -271,7 +271,7 @@ def test_colours_come_when_forced_and_never_against_no_color(
         monkeypatch.delenv(name, raising=False)
     env = {**variables, "TERM": "xterm-256color"}
     out = command("track", arm_file, "--curve", "helix", "--steps", 1, env=env).out
-    assert ("\x1b[33mdid not get there" in out) is coloured
+    assert ("\x1b[33mdid not reach the target" in out) is coloured
     assert coloured or "\x1b" not in out.replace("\x1b[1m", "").replace("\x1b[0m", "")
 
 

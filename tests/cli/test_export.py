@@ -63,7 +63,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
     assert summary.pop("largest_speed") == {"rad/s": pytest.approx(np.abs(steps).max() / 0.02)}
     assert summary.pop("largest_acceleration") == {"rad/s^2": pytest.approx(np.abs(changes).max() / 0.02**2)}
     assert summary.pop("duration") == pytest.approx(0.02 * STEPS)
-    assert summary.pop("verdict").startswith("got there (converged): ")
+    assert summary.pop("verdict").startswith("reached the target (converged): ")
     assert summary == {
         "run": str(timed_run),
         "faults": [],
@@ -103,9 +103,9 @@ def test_a_run_that_exceeds_a_limit_is_written_only_by_force(command, timed_run,
     asked = ("export", tmp_path, "-o", tmp_path / "a.csv")
     refused = command(*asked)
     assert (refused.code, (tmp_path / "a.csv").exists()) == (2, False)
-    assert "the motion is not fit for a robot: limits are exceeded in " in refused.err
+    assert "the motion should not be sent to a robot: limits are exceeded in " in refused.err
     forced = command(*asked, "--force")
-    assert forced.code == 0 and "exported all the same: limits are exceeded in " in forced.err
+    assert forced.code == 0 and "exported despite a fault: limits are exceeded in " in forced.err
     assert (tmp_path / "a.csv").exists()
 
 
@@ -126,7 +126,7 @@ def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
         (("-o", "motion.txt", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
         (("-o", "motion", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
         (("-o", "motion.json", "--dt", "1e9", "--force"), "in a message of ROS 2"),
-        (("-o", "motion.json", "--dt", "0.1"), "the motion is not fit for a robot: it ran out of steps: "),
+        (("-o", "motion.json", "--dt", "0.1"), "should not be sent to a robot: it ran out of steps: "),
         (("--dt", "0.1"), "-o"),
     ],
 )
@@ -164,7 +164,7 @@ def test_a_run_is_not_overwritten_with_its_own_export(command, run_directory, tm
     before = source.read_bytes()
     result = command("export", tmp_path, "--dt", 0.1, "-o", source)
     assert (result.code, source.read_bytes() == before) == (2, True)
-    assert "is the run itself" in result.err
+    assert "is the input" in result.err
 
 
 def test_goals_and_bags_are_written_by_their_format(command, timed_run, tmp_path) -> None:

@@ -53,7 +53,7 @@ def test_a_person_reads_what_became_of_it(command, task):
     result = command("run", task)
     assert (result.code, result.err) == (0, "")
     words = {line.split("  ")[0].strip(): line for line in result.out.splitlines()}
-    assert "got there (converged): " in words["verdict"]
+    assert "reached the target (converged): " in words["verdict"]
     assert "as planned" in words["duration"]
     assert "straight" in words["keyframes"]
     assert {"speed", "posture error", "mean error"} <= set(words)
@@ -225,7 +225,7 @@ def test_a_motion_that_does_not_get_there_ends_with_code_1_and_is_kept_for_no_ro
     result = command("run", task, "--json", "-o", out)
     data = json.loads(result.out)
     assert (result.code, data["converged"]) == (1, False)
-    assert data["verdict"] == f"did not get there ({data['status']}): {data['reason']}"
+    assert data["verdict"] == f"did not reach the target ({data['status']}): {data['reason']}"
     # What the run before left for a robot is gone, too.
     assert sorted(path.name for path in out.iterdir()) == ["motion.npz", "status.json"]
     assert "note: no motion.csv and motion.json for a robot: it " in result.err

@@ -35,7 +35,7 @@ def test_a_run_is_simulated_kept_and_told(command, timed_run, tmp_path, loop):
     kept = pp.load(out / "simulation.npz", Simulation)
     assert kept.loop == loop
     assert f"{loop} loop, gravity, {len(kept.time) - 1} cycles of 0.02 s" in result.out
-    assert ("target" in result.out) == (loop == "closed")
+    assert ("\ntarget " in result.out) == (loop == "closed")
     assert result.err.splitlines()[-2:] == [
         f"wrote {out / name}" for name in ("simulation.npz", "simulation.png")
     ]
@@ -73,7 +73,7 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
     result = command("simulate", file, "--urdf", weak, "--hold", 1)
     assert result.code == 1  # the arm hangs down
     assert result.out.startswith("verdict")
-    assert "did not get there (missed): mean point error " in result.out.splitlines()[0]
+    assert "did not reach the target (missed): mean point error " in result.out.splitlines()[0]
     assert "servos were at their limit, up to" in result.err
     assert command("simulate", file, "--urdf", weak, "--hold", 1, "--tolerance", 1).code == 0
     free = command("simulate", file, "--urdf", weak, "--hold", 0.1, "--no-torque-limits")

@@ -171,7 +171,7 @@ def test_a_summary_in_words_tells_what_a_person_asks_for():
     passed = (*motion.waypoints, Waypoint("late", 1.25, None, None, None))
     motion = replace(motion, waypoints=passed, deviations=("at 1 s it went round", "and again"))
     words = motion_in_words(summarize_motion(motion))
-    assert words["verdict"] == (f"got there (converged): {motion.run.reason}", "green")
+    assert words["verdict"] == (f"reached the target (converged): {motion.run.reason}", "green")
     assert words["duration"] == (
         "2.5 s, 2 times as long as the 1.25 s planned; before that 0.5 s to come to the first posture"
     )
@@ -199,7 +199,7 @@ def test_a_motion_that_did_not_get_to_its_end_says_how_far_it_came():
     motion = some_motion()
     motion = replace(motion, plan_time=0.5 * motion.plan_time, run=replace(motion.run, status="stalled"))
     words = motion_in_words(summarize_motion(motion))
-    assert words["verdict"] == (f"did not get there (stalled): {motion.run.reason}", "yellow")
+    assert words["verdict"] == (f"did not reach the target (stalled): {motion.run.reason}", "yellow")
     assert words["duration"] == "3 s, for 1.5 of the 3 s of the plan"
 
 

@@ -158,7 +158,7 @@ def test_more_requests_than_can_be_done_are_dropped_and_that_is_told(
         editor.post(lambda _, k=k: done.append(k))  # type: ignore[misc]
     editor.post(lambda _: done.append(-1), "key")
     editor.start()
-    until(lambda: "too much at once" in editor.session.notice.text)
+    until(lambda: "too many requests at once" in editor.session.notice.text)
     editor.close()
     assert done == list(range(10))
 

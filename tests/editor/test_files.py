@@ -144,7 +144,7 @@ def test_a_file_that_is_opened_again_keeps_the_last_change(desk: Desk, path: Pat
 def test_a_file_that_somebody_else_changed_is_not_written_over_in_silence(desk: Desk, path: Path) -> None:
     task().edited(name="by somebody else").save(path)
     desk.rename("mine")
-    with pytest.raises(FileError, match="somebody else changed it; save again"):
+    with pytest.raises(FileError, match="was changed by another program; save again"):
         desk.files.save(desk.session)
     assert Task.load(path).name == "by somebody else"
     desk.files.save(desk.session)  # whoever has been told, means it
@@ -161,7 +161,7 @@ def test_a_file_that_is_gone_is_written_again(desk: Desk, path: Path) -> None:
 
 def test_another_file_is_not_written_over(desk: Desk, path: Path) -> None:
     other = task().save(path.with_name("other.toml"))
-    with pytest.raises(FileError, match="exists already"):
+    with pytest.raises(FileError, match="already exists"):
         desk.files.save(desk.session, other)
     assert desk.session.path == path
 
@@ -180,7 +180,7 @@ def test_where_the_file_is_newer_it_counts_and_redo_takes_the_changes_up(path: P
     os.utime(kept, ns=(0, path.stat().st_mtime_ns - 1))
     desk = Desk(path)
     assert desk.session.task.name == ""
-    assert "before the file was written" in desk.session.notice.text
+    assert "older than the task file" in desk.session.notice.text
     desk.session.redo()
     assert desk.session.task.name == "kept"
     desk.files.close()
@@ -216,7 +216,7 @@ def test_two_editors_of_one_file_are_told_of(path: Path) -> None:
     one.rename("one again")
     one.files.close()
     one.files.watch(one.session)
-    assert "somebody else writes höhle 1.autosave.toml" in one.session.notice.text
+    assert "another program also writes höhle 1.autosave.toml" in one.session.notice.text
     other.files.close()
 
 
@@ -226,7 +226,7 @@ def test_what_cannot_be_kept_is_told_and_tried_again(desk: Desk, path: Path) -> 
 
     def told() -> bool:
         desk.files.watch(desk.session)
-        return "cannot be kept" in desk.session.notice.text
+        return "cannot be autosaved" in desk.session.notice.text
 
     until(told)
     autosave_path(path).rmdir()
@@ -260,7 +260,7 @@ def test_a_file_that_cannot_be_opened_is_told(desk: Desk, path: Path) -> None:
     for name in ("missing.toml", "folder.toml", "x\0y.toml", "n" * 300 + ".toml"):
         (path.parent / "folder.toml").mkdir(exist_ok=True)
         desk.open(path.parent / name)
-        assert desk.session.notice.text.startswith("not opened:")
+        assert desk.session.notice.text.startswith("cannot open it:")
 
 
 SPELLED_OUTSIDE = (
@@ -303,7 +303,7 @@ def test_names_that_lead_out_of_the_folder_are_refused(name: str, folder: Path) 
         with pytest.raises(FileError) as refused:
             within(folder, name.format(root=folder.parent), start)
         told = str(refused.value)
-        assert f"is not a file in {folder}; allowed: names in there, or another --folder at the start" in told
+        assert f"is not a file in {folder}; allowed: files in that folder; --folder chooses another" in told
 
 
 @pytest.mark.parametrize("name", ["own.toml", "sub/a/b.toml", "a..b.toml", "near.toml", "höhle 1.toml"])
@@ -341,7 +341,7 @@ def test_an_arm_is_not_written_through_a_link(folder: Path) -> None:
     made = Desk(path)
     made.session.replace(task(arm=of_no_template()), path, saved=False)
     (folder / "own.urdf").symlink_to(prey)
-    with pytest.raises(FileError, match="is a link to nowhere"):
+    with pytest.raises(FileError, match="is a broken link"):
         made.files.save(made.session)
     assert not prey.exists()
     (folder / "own.urdf").unlink()

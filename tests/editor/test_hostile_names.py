@@ -149,9 +149,9 @@ def test_no_name_becomes_markup_of_the_page(hostile: Editor) -> None:
             )
 
         said(f"{session.path.stem}: saved".replace(": ", ".toml: "))  # File
-        said(f"taken to be at zero: {list(session.arm.model.names)[2]!r}")  # Arm
+        said(f"shown at zero: {list(session.arm.model.names)[2]!r}")  # Arm
         hostile.post(lambda each: each.select(0))
-        said("Control point 'module_02' is asked")  # Keyframes
+        said("Control point 'module_02' goes to")  # Keyframes
         said(f" mm from {HOSTILE}")  # Scene
         for name in (HOSTILE, *MARKS):
             hostile.post(partial(rename, 1, name + "!"))

@@ -69,7 +69,7 @@ def test_what_else_is_asked_is_said() -> None:
     region = tab.about(Keyframe(straight, region=(0, 3)))
     assert "Only control points 1 to 4 have to take the shape." in region
     tip = pp.EndEffector(position=(0.1, 0.25, -1.0), priority=True)
-    assert "The tip is asked to be at (0.1, 0.25, -1) m, strictly." in tab.about(Keyframe(straight, tip=tip))
+    assert "The tip goes to (0.1, 0.25, -1) m, with priority." in tab.about(Keyframe(straight, tip=tip))
     named = tab.about(Keyframe(straight, tip=pp.EndEffector(position=(0, 0, 0), point="<b>", weight=2.0)))
     assert "&lt;b&gt;" in named
     assert "with weight 2." in named

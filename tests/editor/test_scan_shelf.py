@@ -72,7 +72,7 @@ def test_the_same_scan_is_not_added_twice(desk, cloud):
     desk.shelf.add_scan(cloud)
     assert desk.until(lambda: desk.session.task.scans == (cloud,))
     desk.shelf.add_scan(cloud)
-    assert desk.said("there already")
+    assert desk.said("already been added")
     assert desk.session.task.scans == (cloud,)
 
 
@@ -101,7 +101,7 @@ def test_what_is_sent_replaces_no_other_file(desk, cloud):
     (folder / "room.xyz").write_text("something of mine")
     for _ in range(2):  # the second time it is there already, under the other name
         desk.shelf.upload("room.xyz", cloud.read_bytes(), folder, 1.0, avoided=False)
-    assert desk.said("there already")
+    assert desk.said("already been added")
     assert (folder / "room.xyz").read_text() == "something of mine"
     assert desk.session.task.scans == (folder / "room_2.xyz",)
     assert sorted(path.name for path in folder.iterdir()) == ["room.xyz", "room_2.xyz"]

@@ -63,7 +63,7 @@ def test_a_shape_that_the_arm_cannot_take_changes_nothing() -> None:
     assert session.task is before
     assert session.proposal is None
     assert session.notice.kind == "error"
-    assert session.notice.text.startswith("halved it: not done, the arm cannot take that shape: too short")
+    assert session.notice.text.startswith("halved it: refused, the arm cannot take that shape: too short")
     assert session.number > number + 1  # the solver is asked for what counts again
     assert session.keyframe is before.motion[1]  # type: ignore[index]
     session.undo()
@@ -75,7 +75,7 @@ def test_points_that_give_no_curve_are_refused_at_once() -> None:
     session = opened()
     session.reshape(moved(2, (0.4, 0.0, 0.0)), "moved point 3")  # onto point 2
     assert session.proposal is None
-    assert "would lie on point 2" in session.notice.text
+    assert "is too close to point 2" in session.notice.text
     assert session.history.undoable == ""
 
 
@@ -117,7 +117,7 @@ def test_a_curve_of_another_kind_says_what_became_of_it() -> None:
     session.reshape(moved(3, (0.3, 0.3, 0.3)), "moved point 4")
     live = looked_at(session)
     session.settle(live._replace(verdict=live.verdict._replace(target=looked_at(opened()).verdict.target)))
-    assert session.notice.text.startswith("moved point 4; the curve is one of ")
+    assert session.notice.text.startswith("moved point 4; the curve now has ")
     assert session.history.undoable == "moved point 4"
 
 
@@ -146,7 +146,7 @@ def test_undo_goes_where_it_was_done() -> None:
     assert (session.selected, session.keyframe.hold) == (3, 1.0)
     session.redo()
     assert session.selected == 1
-    assert session.notice.text == "done again: added"
+    assert session.notice.text == "redone: added"
 
 
 def test_what_is_selected_is_always_there() -> None:

@@ -52,7 +52,7 @@ def crossing() -> tuple[pp.Arm, np.ndarray]:
 def test_a_shape_that_is_taken_is_green() -> None:
     kind, head, _ = told_of(Keyframe(straight_line()))
     assert kind == "good"
-    assert head.startswith("Taken: mean error 0 mm, whole arm within ")
+    assert head.startswith("On target: mean error 0 mm, whole arm within ")
 
 
 def test_a_tip_that_is_elsewhere_is_amber_and_says_how_far() -> None:
@@ -81,7 +81,7 @@ def test_the_curve_in_an_obstacle_and_the_arm_in_an_obstacle_are_two_things() ->
     led = review(live.arm, session.keyframe, live.verdict.target, ball)
     assert status_of(session, live._replace(verdict=led))[:2] == (
         "warning",
-        "The curve leads the arm into something",
+        "The arm on this curve would collide",
     )
     session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, ball, {}))
     kind, head, more = status_of(session, live._replace(verdict=led))

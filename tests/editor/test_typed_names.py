@@ -73,13 +73,11 @@ def test_nothing_outside_is_saved_opened_or_loaded(editor: Editor, root: Path) -
                 editor.session.say("nothing yet")
                 typed = name.format(root=root, end="toml")
                 press(client, "Task file", typed, button)
-                told = (
-                    f"{typed}: is not a file in {root / 'desk'}; allowed: names in there, or another --folder"
-                )
+                told = f"{typed}: is not a file in {root / 'desk'}; allowed: files in that folder"
                 says(editor, told)
             for kind in ("scan", "obstacle"):
                 editor.session.say("nothing yet")
-                client.set("Take as", kind)
+                client.set("Load as", kind)
                 typed = name.format(root=root, end="xyz")
                 press(client, "File", typed, "Load")
                 says(editor, f"{typed}: is not a file in {root / 'desk'}")

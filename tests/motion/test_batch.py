@@ -200,7 +200,7 @@ def test_a_warning_that_holds_for_all_runs_is_given_once(asked: Asked, scene: pp
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         batch = pp.track_many(*asked, "projection", scene=scene, max_steps=3, jobs=1)
-    assert ["does not keep clear" in str(each.message) for each in caught] == [True]
+    assert ["does not avoid obstacles" in str(each.message) for each in caught] == [True]
     assert caught[0].filename == __file__
     assert np.isfinite(batch.clearance).all()
 
@@ -210,7 +210,7 @@ def test_ends_alone_are_the_same_and_say_how_to_have_more(asked: Asked) -> None:
     assert ends.motions is None
     for name in ("status", "reason", "steps", "final_error", "path_length_ratio", "q_start", "q_final"):
         np.testing.assert_array_equal(getattr(ends, name), getattr(batch, name))
-    with pytest.raises(InvalidValue, match='keep="motions"'):
+    with pytest.raises(InvalidValue, match='"motions" in track_many'):
         ends[0]
 
 

@@ -176,10 +176,10 @@ def far_off(feedback: Feedback, moving: bool, cycles: int) -> int | None:
         seen = feedback.update(far, None, 0.01)
         if feedback.restarted:
             np.testing.assert_array_equal(seen.state.q, far)
-            assert seen.reason == "" and seen.disagreement == 0.0
+            assert seen.reason == "" and seen.tracking_error == 0.0
             return cycle
-        assert "from where it should be" in seen.reason
-        assert seen.disagreement == pytest.approx(1.0, abs=1e-3)
+        assert "from its expected position" in seen.reason
+        assert seen.tracking_error == pytest.approx(1.0, abs=1e-3)
         assert np.abs(feedback.command).max() < 1e-3
     return None
 
@@ -201,4 +201,4 @@ def test_wrong_shapes_are_faults_of_the_program(arm: pp.Arm) -> None:
         feedback.update(None, np.zeros((arm.n_modules, 2)), 0.01)
     for bad in (None, np.full(arm.nq, np.nan)):
         seen = feedback.update(bad, None, 0.01)
-        assert seen.state is None and seen.reason and seen.disagreement is None
+        assert seen.state is None and seen.reason and seen.tracking_error is None

@@ -151,7 +151,7 @@ def test_failures_are_named() -> None:
     with pytest.raises(CurveEndsEarly, match=r"module 4.*lengthen"):
         pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.2, 0, 0)))
     tight = pp.Arm.from_modules([AWKWARD["narrow"]] * 5)
-    with pytest.raises(CurveBendsTooMuch, match="closest that its end can come"):
+    with pytest.raises(CurveBendsTooMuch, match="its end stays at least"):
         pp.resolve_targets(tight, HELIX, method="closest")
     partial = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.2, 0, 0)), incomplete="partial")
     assert partial.has_target.tolist() == [True, True, True, False, False]

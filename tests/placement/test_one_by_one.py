@@ -117,7 +117,7 @@ def test_a_roll_at_the_end_of_a_module_is_placed_with_the_next() -> None:
     assert target.residual.max() < 1e-5
     beside = pp.resolve_targets(arm, pp.Curve.spline(points), placement="align")
     assert beside.method != "sequential"
-    assert "leaves the plane" in beside.fallback
+    assert "off the plane" in beside.fallback
 
 
 def test_modules_with_one_roll_too_many_keep_it_still() -> None:

@@ -113,7 +113,7 @@ def test_mixed_arms_resolve_through_the_same_walk() -> None:
 def test_a_module_longer_before_its_second_hinge_zigzags_and_is_placed_smoothly() -> None:
     # Sequential placement multiplies a misalignment by -l1 / l2 from module to module.
     arm = pp.Arm.from_template("RyRz", 20, (0.03, 0.02))
-    with pytest.raises(CurveBendsTooMuch, match="cannot turn"):
+    with pytest.raises(CurveBendsTooMuch, match="beyond its joint limits"):
         pp.resolve_targets(arm, HELIX, method="sequential")
     target = pp.resolve_targets(arm, HELIX)
     assert target.method == "smooth"

@@ -51,7 +51,7 @@ def test_whatever_the_numbers_what_comes_out_is_a_solid(seed):
 
 def test_points_and_nothing_at_all_get_a_size():
     point, changed = physically_consistent(RigidBody(2.0, np.ones(3), np.zeros((3, 3))))
-    assert changed == "moments of no solid"
+    assert changed == "unphysical moments of inertia"
     np.testing.assert_allclose(point.inertia, 0.4 * 2.0 * 1e-8 * np.eye(3), rtol=1e-9)
     nothing, changed = physically_consistent(RigidBody(0.0, np.zeros(3), np.zeros((3, 3))))
     assert (nothing.mass, changed) == (DEFAULT_MASS, "no mass")

@@ -135,8 +135,8 @@ def test_an_arm_that_falls_did_not_get_there():
         f"mean point error {off:.3g} m after {weak.time[-1]:.6g} s, above the tolerance of 0.002 m; "
         f"{np.count_nonzero(weak.saturated)} of 8 servos were at their limit"
     )
-    assert weak.verdict == f"did not get there (missed): {weak.reason}"
-    assert weak.faults == (f"it came to its end elsewhere: {weak.reason}",)
+    assert weak.verdict == f"did not reach the target (missed): {weak.reason}"
+    assert weak.faults == (f"it ended away from its target: {weak.reason}",)
     told = weak.summary()
     assert (told["verdict"], told["converged"]) == (weak.verdict, False)
     kept = sim.simulate(four_modules(), ROWS, sim.Servos(torque_limits=1e-3), dt=DT, hold=1.0, tolerance=1.0)
@@ -168,7 +168,7 @@ def test_distances_from_the_scene_are_those_of_the_simulated_arm():
         assert told["smallest"] == pytest.approx(min(expected), abs=1e-5)
         assert "ball" in told["pair"]
         if min(expected) < 0.0:
-            assert "mm inside each other" in simulated.verdict
+            assert " penetrate by " in simulated.verdict
     assert not np.any(np.isfinite(open_loop().clearance))
     assert open_loop().summary()["clearance"] is None
 

@@ -191,9 +191,9 @@ cycle = "200 ms" -> position_margin = "1 deg" :: limits.position_margin | turns 
 
 LEADER_SEARCHED = r"""
 feed = { stroke = "30 cm" }\n -> :: leader.path: first joints of the arm | feed @ path =
-"30 cm" -> "5 cm" :: leader.depth: is 0.1; allowed: at most 0.05 m: the feed can push @ depth =
+"30 cm" -> "5 cm" :: leader.depth: is 0.1; allowed: at most 0.05 m: the feed has 0.05 m of travel @ depth =
 [0.2, 0, 0], [0.3, 0.1, 0] -> [0.05, 0, 0.01], [0, 0, 0] :: module 5 | gentler path @ path =
-"5 cm/s" -> 1e-9 :: leader.speed: is 1e-09; allowed: at most 1000000 rows; 6e+08 are 0.2 s or
+"5 cm/s" -> 1e-9 :: leader.speed: is 1e-09; allowed: a speed for at most 1000000 rows; this one needs 6e+08
 "45 mm" -> "1e5 m" :: leader.pipe: radius
 [leader] -> [start]§\njoints = [0, 1, 0, 0, 0, 0, 0, 0, 0, ]\n[leader] :: start: start is | straight
 depth = 0.1 -> placement = "as_is" :: leader.path: start of the path is | straight on @ path =

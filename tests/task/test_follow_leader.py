@@ -301,9 +301,9 @@ REFUSED = {
     "short feed": (
         {"path": lambda: Curve.line((0, 0, 0), (0.7, 0, 0))},
         InvalidValue,
-        "at most 0.6 m: the feed can push by 0.6 m from the start; depth= goes part of the way",
+        "at most 0.6 m: the feed has 0.6 m of travel from the start; depth= follows a part of it",
     ),
-    "bend at the feed": ({"path": lambda: arc(0.2, 2.3)}, InvalidValue, "the feed goes straight"),
+    "bend at the feed": ({"path": lambda: arc(0.2, 2.3)}, InvalidValue, "straight feed would leave"),
     "elsewhere": ({"placement": "as_is"}, InvalidValue, "m from the tip, 90 degrees off the axis of the arm"),
     "no feed": (
         {"arm": lambda: Arm.from_modules(HINGES)},

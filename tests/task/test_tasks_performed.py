@@ -150,7 +150,7 @@ def test_the_tip_comes_to_where_it_was_asked_to_be_as_far_as_that_weighs(example
     assert task.continuity == "acceleration"
 
 
-@pytest.mark.filterwarnings("ignore:.*does not keep clear")
+@pytest.mark.filterwarnings("ignore:.*does not avoid obstacles")
 @pytest.mark.parametrize("name", ["selection", "projection", "switching"])
 def test_other_controllers_do_the_same_task(tmp_path: Path, name: str) -> None:
     (tmp_path / "task.toml").write_text(VALID)
@@ -186,6 +186,6 @@ def test_a_motion_that_begins_inside_of_something_is_refused(tmp_path: Path) -> 
         (FOLDER / "around.toml").read_text().replace("center = [0.5, 0.28, 0.0]", "center = [0.5, 0, 0.1]")
     )
     with pytest.raises(
-        pp.PostureError, match=r"line \d+: keyframe 1 .*: .* and ball would be .* mm inside each other"
+        pp.PostureError, match=r"line \d+: keyframe 1 .*: .* and ball would penetrate by .* mm"
     ):
         pp.Task.load(file).perform()

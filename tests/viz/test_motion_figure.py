@@ -204,10 +204,10 @@ def test_escapes_and_limits_that_gave_way_are_marked_at_their_moments():
     escape[10:14], relaxed[20] = True, "acceleration of joint 3"
     figure = pp.plot(replace(motion, run=replace(run, error_increasing=escape, violated_constraints=relaxed)))
     ax = panel(figure, "posture error [m]")
-    (span,) = [each for each in ax.collections if str(each.get_label()).startswith("4 escape")]
+    (span,) = [each for each in ax.collections if str(each.get_label()).startswith("4 steps in which")]
     corners = span.get_paths()[0].vertices
     assert (corners[:, 0].min(), corners[:, 0].max()) == pytest.approx((0.5, 0.7))
-    (mark,) = [each for each in ax.get_lines() if str(each.get_label()).startswith("gave way")]
+    (mark,) = [each for each in ax.get_lines() if str(each.get_label()).startswith("violated")]
     assert mark.get_xdata() == pytest.approx([21 * 0.05])
     draw(figure)
 

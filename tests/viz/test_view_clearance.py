@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import pinposture as pp
 from pinposture.viz import palette, plot_clearance
-from pinposture.viz.panels import mark_escapes, mark_relaxed
+from pinposture.viz.panels import mark_rising_steps, mark_violations
 
 
 @cache
@@ -93,12 +93,12 @@ def test_escape_steps_are_shaded_from_where_they_begin_to_where_they_lead():
     escape = np.zeros(free_run().steps, dtype=bool)
     escape[[1, 2, 4]] = True
     ax = panel()
-    mark_escapes(in_scene(error_increasing=escape), ax)
+    mark_rising_steps(in_scene(error_increasing=escape), ax)
     spans = [np.ptp(path.vertices[:, 0]) for path in ax.collections[0].get_paths()]
     starts = [path.vertices[:, 0].min() for path in ax.collections[0].get_paths()]
     assert (starts, spans) == ([1.0, 4.0], [2.0, 1.0])
     ax = pp.plot(in_scene(error_increasing=escape)).axes[1]
-    assert entries(ax) == ["3 escape steps, the error may rise"]
+    assert entries(ax) == ["3 steps in which the error may rise"]
 
 
 def test_steps_in_which_something_gave_way_are_marked_and_quoted():
@@ -106,7 +106,7 @@ def test_steps_in_which_something_gave_way_are_marked_and_quoted():
     relaxed[[1, 4]] = "margin of 20 mm, m1 to $ball: 3 mm; and much more that a legend has no room for"
     ax = pp.plot(in_scene(violated_constraints=relaxed)).axes[1]
     (words,) = entries(ax)
-    assert words.startswith("gave way in 2 steps: margin of 20 mm, m1 to $ball: 3 mm")
+    assert words.startswith("violated in 2 steps: margin of 20 mm, m1 to $ball: 3 mm")
     assert len(words) < 70
     (marks,) = (line for line in ax.get_lines() if line.get_marker() == "|")
     np.testing.assert_array_equal(marks.get_xdata(), [2, 5])
@@ -117,8 +117,8 @@ def test_steps_in_which_something_gave_way_are_marked_and_quoted():
 def test_a_run_without_either_has_no_marks_and_no_legend():
     free = free_run()
     ax = panel()
-    mark_escapes(free, ax)
-    mark_relaxed(free, ax)
+    mark_rising_steps(free, ax)
+    mark_violations(free, ax)
     assert len(ax.collections) == len(ax.get_lines()) == 0
     assert pp.plot(free).axes[1].get_legend() is None
 

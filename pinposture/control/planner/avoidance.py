@@ -202,14 +202,14 @@ class Avoidance:
 
     Args:
         clearance: the distances.
-        objective: what the arm is to achieve.
-        bounds: what the limits mean for its joints.
+        objective: the objective.
+        bounds: the limits of its joints.
         previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
 
     Attributes:
         clearance: the distances.
         margin: the distance to keep [m].
-        objective: what the arm is to achieve.
+        objective: the objective.
         moving: whether obstacles move.
     """
 
@@ -265,7 +265,7 @@ class Avoidance:
         retreats early enough to gain its speed within the limits of acceleration.
 
         Args:
-            state: where the arm is.
+            state: the state of the arm.
             lower: smallest step, (n,), in `Arm.joint_units`.
             upper: largest step, (n,).
         """
@@ -339,7 +339,7 @@ class Avoidance:
         would touch something: it then stops harder than its limits allow.
 
         Args:
-            state: where the arm is.
+            state: the state of the arm.
             dq: the wanted step, (nv,) [rad or m].
         """
         if self._approved is not None and np.array_equal(self._approved[0], dq):

@@ -46,7 +46,7 @@ class StepBounds(NamedTuple):
     """What one step may do.
 
     Attributes:
-        state: where the arm is.
+        state: the state of the arm.
         lower: smallest step, (n,), in `Arm.joint_units`.
         upper: largest step, (n,).
         rows: further constraints; None: none.
@@ -101,7 +101,7 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
     lambda grows with the errors that are left.
 
     Args:
-        objective: what the arm is to achieve.
+        objective: the objective.
         bounds: what the step may do.
         damping: factor of the damping.
     """
@@ -169,7 +169,7 @@ def solve_priority(
     """Solve for the tasks with priority alone; None if that fails.
 
     Args:
-        objective: what the arm is to achieve.
+        objective: the objective.
         bounds: what the step may do.
         tasks: the rows of these tasks.
         wanted: what the step should do for them, (r,) [m].
@@ -229,10 +229,10 @@ def minimize(
     In a scene, a state that is too close to something first has to come clear, and then stays so.
 
     Args:
-        objective: what the arm is to achieve.
+        objective: the objective.
         state: where to begin.
         edges: joint positions to stay between, (2, nv) [rad or m].
-        avoidance: what to keep clear of; None: nothing.
+        avoidance: the obstacles to avoid; None: none.
         good: mean distance of the control points from their targets at which the search ends [m], if there
             are no further tasks.
         borne: by how much the arm may fall short of the margin to something [m].

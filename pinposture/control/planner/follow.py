@@ -76,21 +76,20 @@ UNBOUNDED_STEP = np.array([[-np.inf], [np.inf]])
 
 
 class PathProgress(NamedTuple):
-    """A path, and how far the arm has come on it.
+    """A path, and the position of the arm on it.
 
     Attributes:
-        timed: the path with its speed.
-        place: where the arm is on it, in waypoints.
-        speed: how far it went in the last step, in waypoints.
-        progress_place: where the arm was when it last made progress in time.
+        timed: the path with its time parameterization.
+        place: position of the arm on it, in waypoints.
+        speed: motion along it in the last step, in waypoints.
+        progress_place: position at which the arm last made progress.
         idle_travel: joint travel that the limits have allowed since then [rad].
-        arrived: whether the arm is at the end; the errors that are left are then reduced directly.
-        damping: factor of the damping with which they are.
-        expected: joint positions that the arm should have by now, (nv,) [rad or m]; None before the first
+        arrived: whether the arm is at the end; the remaining errors are then reduced directly.
+        damping: damping factor of these steps.
+        expected: expected joint positions, (nv,) [rad or m]; None before the first
             step.
-        bend: by how much the end of the path was moved since it was planned, (nv,) [rad or m]; None: not at
-            all.
-        timed_bend: by how much it was moved when its speed was found; None: not at all.
+        bend: displacement of the end of the path since it was planned, (nv,) [rad or m]; None: none.
+        timed_bend: displacement of the end when the path was timed; None: none.
     """
 
     timed: TimedPath
@@ -111,7 +110,7 @@ class PathProgress(NamedTuple):
 
     @property
     def objective(self) -> Objective:
-        """What the arm is to achieve."""
+        """The objective."""
         return self.timed.path.objective
 
     def moved_to(
@@ -120,11 +119,11 @@ class PathProgress(NamedTuple):
         """Return the progress after a step.
 
         Args:
-            place: where the step leads.
+            place: the end of the step.
             travel: joint travel that the limits allow in it [rad].
-            hindered: whether it leads less far than limits, or the profile, allow. A step that is not
-                hindered counts as progress, however little of the path it is.
-            expected: joint positions that the arm should have then, (nv,) [rad or m]; None if unknown.
+            hindered: whether it is shorter than the limits, or the profile, allow. A step that is not
+                hindered counts as progress, however short it is.
+            expected: expected joint positions after it, (nv,) [rad or m]; None if unknown.
         """
         idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.path.end
         return self._replace(
@@ -136,7 +135,7 @@ class PathProgress(NamedTuple):
         )
 
     def matches(self, state: ArmState) -> bool:
-        """Whether the arm is where it is expected, or nearly: else a new path begins where it is."""
+        """Whether the arm is close to its expected position; if not, a new path begins at its position."""
         arm = self.path.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
@@ -145,16 +144,16 @@ class PathProgress(NamedTuple):
         return kernels.joint_distance(*given) <= MAX_DEVIATION
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
-        """Return the same progress on a path of as many waypoints, or within other limits."""
+        """Return the same progress on another path of as many waypoints, or within other limits."""
         return self._replace(timed=retime(path, limits, self.timed.max_rate, initial_speed))
 
     def bent_to(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
-        """Return the same progress on a path that was bent; its speed is found anew if that is much.
+        """Return the same progress on a bent path, timed again if it was bent much.
 
         Args:
             path: the path.
             bend: as the attribute.
-            limits: what a step may not exceed.
+            limits: the limits of each step.
         """
         since = bend if self.timed_bend is None else bend - self.timed_bend
         little = np.all(np.abs(since) <= MAX_UNTIMED_BEND * path.arm.joint_units)
@@ -168,7 +167,7 @@ class PathProgress(NamedTuple):
 
     @classmethod
     def begin(cls, timed: TimedPath, previous: Array | None) -> PathProgress:
-        """Return the progress of an arm at the start, which moves already as the step before, (nv,), did."""
+        """Return the progress at the start of a path, for an arm that moved by a step (nv,) before."""
         if timed.profile is None or previous is None:
             return cls(timed)
         path = timed.path
@@ -180,12 +179,12 @@ class PathProgress(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What takes a target, and how it moved in the last cycle.
+    """A configuration that takes a target, and its motion in the last cycle.
 
     Attributes:
         target: the target.
-        positions: joint positions that take it, (nv,) [rad or m].
-        motion: their displacement from those of the target before, (nv,) [rad or m].
+        positions: joint positions that take the target, (nv,) [rad or m].
+        motion: their displacement from those of the previous target, (nv,) [rad or m].
     """
 
     target: Target
@@ -195,7 +194,7 @@ class Goal(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GeodesicMemory(Memory):
-    """The memory of `Geodesic`: the path, where the arm is on it, and how the target moved."""
+    """The memory of `Geodesic`: the path, the position of the arm on it, and the motion of the target."""
 
     progress: PathProgress | None = None
     goal: Goal | None = None
@@ -206,18 +205,18 @@ def follow(
 ) -> Step:
     """Take one step along a path: the third stage of `Geodesic`.
 
-    It never plans. The step keeps the limits, the obstacles of `path.path.scene`, and leads the arm back to
-    the path where it is beside it. At the end of the path it reduces what errors are left.
+    It never plans. The step keeps the limits, avoids the obstacles of `path.path.scene`, and leads the arm
+    back to the path if it is off it. At the end of the path it reduces the remaining errors.
 
     Args:
-        path: the path, as `retime` returns it.
-        state: where the arm is.
-        limits: what the step may not exceed; those of the path if None.
-        memory: `memory` of the step before; None at the first, and when another path begins: the arm is at
-            rest at the start.
+        path: the timed path, as `retime` returns it.
+        state: the state of the arm.
+        limits: the limits of the step; those of the path if None.
+        memory: `memory` of the previous step; None at the first step of a path, which begins at rest at the
+            start.
 
     Raises:
-        InvalidValue: something of another type, or of another arm.
+        InvalidValue: an argument of the wrong type, or of another arm.
     """
     if not isinstance(path, TimedPath):
         raise InvalidValue("path", path, "a TimedPath, as `retime` returns it")
@@ -235,18 +234,18 @@ def follow(
 
 
 def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> Step | None:
-    """Take the step that is simply the next one on a path, in one compiled call.
+    """Take the next step on a path in one compiled call, if nothing interferes.
 
-    Most steps are such, so it is tried first. All other cases are left to `advance`: limits that cannot be
-    kept, an arm that is not where it should be, a path that is at its end or leads out of the limits.
+    Most steps are of this kind, so it is tried first. `advance` handles all other cases: limits that cannot
+    be kept, an arm away from its expected position, a path at its end or one that leaves the limits.
 
     Args:
-        progress: where the arm is on its path, with nothing to avoid.
-        state: where the arm is.
-        bounds: what the limits mean for its joints.
+        progress: position of the arm on its path, without obstacles.
+        state: the state of the arm.
+        bounds: the limits of its joints.
 
     Returns:
-        The step; None if it is not that simple.
+        The step; None in the other cases.
     """
     timed, objective = progress.timed, progress.objective
     if progress.arrived or timed.profile is not None or objective.has_tasks:
@@ -295,15 +294,15 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
 def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:
     """Take the step to a configuration that takes the target posture, if one short step is enough.
 
-    Targets that move a little in each cycle ask for such steps.
+    A target that moves a little in each cycle needs such steps.
 
     Args:
-        objective: what the arm is to achieve, without tasks.
-        state: where the arm is.
-        bounds: what the limits mean for its joints.
+        objective: the objective, without tasks.
+        state: the state of the arm.
+        bounds: the limits of its joints.
 
     Returns:
-        The step; None if there is no such configuration, or it is not within one step.
+        The step; None if there is no such configuration, or if it is farther than one step.
     """
     if bounds.brake is not None:
         return None
@@ -346,22 +345,22 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
 def pursue(
     objective: Objective, state: ArmState, limits: Limits, memory: Memory | None
 ) -> tuple[Step | None, Goal | None]:
-    """Take the step after which each joint meets its goal soonest and moves on with it, if the target moves.
+    """Take the step with which each joint meets its moving goal soonest and stays on it.
 
-    Let r be the way to the goal, and g(r) the largest step from which a joint can stop in time (`farthest`).
-    Beside a goal that moves by v in each cycle that is v + g(r - v). The motion is that of `Target.velocity`;
-    else that of the target in the last cycle, if it moves as an arm within these limits can, and is no noise.
-    An arm that is far behind follows a path first.
+    Let r be the distance to the goal, and g(r) the largest step after which a joint can stop in time
+    (`farthest`). For a goal that moves by v in each cycle it is v + g(r - v). Its motion is that of
+    `Target.velocity`, else that of the target in the last cycle, if it is feasible within these limits and
+    not noise. An arm that is far behind follows a path first.
 
     Args:
-        objective: what the arm is to achieve, without tasks.
-        state: where the arm is.
-        limits: what the step may not exceed, acceleration among it.
-        memory: `memory` of the step before.
+        objective: the objective, without tasks.
+        state: the state of the arm.
+        limits: the limits of the step, with acceleration.
+        memory: `memory` of the previous step.
 
     Returns:
-        The step, None where the target stands still or is too far; and what takes the target, None if
-        unknown.
+        The step, None if the target is at rest or too far away; and the configuration that takes the target,
+        None if unknown.
     """
     arm, target, bounds = state.arm, objective.target, limits.for_arm(state.arm)
     before = memory.goal if isinstance(memory, GeodesicMemory) else None
@@ -428,8 +427,8 @@ class CandidateStep(NamedTuple):
 
     Attributes:
         dq: the step, (nv,) [rad or m].
-        progress: where it leads on the path.
-        solution: what the quadratic program returned; None if there was no need to solve one.
+        progress: its end on the path.
+        solution: solution of the quadratic program; None if none was solved.
         reason: why the arm does not move; empty if it does.
     """
 
@@ -442,14 +441,14 @@ class CandidateStep(NamedTuple):
 def advance(
     progress: PathProgress, state: ArmState, limits: Limits, box: StepBox, avoidance: Avoidance | None
 ) -> Step:
-    """Take a step along a path, or at its end; finite, within its limits and clear, whatever was computed.
+    """Take a step along a path, or at its end; always finite, within its limits and clear.
 
     Args:
-        progress: where the arm is on its path.
-        state: where the arm is.
-        limits: what the step may not exceed.
+        progress: position of the arm on its path.
+        state: the state of the arm.
+        limits: the limits of the step.
         box: the steps that the limits allow.
-        avoidance: what to keep clear of; None: nothing.
+        avoidance: the obstacles to avoid; None: none.
     """
     if progress.arrived:
         candidate = reduce_remaining(progress, StepBounds.of(progress.objective, state, box, avoidance))
@@ -465,18 +464,18 @@ def step_along(
     limits: Limits,
     avoidance: Avoidance | None = None,
 ) -> CandidateStep:
-    """Return the step along the path if its bounds admit it; else the admissible one that is nearest.
+    """Return the step along the path if its bounds admit it; else the nearest admissible one.
 
     The nearest minimises |A (x - x_path)|^2 + mu^2 |x - x_path|^2, with all rows A of the objective and the
     weight mu of joint motion with which the path was found. Tasks with priority come first; the path takes
     account of the others.
 
     Args:
-        progress: where the arm is on its path.
-        state: where it is.
+        progress: position of the arm on its path.
+        state: the state of the arm.
         box: the steps that the limits allow.
-        limits: what they are.
-        avoidance: what to keep clear of; None: nothing.
+        limits: the limits.
+        avoidance: the obstacles to avoid; None: none.
     """
     objective, path = progress.objective, progress.path
     bounds, here = limits.for_arm(state.arm), progress.place
@@ -519,10 +518,10 @@ class _Proposal(NamedTuple):
     """A step along a path before anything else is considered.
 
     Attributes:
-        place: where it leads, in waypoints.
-        left: largest joint motion that was left before the step, in `Arm.joint_units`.
+        place: its end, in waypoints.
+        left: largest remaining joint motion before the step, in `Arm.joint_units`.
         inside: whether it is within its limits.
-        hindered: whether it leads less far than the profile allows.
+        hindered: whether it is shorter than the profile allows.
         dq: the step, (nv,) [rad or m].
     """
 
@@ -565,20 +564,20 @@ def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds:
 
 
 def _lags_behind(progress: PathProgress, state: ArmState) -> bool:
-    """Whether a joint is farther behind the place of the arm on its path than `MAX_LAG` allows."""
+    """Whether a joint lags behind the position of the arm on its path by more than `MAX_LAG`."""
     lag = progress.path.offset(progress.place) - progress.path.offset_of(state, progress.place)
     return bool(np.any((np.abs(lag) > MAX_LAG * progress.timed.bounds.bound)[progress.objective.columns]))
 
 
 def _admissible_share(onward: Array, lag: Array, bound: Array) -> float:
-    """Return the share of the motion onward that the joints, (n,), may make if they make up their lag."""
+    """Return the share of the motion ahead that the joints, (n,), may make while they catch up."""
     gap = np.where(onward < 0.0, bound + lag, bound - lag)
     share = np.where(np.abs(lag) > bound, 0.0, gap / np.maximum(np.abs(onward), 1e-100))
     return float(min(share.min(initial=1.0), 1.0))
 
 
 def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateStep:
-    """Return the step that reduces what errors are left at the end of the path, damped until it does."""
+    """Return the step that reduces the remaining errors at the end of the path, damped until it does."""
     objective, damping, found = progress.objective, progress.damping, None
     state = bounds.state
     cost = objective.cost(state)
@@ -604,7 +603,7 @@ def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateSte
 
 
 def _describe_rest(objective: Objective, bounds: StepBounds) -> str:
-    """Say which tasks are not met, and that not all bare points were reached."""
+    """Say which tasks are not met, and whether points without tasks were missed."""
     left = [
         f"{type(task).__name__} by {np.linalg.norm(task.rows(bounds.state, objective.target).error):.3g} m"
         for task in objective.tasks
@@ -626,7 +625,7 @@ def _check_step(
     avoidance: Avoidance | None,
     before: PathProgress,
 ) -> Step:
-    """Make the step finite, within its limits and clear, and say how it came about."""
+    """Make the step finite, within its limits and clear, and add its diagnostics."""
     arm, progress = state.arm, candidate.progress
     dq, violated, share = candidate.dq, box.violated_constraints, 1.0
     stopping: Array | None = None

@@ -33,43 +33,43 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 
 MAX_IDLE_TRAVEL, MAX_PATH_ATTEMPTS = 1.0, 3
-"""Joint travel without progress after which another path is planned [rad], and the number of attempts."""
+"""Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
 
 MIN_CLEARANCE_GAIN = 1e-4
-"""Least clearance that a step out of an obstacle gains, in arm lengths; else a path is planned from there."""
+"""Smallest gain in clearance of a step out of an obstacle, in arm lengths; below it a path is planned."""
 
 
 @dataclass(frozen=True)
 class Geodesic:
-    """Takes the arm along the most direct path to its target posture.
+    """Moves the arm along the most direct path to its target posture.
 
     Three stages, each of which can be called on its own:
 
-    1. `plan` finds the goal configuration (the one that the target knows, or the one that comes closest to
-       its points) and the path on which the control points travel least.
-    2. `retime` finds how fast the path can be followed within the limits.
-    3. `follow` takes one step: of all steps that the limits of speed, position and acceleration allow, and
-       that lose no more than a share of the distance to any obstacle, the one that is nearest to the step
-       along the path, measured by the motion of control points and chords. At the end of the path, the
-       errors that are left are reduced by damped least squares within the same limits.
+    1. `plan` finds the goal configuration (that of the target, or the one closest to its points) and the path
+       along which the control points travel least.
+    2. `retime` finds the time parameterization of the path within the limits.
+    3. `follow` takes one step: of all steps within the position, velocity and acceleration limits that lose
+       no more than a share of the distance to any obstacle, the one closest to the step along the path,
+       measured by the motion of control points and chords. At the end of the path, damped least squares
+       within the same limits reduce the remaining errors.
 
-    A new path is planned when the target changes, when the arm is not where it is expected, and when it makes
-    no progress. An arm that is outside its position limits or inside an obstacle first comes out, by the
-    smallest step that does it.
+    A new path is planned when the target changes, when the arm is away from its expected position, and when
+    it makes no progress. An arm outside its position limits or inside an obstacle first returns, by the
+    smallest sufficient step.
 
-    Where not all can hold, constraints are relaxed in this order, and `Diagnostics.violated_constraints`
+    If not all constraints can hold, they are relaxed in this order, and `Diagnostics.violated_constraints`
     names them: tasks and posture, by their weights, and tasks with priority after the others; then the margin
-    to obstacles, of which each step regains what it can; then limits of acceleration, where braking would
-    touch something, and of position, as in `Limits.box`. Limits of speed always hold.
+    to obstacles, of which each step regains what it can; then acceleration limits, if braking would cause a
+    collision, and position limits, as in `Limits.box`. Velocity limits always hold.
 
     Attributes:
-        joint_weight: weight of the motion of joints against that of control points: how far, in module
-            lengths, all control points may move to save one radian of a joint. With smaller values, down to
-            about 0.05, joints move more so that points go straighter; below that only the number of steps
-            grows. Large values lead to joint interpolation.
+        joint_weight: weight of joint motion relative to control point motion: how far, in module lengths,
+            all control points may move to save one radian of a joint. Smaller values, down to about 0.05,
+            give straighter point paths for more joint motion; below that only the number of steps grows.
+            Large values lead to joint interpolation.
         relative_position_weight: weight of the squared error of a chord, relative to that of a point.
         tasks: further tasks.
-        scene: what to keep clear of; None: nothing. `track(..., scene=)` sets it.
+        scene: the obstacles; None: none. `track(..., scene=)` sets it.
     """
 
     joint_weight: float = 0.2
@@ -90,13 +90,13 @@ class Geodesic:
         return replace(self, scene=scene)
 
     def objective(self, arm: Arm, target: Target) -> Objective:
-        """Return what an arm is to achieve: the target posture, and the tasks."""
+        """Return the objective of an arm: the target posture and the tasks."""
         return Objective(arm, target, self.tasks, self.relative_position_weight, self.joint_weight)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
-        """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
+        """Compute one step; see `Controller.step`. The first step for a target plans, and takes longer."""
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
         state = state.compiled
@@ -131,7 +131,7 @@ class Geodesic:
         memory: Memory | None,
         before: PathProgress | None,
     ) -> Step:
-        """Take a step along a path, which is planned first where there is none."""
+        """Take a step along a path, which is planned first if there is none."""
         bounds = limits.for_arm(state.arm)
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
@@ -152,16 +152,16 @@ class Geodesic:
         return advance(progress, state, limits, box, avoidance)
 
     def start(self, path: TimedPath, state: ArmState, memory: Memory | None = None) -> GeodesicMemory:
-        """Return the memory with which the next steps follow a path that is given.
+        """Return the memory with which the next steps follow a given path.
 
         If the path has a schedule (`retime(..., max_rate=)`), the steps stay on it while the target moves
-        along it, until its end. An arm that is not where it is expected, or makes no progress, leaves the
-        path: it then plans one of its own to the target, and `memory.progress.timed.scheduled` is False.
+        along it, until its end. An arm that is away from its expected position, or makes no progress, leaves
+        the path and plans its own to the target, and `memory.progress.timed.scheduled` is False.
 
         Args:
             path: the path; its objective should be `objective(arm, target)` of this controller.
-            state: where the arm is, at the start of the path.
-            memory: `memory` of the step before; None: the arm is at rest.
+            state: the state of the arm, at the start of the path.
+            memory: `memory` of the previous step; None: the arm is at rest.
 
         Raises:
             InvalidValue: the target of the path does not fit the arm.
@@ -172,7 +172,7 @@ class Geodesic:
         return GeodesicMemory(motion.dq, motion.stopping, progress)
 
     def _is_unchanged(self, progress: PathProgress, state: ArmState, target: Target) -> bool:
-        """Whether the arm goes on as before, with nothing to plan and nothing to avoid."""
+        """Whether the arm continues as before, without planning or obstacles."""
         simple = not self.tasks and self.scene is None and progress.idle_travel < MAX_IDLE_TRAVEL
         objective = progress.objective
         return simple and objective.target is target and objective.arm is state.arm
@@ -194,7 +194,7 @@ class Geodesic:
         return self._plan(state, target, limits, None if scheduled else progress)
 
     def _go_on(self, state: ArmState, target: Target, limits: Limits, progress: PathProgress) -> PathProgress:
-        """Return the progress to the same target; on another path if there is none on this one."""
+        """Return the progress to the same target, on another path if this one gives none."""
         if progress.objective.tasks != self.tasks:  # these may move, and the path stays
             progress = progress.along(progress.path.revised(objective=self._objective(state, target)))
         if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
@@ -210,7 +210,7 @@ class Geodesic:
     def _plan(
         self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None
     ) -> PathProgress:
-        """Return the progress to another target, on the path so far where it can be bent."""
+        """Return the progress to another target, on the current path if it can be bent."""
         bounds = limits.for_arm(state.arm)
         target.check(state.arm)
         objective = self._objective(state, target, progress)
@@ -253,20 +253,20 @@ class Geodesic:
         if avoidance is not None:
             dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
             if share < 1.0:
-                violated += ("position limits: coming back faster would come too close to something",)
+                violated += ("position limits: a faster return would violate the margin to an obstacle",)
             violated += relaxed
-        reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
+        reason = "" if np.any(dq) else "joints are outside their limits, and an obstacle blocks their return"
         return _step_before_planning(state, target, dq, share, violated, reason, stopping)
 
     def _back_out(
         self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step | None:
-        """Take the smallest step that leads the arm out of an obstacle; then the path begins.
+        """Take the smallest step that leads the arm out of an obstacle, before a path begins.
 
         No path is planned from inside an obstacle: none would be clear.
 
         Returns:
-            None if the arm is inside of nothing, or if no such step gains anything.
+            None if the arm is not in collision, or if no such step gains clearance.
         """
         target.check(state.arm)
         objective = self.objective(state.arm, target)
@@ -291,9 +291,9 @@ class Geodesic:
         Without obstacles that move, the arm brakes and stands still.
 
         Args:
-            state: where the arm is.
-            target: where its control points should be.
-            limits: what the step may not exceed; `Limits()` if None.
+            state: the state of the arm.
+            target: the target posture.
+            limits: the limits of the step; `Limits()` if None.
             memory: `memory` of the step before; None: the arm is at rest.
 
         Returns:

@@ -143,7 +143,7 @@ class Objective:
 
     Attributes:
         arm: the arm.
-        target: where its control points should be. `Target.weights` weigh the squared errors.
+        target: the target posture. `Target.weights` weigh the squared errors.
         tasks: further tasks.
         relative_position_weight: weight of the squared error of a chord, relative to that of a point.
         joint_weight: weight of joint motion against the motion of control points; see `Geodesic`.
@@ -325,7 +325,7 @@ class ChainSolver:
 
     Args:
         objective: points and chords.
-        state: where the arm is.
+        state: the state of the arm.
         weight: of all points and chords, relative to that of joint motion; 0: only joint motion counts.
     """
 

@@ -48,20 +48,20 @@ class Stride(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """Waypoints joined by straight lines through joint space, and what they lead to.
+    """A path: waypoints joined by straight lines in joint space, and its objective.
 
     A place on the path is a number of waypoints from the start, in [0, N].
 
     Attributes:
-        objective: what the arm is to achieve, the target posture among it.
+        objective: the objective, which includes the target posture.
         start: configuration at which the path begins, (nq,).
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
-        scene: obstacles to keep clear of on the path; None: there are none.
-        attempt: how many paths to the same target were given up before this one.
+        scene: the obstacles; None: none.
+        attempt: number of paths to the same target that were abandoned before this one.
         hindrance: what the path comes too close to, in words; empty if it is clear.
         found_by: how it was found: "relaxation", "tree search" or "withdrawal".
-        task_errors: errors of the tasks with priority at the start and at the end, 2 x (r,) [m]. Between
-            them they change in proportion to the place.
+        task_errors: errors of the tasks with priority at the start and at the end, 2 x (r,) [m]. In
+            between they change linearly with the place.
     """
 
     objective: Objective
@@ -180,7 +180,7 @@ class JointPath:
         path that the step passes add up to, so L falls by 1 at least, and ceil(L) steps are enough.
 
         Args:
-            state: where the arm is.
+            state: the state of the arm.
             place: where it is on the path, or was last.
             sides: smallest and largest step, (2, nv) [rad or m].
         """
@@ -254,14 +254,14 @@ class SpeedProfile:
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A path with the speed at which it can be followed within limits.
+    """A path with its time parameterization within limits.
 
     Attributes:
         path: the path.
         limits: the limits.
-        bounds: what they mean for the joints of the arm.
-        profile: the highest speed along the path; None where neither acceleration nor a schedule limits it.
-            Each step then goes as far as its slowest joint can.
+        bounds: the limits of the joints of the arm.
+        profile: the highest speed along the path; None if neither acceleration nor a schedule limits it. Each
+            step then goes as far as its slowest joint can.
         max_rate: largest number of waypoints in one step; infinite on a path without a schedule.
     """
 
@@ -273,14 +273,14 @@ class TimedPath:
 
     @property
     def scheduled(self) -> bool:
-        """Whether the path has a schedule: the target moves along it, and the path is kept meanwhile."""
+        """Whether the path has a schedule: the target moves along it, and the path is kept."""
         return isfinite(self.max_rate)
 
     @cached_property
     def places(self) -> Array:
         """Place on the path after each step, (K + 1,) [waypoints], of an arm that follows it undisturbed.
 
-        Without a profile the arm may cut corners between waypoints, and be earlier.
+        Without a profile the arm may cut corners between waypoints, and arrive earlier.
         """
         end, profile = self.path.end, self.profile
         if profile is None:
@@ -311,14 +311,14 @@ class TimedPath:
 def retime(
     path: JointPath, limits: Limits | None = None, max_rate: float = inf, initial_speed: float = 0.0
 ) -> TimedPath:
-    """Find how fast a path can be followed within limits: the second stage of `Geodesic`.
+    """Find the time parameterization of a path within limits: the second stage of `Geodesic`.
 
-    Limits of speed and acceleration hold with a share left for corrections; braking before slow places and
-    before the end is planned.
+    It keeps the velocity and acceleration limits with a reserve for corrections, and brakes in time for slow
+    places and for the end.
 
     Args:
         path: the path, as `plan` returns it.
-        limits: what a step may not exceed; `Limits()` if None.
+        limits: the limits of each step; `Limits()` if None.
         max_rate: largest number of waypoints in one step. A finite number means that the waypoints are a
             schedule: the target moves along the path.
         initial_speed: number of waypoints in the step before, if the arm is moving along the path already.

@@ -1,4 +1,4 @@
-"""The first stage of the planner: the configuration to go to, and the most direct clear path to it."""
+"""The first stage of the planner: the goal configuration, and the most direct clear path to it."""
 
 from __future__ import annotations
 
@@ -39,41 +39,41 @@ logger = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 
 Report = Callable[[str, JointPath | None], None]
-"""Called with what is tried next, and the shortest clear path so far."""
+"""Called with the next attempt, and the shortest clear path so far."""
 
 RANDOM_STARTS, RANDOM_SPREAD = 6, 0.5
-"""Number of random starts where no configuration is known, and their spread, in `Arm.joint_units`."""
+"""Number of random starts if no configuration is known, and their spread, in `Arm.joint_units`."""
 
 MAX_AGREEING, SAME_COST = 3, 1e-3
-"""How many searches in a row have to end alike for the rest to be spared, and relative to what cost."""
+"""Number of consecutive searches that must agree to skip the rest, and their relative difference in cost."""
 
 MUCH_BETTER = 0.5
-"""Share of the cost of an earlier goal below which a later one is preferred, where a task holds the arm."""
+"""Share of the cost of an earlier goal below which a later one is preferred, if a task holds the arm."""
 
 TASK_ROOT, CLEARANCE_ROOTS = 0.4, (33.0, 10.0)
-"""Roots of the weights of tasks and of clearances on the path, against the motion of control points. Paths
-are searched with a large and a small one in turn: the one pushes out, the other leads round."""
+"""Roots of the weights of tasks and of clearances on the path, relative to the motion of control points.
+Attempts alternate between a large and a small one: the first pushes out, the second leads around."""
 
 SMALL_CHANGE = 0.3
-"""How far points of a target may move for it to be much like the one before, in module lengths."""
+"""Largest motion of the points of a target that counts as a small change, in module lengths."""
 
 NOISE_FACTOR = 2.0
-"""How much worse than expected a goal may be to count as no worse than the one before, for noisy targets."""
+"""Factor by which the error of a goal may exceed the expected one, for noisy targets."""
 
 MAX_BEND = 0.5
-"""By how much the end of a path may be moved in all, relative to the motion that is left."""
+"""Largest total displacement of the end of a path, relative to the remaining motion."""
 
 MIN_PLANNED_MOTION = 0.1
-"""Joint motion over which no path round something is looked for, in `Arm.joint_units`."""
+"""Joint motion up to which no path around obstacles is planned, in `Arm.joint_units`."""
 
 MAX_PATHS = 12
-"""How many relaxed paths are tried until one is clear of all obstacles; fewer in later attempts."""
+"""Largest number of relaxed paths that are tried for a clear one; fewer in later attempts."""
 
 MAX_DETOUR = 2.0
-"""Length of a clear path, relative to the most direct of all, above which a shorter one is searched."""
+"""Length of a clear path, relative to the most direct one, above which a shorter one is searched."""
 
 SEARCHED_ROOT = 10.0
-"""Root of the weight of clearance on paths that were searched."""
+"""Root of the weight of clearance on searched paths."""
 
 
 def plan(
@@ -87,29 +87,29 @@ def plan(
     budget: float = inf,
     progress: Callable[[str, float, JointPath | None], object] | None = None,
 ) -> JointPath:
-    """Find the most direct clear path to a target posture: the first stage of `Geodesic`.
+    """Plan the most direct clear path to a target posture: the first stage of `Geodesic`.
 
-    Among obstacles, Ctrl-C ends the search for a clear path: the best so far is returned.
+    Among obstacles, Ctrl-C ends the search for a clear path and returns the best one so far.
 
     Args:
-        state: where the arm is.
-        target: where its control points should be.
-        scene: what to keep clear of; None: nothing.
-        limits: the margin to position limits, and how the arm brakes; `Limits()` if None.
+        state: the state of the arm.
+        target: the target posture.
+        scene: the obstacles and their margin; None: no obstacles.
+        limits: the margin to position limits, and the acceleration limits; `Limits()` if None.
         tasks: further tasks, as for `Geodesic`.
         joint_weight: as for `Geodesic`.
         relative_position_weight: as for `Geodesic`.
-        budget: time after which no further path is tried among obstacles [s]. The result then depends on how
-            fast the machine is; without it, it is always the same.
-        progress: called among obstacles with what is tried next, the time so far [s], and the shortest clear
-            path so far, None if there is none. The search ends if it returns True.
+        budget: time after which no further path is tried among obstacles [s]. The result then depends on the
+            speed of the machine; without a budget it is reproducible.
+        progress: called among obstacles with the next attempt, the time so far [s], and the shortest clear
+            path so far (None if there is none). The search ends if it returns True.
 
     Returns:
-        The path. `hindrance` says what it comes too close to, if no clear path was found; `found_by` how it
-        was found.
+        The path. If no clear path was found, `hindrance` names what it comes too close to; `found_by` tells
+        how it was found.
 
     Raises:
-        InvalidValue: something of another type, or that does not fit the arm.
+        InvalidValue: an argument of the wrong type, or one that does not fit the arm.
     """
     require_step_arguments(state, target)
     if not (scene is None or isinstance(scene, Scene)):
@@ -141,10 +141,10 @@ def find_path(
     """Find where to go, and the most direct clear path there.
 
     Args:
-        objective: what the arm is to achieve.
+        objective: the objective.
         state: where it is.
-        bounds: what the limits mean for its joints.
-        avoidance: what to keep clear of; None: nothing.
+        bounds: the limits of its joints.
+        avoidance: the obstacles to avoid; None: none.
         attempt: how many paths were given up before; each attempt tries others.
         until: time of `perf_counter` from which on no further path is tried.
         report: called with what is tried next, and the shortest clear path so far. If there is one, a
@@ -185,10 +185,10 @@ def find_goal(
     first result that is good enough, or when several in a row agree, and takes the best.
 
     Args:
-        objective: what the arm is to achieve.
+        objective: the objective.
         state: where it is.
         edges: joint positions to stay between, (2, nv) [rad or m].
-        avoidance: what to keep clear of; None: nothing.
+        avoidance: the obstacles to avoid; None: none.
         good: mean distance of the control points from their targets that is good enough [m].
         before: where to begin, if the target does not say: the goal of a target that was much like it.
         enough: mean distance with which the search ends, if no better was found for that target [m].
@@ -282,11 +282,11 @@ def _clearest_path(
     until: float,
     report: Report | None,
 ) -> JointPath:
-    """Return a direct path that is clear; if there is none, the one that comes least close to something.
+    """Return a direct clear path; if there is none, the one with the largest clearance.
 
-    Candidates are, in this order: the most direct path of all; two that are relaxed among the obstacles from
-    different first guesses; one that is searched and then relaxed; more that are relaxed. The first that is
-    clear is taken, unless it is long: then the search may find a shorter one.
+    The candidates are, in this order: the most direct path; two paths relaxed among the obstacles from
+    different initial guesses; one found by search and then relaxed; further relaxed paths. The first clear
+    one is returned, unless it is long: then the search may find a shorter one.
     """
     start = state.q
 
@@ -337,7 +337,7 @@ def _clearest_path(
     except KeyboardInterrupt:
         if report is None:
             raise
-        logger.warning("planning was ended early; the best path so far is returned")
+        logger.warning("planning was interrupted; the best path so far is returned")
         if not clear and not hindered:
             hindered.append((0.0, _hindered(most_direct, _closest_on(most_direct, avoidance, possible))))
     if clear:
@@ -346,14 +346,14 @@ def _clearest_path(
 
 
 def _hindered(path: JointPath, closest: Closest) -> JointPath:
-    """Return a path that says what it comes too close to."""
+    """Return the path with the pair that comes too close as its hindrance."""
     pair = " to ".join(closest.pair or ())
-    words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+    words = f"no clear path was found; on the best, {pair} are {1e3 * closest.distance:.3g} mm apart"
     return replace(path, hindrance=words)
 
 
 def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], None]) -> Iterator[JointPath]:
-    """Search for a clear path; yield it relaxed, and as it was found."""
+    """Search for a clear path; yield it relaxed, then as found."""
     found = search.find(tell)
     if found is None:
         return
@@ -370,7 +370,7 @@ def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], 
 
 
 def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRows | None:
-    """Return the rows of tasks on the path; None if there are no tasks."""
+    """Return the rows of the tasks along the path; None without tasks."""
     if not objective.tasks:
         return None
     kinds = [(TASK_ROOT, False), (TASK_ROOT * float(np.sqrt(PRIORITY_WEIGHT)), True)]
@@ -382,7 +382,7 @@ def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRow
             tasks = objective.task_rows(at, priority)
             if tasks is None or first is None or last is None:
                 continue
-            # The errors should change steadily from those at the start to those at the goal.
+            # The errors should change linearly from those at the start to those at the goal.
             left = tasks.errors - (1.0 - share) * first.errors - share * last.errors
             parts.append(LinearRows(root * tasks.matrix, root * left))
         matrices, errors = zip(*parts, strict=True)
@@ -392,15 +392,15 @@ def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRow
 
 
 def _closest_on(path: JointPath, avoidance: Avoidance, below: float) -> Closest:
-    """Return the pair that comes closest on a path, its ends included; any if none is nearer than `below`."""
+    """Return the closest pair on a path, ends included; any pair if none is closer than `below`."""
     return avoidance.clearance.minimum_on_motions(path.start, path.offsets, below)
 
 
-# A target that moves: the path so far is bent where that will do.
+# A moving target: the path is bent if that suffices.
 
 
 def is_small_change(before: Objective, after: Objective) -> bool:
-    """Whether a target posture is much like the one before."""
+    """Whether a target posture differs little from the previous one."""
     return before.distance_to(after) <= SMALL_CHANGE * after.arm.length / after.arm.n_modules
 
 
@@ -413,23 +413,23 @@ def replan(
     bounds: JointBounds,
     avoidance: Avoidance | None,
 ) -> tuple[JointPath, Array | None]:
-    """Find what `find_path` finds, for a target not far from the one before, starting from its path.
+    """Find a path as `find_path` does, for a target close to the previous one, from the previous path.
 
-    The search for a goal begins at the goal before. Where the new one is near, compared to what is left of
-    the path, the path is bent to end there: a target that moves in every step needs no new path in each.
+    The search for a goal starts at the previous goal. If the new goal is close, compared to the remaining
+    path, the path is bent to end there, so that a moving target does not need a new path in each step.
 
     Args:
-        path: the path to the target before.
-        place: where the arm is on it, in waypoints; infinite: nothing of it can be used.
-        bend: by how much its end was moved already, (nv,) [rad or m]; None: not at all.
-        objective: what the arm is to achieve now.
-        state: where it is.
-        bounds: what the limits mean for its joints.
-        avoidance: what to keep clear of; None: nothing. A path that is bent a little is not sampled again:
-            each step on it is.
+        path: the path to the previous target.
+        place: position of the arm on it, in waypoints; infinite: the path cannot be reused.
+        bend: displacement of its end so far, (nv,) [rad or m]; None: none.
+        objective: the current objective.
+        state: the state of the arm.
+        bounds: the limits of its joints.
+        avoidance: the obstacles to avoid; None: none. A slightly bent path is not checked again; each
+            step on it is.
 
     Returns:
-        The path; and by how much its end was moved since it was planned, None for a new path.
+        The path, and the displacement of its end since it was planned, None for a new path.
     """
     arm = objective.arm
     before = path.configuration(path.end)
@@ -455,9 +455,9 @@ def replan(
 
 
 def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> float:
-    """Return the mean error that is as good as at the goal before, for a target that moved [m].
+    """Return the mean error that counts as no worse than at the previous goal, for a moved target [m].
 
-    Zero, so that the search goes on, where the target moved so far that more may be possible now.
+    It is zero, so that the search continues, if the target moved so far that a better goal may exist.
     """
     left, moved = before.mean_error(goal), before.distance_to(after)
     small = SMALL_CHANGE * after.arm.length / after.arm.n_modules
@@ -465,9 +465,9 @@ def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> fl
 
 
 def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> ArmState | None:
-    """Return the state at the configuration that a target knows, if limits allow it and it takes the posture.
+    """Return the state at the configuration of a target, if it is within limits and takes the posture.
 
-    Joints are within half a turn of those at the goal before.
+    Joints are within half a turn of those at the previous goal.
     """
     arm, q = objective.arm, objective.target.q
     if q is None or len(objective.active) < arm.n_modules:

@@ -45,7 +45,7 @@ class Penalties(NamedTuple):
 
     Attributes:
         tasks: rows of tasks, whose errors should vanish at each waypoint; None: there are none.
-        avoidance: what to keep clear of; None: nothing.
+        avoidance: the obstacles to avoid; None: none.
         clearance_root: root of the weight of clearance that is missing, against the motion of points.
         least: the distance that a clear path keeps [m].
         until: time of `perf_counter` at which to end.

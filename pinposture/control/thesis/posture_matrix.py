@@ -140,8 +140,8 @@ def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -
     """Errors c_k - p_k along the directions in which the arm can move, zero for points without a target.
 
     Args:
-        state: where the arm is.
-        target: where its control points should be.
+        state: the state of the arm.
+        target: the target posture.
         placed: which control points have a target, (m,).
 
     Returns:

@@ -109,9 +109,9 @@ class Projection:
         Args:
             secondary: joint displacement to follow as far as the control points leave room, (nv,), in
                 `Arm.joint_units`.
-            state: where the arm is.
-            target: where its control points should be.
-            limits: what the step may not exceed; `Limits()` if None.
+            state: the state of the arm.
+            target: the target posture.
+            limits: the limits of the step; `Limits()` if None.
             memory: what the previous step returned; None at the first.
         """
         return self._step(secondary, screws_of(state), state, target, limits, memory)
@@ -158,7 +158,7 @@ class Projection:
         the left singular vectors of the Jacobian in task axes are those of the module frame, turned.
 
         Args:
-            state: where the arm is.
+            state: the state of the arm.
             errors: c_k - p_k, (m, d) [m], task axes.
             eligible: which control points have a target, (m,).
 

@@ -353,7 +353,7 @@ def section_indices(state: ArmState, strides: tuple[int, ...]) -> Array:
     with a slide and of spatial arms stay as they are.
 
     Args:
-        state: where the arm is.
+        state: the state of the arm.
         strides: how many modules a section may have.
 
     Returns:

@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 
 
 class Phase(NamedTuple):
-    """Where a switching controller stands between two steps.
+    """State of a switching controller between two steps.
 
     Attributes:
         method: the method that has control, "selection" or "projection".
-        best: posture error that Selection has to fall below to count as progress [m].
-        waited: how long ago it last did, in joint travel [rad].
-        left: how long Projection goes on before control is handed back, in joint travel [rad].
-        failovers: how often Selection has lost control so far.
+        best: posture error below which Selection makes progress [m].
+        waited: joint travel since it last did [rad].
+        left: joint travel until Projection hands back control [rad].
+        failovers: number of times that Selection has lost control.
     """
 
     method: str
@@ -53,7 +53,7 @@ HandBack = Literal["after_stay", "when_possible"]
 
 RESUMED = "Selection can lower the posture error again"
 
-HANDED_BACK = "Projection has had its time, and Selection has control points"
+HANDED_BACK = "the stint of Projection is over, and Selection has control points"
 
 TRAVEL_ROUNDING = 1e-6
 """Share of a step by which sums of steps may be off."""
@@ -64,28 +64,27 @@ class Switching:
     """Selection as long as it has control points and reduces the posture error, else Projection for a while.
 
     The first failover is that of Figure 4.8: some steps of Projection towards the target. It frees an arm
-    that Selection cannot move. It does not free one that is stuck because the straight way to the target
-    folds it up, and Selection would lead back to the same place. So from the second failover on, Projection
-    aims at a waypoint: the posture a short way ahead through joint space to the configuration that takes the
-    target posture, if the target knows one (`Target.q`; `fit_points` finds it for measured points). Each of
-    these stints is twice as long as the one before, so that the methods cannot take turns for ever; where
-    Selection has no control points after one, the next begins at once. Where Projection cannot move any point
-    either, the joints go on along that line by themselves.
+    that Selection cannot move, but not one that folds up on the straight path to the target: Selection would
+    lead back to the same posture. So from the second failover on, Projection aims at a waypoint: the posture
+    a short distance ahead on the straight line in joint space to the configuration of the target, if known
+    (`Target.q`; `fit_points` finds it for measured points). Each of these stints is twice as long as the
+    previous one, so that the methods cannot alternate for ever; if Selection has no control points after one,
+    the next begins at once. If Projection cannot move any point either, the joints follow that line directly.
 
-    Durations are counted in joint travel, that which the limits allow in each step, so that they mean the
-    same at any rate of control.
+    Durations are joint travel, as the limits allow it in each step, so that they do not depend on the cycle
+    time.
 
     Attributes:
         selection: the primary method.
         projection: the one to fall back on.
-        patience: how long Selection may go on without progress [rad].
-        progress: share by which the posture error has to fall in that time.
+        patience: how long Selection may continue without progress [rad].
+        progress: share by which the posture error must fall in that time.
         stay: length of the first stint of Projection [rad].
-        reach: how far ahead a waypoint lies, as the largest change of a joint [rad or
+        reach: distance to a waypoint, as the largest change of a joint [rad or
             `Arm.characteristic_length`].
         hand_back: when Selection gets control again: "after_stay", at the end of a stint; or "when_possible",
-            as soon as it has control points and its step lowers the posture error at the rate that
-            `progress` and `patience` ask for, and at the end of the stint at the latest.
+            as soon as it has control points and its step lowers the posture error at the rate of
+            `progress` per `patience`, and at the end of the stint at the latest.
     """
 
     selection: Selection = field(default_factory=Selection)
@@ -147,13 +146,13 @@ class Switching:
         return self._project(state, target, limits, memory, failed, travel, why)
 
     def _promises(self, step: Step, state: ArmState, target: Target, error: float, travel: float) -> bool:
-        """Whether a step lowers the posture error as fast as Selection has to for it to keep control."""
+        """Whether a step lowers the posture error as fast as Selection must to keep control."""
         ahead = state.arm.at(state.arm.integrate(state.q, step.dq)).compiled
         left = float(np.linalg.norm(task_errors(ahead, target), axis=1).sum())
         return left < error * (1.0 - self.progress * min(travel / self.patience, 1.0))
 
     def _failover(self, phase: Phase, target: Target) -> Phase:
-        """Take control from Selection, for twice as long as the last time if that may lead elsewhere."""
+        """Hand control to Projection, for twice as long as the last time if that may help."""
         stint = self.stay * 2.0 ** (min(phase.failovers, 60) if target.q is not None else 0)
         return phase._replace(method="projection", left=stint, failovers=phase.failovers + 1)
 
@@ -188,7 +187,7 @@ class Switching:
         held: Step,
         why: str,
     ) -> Step:
-        """Selection after all, where Projection cannot move and no way is known; else nothing moves."""
+        """Use Selection if Projection cannot move and no configuration is known; else hold."""
         step = self.selection.step(state, target, limits, memory)
         if step.diagnostics.reason:
             return _labelled(held, phase, why)
@@ -199,9 +198,9 @@ class Switching:
     def _escape(
         self, state: ArmState, target: Target, goal: Array, limits: Limits, memory: Memory | None
     ) -> Step:
-        """A step of Projection to the posture a short way ahead on the straight line through joint space.
+        """Return a step of Projection to the posture a short distance ahead on the line in joint space.
 
-        Joints that the control points leave room follow that line, too: those before a region, for one.
+        Joints with freedom left by the control points follow that line too, such as those before a region.
         """
         arm = state.arm
         way = np.array(arm.difference(state.q, goal)) * arm.moved

@@ -97,7 +97,7 @@ def move_point(
     """
     if keyframe is not None and keyframe != session.selected:
         if final:
-            session.say(f"point {index + 1} was let go: another keyframe was selected meanwhile", "warning")
+            session.say(f"point {index + 1} was released: another keyframe was selected meanwhile", "warning")
         return
     session.take_hold(index)
     session.reshape(lambda arm, shape: shape.moved(arm, index, position), f"moved point {index + 1}", final)

@@ -33,23 +33,23 @@ TOUR = (
         "Drag the blue balls",
         "They control the curve. Drag one with the mouse, or click on it and use its axes, the numbers in "
         "*Shape*, or Shift and the arrow keys. `I` inserts a point, `Delete` deletes one.\n\n"
-        "A curve that the arm cannot take turns red and says why; let go, and it is as it was.",
+        "A curve that the arm cannot take turns red, with the reason; if you release it, nothing changes.",
     ),
     (
         "What the colours say",
-        "Dots on the arm are posture control points: green is where it belongs, red is far off. An orange "
-        "ring marks those that the controller moves at the moment. Red bodies have a joint at a limit.\n\n"
-        "The arm leaves the grey part of the curve: there the curve is longer than the arm.",
+        "Dots on the arm are posture control points: green is on target, red is far off. An orange ring "
+        "marks those that the controller moves now. Red bodies have a joint at a limit.\n\n"
+        "The arm does not reach the grey end of the curve, which is longer than the arm.",
     ),
     (
         "Keyframes make a motion",
-        "*Keyframes* lists postures and their times. Add some, then press *Play* under the picture: limits "
-        "of speed and acceleration are kept, and the plots show how near they are.",
+        "*Keyframes* lists postures and their times. Add some, then press *Play* under the picture. The "
+        "motion keeps the velocity and acceleration limits; the plots show how close it comes to them.",
     ),
     (
-        "Nothing is lost",
-        "`Ctrl+Z` takes back, `Ctrl+S` saves the task file, which `pinposture run` performs. Changes are "
-        "kept beside it all the time. The tour is in *File* if you want it again.",
+        "Undo, save, autosave",
+        "`Ctrl+Z` undoes, `Ctrl+S` saves the task file, which `pinposture run` performs. Changes are "
+        "autosaved next to it. To see this tour again, open *File*.",
     ),
 )
 
@@ -95,7 +95,7 @@ class FileTab:
         self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Ctrl+Z")
         self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Ctrl+Shift+Z")
         self._save = gui.add_button("Save", icon=viser.Icon.DEVICE_FLOPPY, hint="Ctrl+S")
-        self._path = gui.add_text("Task file", "", hint="To save as or to open: .toml or .json")
+        self._path = gui.add_text("Task file", "", hint="File to open or to save as: .toml or .json")
         save_as = gui.add_button("Save under this name")
         open_file = gui.add_button("Open this file", icon=viser.Icon.FOLDER_OPEN)
         gui.add_button("Show the tour").on_click(_show_tour_again)
@@ -114,8 +114,8 @@ class FileTab:
         put(self._undo, disabled=not undoable, label=f"Undo: {undoable}" if undoable else "Undo")
         put(self._redo, disabled=not redoable, label=f"Redo: {redoable}" if redoable else "Redo")
         put(self._save, disabled=not session.changed or session.path is None)
-        name = "not in a file yet" if session.path is None else f"<b>{escape(session.path.name)}</b>"
-        state = "changes are kept beside it, not saved yet" if session.changed else "saved"
+        name = "no file yet" if session.path is None else f"<b>{escape(session.path.name)}</b>"
+        state = "unsaved changes (autosaved)" if session.changed else "saved"
         style = "font-size:14px;line-height:1.35;padding:2px 10px 10px 10px"
         put(self._about, content=f'<div style="{style}">{name}: {state}</div>')
         if session.path is not None and session.path != self._shown:
@@ -167,7 +167,7 @@ class ExportButtons:
         self._post = post
         self._queue: list[RequestedExport] = []
         self._running: tuple[RequestedExport, Thread] | None = None
-        hint = "Of the motion of the whole task as it stands; it is worked out first, if need be"
+        hint = "The motion of the whole task as it is now; it is computed first if necessary"
         for label, kinds in EXPORT_GROUPS:
             server.gui.add_button_group(label, kinds, hint=hint).on_click(self._on_click)
         self._bar = server.gui.add_progress_bar(0.0, visible=False, animated=True)
@@ -186,7 +186,7 @@ class ExportButtons:
         if now is not None:
             progress = session.playback.rehearsal.progress
             put(self._bar, value=100.0 if running else float(round(100.0 * progress)))
-            doing = "being made" if running else "the motion is worked out"
+            doing = "writing" if running else "computing the motion"
             put(self._text, content=f"*{now.kind}: {doing}*")
 
     def _start_next(self, session: Session) -> None:
@@ -202,7 +202,7 @@ class ExportButtons:
                 thread.start()
         elif wanted.task is not session.task or not rehearsal.working:
             self._queue.pop(0)
-            text = f"{wanted.kind}: not made, the task was changed, or the motion was given up"
+            text = f"{wanted.kind}: not exported, the task changed or the motion was cancelled"
             session.say(text, "warning")
 
     async def _on_click(self, event: Any) -> None:
@@ -221,8 +221,8 @@ class ExportButtons:
             wanted.client.send_file_download(made.name, made.content, save_immediately=True)
             text, kind = made.summary, "info"
         except PostureError as error:
-            text = f"{wanted.kind}: not made: {error}"
+            text = f"{wanted.kind}: not exported: {error}"
         except Exception as error:  # a bug, which has to be reported, too
             logger.exception("an export failed")
-            text = f"{wanted.kind}: not made ({error})"
+            text = f"{wanted.kind}: not exported ({error})"
         self._post(lambda session: session.say(text, kind))

@@ -33,19 +33,19 @@ class KeyframesTab:
         self._above = gui.add_button("", icon=viser.Icon.CHEVRON_UP, color="gray", visible=False)
         self._rows = [gui.add_button("", color="gray", visible=False) for _ in range(LISTED_ROWS)]
         self._below = gui.add_button("", icon=viser.Icon.CHEVRON_DOWN, color="gray", visible=False)
-        hint = "Add one behind this one, with its shape; delete it; move it to an earlier or later place"
+        hint = "Add a keyframe after this one, with its shape; delete it; move it earlier or later"
         actions = gui.add_button_group("Keyframe", tuple(ACTIONS), hint=hint)
-        name = gui.add_text("Name", "", hint="Empty: it is called by its number")
-        when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When it is to be taken")
-        hold = gui.add_number("Hold [s]", 0.0, step=0.1, hint="How long to stay; those behind move along")
+        name = gui.add_text("Name", "", hint="Empty: its number")
+        when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When the arm reaches it")
+        hold = gui.add_number("Hold [s]", 0.0, step=0.1, hint="How long to stay; later keyframes shift")
         when.precision = hold.precision = SECOND_DIGITS
         self._name, self._time = Typed(name, self._rename), Typed(when, self._retime)
         self._hold = Typed(hold, self._set_hold)
         self._fields = (self._name, self._time, self._hold)
-        hint = "How modules find their places on the curve; auto: in turn, or all at once where that zigzags"
+        hint = "Placement of the modules on the curve; auto: one by one, or all at once if that zigzags"
         self._method = gui.add_dropdown("Method", METHODS, hint=hint)
         self._about = gui.add_html("")
-        self._others = gui.add_checkbox("Show the others", True, hint="The other keyframes' curves, faintly")
+        self._others = gui.add_checkbox("Show the others", True, hint="Show the other curves faintly")
         for number, row in enumerate(self._rows):
             on_click(row, partial(self._select, number))
         on_click(self._above, partial(self._scroll, -LISTED_ROWS))
@@ -149,7 +149,7 @@ ACTIONS = {"Add": add, "Delete": delete, "Earlier": partial(move, -1), "Later": 
 
 def rename(index: int, name: str, session: Session) -> None:
     """Rename a keyframe."""
-    what = f"named keyframe {index + 1} {name!r}" if name else f"took the name of keyframe {index + 1}"
+    what = f"named keyframe {index + 1} {name!r}" if name else f"removed the name of keyframe {index + 1}"
     session.edit(edits.with_keyframe(index, name=name), what)
 
 
@@ -187,6 +187,6 @@ def _describe_tip(tip: EndEffector) -> str:
     if not isinstance(tip.point, str):
         point = str(tip.point + 1) if tip.point >= 0 else f"{-tip.point} from the tip"
     which = "The tip" if tip.point == -1 else f"Control point {point}"
-    turned = "" if tip.pose is None else ", pointing as given" if tip.direction_only else ", turned as given"
-    firm = "strictly" if tip.priority else f"with weight {tip.weight:g}"
-    return f"{which} is asked to be at ({at}) m{turned}, {firm}."
+    turned = "" if tip.pose is None else ", direction given" if tip.direction_only else ", orientation given"
+    firm = "with priority" if tip.priority else f"with weight {tip.weight:g}"
+    return f"{which} goes to ({at}) m{turned}, {firm}."

@@ -82,19 +82,19 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
     """Return the status of the arm: "good", "warning" or "error", a heading, and more."""
     verdict, found = live.verdict, session.nearest
     if live.number < session.number and time.monotonic() - session.asked > JUDGING_TIME:
-        return "warning", "Looking whether the arm can take this shape ...", ""
+        return "warning", "Checking whether the arm can take this shape ...", ""
     if verdict.reason:
         return "error", "The arm cannot take this shape", verdict.reason
     head = _heading(session, live)
     if found is not None and found.distance < 0.0:
         return "error", "The arm is in collision", f"{clearance_text(found)}; {head[0].lower()}{head[1:]}"
     if verdict.collision:
-        return "warning", "The curve leads the arm into something", verdict.notes[0]
+        return "warning", "The arm on this curve would collide", verdict.notes[0]
     if live.reason and live.reason != NOT_DONE and live.status != "converged":
         return "warning", head, live.reason
     notes, controller = list(verdict.notes), session.task.controller.name
     if session.task.scene is not None and controller != AVOIDING_CONTROLLER:
-        notes.append(f"{controller} keeps clear of nothing, {AVOIDING_CONTROLLER} does")
+        notes.append(f"{controller} ignores obstacles, {AVOIDING_CONTROLLER} avoids them")
     return "warning" if _is_off(session, live) else "good", head, "; ".join(notes)
 
 
@@ -114,7 +114,7 @@ def _is_off(session: Session, live: Live) -> bool:
 
 def _heading(session: Session, live: Live) -> str:
     playing, distance = session.playback.q is not None, live.verdict.distance_from_curve
-    doing = {"converged": "Taken", "moving": "On the way"}.get(live.status, "Holding")
+    doing = {"converged": "On target", "moving": "Moving"}.get(live.status, "Holding")
     doing = "Planning" if live.reason == NOT_DONE else doing
     error = 1000.0 * live.mean_error
     head = f"{'Motion' if playing else doing}: mean error {error if error > SMALLEST_ERROR else 0.0:.3g} mm"
@@ -159,7 +159,7 @@ def shortcuts(files: Files) -> tuple[Shortcut, ...]:
         Shortcut("Delete the control point", "delete", None, delete_point),
         Shortcut("Next control point", "N", None, partial(_select_next, 1)),
         Shortcut("Previous control point", "B", None, partial(_select_next, -1)),
-        Shortcut("Take hold of the tip", "T", None, hold_tip),
+        Shortcut("Select the tip", "T", None, hold_tip),
         Shortcut("Select nothing", "escape", None, lambda session: session.take_hold(None)),
         Shortcut("Move it ahead (+x)", "arrowright", "shift", partial(_nudge, 0, 1.0)),
         Shortcut("Move it back (-x)", "arrowleft", "shift", partial(_nudge, 0, -1.0)),

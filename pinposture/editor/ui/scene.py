@@ -104,19 +104,19 @@ class ScanControls:
         self._shelf, self._post, gui = shelf, post, server.gui
         self._folder: Path | None = None
         gui.add_markdown(EXPLANATION)
-        self._kind = gui.add_dropdown("Take as", LOAD_KINDS, hint="Files: .ply .xyz .npy .stl .obj")
+        self._kind = gui.add_dropdown("Load as", LOAD_KINDS, hint="Files: .ply .xyz .npy .stl .obj")
         self._scale = gui.add_number(
             "scale",
             1.0,
             min=0.0,
             step=0.001,
-            hint="Of an obstacle: 0.001 for a file in millimetres",
+            hint="Scale factor of an obstacle: 0.001 for a file in millimetres",
             visible=False,
         )
-        self._path = gui.add_text("File", "", hint="Its name, from the folder of the task")
+        self._path = gui.add_text("File", "", hint="Its name, relative to the folder of the task")
         load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN)
         upload = gui.add_upload_button(
-            "Upload", icon=viser.Icon.UPLOAD, hint="It is kept beside the task file"
+            "Upload", icon=viser.Icon.UPLOAD, hint="It is stored next to the task file"
         )
         self._listed = gui.add_dropdown("Scans", ("none",), visible=False)
         self._remove = gui.add_button_group("Scan", ("Remove",), visible=False)
@@ -142,7 +142,7 @@ class ScanControls:
     def _load(self) -> None:
         text = self._path.value.strip()
         if not text:
-            self._post(lambda session: session.say("no file is named: type the name of one", "warning"))
+            self._post(lambda session: session.say("no file name: enter one", "warning"))
             return
         avoided, scale = self._kind.value == "obstacle", float(self._scale.value)
 
@@ -431,7 +431,7 @@ class SceneTab:
         self._name = ""
         self._about = gui.add_html("")
         add = gui.add_button_group(
-            "Add", tuple(KIND_LABELS), hint="Beside the arm; then drag it where you want it"
+            "Add", tuple(KIND_LABELS), hint="It appears next to the arm; drag it into place"
         )
         self._chosen = gui.add_dropdown("Obstacle", ("none",), hint="Or click on one in the picture")
         self._called = Typed(gui.add_text("Name", "", visible=False), self._rename)
@@ -449,9 +449,9 @@ class SceneTab:
             )
             self._margin = Typed(margin, self._set_margin)
             self._self_collision = gui.add_checkbox(
-                "Self-collision", False, hint="Whether the arm is to keep clear of itself, too"
+                "Self-collision", False, hint="Whether the arm avoids itself too"
             )
-            hint = "Taken for that of its links; 0: as described"
+            hint = "Radius of its links; 0: as in its description"
             thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=0.001, hint=hint)
             self._arm_radius = Typed(thickness, self._set_arm_radius)
         with gui.add_folder("Meshes and scans", expand_by_default=False):
@@ -517,11 +517,11 @@ class SceneTab:
 
     def _set_arm_radius(self, value: float, _: bool) -> None:
         edit = with_scene(arm_radius=float(value) if value > 0.0 else None)
-        text = f"arm radius {1000.0 * value:.4g} mm" if value > 0.0 else "arm as thick as described"
+        text = f"arm radius {1000.0 * value:.4g} mm" if value > 0.0 else "arm radius as in its description"
         self._post(lambda session: session.edit(edit, text))
 
     def _set_self_collision(self, value: bool) -> None:
-        text = "the arm keeps clear of itself" if value else "the arm may touch itself"
+        text = "the arm avoids itself" if value else "the arm may touch itself"
         self._post(lambda session: session.edit(with_scene(self_collision=value), text))
 
 

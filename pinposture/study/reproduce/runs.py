@@ -192,7 +192,7 @@ def error_slopes(state: ArmState, goals: Array, placed: NDArray[np.bool_], dq: A
     """How fast the error of each control point changes along dq, (m,) [m per unit of the step].
 
     Args:
-        state: where the arm is.
+        state: the state of the arm.
         goals: target positions, (m, 3) [m].
         placed: which control points have a target, (m,).
         dq: direction of motion, (nv,) [rad or m].

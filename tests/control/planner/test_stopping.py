@@ -93,7 +93,7 @@ def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed:
     if run.excess is not None:
         worst = accelerations(arm, run.q, progress.limits).max()
         assert run.excess.ratio == pytest.approx(worst, rel=1e-6)
-        assert "limits are exceeded in" in run.reason and "times as much" in run.reason
+        assert "limits are exceeded in" in run.reason and "times its limit" in run.reason
 
 
 def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
@@ -213,5 +213,5 @@ def test_a_step_that_exceeds_a_limit_is_named_whoever_took_it(number: int) -> No
     assert run.excess is not None and run.excess.steps == (2,) and run.excess.worst == 2
     assert run.excess.ratio == pytest.approx(3.0)
     joint = repr(arm.joint_names[1])
-    assert run.violated_constraints[2] == f"acceleration limit of joint {joint}: 3 times as much"
+    assert run.violated_constraints[2] == f"acceleration of joint {joint} is 3 times its limit"
     assert f"limits are exceeded in 1 step, most in step 3 (of {run.steps})" in run.reason

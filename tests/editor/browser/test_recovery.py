@@ -47,7 +47,7 @@ def test_what_a_killed_server_leaves_is_taken_up_again(
 
     with served(file) as (server, url):
         window = Window(browser, url, task.arm, pictures)
-        window.says("recovered what was not saved (from walk.autosave.toml)")
+        window.says("recovered unsaved changes (from walk.autosave.toml)")
         window.tab("File")
         window.picture("09-recovered")
         window.press("Save")

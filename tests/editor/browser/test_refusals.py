@@ -65,7 +65,7 @@ def test_a_curve_that_the_arm_cannot_take(edit: Edit, look: Look, stiff: Path) -
     assert np.all(np.isfinite(editor.live.state.q))
     window.picture("07-refused")
     window.drop()
-    said = window.says("not done, the arm cannot take that shape")
+    said = window.says("refused, the arm cannot take that shape")
     assert said.startswith("moved point 2: ")
     assert "bends too much" in said
     arrived(editor)
@@ -88,7 +88,7 @@ def test_a_point_upon_another_and_one_too_few(edit: Edit, look: Look, stiff: Pat
     numbers = [window.field("x, y, z [m]", k) for k in range(3)]
     for number, value in zip(numbers, points[2], strict=True):
         number.fill(f"{value:g}")
-    window.says("would lie on point 3")
+    window.says("is too close to point 3")
     window.picture("08-on-another")
     arrived(editor)
     assert session.task is task
