@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,13 @@ LIMIT_TOLERANCE = 1e-9
 
 POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 """Rounding error of a difference of joint positions, relative to them."""
+
+
+NO_SLOWDOWN = 5e-3
+"""Relative excess of the planned time that is due to whole cycles."""
+
+AT_LIMIT = 0.85
+"""Share of a limit from which on that holds an arm back, and not a keyframe whose speed is limited."""
 
 
 class Shares(NamedTuple):
@@ -419,6 +427,7 @@ class Waypoint(NamedTuple):
             the arm cannot take the curve exactly [m]; None if there is no curve.
         tip_off: by how much the task of its tip is missed then [m]; None if there is none, or never.
         moved: how the curve of this place was moved from where it was drawn; None if there is no curve.
+        speed: share of the velocity limits that the motion to it was to use at most.
     """
 
     name: str
@@ -429,6 +438,7 @@ class Waypoint(NamedTuple):
     off_curve: float | None = None
     tip_off: float | None = None
     moved: Moved | None = None
+    speed: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -518,6 +528,46 @@ class Motion:
         return self.duration / done if done > 0.0 else 1.0
 
     @cached_property
+    def slowdown(self) -> str:
+        """By how much the motion was slower than planned, and what held it back longest; empty if not."""
+        if not self.time_scale > 1.0 + NO_SLOWDOWN:
+            return ""
+        causes = Counter(map(self._cause, self._slow_cycles))
+        why = "".join(f": {cause} for {count * self.dt:.3g} s" for cause, count in causes.most_common(1))
+        return f"{100.0 * (self.time_scale - 1.0):.3g} % slower than the {self.planned:.4g} s planned{why}"
+
+    @property
+    def _slow_cycles(self) -> list[int]:
+        """The cycles on the way through the plan in which its time passed more slowly."""
+        passed = np.diff(self.plan_time[self.start_index :])
+        underway = np.flatnonzero(passed > 0.0)
+        last = int(underway[-1]) if len(underway) else len(passed)  # where the plan ends, within a cycle
+        slow = np.flatnonzero(passed[:last] < (1.0 - NO_SLOWDOWN) * self.dt)
+        return [self.start_index + int(cycle) for cycle in slow]
+
+    def _cause(self, cycle: int) -> str:
+        """Return what held the arm back in a cycle, as a clause."""
+        if self.plan_time[cycle] == self.plan_time[cycle + 1]:
+            if not self.deviations or self.run.scene is None:
+                return "the arm is behind its targets"
+            near = " and ".join(CollisionModel(self.arm, self.run.scene).minimum(self.q[cycle]).pair or ())
+            return f"the arm leaves the planned path, {near} being closest to each other,"
+        speeds, accelerations = self._shares
+        used = {"velocity": speeds[cycle], "acceleration": accelerations[cycle : cycle + 2].max(axis=0)}
+        kind = max(used, key=lambda kind: float(used[kind].max()))
+        ahead = sum(place.planned <= self.plan_time[cycle] for place in self.waypoints)
+        # The arm slows down before a keyframe whose speed is limited sets in, and speeds up after it.
+        near_by = [*self.waypoints[ahead : ahead + 2], *self.waypoints[max(ahead - 1, 0) : ahead]]
+        slow = [place for place in near_by if place.speed < 1.0]
+        if slow and used[kind].max() < AT_LIMIT:
+            return f"{slow[0].name} allows {100.0 * slow[0].speed:.3g} % of the velocity limits"
+        return f"joint {self.arm.joint_names[int(used[kind].argmax())]} is at its {kind} limit"
+
+    @cached_property
+    def _shares(self) -> tuple[Array, Array]:
+        return _joint_shares(self.run)
+
+    @cached_property
     def mean_error(self) -> Array:
         """Mean distance of the control points with a target from it, (steps + 1,) [m]."""
         return np.asarray(self.run.posture_error / self.target_mask.sum(axis=1))
@@ -551,6 +601,5 @@ class Motion:
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
 
     def __repr__(self) -> str:
-        slow = self.converged and self.time_scale > 1.005
-        slower = f", {self.time_scale:.3g} times as long as planned" if slow else ""
+        slower = f", {self.slowdown}" if self.converged and self.slowdown else ""
         return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.waypoints)} places)"
