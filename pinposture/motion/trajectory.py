@@ -534,7 +534,11 @@ class Motion:
             return ""
         causes = Counter(map(self._cause, self._slow_cycles))
         why = "".join(f": {cause} for {count * self.dt:.3g} s" for cause, count in causes.most_common(1))
-        return f"{100.0 * (self.time_scale - 1.0):.3g} % slower than the {self.planned:.4g} s planned{why}"
+        scale = self.time_scale
+        slow = (
+            f"{100.0 * (scale - 1.0):.3g} % slower than" if scale < 2.0 else f"{scale:.3g} times as long as"
+        )
+        return f"{slow} the {self.planned:.4g} s planned{why}"
 
     @property
     def _slow_cycles(self) -> list[int]:

@@ -441,11 +441,11 @@ class TaskParts:
     scene: Scene | None = None
     start: Array | None = None
     continuity: Literal["velocity", "acceleration"] = "velocity"
-    repeat: int = 1
     formats: tuple[str, ...] = RESULT_FORMATS
     name: str = ""
     scans: tuple[Path, ...] = ()
     described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
+    repeat: int = 1
 
 
 def check_task(task: TaskParts) -> None:
@@ -545,9 +545,9 @@ def read_task(document: Document, arm: Arm | None = None) -> TaskParts:
         scene=scene,
         start=_make_start(document, spec.start, arm),
         continuity=cast(Literal["velocity", "acceleration"], spec.continuity),
-        repeat=spec.repeat,
         formats=tuple(each for each in RESULT_FORMATS if each in spec.output.formats),
         name=document.path.stem if spec.name is None else spec.name,
         scans=tuple(settled(document.named(("editor", "scans"), name)) for name in spec.editor.scans),
         described=document.described,
+        repeat=spec.repeat,
     )

@@ -64,7 +64,6 @@ class Task(TaskParts):
         scene: what to keep clear of; None if nothing.
         start: the first configuration, (nq,); None: where the motion begins.
         continuity: as for `keyframe_reference`.
-        repeat: likewise.
         formats: what to keep of the result, of `FORMATS`.
         name: the name of the task.
         scans: files of surfaces and point clouds that an editor shows, absolute; the arm does not keep clear
@@ -73,6 +72,7 @@ class Task(TaskParts):
             description in a task file, in SI units, with a `Path` for each path. For instance
             `{curve: "helix", path: Path("path.csv")}`. A part that is not in it, or that its description no
             longer gives, is written out.
+        repeat: as for `keyframe_reference`.
         layout: the TOML file that the task was read from, whose comments and layout `save` keeps; None if
             there is none.
 
@@ -300,11 +300,17 @@ def slowed(reference: Reference, limits: Limits) -> tuple[Reference, Array]:
     if all(mark.speed == 1.0 for mark in marks):
         return reference, reference.times
     per_cycle = cycle_of(limits) / reference.interval
-    moves = per_cycle * np.abs(np.diff(reference.offsets, axis=0)) * (reference.arm.moved > 0.0)
-    used = (moves / (SPEED_SHARE * limits.for_arm(reference.arm).bound)).max(axis=1)
+    spline = CubicHermiteSpline(
+        np.arange(rows + 1), reference.offsets, np.gradient(reference.offsets, axis=0)
+    )
+    slopes = np.abs(spline(0.5 * np.arange(2 * rows + 1), 1)) * (reference.arm.moved > 0.0)
+    shares = (per_cycle * slopes / (SPEED_SHARE * limits.for_arm(reference.arm).bound)).max(axis=1)
+    used = np.maximum(np.maximum(shares[:-1:2], shares[1::2]), shares[2::2])
     speeds, ends = np.ones(rows), [0, *(mark.row for mark in marks), rows]
+    beside = ceil(per_cycle)  # a cycle may lie on both sides of a mark
     for begin, mark in zip(ends, marks, strict=False):
-        speeds[begin : mark.row] = mark.speed
+        here = speeds[max(begin - beside, 0) : mark.row + beside]
+        np.minimum(here, mark.speed, out=here)
     delays = np.log(np.where(speeds < 1.0, np.maximum(used / speeds, 1.0), 1.0))
     ramp = np.log(PACE_RATIO) * np.arange(rows)
     delays = np.maximum.accumulate(delays + ramp) - ramp
@@ -324,8 +330,6 @@ def slowed(reference: Reference, limits: Limits) -> tuple[Reference, Array]:
         places[-1][-1:] = end
         moved.append(sum(map(len, places)) - 1)
     at = np.concatenate(places)
-    numbers = np.arange(rows + 1)
-    spline = CubicHermiteSpline(numbers, reference.offsets, np.gradient(reference.offsets, axis=0))
     finer = replace(
         reference,
         offsets=spline(at),
