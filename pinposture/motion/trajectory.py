@@ -37,7 +37,9 @@ POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 NO_SLOWDOWN = 5e-3
 """Relative excess of the planned time that is due to whole cycles."""
 
-AT_LIMIT = 0.85
+OFF_THE_PATH = "an obstacle keeps the arm off the planned path"
+
+HOLDING_SHARE = 0.85
 """Share of a limit from which on that holds an arm back, and not a keyframe whose speed is limited."""
 
 
@@ -534,6 +536,10 @@ class Motion:
             return ""
         causes = Counter(map(self._cause, self._slow_cycles))
         why = "".join(f": {cause} for {count * self.dt:.3g} s" for cause, count in causes.most_common(1))
+        if why.startswith(f": {OFF_THE_PATH}") and self.run.scene is not None:
+            row = min(self._slow_cycles, key=lambda cycle: float(self.run.clearance[cycle]))
+            pair = CollisionModel(self.arm, self.run.scene).minimum(self.q[row]).pair or ()
+            why += f"; {' and '.join(pair)} come closest to each other"
         scale = self.time_scale
         slow = (
             f"{100.0 * (scale - 1.0):.3g} % slower than" if scale < 2.0 else f"{scale:.3g} times as long as"
@@ -552,10 +558,8 @@ class Motion:
     def _cause(self, cycle: int) -> str:
         """Return what held the arm back in a cycle, as a clause."""
         if self.plan_time[cycle] == self.plan_time[cycle + 1]:
-            if not self.deviations or self.run.scene is None:
-                return "the arm is behind its targets"
-            near = " and ".join(CollisionModel(self.arm, self.run.scene).minimum(self.q[cycle]).pair or ())
-            return f"the arm leaves the planned path, {near} being closest to each other,"
+            off_the_path = self.deviations and self.run.scene is not None
+            return OFF_THE_PATH if off_the_path else "the arm is behind its targets"
         speeds, accelerations = self._shares
         used = {"velocity": speeds[cycle], "acceleration": accelerations[cycle : cycle + 2].max(axis=0)}
         kind = max(used, key=lambda kind: float(used[kind].max()))
@@ -563,7 +567,7 @@ class Motion:
         # The arm slows down before a keyframe whose speed is limited sets in, and speeds up after it.
         near_by = [*self.waypoints[ahead : ahead + 2], *self.waypoints[max(ahead - 1, 0) : ahead]]
         slow = [place for place in near_by if place.speed < 1.0]
-        if slow and used[kind].max() < AT_LIMIT:
+        if slow and used[kind].max() < HOLDING_SHARE:
             return f"{slow[0].name} allows {100.0 * slow[0].speed:.3g} % of the velocity limits"
         return f"joint {self.arm.joint_names[int(used[kind].argmax())]} is at its {kind} limit"
 

@@ -293,7 +293,7 @@ def test_a_keyframe_limits_the_speed_of_the_motion_to_it(arm: pp.Arm, speed: flo
     assert motion.converged and motion.planned == pytest.approx(1.8)
     before, slow, after = largest_shares(motion, 2.0)
     assert 0.9 * speed < slow <= speed
-    assert min(before, after) > 1.5 * speed
+    assert min(before, after) > 1.2 * speed
     assert [place.planned for place in motion.waypoints] == pytest.approx([0.0, 0.6, 1.2, 1.8])
     if speed < 0.3:
         assert f"careful allows {100 * speed:g} % of the velocity limits" in motion.slowdown
@@ -362,6 +362,17 @@ def test_a_controller_that_lags_behind_is_told(arm: pp.Arm) -> None:
     assert "joint " in motion.slowdown or "the arm is behind its targets" in motion.slowdown
 
 
+def test_an_obstacle_that_keeps_the_arm_off_its_path_is_told(arm: pp.Arm) -> None:
+    up, down = np.zeros((2, arm.nv))
+    up[1], down[1] = 0.8, -0.8
+    post = pp.Sphere(arm.at(arm.straight()).points[-1], 0.03)
+    tour = [Keyframe(joints=up), Keyframe(joints=down, time=2.0)]
+    motion = pp.move_through(arm, tour, limits=LIMITS, scene=pp.Scene({"post": post}))
+    assert motion.converged and not motion.faults and motion.deviations
+    assert ": an obstacle keeps the arm off the planned path for " in motion.slowdown
+    assert motion.slowdown.endswith("and post come closest to each other")
+
+
 def test_a_motion_on_time_tells_of_no_slowdown(arm: pp.Arm) -> None:
     motion = pp.move_through(
         arm, [Keyframe(line(arm)), Keyframe(bow(arm), time=4.0, trim=True)], limits=LIMITS
@@ -414,10 +425,10 @@ def test_a_tour_in_a_file_is_read_and_written_with_its_comments(tmp_path: Path) 
         assert pp.Task.load(task.save(tmp_path / f"plain{suffix}")).repeat == 3
     other = pp.Task.load(tmp_path / "edited.toml")
     assert other.repeat == 1 and other.motion[1] == last
+    assert [place.name for place in task.outlook(task.reference())] == ["home, lap 1", "taught, lap 1"]
     motion = task.perform()
     assert motion.converged and motion.planned == pytest.approx(3 * 1.5 - 0.5)
     assert np.abs(motion.q[-1] - last.joints).max() < 1e-9
-    assert "allows 25 % of the velocity limits" not in motion.slowdown or motion.time_scale > 1.0
 
 
 def test_a_leader_is_not_repeated() -> None:
