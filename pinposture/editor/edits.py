@@ -234,7 +234,8 @@ def times_of(task: Task) -> list[float]:
     times: list[float] = []
     left = 0.0
     for index, keyframe in enumerate(keyframes_of(task)):
-        gap = keyframe.duration if index > 0 else None  # that of the first is the time to come back to it
+        comes_back = index == 0 and task.repeat > 1  # its duration is the time to come back
+        gap = None if comes_back else keyframe.duration
         times.append(left + (gap or 0.0) if keyframe.time is None else keyframe.time)
         left = times[-1] + keyframe.hold
     return times
