@@ -278,6 +278,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "planned": motion.planned,
         "duration": motion.duration,
         "time_scale": motion.time_scale,
+        "slowdown": motion.slowdown,
         "done": float(motion.plan_time[-1]),
         "largest_speed": None if speeds is None else float(speeds.max(initial=0.0)),
         "largest_acceleration": None if accelerations is None else float(accelerations.max(initial=0.0)),
@@ -334,10 +335,8 @@ def _duration(summary: Mapping[str, Any]) -> str:
     planned, text = summary["planned"], f"{summary['duration']:.4g} s"
     if summary["done"] < planned:
         text += f", for {summary['done']:.4g} of the {planned:.4g} s of the plan"
-    elif summary["time_scale"] > 1.0 + 1e-9:
-        text += f", {summary['time_scale']:.4g} times as long as the {planned:.4g} s planned"
     else:
-        text += ", as planned"
+        text += f", {summary['slowdown'] or 'as planned'}"
     if summary["start_index"]:
         text += f"; before that {summary['start_index']:.4g} s to come to the first posture"
     return text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,7 @@ from pinposture.errors import CurveError, InvalidValue, TaskError
 from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
-from pinposture.task.keyframe import MOST_CYCLES
+from pinposture.task.keyframe import MOST_CYCLES, title
 
 Array = NDArray[np.float64]
 
@@ -38,10 +38,14 @@ def keyframes_of(task: Task) -> tuple[Keyframe, ...]:
     """Return the keyframes of a task.
 
     Raises:
-        TaskError: the task follows a leader and has no keyframes.
+        TaskError: the task follows a leader and has no keyframes, or one of them has no curve.
     """
     if isinstance(task.motion, Leader):  # which is a tuple, too
         raise TaskError("the task", "follows a leader; only tasks of keyframes can be edited")
+    for index, keyframe in enumerate(task.motion):
+        if keyframe.curve is None:
+            reason = "is a taught configuration; the editor reshapes curves, and every keyframe needs one"
+            raise TaskError(title(task.motion, index), reason)
     return task.motion
 
 
@@ -77,7 +81,7 @@ class Shape:
     @classmethod
     def of(cls, arm: Arm, keyframe: Keyframe) -> Shape:
         """Return the shape of a keyframe: its own control points, or a few that fit its curve."""
-        laid, _ = place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)
+        laid, _ = place_curve(arm, cast(Curve, keyframe.curve), keyframe.placement, keyframe.roll)
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
         own = laid.control_points if begin == 0.0 and laid.degree <= DEGREE else None
@@ -229,8 +233,10 @@ def times_of(task: Task) -> list[float]:
     """Return when each keyframe is to be taken, counted from the beginning [s]."""
     times: list[float] = []
     left = 0.0
-    for keyframe in keyframes_of(task):
-        times.append(left + (keyframe.duration or 0.0) if keyframe.time is None else keyframe.time)
+    for index, keyframe in enumerate(keyframes_of(task)):
+        comes_back = index == 0 and task.repeat > 1  # its duration is the time to come back
+        gap = None if comes_back else keyframe.duration
+        times.append(left + (gap or 0.0) if keyframe.time is None else keyframe.time)
         left = times[-1] + keyframe.hold
     return times
 
@@ -393,7 +399,8 @@ def _with_gaps(task: Task, keyframes: list[Keyframe], gaps: list[float]) -> Task
         by_duration = keyframe.duration is not None
         new, given = (gap, keyframe.duration) if by_duration else (time, keyframe.time)
         if index == 0:
-            by_duration, new, given = False, 0.0, keyframe.time or keyframe.duration or 0.0
+            back = keyframe.duration if task.repeat == 1 else None
+            by_duration, new, given = False, 0.0, keyframe.time or back or 0.0
         changes: dict[str, float | None] = {}
         if given is None or abs(given - new) > TIME_TOLERANCE:
             value = None if index == 0 else round(new, TIME_DIGITS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,15 @@ LIMIT_TOLERANCE = 1e-9
 
 POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 """Rounding error of a difference of joint positions, relative to them."""
+
+
+NO_SLOWDOWN = 5e-3
+"""Relative excess of the planned time that is due to whole cycles."""
+
+OFF_THE_PATH = "an obstacle keeps the arm off the planned path"
+
+HOLDING_SHARE = 0.85
+"""Share of a limit from which on that holds an arm back, and not a keyframe whose speed is limited."""
 
 
 class Shares(NamedTuple):
@@ -418,6 +428,7 @@ class Waypoint(NamedTuple):
             the arm cannot take the curve exactly [m]; None without a curve.
         tip_off: error of the tip task then [m]; None without a tip task, or if never reached.
         moved: how its curve was moved from its position as drawn; None without a curve.
+        speed: largest share of the velocity limits for the motion to it.
     """
 
     name: str
@@ -428,6 +439,7 @@ class Waypoint(NamedTuple):
     off_curve: float | None = None
     tip_off: float | None = None
     moved: Moved | None = None
+    speed: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -517,6 +529,52 @@ class Motion:
         return self.duration / done if done > 0.0 else 1.0
 
     @cached_property
+    def slowdown(self) -> str:
+        """By how much the motion was slower than planned, and what held it back longest; empty if not."""
+        if not self.time_scale > 1.0 + NO_SLOWDOWN:
+            return ""
+        causes = Counter(map(self._cause, self._slow_cycles))
+        why = "".join(f": {cause} for {count * self.dt:.3g} s" for cause, count in causes.most_common(1))
+        if why.startswith(f": {OFF_THE_PATH}") and self.run.scene is not None:
+            row = min(self._slow_cycles, key=lambda cycle: float(self.run.clearance[cycle]))
+            pair = CollisionModel(self.arm, self.run.scene).minimum(self.q[row]).pair or ()
+            why += f"; {' and '.join(pair)} come closest to each other"
+        scale = self.time_scale
+        slow = (
+            f"{100.0 * (scale - 1.0):.3g} % slower than" if scale < 2.0 else f"{scale:.3g} times as long as"
+        )
+        return f"{slow} the {self.planned:.4g} s planned{why}"
+
+    @property
+    def _slow_cycles(self) -> list[int]:
+        """The cycles on the way through the plan in which its time passed more slowly."""
+        passed = np.diff(self.plan_time[self.start_index :])
+        underway = np.flatnonzero(passed > 0.0)
+        last = int(underway[-1]) if len(underway) else len(passed)  # where the plan ends, within a cycle
+        slow = np.flatnonzero(passed[:last] < (1.0 - NO_SLOWDOWN) * self.dt)
+        return [self.start_index + int(cycle) for cycle in slow]
+
+    def _cause(self, cycle: int) -> str:
+        """Return what held the arm back in a cycle, as a clause."""
+        if self.plan_time[cycle] == self.plan_time[cycle + 1]:
+            off_the_path = self.deviations and self.run.scene is not None
+            return OFF_THE_PATH if off_the_path else "the arm is behind its targets"
+        speeds, accelerations = self._shares
+        used = {"velocity": speeds[cycle], "acceleration": accelerations[cycle : cycle + 2].max(axis=0)}
+        kind = max(used, key=lambda kind: float(used[kind].max()))
+        ahead = sum(place.planned <= self.plan_time[cycle] for place in self.waypoints)
+        # The arm slows down before a keyframe whose speed is limited sets in, and speeds up after it.
+        near_by = [*self.waypoints[ahead : ahead + 2], *self.waypoints[max(ahead - 1, 0) : ahead]]
+        slow = [place for place in near_by if place.speed < 1.0]
+        if slow and used[kind].max() < HOLDING_SHARE:
+            return f"{slow[0].name} allows {100.0 * slow[0].speed:.3g} % of the velocity limits"
+        return f"joint {self.arm.joint_names[int(used[kind].argmax())]} is at its {kind} limit"
+
+    @cached_property
+    def _shares(self) -> tuple[Array, Array]:
+        return _joint_shares(self.run)
+
+    @cached_property
     def mean_error(self) -> Array:
         """Mean distance of the control points with a target from it, (steps + 1,) [m]."""
         return np.asarray(self.run.posture_error / self.target_mask.sum(axis=1))
@@ -550,6 +608,5 @@ class Motion:
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
 
     def __repr__(self) -> str:
-        slow = self.converged and self.time_scale > 1.005
-        slower = f", {self.time_scale:.3g} times as long as planned" if slow else ""
+        slower = f", {self.slowdown}" if self.converged and self.slowdown else ""
         return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.waypoints)} waypoints)"

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -33,15 +34,24 @@ from pinposture.task.reference import AnchoredCurve, BentCurve
 Array = NDArray[np.float64]
 
 
+OF_A_CURVE: Mapping[str, object] = MappingProxyType(
+    {"placement": None, "roll": 0.0, "method": "auto", "trim": False}
+)
+"""Attributes of a keyframe that only go with a curve, and their defaults."""
+
+
 @dataclass(frozen=True)
 class Keyframe:
     """A posture to take at a given time.
 
+    The posture is that of a curve, or a taught configuration: `Keyframe(joints=arm.positions(q))`.
+
     Attributes:
-        curve: the shape to take.
+        curve: the shape to take; None for a taught configuration, which `joints` then gives.
         time: when to take it, counted from the beginning of the motion [s]; None if a duration is given.
         duration: time since the keyframe before, counted from the end of its hold [s]; or None. The first
-            keyframe is at 0 and needs neither.
+            keyframe is at 0 and needs neither; in a tour that is repeated, its duration is the time to come
+            back to it.
         hold: how long to stay there [s]. A keyframe with a hold is taken at rest, and so are the first and
             the last one; the motion passes through the others.
         name: a name; if empty, the keyframe is referred to by its number.
@@ -52,18 +62,20 @@ class Keyframe:
             none. A strict task takes precedence over the posture; any other is weighed against it.
         region: first and last control point that have to take the posture, 0-based, the last included; None
             for all. The others are free to serve the tip, and do not count.
-        joints: joint positions near which to take the posture, as of `Arm.positions`, (nv,) [rad or m]; None
-            for any. Where modules are placed by least squares, several configurations may take a posture
-            equally well, and this selects one. Positions that do not fit the arm are ignored with a warning.
+        joints: joint positions as of `Arm.positions`, (nv,) [rad or m]. Without a curve, those to take; with
+            one, those near which to take it; None for any: where modules are placed by least squares,
+            several configurations may take a curve equally well. Positions that do not fit the arm are then
+            ignored with a warning.
         trim: True to take the first part of a curve that is longer than the arm covers, by more than a
             module; False to refuse it.
+        speed: share of the velocity limits, in (0, 1], that the motion to this keyframe may use.
 
     Raises:
         InvalidValue: a value other than described.
         UnknownName: a `placement` or `method` that does not exist.
     """
 
-    curve: Curve
+    curve: Curve | None = None
     time: float | None = None
     duration: float | None = None
     hold: float = 0.0
@@ -75,6 +87,7 @@ class Keyframe:
     region: tuple[int, int] | None = None
     trim: bool = False
     joints: tuple[float, ...] | None = None
+    speed: float = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -83,8 +96,7 @@ class Keyframe:
             self._check()
 
     def _check(self) -> None:
-        if not isinstance(self.curve, Curve):
-            raise InvalidValue("curve", self.curve, "a Curve")
+        self._check_curve()
         if self.time is not None and self.duration is not None:
             given = {"time": self.time, "duration": self.duration}
             raise InvalidValue("time and duration", given, "one of them, and None for the other")
@@ -92,6 +104,7 @@ class Keyframe:
             value = getattr(self, name)
             if value is not None or name == "hold":
                 as_number(name, value, "a finite number >= 0 [s]", lambda number: number >= 0.0)
+        as_number("speed", self.speed, "a share of the velocity limits, in (0, 1]", lambda x: 0.0 < x <= 1.0)
         as_number("roll", self.roll, "a finite angle [rad]", lambda _: True)
         if self.placement not in (None, *PLACEMENTS):
             raise UnknownName("placement", self.placement, PLACEMENTS)
@@ -111,10 +124,27 @@ class Keyframe:
             joints = finite_vector("joints", self.joints, np.size(self.joints))
             object.__setattr__(self, "joints", tuple(joints.tolist()))
 
+    def _check_curve(self) -> None:
+        if not isinstance(self.curve, Curve) and not (self.curve is None and self.joints is not None):
+            raise InvalidValue("curve", self.curve, "a Curve; or None, with the joints to take")
+        for name, default in OF_A_CURVE.items() if self.curve is None else ():
+            if getattr(self, name) != default:
+                raise InvalidValue(name, getattr(self, name), f"{default!r}, as there is no curve")
+
 
 def usual_placement(scene: Scene | None) -> Literal["as_is", "align"]:
     """Return how curves are placed by default: among obstacles they stay where they are drawn."""
     return "as_is" if scene is not None and scene.obstacles else "align"
+
+
+def placed(keyframes: Sequence[Keyframe], placement: Literal["as_is", "align"]) -> tuple[Keyframe, ...]:
+    """Return keyframes whose curves all have a placement: their own, or else this one."""
+
+    def own(keyframe: Keyframe) -> Keyframe:
+        given = keyframe.curve is None or keyframe.placement is not None
+        return keyframe if given else replace(keyframe, placement=placement)
+
+    return tuple(map(own, keyframes))
 
 
 def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
@@ -179,7 +209,8 @@ class Schedule(NamedTuple):
     Attributes:
         reached: the row at which each is reached, (K,); that of the first is 0.
         left: the row at which each is left; later if it is held, (K,).
-        rests: whether the arm is at rest there, (K,).
+        rests: whether the arm is at rest there, (K,): at the first and the last, at those that are held, and
+            where a motion along curves ends and one through joint space begins, or the reverse.
     """
 
     reached: NDArray[np.int64]
@@ -243,7 +274,35 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
             raise TaskError(where, reason)
     rests = np.array([keyframe.hold > 0.0 for keyframe in keyframes])
     rests[0] = rests[-1] = True
+    curved = np.array([keyframe.curve is not None for keyframe in keyframes])
+    along = curved[:-1] & curved[1:]
+    rests[1:-1] |= along[:-1] != along[1:]
     return Schedule(np.array(reached, dtype=np.int64), np.array(left, dtype=np.int64), rests)
+
+
+def lap_of(keyframes: tuple[Keyframe, ...], interval: float) -> tuple[Keyframe, ...]:
+    """Return the keyframes of one lap of a repeated tour: it ends with the posture of the first keyframe.
+
+    A closed tour, whose last keyframe is the same posture as the first, is a lap as it is. Otherwise the arm
+    goes back to the first keyframe, in the time that its duration says; by default, in the longest time from
+    one keyframe to the next.
+
+    Raises:
+        TaskError: times that do not increase, or no time to go back.
+    """
+    first, last = replace(keyframes[0], duration=None), keyframes[-1]
+    there = (first, *keyframes[1:])
+    when: dict[str, Any] = {"time": None, "duration": None, "hold": 0.0, "name": "", "speed": 1.0}
+    back = keyframes[0].duration
+    if back is None and replace(first, **when) == replace(last, **when):
+        return there
+    if back is None:
+        cycles = schedule(there, interval)
+        back = interval * int((cycles.reached[1:] - cycles.left[:-1]).max())
+    if round(back / interval) < 1:
+        reason = f"its duration is {back:g} s; to go back to it takes a cycle of {interval:g} s at least"
+        raise TaskError(title(keyframes, 0), reason)
+    return *there, replace(first, time=None, duration=back, hold=0.0)
 
 
 def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence[int] | Array) -> Array:
@@ -294,14 +353,15 @@ class Resolved(NamedTuple):
     """A keyframe resolved for an arm.
 
     Attributes:
-        anchored: its curve in the world, and where the base of the arm is on it.
+        anchored: its curve in the world, and where the base of the arm is on it; None for a taught
+            configuration.
         target: its target, of the whole arm.
         positions: joint positions that take it, (nv,) [rad or m].
         fixed: whether the motion has to pass through these positions: they were given, or found by another
             method than that of the motion.
     """
 
-    anchored: AnchoredCurve
+    anchored: AnchoredCurve | None
     target: Target
     positions: Array
     fixed: bool
@@ -309,7 +369,8 @@ class Resolved(NamedTuple):
     @property
     def parameters(self) -> Array:
         """Arc length of each control point, counted from the base of the arm, (m,) [m]."""
-        return np.asarray(self.target.parameters, dtype=np.float64) - self.anchored.parameter
+        anchored = cast(AnchoredCurve, self.anchored)
+        return np.asarray(self.target.parameters, dtype=np.float64) - anchored.parameter
 
 
 class ResolvedMotion(NamedTuple):
@@ -344,7 +405,8 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
     """
     (keyframe,) = with_fitting_joints(arm, (keyframe,))
     target = _target(arm, keyframe, keyframe.method, near)
-    _check_covered(arm, (keyframe,), 0, _resolved(arm, target, False))
+    if target.curve is not None:
+        _check_covered(arm, (keyframe,), 0, _resolved(arm, target, False))
     if keyframe.tip is not None:
         q = cast(Array, target.q)
         shift = tip_shift(arm, keyframe, target, q, title((keyframe,), 0))
@@ -366,14 +428,19 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
     for index, keyframe in enumerate(keyframes):
         with naming(title(keyframes, index)):
             targets.append(_target(arm, keyframe, keyframe.method))
-    free = [k for k, keyframe in enumerate(keyframes) if keyframe.joints is None]
-    methods = {targets[k].method for k in free or range(len(targets))}
+    curved = [k for k, keyframe in enumerate(keyframes) if keyframe.curve is not None]
+    free = [k for k in curved if keyframes[k].joints is None]
+    methods = {targets[k].method for k in free or curved}
     method = "sequential"
     if methods != {"sequential"} or not is_compiled(arm):
         method = "smooth" if "smooth" in methods else "closest"
     resolved = []
     for index, keyframe in enumerate(keyframes):
         target = targets[index]
+        if keyframe.curve is None:
+            positions = np.clip(np.array(keyframe.joints), arm.limits.lower, arm.limits.upper)
+            resolved.append(Resolved(None, target, positions, True))
+            continue
         if keyframe.method == "auto" and keyframe.joints is None and target.method != method:
             with suppress(TargetError):  # it keeps its own method
                 target = _target(arm, keyframe, method)
@@ -386,8 +453,8 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
         ):
             what = f"{title(keyframes, index)}: its curve"
             warnings.warn(far_moved(arm, what, target.moved), PostureWarning, stacklevel=3)
-    longest = max(float(each.parameters[-1]) for each in resolved)
-    return ResolvedMotion(tuple(resolved), method, CURVE_LENGTH_MARGIN * max(longest, arm.length))
+    longest = max([arm.length, *(float(resolved[k].parameters[-1]) for k in curved)])
+    return ResolvedMotion(tuple(resolved), method, CURVE_LENGTH_MARGIN * longest)
 
 
 def _resolved(arm: Arm, target: Target, fixed: bool) -> Resolved:
@@ -397,28 +464,35 @@ def _resolved(arm: Arm, target: Target, fixed: bool) -> Resolved:
 
 def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = None) -> Target:
     """Resolve the target of the whole arm, near another one or near the joints of the keyframe, if any."""
+    curve = keyframe.curve
+    if curve is None:
+        return _of_joints(arm, keyframe)
     options: dict[str, Any] = {
         "placement": keyframe.placement or "align",
         "roll": keyframe.roll,
         "method": method,
     }
     if near is not None or keyframe.joints is None:
-        return resolve_targets(arm, keyframe.curve, SEQUENTIAL_SAMPLES, near=near, **options)
-    q = arm.configuration(np.clip(keyframe.joints, arm.limits.lower, arm.limits.upper))
-    hint = Target(arm.at(q).compiled.points, np.ones(arm.n_modules), q=q)
+        return resolve_targets(arm, curve, SEQUENTIAL_SAMPLES, near=near, **options)
     try:
-        return resolve_targets(arm, keyframe.curve, SEQUENTIAL_SAMPLES, near=hint, **options)
+        return resolve_targets(arm, curve, SEQUENTIAL_SAMPLES, near=_of_joints(arm, keyframe), **options)
     except TargetError:
-        target = resolve_targets(arm, keyframe.curve, SEQUENTIAL_SAMPLES, **options)
+        target = resolve_targets(arm, curve, SEQUENTIAL_SAMPLES, **options)
     where = f"keyframe {keyframe.name!r}" if keyframe.name else "a keyframe"
     text = "joints: its curve has no posture near them; they are ignored"
     warnings.warn(f"{where}: {text}", PostureWarning, stacklevel=3)
     return target
 
 
+def _of_joints(arm: Arm, keyframe: Keyframe) -> Target:
+    """Return the posture at the joints of a keyframe."""
+    q = arm.configuration(np.clip(np.array(keyframe.joints), arm.limits.lower, arm.limits.upper))
+    return Target(arm.at(q).compiled.points, np.ones(arm.n_modules), q=q)
+
+
 def _check_covered(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
     """Refuse a curve that is longer than the arm covers, unless the keyframe says that it is trimmed."""
-    anchored, covered = resolved.anchored, float(resolved.parameters[-1])
+    anchored, covered = cast(AnchoredCurve, resolved.anchored), float(resolved.parameters[-1])
     length = anchored.curve.length - anchored.parameter
     if keyframes[index].trim or length - covered <= float(arm.chain.module_lengths.max()):
         return
@@ -457,18 +531,25 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
 
 def target_at(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
     """Return the target of a keyframe with the control points of a configuration (nq,)."""
-    curve, points = cast(Curve, target.curve), arm.at(q).compiled.points
-    parameters, distances = map(np.asarray, curve.nearest(arm.chain.flattened(points)))
-    weights, moved = np.ones(arm.n_modules), target.moved
-    result = Target(points, weights, q, curve, parameters, distances, target.method, moved=moved)
+    points, weights, moved = arm.at(q).compiled.points, np.ones(arm.n_modules), target.moved
+    result = Target(points, weights, q)
+    if target.curve is not None:
+        parameters, distances = map(np.asarray, target.curve.nearest(arm.chain.flattened(points)))
+        result = Target(points, weights, q, target.curve, parameters, distances, target.method, moved=moved)
     return result if keyframe.region is None else result.region(*keyframe.region)
 
 
 def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
-    """Return the keyframes without `joints` that do not fit the arm; a `PostureWarning` names them."""
+    """Return the keyframes without `joints` that do not fit the arm; a `PostureWarning` names them.
+
+    Raises:
+        TaskError: those of a taught configuration do not fit.
+    """
     fitting = []
     for index, keyframe in enumerate(keyframes):
-        misfit = _misfit(arm, keyframe)
+        misfit = joints_misfit(arm, keyframe)
+        if misfit and keyframe.curve is None:
+            raise TaskError(title(keyframes, index), f"joints {misfit}")
         if misfit:
             text = f"{title(keyframes, index)}: joints {misfit}; they are ignored"
             warnings.warn(text, PostureWarning, stacklevel=3)
@@ -476,7 +557,7 @@ def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyf
     return tuple(fitting)
 
 
-def _misfit(arm: Arm, keyframe: Keyframe) -> str:
+def joints_misfit(arm: Arm, keyframe: Keyframe) -> str:
     """Say why the joints of a keyframe do not fit the arm; empty if they do, or there are none."""
     if keyframe.joints is None:
         return ""

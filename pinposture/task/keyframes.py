@@ -5,17 +5,19 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Literal, NamedTuple
+from dataclasses import replace
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm
-from pinposture.errors import UnknownName
+from pinposture.errors import InvalidValue, UnknownName
 from pinposture.placement.least_squares import refined
 from pinposture.task.keyframe import (
     CONTINUITIES,
+    MOST_CYCLES,
     Keyframe,
     LeastSquaresFollower,
     ResolvedMotion,
@@ -24,6 +26,7 @@ from pinposture.task.keyframe import (
     Stretch,
     check_keyframes,
     interpolate,
+    lap_of,
     naming,
     resolve_keyframes,
     schedule,
@@ -111,15 +114,19 @@ class RowSolver:
     Elsewhere least squares follow the curve from each keyframe to the next; if that ends far from the next
     one, they also follow it back from there, and the motion changes from the one to the other where that
     costs least.
+
+    A stretch to or from a taught configuration leads through joint space.
     """
 
     def __init__(self, arm: Arm, motion: ResolvedMotion, continuity: str) -> None:
         self._arm, self._motion, self._continuity = arm, motion, continuity
         self._bending = Bending(arm, motion.length)
-        vectors: list[Array] = []
+        vector: Array | None = None
+        self._vectors: list[Array | None] = []
         for keyframe in motion.keyframes:
-            vectors.append(self._bending.vector(keyframe.anchored, vectors[-1] if vectors else None))
-        self._vectors = np.array(vectors)
+            if keyframe.anchored is not None:
+                vector = self._bending.vector(keyframe.anchored, vector)
+            self._vectors.append(vector if keyframe.anchored is not None else None)
         sequential = motion.method == "sequential"
         self._sequential = SequentialFollower(arm) if sequential else None
         self._follower = LeastSquaresFollower(arm, "closest" if sequential else motion.method)
@@ -141,15 +148,31 @@ class RowSolver:
         before = self._motion.keyframes[0].positions
         found[: schedule.left[0] + 1] = before
         for stretch in schedule.stretches():
-            vectors = self._vectors[stretch.first : stretch.last + 1]
-            curves = StretchCurves(self._bending, vectors, stretch, self._continuity)
-            rows = self._place_sequentially(stretch, curves, before, report)
-            if rows is None:
-                rows = self._follow(stretch, curves, before, report)
+            rows = self._stretch(stretch, before, report)
             before = rows[-1]
             found[stretch.rows[0] : stretch.rows[-1] + 1] = rows
             found[stretch.rows[-1] : schedule.left[stretch.last] + 1] = before
         return np.asarray(np.clip(found, self._arm.limits.lower, self._arm.limits.upper))
+
+    def _stretch(self, stretch: Stretch, before: Array, report: Callable[[int], None]) -> Array:
+        """Return joint positions of the rows of a stretch, from those at its beginning."""
+        vectors = self._vectors[stretch.first : stretch.last + 1]
+        if any(vector is None for vector in vectors):
+            return self._interpolate(stretch, before)
+        own = np.array(cast(list[Array], vectors))
+        curves = StretchCurves(self._bending, own, stretch, self._continuity)
+        rows = self._place_sequentially(stretch, curves, before, report)
+        return self._follow(stretch, curves, before, report) if rows is None else rows
+
+    def _interpolate(self, stretch: Stretch, before: Array) -> Array:
+        """Return joint positions of a stretch through joint space."""
+        values = [before]
+        for keyframe in self._motion.keyframes[stretch.first + 1 : stretch.last + 1]:
+            values.append(self._unwrapped(keyframe.positions, values[-1]))
+        own, numbers = np.array(values), np.arange(stretch.rows[0], stretch.rows[-1] + 1)
+        rows = interpolate(stretch, own, self._continuity, numbers)
+        rows[stretch.rows - stretch.rows[0]] = own  # to the last bit
+        return rows
 
     def _unwrapped(self, positions: Array, before: Array) -> Array:
         """Return the same positions, continuous joints in the turn that is nearest to those before."""
@@ -279,6 +302,7 @@ def keyframe_reference(
     interval: float,
     continuity: Literal["velocity", "acceleration"] = "velocity",
     progress: Progress | None = None,
+    repeat: int = 1,
 ) -> Reference:
     """Make the motion that takes one posture after the other, at given times.
 
@@ -289,6 +313,9 @@ def keyframe_reference(
     All keyframes that leave the method open are resolved by the same one: sequential placement if that works
     for all of them and leads continuously from each to the next, else least squares. Where the curve in
     between bends more than the arm can, the arm comes as near to it as it can.
+
+    To and from taught configurations the joints are interpolated, with the same law of time. The arm is at
+    rest where such a motion meets one along curves.
 
     On the way from one keyframe to the next, a control point has a target if it has one at either of them.
 
@@ -301,12 +328,16 @@ def keyframe_reference(
             keyframes; or the "acceleration" too, which may overshoot. Both are zero at the first and the last
             keyframe and at those with a hold.
         progress: called with the number of rows that are done, and that of all.
+        repeat: how often to make the tour. If its last posture is not the first, the arm goes back in
+            between, in the `duration` of the first keyframe; by default, in the longest time from one
+            keyframe to the next. Each tour begins and ends at rest.
 
     Returns:
-        The reference, with a mark for each keyframe.
+        The reference, with a mark for each keyframe, and for each repetition.
 
     Raises:
-        InvalidValue: fewer than two keyframes, something else among them, or an invalid interval.
+        InvalidValue: fewer than two keyframes, something else among them, an invalid interval or number of
+            repetitions.
         UnknownName: a `continuity` that does not exist.
         TaskError: times that do not increase, a curve that is too long, a strict task of the tip that is out
             of reach; names the keyframe.
@@ -317,8 +348,18 @@ def keyframe_reference(
     require_positive("interval", interval)
     if continuity not in CONTINUITIES:
         raise UnknownName("continuity", continuity, CONTINUITIES)
+    require_whole("repeat", repeat, 1)
+    tour = keyframes
+    keyframes = tour if repeat == 1 else lap_of(tour, float(interval))
     cycles = schedule(keyframes, float(interval))
+    cycles.rests[len(tour) - 1] = True
+    most = MOST_CYCLES // (cycles.rows - 1)
+    if repeat > most:
+        raise InvalidValue("repeat", repeat, f"{most} at most, {MOST_CYCLES} control cycles")
     motion = resolve_keyframes(arm, keyframes)
+    if repeat > 1:  # a lap ends as it begins, to the last bit
+        again = motion.keyframes[0]._replace(fixed=True)
+        motion = motion._replace(keyframes=(*motion.keyframes[:-1], again))
     solver = RowSolver(arm, motion, continuity)
     per_cycle = _first_guess(arm, cycles, motion)
     for attempt in range(MAX_REFINEMENTS):
@@ -335,14 +376,34 @@ def keyframe_reference(
         progress(rows.rows, rows.rows)
     start = arm.configuration(positions[0])
     offsets = positions - positions[0]
-    marks = []
+    marks: list[Mark] = []
     for index, keyframe in enumerate(keyframes):
         row = int(rows.reached[index])
         q = arm.integrate(start, offsets[row])
         target = target_at(arm, keyframe, motion.keyframes[index].target, q)
-        marks.append(Mark(keyframe.name or title(keyframes, index), row, target, keyframe.tip))
+        if index == len(tour):  # back at the first
+            target = marks[0].target
+        name = keyframe.name or title(keyframes, index % len(tour))
+        marks.append(Mark(name, row, target, keyframe.tip, keyframe.speed))
     weights = _weights(rows, [mark.target.weights for mark in marks])
-    return Reference(arm, interval / per_cycle, start, offsets, weights, tuple(marks))
+    lap = Reference(arm, interval / per_cycle, start, offsets, weights, tuple(marks))
+    return lap if repeat == 1 else _repeated(lap, len(tour), int(rows.left[len(tour) - 1]), repeat)
+
+
+def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
+    """Return a tour of `count` keyframes many times; it ends at row `end` of a lap, which then leads back."""
+    rows = lap.rows - 1
+    turns = np.where(lap.arm.kinematics.endless, np.round(lap.offsets[-1] / (2.0 * np.pi)), 0.0)
+    offsets, weights, marks = [], [], [lap.marks[0]._replace(name=f"{lap.marks[0].name}, lap 1")]
+    for number in range(repeat):
+        last = number == repeat - 1
+        kept = end + 1 if last else rows
+        offsets.append(lap.offsets[:kept] + 2.0 * np.pi * number * turns)
+        weights.append(lap.weights[:kept])
+        for index, mark in enumerate(lap.marks[1 : count if last else None], start=1):
+            name = f"{mark.name}, lap {number + 1 + index // count}"  # the way back begins the next lap
+            marks.append(mark._replace(name=name, row=number * rows + mark.row))
+    return replace(lap, offsets=np.concatenate(offsets), weights=np.concatenate(weights), marks=tuple(marks))
 
 
 def _first_guess(arm: Arm, cycles: Schedule, motion: ResolvedMotion) -> int:

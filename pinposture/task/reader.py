@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
+from pinposture._validation import require_whole
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
@@ -28,7 +29,15 @@ from pinposture.curve import CURVES, Curve
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.storage import read_text, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
-from pinposture.task.keyframe import CONTINUITIES, Keyframe, check_keyframes, naming, title, usual_placement
+from pinposture.task.keyframe import (
+    CONTINUITIES,
+    Keyframe,
+    check_keyframes,
+    joints_misfit,
+    naming,
+    title,
+    usual_placement,
+)
 from pinposture.task.specification import (
     LONGEST_CYCLE,
     RESULT_FORMATS,
@@ -285,8 +294,9 @@ def _make_keyframe(
 ) -> Keyframe:
     """Make a keyframe; `placement` is the default."""
     values = {key: getattr(spec, key) for key in KeyframeSpec.model_fields}
-    values["curve"] = make_curve(document, (*where, "curve"), spec.curve)
-    values["placement"] = spec.placement or placement
+    if spec.curve is not None:
+        values["curve"] = make_curve(document, (*where, "curve"), spec.curve)
+        values["placement"] = spec.placement or placement
     if spec.tip is not None:
         values["tip"] = make_tip(document, (*where, "tip"), spec.tip)
     if spec.region is not None:
@@ -296,6 +306,9 @@ def _make_keyframe(
             raise document.fault((*where, "region"), reason)
     with document.blaming(where):
         keyframe = Keyframe(**values)
+    misfit = joints_misfit(arm, keyframe) if keyframe.curve is None else ""
+    if misfit:
+        raise document.fault((*where, "joints"), misfit)
     if keyframe.tip is not None:
         _check_point(document, (*where, "tip"), keyframe.tip.point, arm)
     return keyframe
@@ -432,6 +445,7 @@ class TaskParts:
     name: str = ""
     scans: tuple[Path, ...] = ()
     described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
+    repeat: int = 1
 
 
 def check_task(task: TaskParts) -> None:
@@ -450,9 +464,10 @@ def check_task(task: TaskParts) -> None:
     task.limits.for_arm(task.arm)
     if task.continuity not in CONTINUITIES:
         raise UnknownName("continuity", task.continuity, CONTINUITIES)
-    for each in task.formats:
-        if each not in RESULT_FORMATS:
-            raise UnknownName("format", each, RESULT_FORMATS)
+    require_whole("repeat", task.repeat, 1)
+    unknown = [each for each in task.formats if each not in RESULT_FORMATS]
+    if unknown:
+        raise UnknownName("format", unknown[0], RESULT_FORMATS)
     if not isinstance(task.name, str):
         raise InvalidValue("name", task.name, "text")
     described, kinds = task.described, (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
@@ -461,8 +476,9 @@ def check_task(task: TaskParts) -> None:
         raise InvalidValue("described", described, allowed)
     if isinstance(task.motion, Leader):
         check_leader(task.motion, task.arm)
-        if task.continuity != CONTINUITIES[0]:
-            raise InvalidValue("continuity", task.continuity, f"{CONTINUITIES[0]!r}, of a leader")
+        for key, only in (("continuity", CONTINUITIES[0]), ("repeat", 1)):
+            if getattr(task, key) != only:
+                raise InvalidValue(key, getattr(task, key), f"{only!r}, of a leader")
     else:
         check_keyframes(task.motion, task.arm)
         _check_points(task.motion, task.arm)
@@ -533,4 +549,5 @@ def read_task(document: Document, arm: Arm | None = None) -> TaskParts:
         name=document.path.stem if spec.name is None else spec.name,
         scans=tuple(settled(document.named(("editor", "scans"), name)) for name in spec.editor.scans),
         described=document.described,
+        repeat=spec.repeat,
     )

@@ -32,12 +32,14 @@ class Mark(NamedTuple):
         target: the target of the arm there, which replaces that of the reference in this row. Its residual is
             its distance from the curve.
         tip: the task of the tip there; None if there is none.
+        speed: share of the velocity limits that the motion to it, from the mark before, may use.
     """
 
     name: str
     row: int
     target: Target
     tip: EndEffector | None = None
+    speed: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,8 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
 
 def _named(reference: Reference) -> list[Mark]:
     """Return the named places of a reference, and its beginning if that has no name."""
-    marks = list(reference.marks)
+    # In later laps of a tour the postures are the same.
+    marks = list({id(mark.target): mark for mark in reversed(reference.marks)}.values())[::-1]
     if not marks or marks[0].row > 0:
         marks.insert(0, Mark("the beginning", 0, Target.from_configuration(reference.arm, reference.start)))
     return marks

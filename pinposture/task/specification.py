@@ -31,7 +31,7 @@ from pinposture.curve import CURVES
 from pinposture.errors import UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
-from pinposture.task.keyframe import CONTINUITIES
+from pinposture.task.keyframe import CONTINUITIES, OF_A_CURVE
 from pinposture.task.toml import Place
 
 MOST_MODULES = 1000
@@ -258,7 +258,9 @@ def _read_joints(value: Any, info: ValidationInfo) -> list[float]:
 
 
 def _read_joints_of_any_arm(value: Any, info: ValidationInfo) -> list[float]:
-    """Read joint positions that may be those of another arm, and are then ignored later."""
+    """Read joint positions; beside a curve they may be those of another arm, and are then ignored later."""
+    if info.data.get("curve") is None:
+        return _read_joints(value, info)
     fitting = not isinstance(value, list) or len(value) in (0, _arm(info).nv)
     return _read_joints(value, info) if fitting else _read_quantities(value, ["angle"] * len(value))
 
@@ -582,7 +584,8 @@ class KeyframeSpec(TableSpec):
     time: Time = None
     duration: Time = None
     hold: Annotated[float, _quantity("time")] = 0.0
-    curve: CurveSpec
+    speed: Number = 1.0
+    curve: CurveSpec | None = None
     placement: Annotated[str | None, _one_of(*PLACEMENTS)] = None
     trim: Flag = False
     roll: Annotated[float, _quantity("angle")] = 0.0
@@ -590,6 +593,17 @@ class KeyframeSpec(TableSpec):
     region: Annotated[tuple[int, int] | None, BeforeValidator(_region)] = None
     joints: Annotated[Any, BeforeValidator(_read_joints_of_any_arm)] = None
     tip: TipSpec | None = None
+
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
+        """Refuse a keyframe without a posture, and keys of a curve where there is none."""
+        if "curve" not in values:
+            if "joints" not in values:
+                raise ValueError("needs one of the keys 'curve', 'joints'")
+            for key in OF_A_CURVE:
+                if key in values:
+                    raise Misplaced("goes with 'curve', and there is none", key)
+        return cls.model_fields
 
 
 class LeaderSpec(TableSpec):
@@ -633,6 +647,9 @@ class TaskSpec(TableSpec):
     kind: Annotated[str, _one_of("keyframes", "follow_leader")] = "keyframes"
     name: TextOrNone = None
     continuity: Annotated[str, _one_of(*CONTINUITIES)] = "velocity"
+    repeat: Annotated[
+        int, _check(lambda value: _is_whole(value) and value > 0, "a whole number, 1 or more")
+    ] = 1
     arm: Any = None
     scene: SceneSpec = SceneSpec()
     keyframes: Annotated[
@@ -660,4 +677,4 @@ class TaskSpec(TableSpec):
         return [key for key in cls.model_fields if key not in others]
 
 
-_KEYS_OF_KIND = {"keyframes": ("keyframes", "continuity"), "follow_leader": ("leader",)}
+_KEYS_OF_KIND = {"keyframes": ("keyframes", "continuity", "repeat"), "follow_leader": ("leader",)}

@@ -7,12 +7,14 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import ceil
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
@@ -22,14 +24,14 @@ from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
-from pinposture.control.planner.path import JointPath, SpeedProfile, TimedPath, retime
+from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
 from pinposture.motion.trajectory import Motion, Waypoint
 from pinposture.placement import Target
 from pinposture.storage import settled
 from pinposture.task.follow_leader import Leader, follow_leader
-from pinposture.task.keyframe import Keyframe, usual_placement, with_fitting_joints
+from pinposture.task.keyframe import Keyframe, placed, usual_placement, with_fitting_joints
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.reader import Document, TaskParts, check_task, read_task
 from pinposture.task.reference import Mark, Outlook, Reference, off_curve, outlook, require_room, tip_off
@@ -70,6 +72,7 @@ class Task(TaskParts):
             description in a task file, in SI units, with a `Path` for each path. For instance
             `{curve: "helix", path: Path("path.csv")}`. A part that is not in it, or that its description no
             longer gives, is written out.
+        repeat: as for `keyframe_reference`.
         layout: the TOML file that the task was read from, whose comments and layout `save` keeps; None if
             there is none.
 
@@ -95,9 +98,7 @@ class Task(TaskParts):
         check_task(self)
         placement: Any = usual_placement(self.scene)
         if not isinstance(self.motion, Leader):
-            motion = with_fitting_joints(self.arm, self.motion)
-            placed = (each if each.placement else replace(each, placement=placement) for each in motion)
-            self._set("motion", tuple(placed))
+            self._set("motion", placed(with_fitting_joints(self.arm, self.motion), placement))
         elif self.motion.placement is None:
             self._set("motion", self.motion._replace(placement=placement))
         self._set("formats", tuple(each for each in RESULT_FORMATS if each in formats))
@@ -175,7 +176,7 @@ class Task(TaskParts):
                 arguments = self.motion._asdict()
                 del arguments["pipe"]
                 return follow_leader(self.arm, interval=dt, start=self.start, progress=progress, **arguments)
-            return keyframe_reference(self.arm, self.motion, dt, self.continuity, progress)
+            return keyframe_reference(self.arm, self.motion, dt, self.continuity, progress, self.repeat)
 
     def outlook(self, reference: Reference) -> list[Outlook]:
         """Tell how well the arm can take the postures, before it moves; clearances are those of the postures.
@@ -242,6 +243,8 @@ class Task(TaskParts):
                     where or ("leader", key), f"is {shown(error.value)}; allowed: {error.allowed}"
                 )
             return document.fault(where or ("leader", "path"), message)
+        if isinstance(error, InvalidValue) and error.name == "repeat":
+            return document.fault(("repeat",), f"is {shown(error.value)}; allowed: {error.allowed}")
         number = _KEYFRAME.match(message)  # the message begins with its subject
         line = document.line(("keyframes", int(number[1]) - 1) if number else ("keyframes",))
         return FileError(document.path, message if line is None else f"line {line}: {message}")
@@ -276,6 +279,66 @@ STEP_BUDGET_RATIO, STEP_BUDGET_EXTRA = 10.0, 3000
 """The most steps, as a multiple of those foreseen and beyond that, after which a motion is given up."""
 
 
+PACE_RATIO = 1.1
+"""Largest ratio of the paces at neighbouring rows, so that the arm slows down smoothly."""
+
+
+def slowed(reference: Reference, limits: Limits) -> tuple[Reference, Array]:
+    """Slow a reference down to the share of the velocity limits that each of its marks asks for.
+
+    Args:
+        reference: the reference.
+        limits: the limits of a step, with dt.
+
+    Returns:
+        The reference with more rows where it would be too fast, and the time of the plan at each row [s].
+
+    Raises:
+        InvalidValue: it would take too many cycles.
+    """
+    marks, rows = reference.marks, reference.rows - 1
+    if all(mark.speed == 1.0 for mark in marks):
+        return reference, reference.times
+    per_cycle = cycle_of(limits) / reference.interval
+    spline = CubicHermiteSpline(
+        np.arange(rows + 1), reference.offsets, np.gradient(reference.offsets, axis=0)
+    )
+    slopes = np.abs(spline(0.5 * np.arange(2 * rows + 1), 1)) * (reference.arm.moved > 0.0)
+    shares = (per_cycle * slopes / (SPEED_SHARE * limits.for_arm(reference.arm).bound)).max(axis=1)
+    used = np.maximum(np.maximum(shares[:-1:2], shares[1::2]), shares[2::2])
+    speeds, ends = np.ones(rows), [0, *(mark.row for mark in marks), rows]
+    beside = ceil(per_cycle)  # a cycle may lie on both sides of a mark
+    for begin, mark in zip(ends, marks, strict=False):
+        here = speeds[max(begin - beside, 0) : mark.row + beside]
+        np.minimum(here, mark.speed, out=here)
+    delays = np.log(np.where(speeds < 1.0, np.maximum(used / speeds, 1.0), 1.0))
+    ramp = np.log(PACE_RATIO) * np.arange(rows)
+    delays = np.maximum.accumulate(delays + ramp) - ramp
+    delays = np.exp(np.maximum.accumulate((delays - ramp)[::-1])[::-1] + ramp)
+    cycles = float(delays.sum()) / per_cycle
+    if cycles > MAX_PERFORMED_CYCLES:
+        allowed = f"speeds of keyframes with which it takes at most {MAX_PERFORMED_CYCLES:g} cycles"
+        raise InvalidValue("cycles of the motion", round(cycles), allowed)
+    places, moved = [np.zeros(1)], []
+    for begin, end in pairwise(ends):
+        extra = delays[begin:end] - 1.0
+        count = end - begin + ceil(float(extra.sum()) - ROW_TOLERANCE)
+        if count > end - begin:
+            extra *= (count - end + begin) / extra.sum()  # to whole rows
+        passed = np.concatenate([[0.0], np.cumsum(1.0 + extra)])
+        places.append(np.interp(np.arange(1.0, count + 1.0), passed, np.arange(begin, end + 1)))
+        places[-1][-1:] = end
+        moved.append(sum(map(len, places)) - 1)
+    at = np.concatenate(places)
+    finer = replace(
+        reference,
+        offsets=spline(at),
+        weights=reference.weights[np.ceil(at - ROW_TOLERANCE).astype(np.intp)],
+        marks=tuple(mark._replace(row=row) for mark, row in zip(marks, moved, strict=False)),
+    )
+    return finer, reference.interval * at
+
+
 class ReferencePath:
     """A reference as a path to follow at any speed. Places on it are its rows, and between them.
 
@@ -284,7 +347,8 @@ class ReferencePath:
         limits: the limits of a step, with dt.
 
     Attributes:
-        reference: the reference.
+        reference: the reference, `slowed` where its marks ask for less than full speed.
+        times: the time of the plan at each of its rows, (N + 1,) [s].
         path: its configurations as a path through joint space, within the position limits.
         most: rows to go in one cycle, if nothing slows the motion.
         timed: the path with the largest speed that limits allow, but no more than `most`.
@@ -292,7 +356,9 @@ class ReferencePath:
 
     def __init__(self, reference: Reference, limits: Limits) -> None:
         arm, bounds = reference.arm, limits.for_arm(reference.arm)
+        reference, self.times = slowed(reference, limits)
         self.reference = reference
+        self._rows = np.arange(reference.rows, dtype=np.float64)
         self.most = cycle_of(limits) / reference.interval
         self._lower, self._upper = bounds.edges - arm.positions(reference.start)
         offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
@@ -313,6 +379,10 @@ class ReferencePath:
     def steps(self) -> float:
         """Number of cycles that it takes at least."""
         return self._profile.steps
+
+    def time(self, place: float | Array) -> Array:
+        """Return the time of the plan at places [s]."""
+        return np.asarray(np.interp(place, self._rows, self.times))
 
     def next(self, place: float, speed: float) -> float:
         """Return the place after the next cycle, after one that went `speed` places."""
@@ -405,6 +475,7 @@ def move_through(
     scene: Scene | None = None,
     q0: ArrayLike | None = None,
     continuity: Literal["velocity", "acceleration"] = "velocity",
+    repeat: int = 1,
 ) -> Motion:
     """Take postures one after the other, at their times: `keyframe_reference` and `perform` in one call.
 
@@ -417,6 +488,7 @@ def move_through(
         scene: as for `track`.
         q0: configuration to start from, (nq,); that of the first keyframe if None.
         continuity: as for `keyframe_reference`.
+        repeat: likewise.
 
     Returns:
         The motion.
@@ -425,9 +497,8 @@ def move_through(
         PostureError: as those two.
     """
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
-    if usual_placement(scene) == "as_is":
-        keyframes = [replace(each, placement=each.placement or "as_is") for each in keyframes]
-    reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity)
+    keyframes = placed(keyframes, usual_placement(scene))
+    reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat)
     return perform(reference, controller, limits, scene, q0)
 
 
@@ -463,9 +534,9 @@ class _Performance:
             run=run,
             targets=np.array([target.points for target in self._targets]),
             target_mask=np.array([target.has_target for target in self._targets]),
-            plan_time=np.minimum(places * reference.interval, reference.duration),
+            plan_time=self.guide.time(places),
             start_index=len(places) - 1 if self._start_index is None else self._start_index,
-            planned=reference.duration,
+            planned=float(self.guide.times[-1]),
             waypoints=tuple(self._waypoint(mark, places, run.q, run.points, dt) for mark in reference.marks),
             deviations=tuple(self._notes),
         )
@@ -473,16 +544,17 @@ class _Performance:
     def _waypoint(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
         """Return how a named place was passed, at the step nearest to it in time."""
         reference, begun, moved = self.guide.reference, self._start_index, mark.target.moved
-        planned, off = mark.row * reference.interval, off_curve(mark)
+        planned, off = float(self.guide.times[mark.row]), off_curve(mark)
         there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
         if begun is None or not len(there):
-            return Waypoint(mark.name, planned, None, None, None, off, moved=moved)
+            return Waypoint(mark.name, planned, None, None, None, off, moved=moved, speed=mark.speed)
         row = begun + int(there[0])
         if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
             row -= 1
         errors = np.linalg.norm((mark.target.points - points[row])[mark.target.has_target], axis=1)
         tip = tip_off(mark.tip, mark.target, reference.arm.at(q[row]))
-        return Waypoint(mark.name, planned, (row - begun) * dt, row, float(errors.mean()), off, tip, moved)
+        reached, error = (row - begun) * dt, float(errors.mean())
+        return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed)
 
     def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
         """Come to rest at a place, by any path, but not before step `due`; returns status and reason."""
@@ -515,8 +587,8 @@ class _Performance:
         """Report progress; returns whether to stop."""
         if self.progress is None:
             return False
-        reference = self.guide.reference
-        return self.progress(self._place * reference.interval, reference.duration) is True
+        guide = self.guide
+        return self.progress(float(guide.time(self._place)), guide.reference.duration) is True
 
     def _record(self, place: float, target: Target) -> tuple[str, str] | None:
         """Record the place after a step; returns status and reason if the motion ends there."""
@@ -527,7 +599,7 @@ class _Performance:
         if self._report():
             ended = "stopped", STOPPED
         elif self.loop.record.steps > self._max_steps:
-            seconds = place * self.guide.reference.interval
+            seconds = float(self.guide.time(place))
             ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._max_steps} cycles"
         if ended is not None:
             self.loop.brake_to_rest()
@@ -543,7 +615,7 @@ class _Performance:
 
     def _note(self, place: float, text: str) -> None:
         """Record a deviation from the plan."""
-        self._notes.append(f"at {place * self.guide.reference.interval:.4g} s of the plan {text}")
+        self._notes.append(f"at {float(self.guide.time(place)):.4g} s of the plan {text}")
 
     def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
         """Follow the path with a controller that knows it; None at its end, else status and reason."""

@@ -167,8 +167,9 @@ def write_keyframe(keyframe: Keyframe, default: str, descriptions: Descriptions)
     """Return the table of a keyframe without defaults; `default` is that of its placement."""
     curve, tip = keyframe.curve, keyframe.tip
     values = {key: getattr(keyframe, key) for key in KeyframeSpec.model_fields}
-    values["curve"] = descriptions.find(curve, "curve", CurveSpec, make_curve) or write_curve(curve)
-    values["placement"] = Usual(default) if keyframe.placement == default else keyframe.placement
+    if curve is not None:
+        values["curve"] = descriptions.find(curve, "curve", CurveSpec, make_curve) or write_curve(curve)
+        values["placement"] = Usual(default) if keyframe.placement == default else keyframe.placement
     if keyframe.region is not None:
         values["region"] = [end + 1 for end in keyframe.region]
     if tip is not None:
@@ -307,7 +308,7 @@ ROTATION_TOLERANCE = 1e-12
 
 def _differences(task: TaskParts, parts: TaskParts) -> list[str]:
     """Return the names of the attributes that differ, arm and descriptions aside."""
-    plain = ("limits", "controller", "scene", "continuity", "formats", "name", "scans")
+    plain = ("limits", "controller", "scene", "continuity", "repeat", "formats", "name", "scans")
     same = {key: getattr(task, key) == getattr(parts, key) for key in plain}
     same["start"] = _close(task.start, parts.start)
     if isinstance(task.motion, Leader) or isinstance(parts.motion, Leader):
@@ -432,6 +433,8 @@ def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict
     }
     if task.continuity != "velocity":
         contents["continuity"] = task.continuity
+    if task.repeat != 1:
+        contents["repeat"] = task.repeat
     contents["arm"] = arm.model_dump(exclude_defaults=True)
     contents["limits"] = write_limits(task.limits, task.arm)
     controller = write_controller(task.controller, descriptions)

@@ -160,6 +160,7 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
         "off_curve": None,
         "tip_off": None,
         "moved": None,
+        "speed": 1.0,
     }
     closest = pp.CollisionModel(five_modules(), around_a_ball()).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
@@ -172,9 +173,9 @@ def test_a_summary_in_words_tells_what_a_person_asks_for():
     motion = replace(motion, waypoints=passed, deviations=("at 1 s it went round", "and again"))
     words = motion_in_words(summarize_motion(motion))
     assert words["verdict"] == (f"reached the target (converged): {motion.run.reason}", "green")
-    assert words["duration"] == (
-        "2.5 s, 2 times as long as the 1.25 s planned; before that 0.5 s to come to the first posture"
-    )
+    slow, _, before = words["duration"].partition("; ")
+    assert slow.startswith("2.5 s, 2 times as long as the 1.25 s planned: ")
+    assert before == "before that 0.5 s to come to the first posture"
     assert words["speed"].endswith("% of the limit")
     lines = words["keyframes"].splitlines()
     assert [line.split()[0] for line in lines] == ["straight", "S", "coil", "late"]

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import pinposture as pp
 from pinposture.editor import edits
 from pinposture.editor.edits import Shape, reshaped
+from pinposture.editor.session import Session
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.task import Keyframe, Task
 from pinposture.task.keyframe import schedule
@@ -189,6 +190,23 @@ def test_a_slow_cycle_keeps_keyframes_apart_in_cycles() -> None:
     with pytest.raises(InvalidValue, match="allowed: 2 s or later"):
         edits.retimed(2, 1.9)(slow)
     schedule(edits.keyframes_of(edits.retimed(2, 2.0)(slow)), 0.25)
+
+
+def test_a_task_with_a_taught_configuration_is_refused_in_words(tmp_path: Path) -> None:
+    taught = task(Keyframe(straight_line()), Keyframe(joints=np.zeros(12), time=1.0, name="taught"))
+    with pytest.raises(TaskError, match="keyframe 2 'taught': it is a taught configuration; the editor"):
+        Session(taught)
+    with pytest.raises(TaskError, match="taught configuration"):
+        Session(task()).replace(taught, None, saved=False)
+
+
+def test_the_time_to_come_back_to_the_first_keyframe_stays() -> None:
+    first, *others = task().motion
+    repeated = task(replace(first, duration=0.7), *others, repeat=2)
+    assert edits.times_of(repeated) == edits.times_of(task())
+    later = edits.retimed(1, 1.25)(repeated)
+    assert (later.motion[0].duration, later.motion[1].time, later.repeat) == (0.7, 1.25, 2)
+    assert edits.held(0, 0.5)(later).motion[0].duration == 0.7
 
 
 def test_a_task_that_follows_a_leader_is_refused_in_words() -> None:

@@ -119,7 +119,17 @@ SCENE -> [scene]§\nfile = "scene.toml"\n :: scene.obstacles.rock | base of the 
 BOWED -> :: keyframes: there is only one; allowed: two or more @ [[keyframes]]
 KEYFRAMES -> [keyframes]§\nname = "a"\n :: keyframes: is {'name': 'a'} | [[keyframes]]
 KEYFRAMES -> :: keyframes: is [1, 2]; allowed: a list of tables @ keyframes = [1, 2]
-BOW -> :: keyframe 2: the key 'curve' is missing @ SECOND
+BOW -> :: keyframe 2: needs one of the keys 'curve', 'joints' @ SECOND
+BOW -> joints = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0] :: keyframe 2, placement: goes with 'curve' @ placement
+BOWED -> [[keyframes]]\ntime = 1\njoints = [0, 0]\n
+    :: keyframe 2, joints: is [0, 0]; allowed: a list of 12 @ joints
+BOWED -> [[keyframes]]\ntime = 1\njoints = ["9 m", 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]\n
+    :: keyframe 2, joint 1: is '9 m', of the kind length @ joints
+BOWED -> [[keyframes]]\ntime = 1\njoints = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, "175 deg", 0]\n
+    :: keyframe 2, joints: is 3.054 for joint 11, whose limits are -2.967 and 3 @ joints
+hold = 0.1 -> speed = 0 :: keyframe 2, speed: is 0; allowed: a share of the velocity limits, in (0, 1]
+hold = 0.1 -> speed = "9 cm/s" :: keyframe 2, speed: is '9 cm/s'; allowed: a number
+version = 1 + repeat = 0 :: repeat: is 0; allowed: a whole number, 1 or more
 time = "1 s" + duration = 1 :: keyframe 2:  | time and duration | one of them @ SECOND
 "1 s" -> "-1 s" :: keyframe 2, time: is '-1 s'; allowed: a finite number >= 0
 hold = 0.1 -> hold = -0.1 :: keyframe 2, hold: is -0.1
@@ -155,6 +165,7 @@ hold = 0.1 -> tip = { position = [0, 0, "1 s"] } :: keyframe 2, tip.position 3: 
 """Found when the file is read."""
 
 SEARCHED = r"""
+version = 1 + repeat = 1000000 :: repeat: is 1000000; allowed: 9523 at most
 [output] -> [[keyframes]]§\ntime = 0.5\ncurve = "line"\ntrim = true\n[output]
     :: keyframe 3: it is at 0.5 s, but keyframe 2 is left at 1.1 s | increase
 time = "1 s"\n -> :: keyframe 2 'bowed': it has neither a time nor a duration @ SECOND

@@ -79,7 +79,7 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
     assert motion.time_scale == pytest.approx(motion.duration / 0.3) and motion.time_scale > 3.0
     assert motion.mean_error.max() < 1e-6 * arm.length
     assert off_the_reference(motion, reference).max() < 5e-3 * arm.length
-    assert f"{motion.time_scale:.3g} times as long as planned" in repr(motion)
+    assert f"{motion.time_scale:.3g} times as long as the 0.3 s planned: joint m" in repr(motion)
 
 
 @given(st.integers(0, 10_000))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import viser
@@ -338,7 +338,7 @@ class OtherCurves:
 
     def _line(self, keyframe: Keyframe) -> Array:
         """Return places along the part of the curve that the arm needs, (OTHER_PIECES + 1, 3) [m]."""
-        laid, _ = place_curve(self._arm, keyframe.curve, keyframe.placement, keyframe.roll)
+        laid, _ = place_curve(self._arm, cast(Curve, keyframe.curve), keyframe.placement, keyframe.roll)
         end = min(laid.length, required_length(self._arm))
         return np.asarray(laid.at(np.linspace(0.0, end, OTHER_PIECES + 1)))
 
