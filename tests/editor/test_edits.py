@@ -194,7 +194,7 @@ def test_a_slow_cycle_keeps_keyframes_apart_in_cycles() -> None:
 
 def test_a_task_with_a_taught_configuration_is_refused_in_words(tmp_path: Path) -> None:
     taught = task(Keyframe(straight_line()), Keyframe(joints=np.zeros(12), time=1.0, name="taught"))
-    with pytest.raises(TaskError, match="keyframe 2 'taught': it is a taught configuration; the editor"):
+    with pytest.raises(TaskError, match="keyframe 2 'taught': is a taught configuration; the editor"):
         Session(taught)
     with pytest.raises(TaskError, match="taught configuration"):
         Session(task()).replace(taught, None, saved=False)
