@@ -55,7 +55,8 @@ def test_a_feasible_reference_is_followed_exactly_and_in_time(name: str, acceler
     assert off_the_reference(motion, reference).max() < 1e-9 * arm.length
     assert [place.row for place in motion.waypoints] == [0, 300, 600]
     np.testing.assert_allclose(motion.targets[300], reference.marks[1].target.points, atol=1e-12)
-    assert "2 places" not in repr(motion) and "3 places" in repr(motion) and "as long" not in repr(motion)
+    assert "2 waypoints" not in repr(motion) and "3 waypoints" in repr(motion)
+    assert "as long" not in repr(motion)
 
 
 @pytest.mark.parametrize("name", ARMS)
