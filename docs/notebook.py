@@ -14,8 +14,7 @@ CELLS = (
     """# pinposture in a notebook
 
 Arms, targets, runs, motions and joint trajectories show themselves: make one the last value of a cell.""",
-    """import numpy as np
-import pinposture as pp
+    """import pinposture as pp
 
 arm = pp.Arm.from_template("RyRz", modules=12)  # or pp.Arm.load("arm.urdf")
 arm""",

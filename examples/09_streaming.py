@@ -41,8 +41,8 @@ for cycle in range(1000):
     q = q + (tracker.command + sag - q) * (DT / LAG)
     errors.append(1e3 * (tracker.report.mean_error or np.nan))
     status, reason = tracker.report.status, tracker.report.reason
-    if (status, reason.split(" was")[0]) not in notes:
-        notes[status, reason.split(" was")[0]] = cycle
+    if (status, reason.split(" is ")[0]) not in notes:
+        notes[status, reason.split(" is ")[0]] = cycle
         print(f"{cycle * DT:5.2f} s  {status:8} {reason}")
 
 final = np.linalg.norm(arm.at(q).points - bow.points, axis=1).mean()

@@ -1,22 +1,28 @@
 """The loop, and what comes out of it."""
 
+from pinposture.motion.actuators import Actuators, Tendon
 from pinposture.motion.batch import Batch
 from pinposture.motion.files import load, save
 from pinposture.motion.joint_trajectory import JointTrajectory
+from pinposture.motion.ros import write_bag, write_goal
 from pinposture.motion.track import track
 from pinposture.motion.track_many import track_many
 from pinposture.motion.tracker import Report, Tracker
 from pinposture.motion.trajectory import Motion, Trajectory
 
 __all__ = [
+    "Actuators",
     "Batch",
     "JointTrajectory",
     "Motion",
     "Report",
+    "Tendon",
     "Tracker",
     "Trajectory",
     "load",
     "save",
     "track",
     "track_many",
+    "write_bag",
+    "write_goal",
 ]

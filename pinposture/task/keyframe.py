@@ -525,7 +525,7 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
         advice = (
             "move it nearer, let the posture count for a region only, or give a weight in place of strict"
         )
-        raise TaskError(where, f"its strict tip task is missed by {missed:.4g} m at least; {advice}")
+        raise TaskError(where, f"its tip task with priority is missed by {missed:.4g} m at least; {advice}")
     return np.asarray(arm.difference(q, state.q))
 
 

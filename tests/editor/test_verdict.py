@@ -138,7 +138,7 @@ def test_a_region_and_a_tip_are_part_of_it() -> None:
     away = pp.EndEffector(position=(0, 0, 3.0 * L), priority=True)
     verdict = judge(six_modules(), Keyframe(straight_line(), tip=away), None)
     assert verdict.target is None
-    assert verdict.reason.startswith("its strict tip task is missed by")
+    assert verdict.reason.startswith("its tip task with priority is missed by")
     none = judge(six_modules(), Keyframe(straight_line(), region=(2, 17)), None)
     assert none.target is None
     assert "last" in none.reason

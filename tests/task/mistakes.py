@@ -178,7 +178,7 @@ trim = true\n ->
 0.3, 0, 0 -> 0.2, 0, 0 :: keyframe 1 'straight': module 5 | curve ends | lengthen @ [[keyframes]]
 ["-170 deg", 3.0] -> [-0.1, 0.1] :: keyframe 2 'bowed': module 1 | joint limits | gentler curve @ SECOND
 hold = 0.1 -> tip = { position = [1, 1, 1], priority = true }
-    :: keyframe 2 'bowed': its strict tip task is missed by | weight @ SECOND
+    :: keyframe 2 'bowed': its tip task with priority is missed by | weight @ SECOND
 """
 """Found when the arm is to take the postures."""
 
