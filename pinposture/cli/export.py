@@ -33,7 +33,7 @@ GOAL, BAG = NAMED_FORMATS = ("follow-joint-trajectory", "rosbag")
     "pinposture export out --dt 0.02 -o out/joints.json",
     "pinposture export out/run.npz --dt 0.02 -o out/joints.csv",
     "pinposture export out --dt 0.02 -o out/joints.npz --json",
-    "pinposture export out --format follow-joint-trajectory -o goal.json",
+    "pinposture export out --dt 0.02 --format follow-joint-trajectory -o g.json",
     "pinposture export out --dt 0.02 -o out/motion.mcap",
 )
 def run(

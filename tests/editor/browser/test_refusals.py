@@ -118,7 +118,7 @@ def test_a_file_that_cannot_be_read(edit: Edit, look: Look, stiff: Path) -> None
     name = window.field("Task file")
     name.fill("broken.toml")
     window.press("Open this file")
-    said = window.says("not opened")
+    said = window.says("cannot open it")
     assert "broken.toml: line 8" in said
     assert "modules" in said
     name.fill("nowhere.toml")
