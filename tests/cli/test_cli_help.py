@@ -166,4 +166,5 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
         "snake.toml",
         "dance.toml",
         "motion.png",
+        "g.json",
     }

@@ -126,7 +126,7 @@ def test_a_file_that_cannot_be_read(edit: Edit, look: Look, stiff: Path) -> None
     window.says("nowhere.toml")
     name.fill("broken.toml")
     window.press("Save under this name")
-    window.says("exists already")
+    window.says("already exists")
     assert session.task is task
     assert session.path == stiff
     assert "modules = 0" in broken.read_text()
