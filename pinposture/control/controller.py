@@ -17,6 +17,9 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 SomeMemory = TypeVar("SomeMemory", bound="Memory")
 
+OWN = "pinposture."
+"""What the modules of the library begin with."""
+
 
 class Spectrum(Protocol):
     """Extreme singular values of a matrix, perhaps computed only when they are read."""
@@ -188,6 +191,13 @@ def next_step(
     if not isinstance(step, Step):
         allowed = "a Step, for instance Step(limited.dq, (), Diagnostics(limited.clipped), None)"
         raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
+    if not type(controller).__module__.startswith(OWN):  # those of the library are tested for this
+        _require_fitting(controller, state, step)
+    return step if step.memory is not None else step._replace(memory=Memory(step.dq))
+
+
+def _require_fitting(controller: Controller, state: ArmState, step: Step) -> None:
+    """Raise InvalidValue unless the fields of a step are of the right kind and fit the arm."""
     dq, active, diagnostics, remembered = step
     nv = state.arm.nv
     if not (
@@ -206,7 +216,6 @@ def next_step(
         raise _unfit(controller, "active", active, allowed)
     if not (remembered is None or isinstance(remembered, Memory)):
         raise _unfit(controller, "memory", remembered, "a Memory(dq), or a class derived from it; or None")
-    return step if remembered is not None else step._replace(memory=Memory(dq))
 
 
 def _unfit(controller: Controller, field: str, value: object, allowed: str) -> InvalidValue:
