@@ -452,6 +452,105 @@ def stiffness(objective: PointObjective) -> float:
     return total / max(len(b), 1)
 
 
+# Without chords, held joints and loads on bodies, the cost before each joint is a function of (v, w) alone,
+# and its 21 numbers stay in registers. Factor and solution then are one pass to the base and one back.
+
+
+@subkernel
+def minimise_points(
+    b: Array2,
+    ends: Ints1,
+    points: Array2,
+    errors: Array2,
+    damping: float,
+    centre: Array1,
+    gains: Array2,
+    x: Array1,
+) -> None:
+    """Minimise the sum over k of |v_k - e_k|^2 + damping * sum over u of (x_u - z_u)^2.
+
+    Args:
+        b: screws, (n, 6), from `find_screws`.
+        ends: number of joints that carry each point, (m,); increasing.
+        points: the points, (m, 3).
+        errors: e, (m, 3).
+        damping: the damping of each joint, positive.
+        centre: z, (n,).
+        gains: scratch, (n, 8).
+        x: filled with the minimum, (n,).
+    """
+    m = len(ends)
+    for u in range(ends[m - 1], len(b)):  # joints beyond the last point move no point
+        x[u] = centre[u]
+    # The cost is v P v + 2 v Q w + w R w - 2 s (v, w).
+    p00, p01, p02, p11, p12, p22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    q00, q01, q02, q10, q11, q12, q20, q21, q22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    r00, r01, r02, r11, r12, r22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    s0, s1, s2, s3, s4, s5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(m - 1, -1, -1):
+        p00, p11, p22 = p00 + 1.0, p11 + 1.0, p22 + 1.0
+        s0, s1, s2 = s0 + errors[k, 0], s1 + errors[k, 1], s2 + errors[k, 2]
+        for u in range(ends[k] - 1, (ends[k - 1] if k else 0) - 1, -1):
+            v0, v1, v2, w0, w1, w2 = b[u, 0], b[u, 1], b[u, 2], b[u, 3], b[u, 4], b[u, 5]
+            g0 = (p00 * v0 + p01 * v1 + p02 * v2) + (q00 * w0 + q01 * w1 + q02 * w2)
+            g1 = (p01 * v0 + p11 * v1 + p12 * v2) + (q10 * w0 + q11 * w1 + q12 * w2)
+            g2 = (p02 * v0 + p12 * v1 + p22 * v2) + (q20 * w0 + q21 * w1 + q22 * w2)
+            g3 = (q00 * v0 + q10 * v1 + q20 * v2) + (r00 * w0 + r01 * w1 + r02 * w2)
+            g4 = (q01 * v0 + q11 * v1 + q21 * v2) + (r01 * w0 + r11 * w1 + r12 * w2)
+            g5 = (q02 * v0 + q12 * v1 + q22 * v2) + (r02 * w0 + r12 * w1 + r22 * w2)
+            inverse = 1.0 / (damping + (v0 * g0 + v1 * g1 + v2 * g2) + (w0 * g3 + w1 * g4 + w2 * g5))
+            pull = (v0 * s0 + v1 * s1 + v2 * s2) + (w0 * s3 + w1 * s4 + w2 * s5)
+            t, g = inverse * (damping * centre[u] + pull), gains[u]
+            g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7] = g0, g1, g2, g3, g4, g5, inverse, t
+            s0, s1, s2 = s0 - g0 * t, s1 - g1 * t, s2 - g2 * t
+            s3, s4, s5 = s3 - g3 * t, s4 - g4 * t, s5 - g5 * t
+            h0, h1, h2, h3, h4, h5 = (
+                inverse * g0,
+                inverse * g1,
+                inverse * g2,
+                inverse * g3,
+                inverse * g4,
+                inverse * g5,
+            )
+            p00, p01, p02 = p00 - h0 * g0, p01 - h0 * g1, p02 - h0 * g2
+            p11, p12, p22 = p11 - h1 * g1, p12 - h1 * g2, p22 - h2 * g2
+            q00, q01, q02 = q00 - h0 * g3, q01 - h0 * g4, q02 - h0 * g5
+            q10, q11, q12 = q10 - h1 * g3, q11 - h1 * g4, q12 - h1 * g5
+            q20, q21, q22 = q20 - h2 * g3, q21 - h2 * g4, q22 - h2 * g5
+            r00, r01, r02 = r00 - h3 * g3, r01 - h3 * g4, r02 - h3 * g5
+            r11, r12, r22 = r11 - h4 * g4, r12 - h4 * g5, r22 - h5 * g5
+        if k:  # at the point before, v is smaller by w x r = C w: add P C to Q, C Q + Q C + C P C to R
+            d0, d1, d2 = difference(points, k, k - 1)
+            a00, a01, a02 = p02 * d1 - p01 * d2, p00 * d2 - p02 * d0, p01 * d0 - p00 * d1
+            a10, a11, a12 = p12 * d1 - p11 * d2, p01 * d2 - p12 * d0, p11 * d0 - p01 * d1
+            a20, a21, a22 = p22 * d1 - p12 * d2, p02 * d2 - p22 * d0, p12 * d0 - p02 * d1
+            c00, c01, c02 = d1 * q20 - d2 * q10, d1 * q21 - d2 * q11, d1 * q22 - d2 * q12
+            c10, c11, c12 = d2 * q00 - d0 * q20, d2 * q01 - d0 * q21, d2 * q02 - d0 * q22
+            c20, c21, c22 = d0 * q10 - d1 * q00, d0 * q11 - d1 * q01, d0 * q12 - d1 * q02
+            r00 += 2.0 * c00 + d1 * a20 - d2 * a10
+            r01 += c01 + c10 + d1 * a21 - d2 * a11
+            r02 += c02 + c20 + d1 * a22 - d2 * a12
+            r11 += 2.0 * c11 + d2 * a01 - d0 * a21
+            r12 += c12 + c21 + d2 * a02 - d0 * a22
+            r22 += 2.0 * c22 + d0 * a12 - d1 * a02
+            q00, q01, q02 = q00 + a00, q01 + a01, q02 + a02
+            q10, q11, q12 = q10 + a10, q11 + a11, q12 + a12
+            q20, q21, q22 = q20 + a20, q21 + a21, q22 + a22
+            s3, s4, s5 = s3 + d1 * s2 - d2 * s1, s4 + d2 * s0 - d0 * s2, s5 + d0 * s1 - d1 * s0
+    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(m):
+        if k:
+            d0, d1, d2 = difference(points, k, k - 1)
+            v0, v1, v2 = v0 + w1 * d2 - w2 * d1, v1 + w2 * d0 - w0 * d2, v2 + w0 * d1 - w1 * d0
+        for u in range(ends[k - 1] if k else 0, ends[k]):
+            g = gains[u]
+            moved = (g[0] * v0 + g[1] * v1 + g[2] * v2) + (g[3] * w0 + g[4] * w1 + g[5] * w2)
+            y = g[7] - g[6] * moved
+            v0, v1, v2 = v0 + y * b[u, 0], v1 + y * b[u, 1], v2 + y * b[u, 2]
+            w0, w1, w2 = w0 + y * b[u, 3], w1 + y * b[u, 4], w2 + y * b[u, 5]
+            x[u] = y
+
+
 # Within a box, the set of joints at a bound is guessed and corrected: joints that would leave the box are
 # held at its side, those that are held and pushed inwards are released, all at once, until nothing changes (a
 # primal-dual active set method, which is Newton's on the optimality conditions). Mostly two to five

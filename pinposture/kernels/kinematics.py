@@ -49,9 +49,17 @@ def placements(
     r10, r11, r12 = 0.0, 1.0, 0.0
     r20, r21, r22 = 0.0, 0.0, 1.0
     px, py, pz = 0.0, 0.0, 0.0
+    # Sines and cosines first, since the loop below would wait for each of them; they are kept where the axes
+    # will be.
+    for u in range(len(slides)):
+        q = ratios[u] * positions[columns[u]]
+        if slides[u]:
+            joint_axes[u, 0] = q
+        else:
+            joint_axes[u, 0], joint_axes[u, 1] = np.cos(q), np.sin(q)
     k = 0
     for u in range(len(slides)):
-        f = fixed[u]
+        f, c, s = fixed[u], joint_axes[u, 0], joint_axes[u, 1]
         px, py, pz = (
             px + r00 * f[9] + r01 * f[10] + r02 * f[11],
             py + r10 * f[9] + r11 * f[10] + r12 * f[11],
@@ -75,11 +83,9 @@ def placements(
         x, y, z = axes[u, 0], axes[u, 1], axes[u, 2]
         ax, ay, az = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
         joint_axes[u, 0], joint_axes[u, 1], joint_axes[u, 2] = ax, ay, az
-        q = ratios[u] * positions[columns[u]]
         if slides[u]:
-            px, py, pz = px + q * ax, py + q * ay, pz + q * az
+            px, py, pz = px + c * ax, py + c * ay, pz + c * az
         else:
-            c, s = np.cos(q), np.sin(q)
             # Rodrigues' formula, in the frame of the joint.
             v = 1.0 - c
             e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y

@@ -20,6 +20,7 @@ from pinposture.kernels.chain_solver import (
     factor,
     find_screws,
     minimise_in_box,
+    minimise_points,
     move_bodies,
     move_points,
     pull_bodies,
@@ -72,11 +73,8 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
     # Joint axes and origins of all waypoints, and of the trial waypoint, which is the last.
     lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
     points, errors, rotations = np.empty((last + 2, m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
-    trial = points[last + 1]
-    positions, b, dx = start.copy(), np.empty((n, 6)), np.empty(n)
-    moved, centre, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    weights, chords, damping = np.ones(m), np.zeros(m), np.empty(n)
-    sides = np.zeros(n, dtype=np.int8)
+    trial, b, gains = points[last + 1], np.empty((n, 6)), np.empty((n, 8))
+    positions, dx, moved, centre = start.copy(), np.empty(n), np.empty(n), np.empty(n)
     for i in range(last + 1):
         _set_positions(start, chain.inputs, which, units, x[i], positions)
         placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations)
@@ -94,22 +92,25 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
         for place in range(1, last):
             i = last - place if number % 2 else place
             find_screws(chain, which, units, lines[0][i], lines[1][i], own_ends, points[i], b)
-            objective = PointObjective(b, own_ends, points[i], weights, chords)
             before = _segment_energy(points[i - 1], points[i], x[i - 1], x[i], weight)
             before += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
             for k in range(m):
                 for j in range(3):
                     errors[k, j] = 0.5 * (points[i - 1, k, j] + points[i + 1, k, j]) - points[i, k, j]
             for _ in range(MAX_WAYPOINT_TRIALS):
+                damping = weight + extra[i]
                 for u in range(n):
-                    damping[u] = weight + extra[i]
-                    aside = 0.5 * (x[i - 1, u] + x[i + 1, u]) - x[i, u]
-                    centre[u] = weight * aside / damping[u]
-                    low[u], high[u] = lower[u] - x[i, u], upper[u] - x[i, u]
-                    sides[u] = 0
-                minimise_in_box(objective, errors, damping, centre, low, high, sides, dx)
+                    centre[u] = weight / damping * (0.5 * (x[i - 1, u] + x[i + 1, u]) - x[i, u])
+                minimise_points(b, own_ends, points[i], errors, damping, centre, gains, dx)
+                inside = True
+                for u in range(n):
+                    inside = inside and lower[u] <= x[i, u] + dx[u] <= upper[u]
+                if not inside:
+                    objective = PointObjective(b, own_ends, points[i], np.ones(m), np.zeros(m))
+                    low, high, sides = lower - x[i], upper - x[i], np.zeros(n, dtype=np.int8)
+                    minimise_in_box(objective, errors, np.full(n, damping), centre, low, high, sides, dx)
                 gain = 0.0
-                for share in (relaxation, 1.0):
+                for share in (relaxation if number else 1.0, 1.0):
                     for u in range(n):
                         moved[u] = min(max(x[i, u] + share * dx[u], lower[u]), upper[u])
                     _set_positions(start, chain.inputs, which, units, moved, positions)

@@ -58,30 +58,51 @@ class Penalties(NamedTuple):
     until: float = inf
 
 
+class Stage(NamedTuple):
+    """A stage of the relaxation of a path.
+
+    Attributes:
+        pieces: number of straight pieces.
+        joint_share: least weight of joint motion, relative to the mean stiffness of the straight arm.
+        passes: largest number of passes over all waypoints.
+        good_ratio: path length ratio of the control points that is good enough to end with.
+    """
+
+    pieces: int
+    joint_share: float
+    passes: int
+    good_ratio: float = 0.0
+
+
 STAGES = (
-    ((6, 1e-3, 0.0), (12, 3e-4, 1.05), (24, 3e-4, 1.1)),
-    ((24, 1e-3, 1.05), (48, 3e-4, 1.1), (96, 3e-5, 1.1)),
+    Stage(6, 3e-2, 4),
+    Stage(6, 2e-3, 6),
+    Stage(12, 3e-4, 6, 1.04),
+    Stage(12, 3e-5, 5, 1.05),
+    Stage(24, 1.5e-4, 6, 1.05),
+    Stage(24, 3e-5, 5, 1.05),
+    Stage(24, 0.0, 5, 1.1),
+    Stage(48, 0.0, 20, 1.1),
+    Stage(96, 0.0, 30),
 )
-"""First few straight pieces and then more, which is quick; then the same with more pieces, for long turns.
-Each stage has their number, the relative fall of the energy in one pass over all waypoints at which to end,
-and the path length ratio of the control points that is good enough; 0: none is."""
+"""First few pieces and a large weight of joint motion, then more and less. With few pieces and a small weight, a
+path is short at its waypoints only: in between, the joints go far. The weight converges quickly, too."""
+
+MIN_DECREASE = 1e-4
+"""Relative decrease of the energy in one pass at which a stage ends."""
 
 PENALIZED_PIECES, GIVEN_PATH_PIECES = 48, (64, 128, 256)
 """Number of pieces of a path with penalties; and numbers into which a given path is divided, more where fewer
 cut corners that are not clear."""
 
-KEPT_RATIO, MAX_RATIO = 1.01, 2.0
-"""Path length ratios up to which joint interpolation is kept, and above which a path of few pieces is not
-refined."""
+KEPT_RATIO = 1.01
+"""Path length ratio up to which joint interpolation is kept."""
 
 LENGTH_SAMPLES = 48
 """Number of places at which the length of a path is sampled."""
 
 REFINEMENT, MIN_PIECES = 4, 96
 """Number of pieces into which each one is divided at the end, on a smooth curve; more if there are few."""
-
-MAX_PASSES = 60
-"""Largest number of passes over all waypoints."""
 
 SMALL_BEND, LARGE_BEND = 0.05, 0.4
 """How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
@@ -223,18 +244,19 @@ class _Waypoints:
         shortest = self.length_ratio(best)
         if shortest <= KEPT_RATIO:
             return best
-        for number, stages in enumerate(STAGES):
-            x = self.interpolate(change, bend, stages[0][0])
-            for pieces, fall, good in stages:
-                x = self.refine(x, pieces)
-                kernels.relax_waypoints(self._problem, MAX_PASSES, fall, x)
-                ratio = self.length_ratio(x)
-                if ratio < shortest:
-                    best, shortest = x, ratio
-                if shortest <= good:
-                    return best
-                if number == 0 and ratio > MAX_RATIO:
-                    break
+        arm, x = self.objective.arm, self.interpolate(change, bend, STAGES[0].pieces)
+        stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
+        for stage in STAGES:
+            x = self.refine(x, stage.pieces)
+            problem = self._problem._replace(weight=max(self.weight, stage.joint_share * stiffness))
+            kernels.relax_waypoints(problem, stage.passes, MIN_DECREASE, x)
+            if stage.good_ratio == 0.0 and stage is not STAGES[-1]:
+                continue
+            ratio = self.length_ratio(x)
+            if ratio < shortest:
+                best, shortest = x, ratio
+            if shortest <= stage.good_ratio:
+                break
         return best
 
     def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
