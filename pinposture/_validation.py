@@ -228,10 +228,11 @@ def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64
         InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
     """
     vector = float_array(name, values, (size,))
-    finite = np.isfinite(vector)
-    if not finite.all():
-        bad = int(np.argmin(finite))
-        raise InvalidValue(f"{name}[{bad}]", float(vector[bad]), "finite numbers")
+    if not math.isfinite(vector.dot(vector)):  # quick, but may overflow
+        finite = np.isfinite(vector)
+        if not finite.all():
+            bad = int(np.argmin(finite))
+            raise InvalidValue(f"{name}[{bad}]", float(vector[bad]), "finite numbers")
     return vector
 
 

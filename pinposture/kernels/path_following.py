@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, ChainArrays, Flags1, Ints1
+from pinposture.kernels.arrays import Array1, Array2, Array3, ChainArrays, Flags1, Flags2, Ints1
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 
@@ -506,34 +506,44 @@ def advance(
     max_motion: float,
     targets: Array2,
     has_target: Flags1,
-    dq: Array1,
-    reached: Array1,
-    at_limit: Flags1,
-) -> tuple[bool, float, float, float]:
-    """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` in one call, for the usual step.
+    places: Array1,
+    errors: Array1,
+    dq: Array2,
+    reached: Array2,
+    at_limit: Flags2,
+) -> int:
+    """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` for usual steps, one after the other.
 
     Arguments are those of these kernels. All joints of the chain move on the path. `disturbed` is the largest
     difference from the `expected` joint positions, (nv,), and `arrived` the joint motion left at which the
-    path is complete, both in units.
+    path is complete, both in units. Filled are, for each step, the place that it leads to, `places` (s,), and
+    the rows of `dq` (zeros before), `reached` and `at_limit`, (s, nv); and `errors` (s + 1,) with the sum of
+    distances from the targets, before the first step and after each.
 
     Returns:
-        Whether this is the usual step; if so, the place that it leads to, and the sums of distances before
-        and after it.
+        Number of steps, at most s. The one after them is unusual, or the path ends.
     """
     none, limits = np.empty(0), np.empty((2, len(positions)))
-    if step_box(positions, edges, bound, none, none, rounding, chain.inputs, leaning, limits) != 0:
-        return False, place, 0.0, 0.0
     if joint_distance(expected, positions, endless, chain.inputs, units) > disturbed:
-        return False, place, 0.0, 0.0
-    next_place, left, inside = step_along(
-        offsets, start, positions, endless, chain.inputs, units, place, limits, max_motion, dq
-    )
-    if not inside or (next_place >= len(offsets) - 1 and left <= arrived):
-        return False, place, 0.0, 0.0
-    before, after = look_ahead(
-        chain, positions, units, limits, edges, points, targets, has_target, dq, reached, at_limit
-    )
-    return True, next_place, before, after
+        return 0
+    here = positions
+    for i in range(len(places)):
+        if step_box(here, edges, bound, none, none, rounding, chain.inputs, leaning, limits) != 0:
+            return i
+        place, left, inside = step_along(
+            offsets, start, here, endless, chain.inputs, units, place, limits, max_motion, dq[i]
+        )
+        if not inside or (place >= len(offsets) - 1 and left <= arrived):
+            return i
+        before, errors[i + 1] = look_ahead(
+            chain, here, units, limits, edges, points, targets, has_target, dq[i], reached[i], at_limit[i]
+        )
+        if not np.isfinite(errors[i + 1]):
+            return i
+        if i == 0:
+            errors[0] = before
+        places[i], here = place, reached[i]
+    return len(places)
 
 
 @compiled

@@ -56,6 +56,60 @@ which they end."""
 
 
 @compiled
+def find_direct_waypoints(
+    problem: PathProblem,
+    guess: Array2,
+    stages: Array2,
+    stiffness: float,
+    min_decrease: float,
+    samples: int,
+    kept: float,
+) -> Array2:
+    """Find the waypoints of the most direct path, with as many pieces as it needs.
+
+    Args:
+        problem: the joints.
+        guess: waypoints to start with, (N + 1, n), ends included.
+        stages: number of pieces as a multiple of N, least weight of joint motion relative to `stiffness`,
+            largest number of passes, and path length ratio that is good enough to end with (0: not
+            measured), (s, 4).
+        stiffness: mean of the diagonal of J^T J for a typical configuration [m^2].
+        min_decrease: relative decrease of the energy in one pass at which a stage ends.
+        samples: number of places at which the length of a path is sampled.
+        kept: path length ratio up to which joint interpolation is kept.
+
+    Returns:
+        Waypoints, (K + 1, n); two for joint interpolation.
+    """
+    chain, which, ends, units, start, lower, upper, weight = problem
+    x, best = guess, np.empty((2, guess.shape[1]))
+    best[0], best[1] = guess[0], guess[-1]
+    shortest = _length_ratio(problem, best, samples)
+    if shortest <= kept:
+        return best
+    for number in range(len(stages)):
+        multiple, share, passes, good = stages[number]
+        pieces = int(multiple) * (len(guess) - 1)
+        if pieces > len(x) - 1:
+            x = _refined(x, pieces, lower, upper)
+        heavier = max(weight, share * stiffness)
+        relax_waypoints(
+            PathProblem(chain, which, ends, units, start, lower, upper, heavier),
+            int(passes),
+            min_decrease,
+            x,
+        )
+        if good > 0.0:
+            finer = 4 if len(x) - 1 < samples else 1
+            ratio = _length_ratio(problem, _refined(x, finer * (len(x) - 1), lower, upper), samples)
+            if ratio < shortest:
+                best, shortest = x.copy(), ratio
+            if shortest <= good:
+                break
+    return best
+
+
+@subkernel
 def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: Array2) -> float:
     """Relax the waypoints between two ends.
 
@@ -161,9 +215,20 @@ def refine_waypoints(x: Array2, finer: Array2) -> None:
     finer[factor * last] = x[last]
 
 
-@compiled
-def measure_path_lengths(problem: PathProblem, x: Array2, samples: int) -> tuple[float, float]:
-    """Return the length of the paths of all control points, and the distance between their ends.
+@subkernel
+def _refined(x: Array2, pieces: int, lower: Array1, upper: Array1) -> Array2:
+    """Return more waypoints on natural cubic splines, (pieces + 1, n), within limits (n,)."""
+    finer = np.empty((pieces + 1, x.shape[1]))
+    refine_waypoints(x, finer)
+    for i in range(len(finer)):
+        for u in range(x.shape[1]):
+            finer[i, u] = min(max(finer[i, u], lower[u]), upper[u])
+    return finer
+
+
+@subkernel
+def _length_ratio(problem: PathProblem, x: Array2, samples: int) -> float:
+    """Return the length of the paths of all control points relative to straight lines from end to end.
 
     The path is sampled at equal distances between the waypoints `x` (N + 1, n), which are joined by straight
     lines.
@@ -186,7 +251,7 @@ def measure_path_lengths(problem: PathProblem, x: Array2, samples: int) -> tuple
             path += _sum_distances(points[at], points[3 - at if sample > 1 else 0])
         if sample == samples:
             direct = _sum_distances(points[at], points[0])
-    return path, direct
+    return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
 
 @subkernel

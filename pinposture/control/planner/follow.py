@@ -49,6 +49,9 @@ ARRIVED = 1e-9
 ERROR_ROUNDING = 1e-12
 """Increase of the posture error that counts as rounding, in arm lengths."""
 
+STEPS_AHEAD = 8
+"""Number of steps on a path that are computed in one call."""
+
 MAX_ATTEMPTS = 8
 """How often a step is damped harder when it fails to reduce the errors, before none is taken."""
 
@@ -75,6 +78,25 @@ MAX_UNTIMED_BEND = 1e-3
 UNBOUNDED_STEP = np.array([[-np.inf], [np.inf]])
 
 
+class StepsAhead(NamedTuple):
+    """The next steps on a path, for an arm that is where each of them leads.
+
+    Attributes:
+        places: where each leads, in waypoints, s numbers.
+        errors: sum of the distances of the control points from their targets before the first step and after
+            each, s + 1 numbers [m].
+        dq: the steps, (s, nv) [rad or m].
+        reached: joint positions after each, (s, nv) [rad or m].
+        at_limit: which joints are at a position limit then, (s, nv).
+    """
+
+    places: list[float]
+    errors: list[float]
+    dq: Array
+    reached: Array
+    at_limit: NDArray[np.bool_]
+
+
 class PathProgress(NamedTuple):
     """A path, and the position of the arm on it.
 
@@ -90,6 +112,8 @@ class PathProgress(NamedTuple):
             step.
         bend: displacement of the end of the path since it was planned, (nv,) [rad or m]; None: none.
         timed_bend: displacement of the end when the path was timed; None: none.
+        ahead: the next steps, if they are computed already.
+        taken: number of those that have been taken.
     """
 
     timed: TimedPath
@@ -102,6 +126,8 @@ class PathProgress(NamedTuple):
     expected: Array | None = None
     bend: Array | None = None
     timed_bend: Array | None = None
+    ahead: StepsAhead | None = None
+    taken: int = 0
 
     @property
     def path(self) -> JointPath:
@@ -114,7 +140,13 @@ class PathProgress(NamedTuple):
         return self.timed.path.objective
 
     def moved_to(
-        self, place: float, travel: float, hindered: bool, expected: Array | None = None
+        self,
+        place: float,
+        travel: float,
+        hindered: bool,
+        expected: Array | None = None,
+        ahead: StepsAhead | None = None,
+        taken: int = 0,
     ) -> PathProgress:
         """Return the progress after a step.
 
@@ -124,6 +156,8 @@ class PathProgress(NamedTuple):
             hindered: whether it is shorter than the limits, or the profile, allow. A step that is not
                 hindered counts as progress, however short it is.
             expected: expected joint positions after it, (nv,) [rad or m]; None if unknown.
+            ahead: the next steps, if they are computed already.
+            taken: number of those that have been taken.
         """
         idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.path.end
         return self._replace(
@@ -132,6 +166,8 @@ class PathProgress(NamedTuple):
             progress_place=self.progress_place if idle else place,
             idle_travel=self.idle_travel + travel if idle else 0.0,
             expected=expected,
+            ahead=ahead,
+            taken=taken,
         )
 
     def matches(self, state: ArmState) -> bool:
@@ -145,7 +181,7 @@ class PathProgress(NamedTuple):
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return the same progress on another path of as many waypoints, or within other limits."""
-        return self._replace(timed=retime(path, limits, self.timed.max_rate, initial_speed))
+        return self._replace(timed=retime(path, limits, self.timed.max_rate, initial_speed), ahead=None)
 
     def bent_to(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
         """Return the same progress on a bent path, timed again if it was bent much.
@@ -163,7 +199,7 @@ class PathProgress(NamedTuple):
 
     def along(self, path: JointPath) -> PathProgress:
         """Return the same progress on a path through the same waypoints, for another objective or scene."""
-        return self._replace(timed=replace(self.timed, path=path))
+        return self._replace(timed=replace(self.timed, path=path), ahead=None)
 
     @classmethod
     def begin(cls, timed: TimedPath, previous: Array | None) -> PathProgress:
@@ -234,7 +270,7 @@ def follow(
 
 
 def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> Step | None:
-    """Take the next step on a path in one compiled call, if nothing interferes.
+    """Take the next step on a path, if nothing interferes; several are computed in one compiled call.
 
     Most steps are of this kind, so it is tried first. `advance` handles all other cases: limits that cannot
     be kept, an arm away from its expected position, a path at its end or one that leaves the limits.
@@ -250,13 +286,49 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
     timed, objective = progress.timed, progress.objective
     if progress.arrived or timed.profile is not None or objective.has_tasks:
         return None
-    arm, path, forward, wanted = state.arm, timed.path, state.forward, objective.chain
+    arm, ahead, i = state.arm, progress.ahead, progress.taken
+    if ahead is None or i >= len(ahead.places) or not _is_expected(progress, state):
+        if len(objective.chain.joints) < len(arm.kinematics.columns):
+            return None
+        ahead, i = _steps_ahead(progress, state, bounds), 0
+        if not ahead.places:
+            return None
+    place, before, after, dq = ahead.places[i], ahead.errors[i], ahead.errors[i + 1], ahead.dq[i].copy()
+    hindered = place <= progress.place
+    moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
+    diagnostics = Diagnostics(
+        ahead.at_limit[i],
+        rows=len(objective.active) * arm.dimension,
+        error_increasing=after > before + ERROR_ROUNDING * arm.length,
+        following_path=moved.idle_travel == 0.0,
+    )
+    return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, moved))
+
+
+def _is_expected(progress: PathProgress, state: ArmState) -> bool:
+    """Whether the arm is where the last step was to lead it, up to rounding."""
+    if progress.expected is None:
+        return False
+    off = state.positions - progress.expected
+    return bool(off.dot(off) <= BOX_SLACK**2)
+
+
+def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -> StepsAhead:
+    """Compute the next usual steps on a path, for an arm that goes as expected.
+
+    An arm that does not went elsewhere since the last call, and will again: one step is enough for it.
+    """
+    arm, path, forward, wanted = state.arm, progress.path, state.forward, progress.objective.chain
     chain = arm.kinematics
-    expected = forward.positions if progress.expected is None else progress.expected
-    if len(wanted.joints) < len(chain.columns):
-        return None
-    dq, reached, at_limit = np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
-    simple, place, before, after = kernels.advance(
+    expected, count = progress.expected, STEPS_AHEAD
+    if expected is None:
+        expected = forward.positions
+    elif not _is_expected(progress, state):
+        count = 1
+    places, errors = np.empty(count), np.empty(count + 1)
+    dq, reached = np.zeros((count, arm.nv)), np.empty((count, arm.nv))
+    at_limit = np.empty((count, arm.nv), dtype=np.bool_)
+    found = kernels.advance(
         chain.constants,
         chain.endless,
         bounds.units,
@@ -275,20 +347,13 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
         MAX_STEP,
         wanted.targets,
         wanted.flags,
+        places,
+        errors,
         dq,
         reached,
         at_limit,
     )
-    if not simple or not np.isfinite(after):
-        return None
-    progress = progress.moved_to(place, bounds.travel, place <= progress.place, reached)
-    diagnostics = Diagnostics(
-        at_limit,
-        rows=len(objective.active) * arm.dimension,
-        error_increasing=after > before + ERROR_ROUNDING * arm.length,
-        following_path=progress.idle_travel == 0.0,
-    )
-    return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, progress))
+    return StepsAhead(places[:found].tolist(), errors.tolist(), dq, reached, at_limit)
 
 
 def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:
@@ -667,5 +732,5 @@ def _check_step(
         near=near,
         following_path=not progress.arrived and progress.idle_travel == 0.0,
     )
-    memory = GeodesicMemory(dq, stopping, progress._replace(expected=reached))
+    memory = GeodesicMemory(dq, stopping, progress._replace(expected=reached, ahead=None))
     return Step(dq, objective.active, diagnostics, memory)

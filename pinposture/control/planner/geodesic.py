@@ -99,13 +99,13 @@ class Geodesic:
         """Compute one step; see `Controller.step`. The first step for a target plans, and takes longer."""
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
-        state = state.compiled
         bounds = limits.for_arm(state.arm)
         before = memory.progress if isinstance(memory, GeodesicMemory) else None
         if before is not None and before.timed.bounds is bounds and self._is_unchanged(before, state, target):
             step = fast_step(before, state, bounds)
             if step is not None:
                 return step
+        state = state.compiled
         scheduled = before is not None and before.timed.scheduled and not before.arrived
         if not (self.tasks or scheduled) and self.scene is None:
             target.check(state.arm)

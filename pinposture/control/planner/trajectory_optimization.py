@@ -62,31 +62,36 @@ class Stage(NamedTuple):
     """A stage of the relaxation of a path.
 
     Attributes:
-        pieces: number of straight pieces.
+        pieces: number of straight pieces, as a multiple of the first number.
         joint_share: least weight of joint motion, relative to the mean stiffness of the straight arm.
         passes: largest number of passes over all waypoints.
-        good_ratio: path length ratio of the control points that is good enough to end with.
+        good_ratio: path length ratio of the control points that is good enough to end with; 0: not measured.
     """
 
     pieces: int
     joint_share: float
     passes: int
-    good_ratio: float = 0.0
+    good_ratio: float
 
 
 STAGES = (
-    Stage(6, 3e-2, 4),
-    Stage(6, 2e-3, 6),
-    Stage(12, 3e-4, 6, 1.04),
-    Stage(12, 3e-5, 5, 1.05),
-    Stage(24, 1.5e-4, 6, 1.05),
-    Stage(24, 3e-5, 5, 1.05),
-    Stage(24, 0.0, 5, 1.1),
-    Stage(48, 0.0, 20, 1.1),
-    Stage(96, 0.0, 30),
+    Stage(1, 5e-2, 3, 0.0),
+    Stage(1, 2e-3, 7, 0.0),
+    Stage(2, 3e-4, 6, 1.045),
+    Stage(2, 3e-5, 5, 1.05),
+    Stage(4, 2e-4, 6, 1.05),
+    Stage(4, 3e-5, 5, 1.05),
+    Stage(4, 0.0, 5, 1.1),
+    Stage(8, 0.0, 20, 1.1),
+    Stage(16, 0.0, 30, 1.0),
 )
-"""First few pieces and a large weight of joint motion, then more and less. With few pieces and a small weight, a
-path is short at its waypoints only: in between, the joints go far. The weight converges quickly, too."""
+"""First few pieces and a large weight of joint motion, then more and less. A large weight converges quickly;
+with a small one and few pieces, a path is short at its waypoints only: the joints go far in between."""
+
+_STAGES = np.array(STAGES)
+
+MIN_FIRST_PIECES, MAX_FIRST_PIECES = 4, 6
+"""First number of pieces of a short arm, and of one with 30 modules or more."""
 
 MIN_DECREASE = 1e-4
 """Relative decrease of the energy in one pass at which a stage ends."""
@@ -98,7 +103,7 @@ cut corners that are not clear."""
 KEPT_RATIO = 1.01
 """Path length ratio up to which joint interpolation is kept."""
 
-LENGTH_SAMPLES = 48
+LENGTH_SAMPLES = 32
 """Number of places at which the length of a path is sampled."""
 
 REFINEMENT, MIN_PIECES = 4, 96
@@ -217,7 +222,7 @@ class _Waypoints:
 
     def interpolate(self, change: Array, bend: Array, pieces: int) -> Array:
         """Return joint interpolation, bent to one side."""
-        shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+        shares = np.arange(pieces + 1)[:, None] / pieces
         return self._clip(shares * change + np.sin(np.pi * shares) * bend)
 
     def refine(self, x: Array, pieces: int) -> Array:
@@ -240,36 +245,17 @@ class _Waypoints:
 
     def relax(self, change: Array, bend: Array) -> Array:
         """Return the waypoints of the most direct path that is found, with as many pieces as it needs."""
-        best = np.vstack([np.zeros(len(change)), change])
-        shortest = self.length_ratio(best)
-        if shortest <= KEPT_RATIO:
-            return best
-        arm, x = self.objective.arm, self.interpolate(change, bend, STAGES[0].pieces)
+        arm = self.objective.arm
+        pieces = min(max(3 + arm.n_modules // 10, MIN_FIRST_PIECES), MAX_FIRST_PIECES)
         stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
-        for stage in STAGES:
-            x = self.refine(x, stage.pieces)
-            problem = self._problem._replace(weight=max(self.weight, stage.joint_share * stiffness))
-            kernels.relax_waypoints(problem, stage.passes, MIN_DECREASE, x)
-            if stage.good_ratio == 0.0 and stage is not STAGES[-1]:
-                continue
-            ratio = self.length_ratio(x)
-            if ratio < shortest:
-                best, shortest = x, ratio
-            if shortest <= stage.good_ratio:
-                break
-        return best
+        given = _STAGES, stiffness, MIN_DECREASE, LENGTH_SAMPLES, KEPT_RATIO
+        return kernels.find_direct_waypoints(self._problem, self.interpolate(change, bend, pieces), *given)
 
     def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
         """Return a damped Gauss-Newton step of all waypoints, (N + 1, n); None if it is not finite."""
         steps = np.empty_like(x)
         found = kernels.step_waypoints(self._problem, damping, x, rows, contacts, steps)
         return steps if found >= 0 else None
-
-    def length_ratio(self, x: Array) -> float:
-        """Return the path length of the control points, relative to straight lines from start to end."""
-        smooth = self.refine(x, 4 * (len(x) - 1)) if 2 < len(x) < LENGTH_SAMPLES else x
-        path, direct = kernels.measure_path_lengths(self._problem, smooth, LENGTH_SAMPLES)
-        return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
     def _clip(self, x: Array) -> Array:
         return np.ascontiguousarray(np.minimum(np.maximum(x, self.within[0]), self.within[1]))
