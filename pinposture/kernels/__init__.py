@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.chain_solver import find_screws as find_screws
     from pinposture.kernels.chain_solver import measure_point_errors as measure_point_errors
     from pinposture.kernels.chain_solver import minimise_in_box as minimise_in_box
+    from pinposture.kernels.chain_solver import minimise_points as minimise_points
     from pinposture.kernels.chain_solver import move_points as move_points
     from pinposture.kernels.chain_solver import stiffness as stiffness
     from pinposture.kernels.collision import contacts_along as contacts_along
@@ -86,7 +87,7 @@ if TYPE_CHECKING:
 _KERNELS = {
     "bounding_volumes": "build_tree",
     "branch_search": "minimise_posture_errors search_branches",
-    "chain_solver": "find_screws measure_point_errors minimise_in_box move_points stiffness",
+    "chain_solver": "find_screws measure_point_errors minimise_in_box minimise_points move_points stiffness",
     "collision": (
         "contacts_along differentiate_distances near_pairs place_axes place_joints smallest_distance"
     ),

@@ -456,7 +456,7 @@ def stiffness(objective: PointObjective) -> float:
 # and its 21 numbers stay in registers. Factor and solution then are one pass to the base and one back.
 
 
-@subkernel
+@compiled
 def minimise_points(
     b: Array2,
     ends: Ints1,

@@ -48,6 +48,20 @@ def test_the_minimum_is_that_of_dense_least_squares(seed: int, modules: int, pow
     np.testing.assert_allclose(free(p), np.linalg.solve(hessian, -gradient), rtol=1e-7, atol=1e-9)
 
 
+@given(seed=SEEDS, modules=st.integers(1, 12), power=st.integers(-6, 1))
+@examples(40)
+def test_points_alone_have_the_minimum_of_dense_least_squares(seed: int, modules: int, power: int) -> None:
+    p = problem(np.random.default_rng(seed), modules, 1.0)
+    screws, ends, points, weights, _ = p.springs
+    rows = p.rows[: 3 * modules] / np.sqrt(np.repeat(weights, 3))[:, None]
+    damping, n = 10.0**power, len(p.centre)
+    x = np.full(n, np.nan)
+    kernels.minimise_points(screws, ends, points, p.errors, damping, p.centre, np.empty((n, 8)), x)
+    hessian = rows.T @ rows + damping * np.eye(n)
+    exact = np.linalg.solve(hessian, rows.T @ p.errors.ravel() + damping * p.centre)
+    np.testing.assert_allclose(x, exact, rtol=1e-7, atol=1e-9)
+
+
 @pytest.mark.parametrize("straight", [False, True])
 @pytest.mark.parametrize("damping", [1e-2, 1e-6, 1e-10])
 def test_long_chains_keep_their_digits(damping: float, straight: bool) -> None:

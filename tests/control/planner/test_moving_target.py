@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -128,7 +129,8 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
         assert step.active == slow.active
         for ours, theirs in zip(step.diagnostics, slow.diagnostics, strict=True):
             assert np.all(ours == theirs)
-        for ours, theirs in zip(step.memory.progress, slow.memory.progress, strict=True):
+        alone = step.memory.progress._replace(taken=0)
+        for ours, theirs in zip(alone, slow.memory.progress, strict=True):
             if isinstance(ours, (float, int, bool)):
                 assert ours == pytest.approx(theirs, abs=1e-12)
         q, memory = arm().integrate(q, step.dq), step.memory
@@ -143,3 +145,28 @@ def test_an_arm_that_was_pushed_aside_begins_anew() -> None:
     pushed[3] += 0.2
     again = controller.step(arm().at(pushed), target, LIMITS, first.memory)
     np.testing.assert_array_equal(again.memory.progress.path.start, pushed)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_computed_ahead_are_those_of_one_call_each(seed: int) -> None:
+    """On the path, and off it, where none ahead is taken. What is done to the array of a step does no harm."""
+    rng = np.random.default_rng(seed)
+    start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
+    target, controller = Target.from_configuration(arm(), end), pp.Geodesic()
+    q, memory, ahead = start, None, 0
+    for number in range(20):
+        if number % 7 == 6:  # something pushes it
+            q = arm().integrate(q, rng.uniform(-0.02, 0.02, arm().nv))
+        state = arm().at(q)
+        step = controller.step(state, target, LIMITS, memory)
+        if memory is not None:
+            alone = replace(memory, progress=memory.progress._replace(ahead=None))
+            other = controller.step(state, target, LIMITS, alone)
+            np.testing.assert_allclose(step.dq, other.dq, atol=1e-14)
+            assert step.diagnostics.error_increasing == other.diagnostics.error_increasing
+            ahead += step.memory.progress.taken > 1
+        q, memory = arm().integrate(q, step.dq), step.memory
+        again = controller.step(arm().at(q), target, LIMITS, memory).dq.copy()
+        controller.step(arm().at(q), target, LIMITS, memory).dq[:] = 7.0
+        np.testing.assert_array_equal(controller.step(arm().at(q), target, LIMITS, memory).dq, again)
+    assert ahead > 5
