@@ -149,7 +149,7 @@ def test_an_arm_that_was_pushed_aside_begins_anew() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_steps_computed_ahead_are_those_of_one_call_each(seed: int) -> None:
-    """On the path, and off it, where none ahead is taken. What is done to the array of a step does no harm."""
+    """On the path, and off it, where none ahead is taken; whatever is done to the array of a step."""
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
     target, controller = Target.from_configuration(arm(), end), pp.Geodesic()
