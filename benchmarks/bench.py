@@ -52,7 +52,7 @@ LATE = "not done"
 WIDTH = 150
 """Of tables that go to a file [characters]."""
 
-CASES = ((40, 10), (100, 5), (200, 3), (400, 2), (1000, 2))
+CASES = ((40, 30), (100, 10), (200, 6), (400, 4), (1000, 2))
 """Cases of each family up to so many DOF; one beyond."""
 
 
