@@ -26,15 +26,8 @@ def run(
     compiled already stays. The exit code is 1 if something could not be compiled.
     """
     begun, total = time.perf_counter(), len(all_kernels())
-    waiting = missing_kernels()
-    faults: dict[str, str] = {}
-    if waiting:
-        with count_progress("kernel") as progress:
-            ready = total - len(waiting)
-            faults = compile_kernels(waiting, lambda done: progress(ready + done, total))
-    taken, missing = time.perf_counter() - begun, sorted(faults)
-    for name in missing:
-        print_warning(f"{name} was not compiled: {faults[name]}")
+    missing = compile_missing()
+    taken = time.perf_counter() - begun
     if as_json:
         print_json({"kernels": total, "missing": missing, "seconds": taken})
     else:
@@ -42,6 +35,19 @@ def run(
         print_facts(facts)
     if missing:
         raise typer.Exit(1)
+
+
+def compile_missing() -> list[str]:
+    """Compile the kernels that are not ready, with a progress bar. Warn of failures, and return them."""
+    waiting, total = missing_kernels(), len(all_kernels())
+    if not waiting:
+        return []
+    with count_progress("kernel") as progress:
+        ready = total - len(waiting)
+        faults = compile_kernels(waiting, lambda done: progress(ready + done, total))
+    for name, fault in sorted(faults.items()):
+        print_warning(f"{name} was not compiled: {fault}")
+    return sorted(faults)
 
 
 def compile_kernels(names: list[str], progress: Callable[[int], object]) -> dict[str, str]:

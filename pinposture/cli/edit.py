@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pinposture.cli.compile import compile_missing
 from pinposture.cli.inputs import ArmOptions, NoBrowserOption, refuse_given
 from pinposture.cli.output import examples, print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName
@@ -93,6 +94,7 @@ def run(
     from pinposture.editor.ui.server import is_loopback
 
     task, path = read_task(source, arm_options, save_as, folder)
+    compile_missing()  # now, with a progress bar: the page would stay empty meanwhile
     editor = Editor(task, path, host, port, joint_states, folder)
     try:
         for name in ENDING:

@@ -119,7 +119,7 @@ class Session:
     Args:
         task: the task.
         path: its file, if it has one.
-        selected: the keyframe to begin with; the last if None.
+        selected: the keyframe to begin with.
         folder: where files are opened and saved; that of the task file if None, or the working directory
             without one.
 
@@ -130,10 +130,10 @@ class Session:
     """
 
     def __init__(
-        self, task: Task, path: Path | None = None, selected: int | None = None, folder: Path | None = None
+        self, task: Task, path: Path | None = None, selected: int = 0, folder: Path | None = None
     ) -> None:
         count = len(keyframes_of(task))
-        self.selected = count - 1 if selected is None else selected
+        self.selected = selected
         if not 0 <= self.selected < count:
             raise InvalidValue("selected", selected, f"a keyframe of the task, 0 to {count - 1}")
         self.history = History(task, self.selected)
@@ -320,11 +320,15 @@ class Session:
         self._go(done, None if done is None else done.after, "redone", "nothing to redo")
 
     def replace(self, task: Task, path: Path | None, saved: bool) -> None:
-        """Edit another task instead, with a new history."""
-        selected = len(keyframes_of(task)) - 1
-        self.history = History(task, selected)
+        """Edit another task instead, with a new history.
+
+        Raises:
+            TaskError: a task without keyframes, or with taught configurations.
+        """
+        keyframes_of(task)
+        self.history = History(task)
         self.path, self.saved = path, task if saved else None
-        self.selected, self.handle, self.obstacle, self.proposal = selected, None, None, None
+        self.selected, self.handle, self.obstacle, self.proposal = 0, None, None, None
         self.tip = False
         self.touch()
 

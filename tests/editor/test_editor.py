@@ -246,7 +246,7 @@ def test_an_arm_that_cannot_be_moved_is_seen_and_the_reason_told(monkeypatch: py
 def test_a_drag_does_not_go_on_in_another_keyframe() -> None:
     session = Session(first_task(pp.Arm.from_template("RyRz", 6)))
     place = session.shape.points[2] + [0.0, 0.02, 0.0]
-    curve.move_point(2, place, True, session, keyframe=0)  # a hand was at the first, the second is selected
+    curve.move_point(2, place, True, session, keyframe=1)  # a hand was at the second, the first is selected
     assert (session.proposal, session.handle) == (None, None)
     assert "another keyframe" in session.notice.text
     curve.move_point(2, place, True, session, keyframe=session.selected)

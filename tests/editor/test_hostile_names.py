@@ -48,7 +48,7 @@ PLACES = {
     ],  # the name of the task file; our texts
     "ui/keyframes.py": ["add_html"],  # what is asked of the tip, a control point by its name
     "ui/player.py": ["add_html"],  # numbers only
-    "ui/page.py": ["add_html"],  # verdicts and what was last said, with any name of the task
+    "ui/page.py": ["add_html", "add_html"],  # verdicts, what was last said, the name of the keyframe
     "ui/scene.py": ["add_markdown", "add_html"],  # our texts; which link is near which obstacle or scan
 }
 """Where the page makes HTML or Markdown. All of it is looked at below."""
@@ -152,6 +152,7 @@ def test_no_name_becomes_markup_of_the_page(hostile: Editor) -> None:
         said(f"shown at zero: {list(session.arm.model.names)[2]!r}")  # Arm
         hostile.post(lambda each: each.select(0))
         said("Control point 'module_02' goes to")  # Keyframes
+        said("Keyframe 1/")  # Toolbar, with its name
         said(f" mm from {HOSTILE}")  # Scene
         for name in (HOSTILE, *MARKS):
             hostile.post(partial(rename, 1, name + "!"))

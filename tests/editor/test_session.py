@@ -187,7 +187,7 @@ def test_the_next_task_is_begun_with_nothing_of_the_last() -> None:
     session.reshape(OVER, "moved point 3")
     bent = Keyframe(bent_spline(), trim=True)
     session.replace(task(bent, replace(bent, time=1.0)), None, saved=False)
-    assert (session.selected, session.handle, session.proposal) == (1, None, None)
+    assert (session.selected, session.handle, session.proposal) == (0, None, None)
     assert session.history.undoable == ""
     assert session.changed
 

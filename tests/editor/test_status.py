@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, near
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.ui.keyframes import row_label
-from pinposture.editor.ui.page import status_of
+from pinposture.editor.ui.page import DIRECTIONS, framing, status_of
 from pinposture.task import Keyframe, Task
 
 THICK = 0.01
@@ -52,7 +53,7 @@ def crossing() -> tuple[pp.Arm, np.ndarray]:
 def test_a_shape_that_is_taken_is_green() -> None:
     kind, head, _ = told_of(Keyframe(straight_line()))
     assert kind == "good"
-    assert head.startswith("On target: mean error 0 mm, whole arm within ")
+    assert re.fullmatch(r"On the curve to 0(\.\d+)? mm", head)
 
 
 def test_a_tip_that_is_elsewhere_is_amber_and_says_how_far() -> None:
@@ -137,3 +138,22 @@ def test_a_keyframe_is_judged_again_only_when_it_is_another() -> None:
     assert len(verdicts._known) == 2
     del other
     assert len(verdicts._known) == 1  # those of keyframes that are gone are forgotten
+
+
+@pytest.mark.parametrize("direction", list(DIRECTIONS.values()))
+@pytest.mark.parametrize(("aspect", "covered"), [(1.3, 0.33), (0.76, 0.43), (2.2, 0.2)])
+def test_what_is_framed_is_seen_above_the_plots(direction: np.ndarray, aspect: float, covered: float) -> None:
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 3)) * [0.6, 0.2, 0.3] + [0.4, 0.1, 0.2]
+    view = framing(points, direction, aspect, covered)
+    # A pinhole camera: right, up and depth of each point, and its place in the picture in [-1, 1].
+    ahead = view.look_at - view.position
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    seen = (points - view.position) @ np.array([right, np.cross(right, ahead), ahead]).T
+    scale = 1.0 / (np.tan(view.opening / 2.0) * seen[:, 2])
+    assert (seen[:, 2] > 0.0).all()
+    assert (np.abs(seen[:, 0]) * scale / aspect < 1.0).all()
+    assert (seen[:, 1] * scale < 1.0).all()
+    assert (seen[:, 1] * scale > -1.0 + 2.0 * covered).all()
+    assert np.ptp(seen, axis=0)[:2].max() * scale.max() > 0.5  # and not from far away

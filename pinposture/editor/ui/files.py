@@ -92,9 +92,6 @@ class FileTab:
     def __init__(self, server: viser.ViserServer, files: Files, post: Post) -> None:
         self._files, self._post, gui = files, post, server.gui
         self._about = gui.add_html("")
-        self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Ctrl+Z")
-        self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Ctrl+Shift+Z")
-        self._save = gui.add_button("Save", icon=viser.Icon.DEVICE_FLOPPY, hint="Ctrl+S")
         self._path = gui.add_text("Task file", "", hint="File to open or to save as: .toml or .json")
         save_as = gui.add_button("Save under this name")
         open_file = gui.add_button("Open this file", icon=viser.Icon.FOLDER_OPEN)
@@ -102,18 +99,11 @@ class FileTab:
         self._typed = ""
         self._shown: Path | None = None
         on_change(self._path, self._type)
-        on_click(self._undo, lambda: post(Session.undo))
-        on_click(self._redo, lambda: post(Session.redo))
-        on_click(self._save, lambda: post(files.save))
         on_click(save_as, self._save_as)
         on_click(open_file, self._open)
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
-        undoable, redoable = session.history.undoable, session.history.redoable
-        put(self._undo, disabled=not undoable, label=f"Undo: {undoable}" if undoable else "Undo")
-        put(self._redo, disabled=not redoable, label=f"Redo: {redoable}" if redoable else "Redo")
-        put(self._save, disabled=not session.changed or session.path is None)
         name = "no file yet" if session.path is None else f"<b>{escape(session.path.name)}</b>"
         state = "unsaved changes (autosaved)" if session.changed else "saved"
         style = "font-size:14px;line-height:1.35;padding:2px 10px 10px 10px"

@@ -15,6 +15,7 @@ import viser
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.editor.edits import keyframes_of
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
@@ -35,8 +36,8 @@ from pinposture.editor.ui.curve import (
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
-from pinposture.editor.ui.parts import Part, Post, color, framed_html, put
-from pinposture.editor.ui.player import Player
+from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put
+from pinposture.editor.ui.player import PANEL_HEIGHT, Player, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
 from pinposture.motion.tracker import NOT_DONE
@@ -57,6 +58,7 @@ MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
 SMALLEST_ERROR = 1e-6  # smaller ones are shown as 0 [mm]
+STATUS_HEIGHT = 104  # [pixels]
 
 
 class Status:
@@ -75,7 +77,34 @@ class Status:
                 f'<div id="notice" data-kind="{notice.kind}" style="{style}">{escape(notice.text)}</div>'
             )
         text = f"<span>{escape(more) or '&nbsp;'}</span>"
-        put(self._html, content=framed_html("status", STATUS_COLORS[kind], escape(head), text, message))
+        content = framed_html("status", STATUS_COLORS[kind], escape(head), text, message)
+        # Of fixed height, so that nothing below it jumps.
+        put(self._html, content=f'<div style="height:{STATUS_HEIGHT}px;overflow-y:auto">{content}</div>')
+
+
+class Toolbar:
+    """Which keyframe is edited, and the buttons that are always in sight."""
+
+    def __init__(
+        self, server: viser.ViserServer, files: Files, frame: Callable[[str], None], post: Post
+    ) -> None:
+        self._html = server.gui.add_html("")
+        actions = {"Undo": Session.undo, "Redo": Session.redo, "Save": files.save}
+        edit = server.gui.add_button_group("Edit", tuple(actions), hint="Ctrl Z, Ctrl Shift Z, Ctrl S")
+        on_choice(edit, lambda label: post(actions[label]))
+        view = server.gui.add_button_group(
+            "View", tuple(DIRECTIONS), hint="All that is edited, from a side; F"
+        )
+        on_choice(view, frame)
+
+    def show(self, session: Session, _: Live) -> None:
+        """Bring it up to date."""
+        keyframe, count = session.keyframe, len(keyframes_of(session.shown))
+        name = f": {escape(keyframe.name)}" if keyframe.name else ""
+        unsaved = "" if session.saved is session.task else " (not saved)"
+        words = f"Keyframe {session.selected + 1}/{count}{name}{unsaved}"
+        style = "font-size:13px;padding:0 10px;white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
+        put(self._html, content=f'<div id="keyframe" style="{style}">{words}</div>')
 
 
 def status_of(session: Session, live: Live) -> tuple[str, str, str]:
@@ -113,19 +142,30 @@ def _is_off(session: Session, live: Live) -> bool:
 
 
 def _heading(session: Session, live: Live) -> str:
-    playing, distance = session.playback.q is not None, live.verdict.distance_from_curve
-    doing = {"converged": "On target", "moving": "Moving"}.get(live.status, "Holding")
-    doing = "Planning" if live.reason == NOT_DONE else doing
-    error = 1000.0 * live.mean_error
-    head = f"{'Motion' if playing else doing}: mean error {error if error > SMALLEST_ERROR else 0.0:.3g} mm"
+    """Return what the arm is doing, and how near it is to what it should do."""
+    error, distance = _millimetres(live.mean_error), live.verdict.distance_from_curve
+    if session.playback.q is not None:
+        head = f"Playing the motion, {error} off its targets"
+    elif live.reason == NOT_DONE:
+        head = f"Planning, {error} to go"
+    elif live.status == "moving":
+        head = f"Moving, {error} to go"
+    elif live.status != "converged":
+        head = f"Stopped, {error} to go"
+    elif distance is not None:
+        head = f"On the curve to {_millimetres(distance)}"
+    else:
+        head = f"On target to {error}"
     if live.tip_error is not None:
-        head += f", tip {1000.0 * live.tip_error:.3g} mm off"
-    if distance is not None and not playing:
-        head += f", whole arm within {1000.0 * distance:.3g} mm of the curve"
+        head += f", tip {_millimetres(live.tip_error)} off"
     if session.nearest is not None:
         clearance = session.nearest.distance
-        head += f", {1000.0 * abs(clearance):.3g} mm {'inside' if clearance < 0.0 else 'clear'}"
+        head += f", {_millimetres(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"
     return head
+
+
+def _millimetres(length: float) -> str:
+    return f"{1000.0 * length:.3g} mm" if 1000.0 * length > SMALLEST_ERROR else "0 mm"
 
 
 Array = NDArray[np.float64]
@@ -137,6 +177,13 @@ CAMERA_DISTANCE = 1.75  # in arm lengths
 CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of the arm
 LOOK_BELOW = 0.13  # of the arm, in arm lengths: the plots cover the bottom of the picture
 FLOOR_CELLS = 10  # along the arm
+MAX_COVERED, FRAME_MARGIN = 0.6, 1.15  # of the picture by the plots; room around what is framed
+DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
+    "All": CAMERA_DIRECTION,
+    "Front": np.array([1.0, 0.0, 0.0]),
+    "Side": np.array([0.0, -1.0, 0.0]),
+    "Top": np.array([0.0, -1e-3, 1.0]),
+}
 
 
 class Shortcut(NamedTuple):
@@ -148,13 +195,15 @@ class Shortcut(NamedTuple):
     act: Callable[[Session], object]  # called with the session
 
 
-def shortcuts(files: Files) -> tuple[Shortcut, ...]:
+def shortcuts(files: Files, frame_all: Callable[[Session], object]) -> tuple[Shortcut, ...]:
     """Return all keys of the editor."""
     return (
         Shortcut("Undo", "Z", "cmd/ctrl", Session.undo),
         Shortcut("Redo", "Z", "cmd/ctrl+shift", Session.redo),
         Shortcut("Redo", "Y", "cmd/ctrl", Session.redo),
         Shortcut("Save", "S", "cmd/ctrl", files.save),
+        Shortcut("Play or pause", "space", None, play_or_pause),
+        Shortcut("Frame all", "F", None, frame_all),
         Shortcut("Insert a control point", "I", None, insert_point),
         Shortcut("Delete the control point", "delete", None, delete_point),
         Shortcut("Next control point", "N", None, partial(_select_next, 1)),
@@ -168,9 +217,11 @@ def shortcuts(files: Files) -> tuple[Shortcut, ...]:
     )
 
 
-def add_shortcuts(server: viser.ViserServer, files: Files, post: Post) -> None:
+def add_shortcuts(
+    server: viser.ViserServer, files: Files, frame_all: Callable[[Session], object], post: Post
+) -> None:
     """Add all keys to the page, whose command palette lists them."""
-    for label, key, modifier, act in shortcuts(files):
+    for label, key, modifier, act in shortcuts(files, frame_all):
         command = server.gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]
         # A key that is held down repeats itself; the arm may need longer than that for a move.
         command.on_trigger(partial(_on_trigger, post, act, label if modifier == "shift" else ""))
@@ -211,6 +262,29 @@ def viewpoint(arm: Arm) -> Viewpoint:
     away = CAMERA_DISTANCE * arm.length * CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION)
     middle[2] -= LOOK_BELOW * arm.length
     return Viewpoint(middle + away, middle, float(np.radians(FIELD_OF_VIEW)))
+
+
+def framing(points: Array, direction: Array, aspect: float, covered: float) -> Viewpoint:
+    """Return a camera that has points in sight, above the plots.
+
+    Args:
+        points: the points, (n, 3) [m], world frame.
+        direction: from the points to the camera, (3,).
+        aspect: width of the picture relative to its height.
+        covered: share of its height, from below, that the plots cover.
+    """
+    ahead = -direction / np.linalg.norm(direction)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.array([right, np.cross(right, ahead), ahead])
+    low, high = (points @ axes.T).min(axis=0), (points @ axes.T).max(axis=0)
+    middle, half = 0.5 * (low + high) @ axes, 0.5 * (high - low)
+    slope = float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
+    across = FRAME_MARGIN * max(half[0] / aspect, half[1] / (1.0 - covered))
+    distance = max(float(half[2] + across / slope), 1e-3)
+    # The plots cover the bottom: the middle of the points is to be in the middle of what is above them.
+    look_at = middle - covered * slope * distance * axes[1]
+    return Viewpoint(look_at - distance * ahead, look_at, float(np.radians(FIELD_OF_VIEW)))
 
 
 def set_stage(server: viser.ViserServer, arm: Arm) -> None:
@@ -293,6 +367,7 @@ class Page:
             Scans(server, arm, scans),
             ClearanceLine(server, arm),
             Status(server),
+            Toolbar(server, self._files, lambda name: post(partial(self._frame, name)), post),
             Player(server, arm, post),
         ]
         tabs = server.gui.add_tab_group()
@@ -307,7 +382,17 @@ class Page:
             self._parts += [MeasuredArm(server, arm, self._states), ArmTab(server, self._arm, post)]
         with tabs.add_tab("File"):
             self._parts += [FileTab(server, self._files, post), ExportButtons(server, post)]
-        add_shortcuts(server, self._files, post)
+        add_shortcuts(server, self._files, partial(self._frame, "All"), post)
+
+    def _frame(self, direction: str, session: Session) -> None:
+        """Move the cameras of all browsers so that the base and all control points are in sight."""
+        points = np.vstack([session.arm.chain.base, session.shape.points])
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
+                covered = min(PANEL_HEIGHT / camera.image_height, MAX_COVERED)
+                view = framing(points, DIRECTIONS[direction], camera.aspect, covered)
+                camera.position, camera.look_at = view.position, view.look_at
 
     def show(self, session: Session, live: Live) -> None:
         """Bring everything up to date; only changes are sent."""

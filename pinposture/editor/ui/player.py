@@ -43,7 +43,7 @@ OUTSIDE = 1e3  # value of lines outside of the picture
 SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
 NO_TIMES = np.zeros(0)
 
-PANEL_WIDTH, PANEL_GAP = 620, 15  # of the panel, and from the edges of the picture [pixels]
+PANEL_WIDTH, PANEL_HEIGHT, PANEL_GAP = 440, 260, 8  # of the panel; from the edges of the picture [pixels]
 TIME_STEP = 0.01  # of the slider [s]
 HELD_TIME, LEFT_TIME = 0.5, 2.0  # after a hand moved the slider, before it is set, and replaced [s]
 MAX_NUMBERED = 24  # keyframes with numbers at the slider
@@ -355,6 +355,11 @@ def play(session: Session) -> None:
     session.playback.play(session.task)
 
 
+def play_or_pause(session: Session) -> None:
+    """Play the motion of the task, or pause it."""
+    session.playback.pause() if session.playback.playing else play(session)
+
+
 def stop(session: Session) -> None:
     """Return to the live arm."""
     session.playback.stop()
@@ -376,7 +381,7 @@ def at_usual_speed(session: Session) -> None:
     session.playback.at_speed(1.0)
 
 
-PLAY, PAUSE, LIVE, SLOWER, FASTER = "Play", "Pause", "Back to live", "Slower", "Faster"
+PLAY, PAUSE, LIVE, SLOWER, FASTER = "Play", "Pause", "Live", "Slower", "Faster"
 LOOP_OFF, LOOP_ON = "Loop: off", "Loop: on"
 BUTTONS: dict[str, Callable[[Session], None]] = {
     PLAY: play,

@@ -41,7 +41,7 @@ def test_a_motion_is_played_and_scrubbed_and_an_edit_ends_it(edit: Edit, look: L
     wait_until(lambda: playback.shown and playback.time > 0.1, "it is played")
     window.press("Pause")
     wait_until(lambda: not playback.playing, "it stands still")
-    wait_until(lambda: "Motion: mean error" in window.status, "the page says that this is the motion")
+    wait_until(lambda: "Playing the motion" in window.status, "the page says that this is the motion")
     at = playback.time
     window.press("Play")
     wait_until(lambda: playback.playing and playback.time != at, "it goes on")
@@ -69,7 +69,7 @@ def test_a_motion_is_played_and_scrubbed_and_an_edit_ends_it(edit: Edit, look: L
     window.key("Shift+ArrowUp")
     wait_until(lambda: session.history.undoable == "moved point 2", "a point is moved")
     wait_until(lambda: not playback.shown, "the motion is shown no more")
-    wait_until(lambda: "Motion" not in window.status, "the page says so")
+    wait_until(lambda: "Playing" not in window.status, "the page says so")
 
 
 def test_a_motion_is_taken_away_as_a_file(edit: Edit, look: Look, file: Path, tmp_path: Path) -> None:

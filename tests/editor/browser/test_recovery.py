@@ -22,9 +22,9 @@ from pinposture.editor.files import autosave_path
 pytestmark = pytest.mark.browser
 
 
-def end(task: pp.Task) -> np.ndarray:
-    """The second control point of the last keyframe."""
-    return Shape.of(task.arm, keyframes_of(task)[-1]).points[1]
+def moved(task: pp.Task) -> np.ndarray:
+    """The second control point of the first keyframe."""
+    return Shape.of(task.arm, keyframes_of(task)[0]).points[1]
 
 
 def test_what_a_killed_server_leaves_is_taken_up_again(
@@ -43,7 +43,7 @@ def test_what_a_killed_server_leaves_is_taken_up_again(
         window.close()
     assert file.read_text() == content  # not saved, and whole
     left = pp.Task.load(autosave_path(file))
-    assert np.allclose(end(left) - end(task), [0.0, 0.0, 0.01 * task.arm.length], atol=1e-9)
+    assert np.allclose(moved(left) - moved(task), [0.0, 0.0, 0.01 * task.arm.length], atol=1e-9)
 
     with served(file) as (server, url):
         window = Window(browser, url, task.arm, pictures)

@@ -36,4 +36,4 @@ def test_the_table_has_every_key() -> None:
     section = PAGE.read_text().split("## Keyboard\n")[1].split("\n## ")[0]
     rows = re.findall(r"^\| (`[^|]*`) +\| ([^|]+?) +\|$", section, re.MULTILINE)
     files = cast(Any, SimpleNamespace(save=None))
-    assert rows == [(written(each.key, each.modifier), each.label) for each in shortcuts(files)]
+    assert rows == [(written(each.key, each.modifier), each.label) for each in shortcuts(files, files.save)]

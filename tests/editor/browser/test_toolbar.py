@@ -1,0 +1,74 @@
+"""What is always in sight: the toolbar, in windows large and small; keys for the view and the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+from editor.browser.desk import arrived, wait_until
+from editor.browser.window import Window
+
+import pinposture as pp
+from pinposture.editor import Editor
+
+pytestmark = pytest.mark.browser
+
+Edit, Look = Callable[..., Editor], Callable[..., Window]
+
+
+def test_the_toolbar_names_the_keyframe_and_turns_the_view(edit: Edit, look: Look, file: Path) -> None:
+    editor = edit(pp.Task.load(file), file)
+    window, session = look(editor), editor.session
+    arrived(editor)
+    assert window.page.locator("#keyframe").inner_text().startswith("Keyframe 1/5")
+    (client,) = editor.page._server.get_clients().values()
+    seen = np.array(client.camera.position)
+    for tab in ("Keyframes", "File"):  # whichever tab is open
+        window.tab(tab)
+        assert window.page.get_by_role("button", name="Undo", exact=True).is_visible()
+    window.press("Top")
+    wait_until(lambda: not np.allclose(client.camera.position, seen), "the camera moves")
+    wait_until(lambda: client.camera.position[2] > session.arm.length, "it looks from above")
+    above = np.array(client.camera.position)
+    window.aside()
+    window.key("f")
+    wait_until(lambda: not np.allclose(client.camera.position, above), "it looks from the front again")
+    window.aside()
+    window.key("n")
+    window.key("Shift+ArrowUp")
+    wait_until(lambda: session.history.undoable == "moved point 2", "a point is moved")
+    wait_until(lambda: "not saved" in window.page.locator("#keyframe").inner_text(), "the page says so")
+    window.press("Undo")
+    wait_until(lambda: not session.history.undoable, "it is undone")
+    window.aside()
+    window.key(" ")
+    wait_until(lambda: session.playback.playing, "the motion is played")
+    window.key(" ")
+    wait_until(lambda: not session.playback.playing, "and stopped")
+
+
+def test_nothing_is_covered_in_a_small_window(edit: Edit, look: Look, file: Path) -> None:
+    editor = edit(pp.Task.load(file), file)
+    window = look(editor)
+    window.page.set_viewport_size({"width": 800, "height": 600})
+    arrived(editor)
+
+    def box(name: str) -> tuple[float, float, float, float]:
+        found = window.page.get_by_role("button", name=name, exact=True).first.bounding_box()
+        return found["x"], found["y"], found["x"] + found["width"], found["y"] + found["height"]
+
+    def free() -> bool:
+        play, delete = box("Play"), box("Delete")
+        return play[2] < delete[0] and delete[2] < 800.0 and max(play[3], delete[3]) < 600.0
+
+    wait_until(free, "the panels stand beside each other")
+    for name in ("Play", "Loop: off", "Undo", "Save", "Top", "Insert after", "Delete"):
+        left, top, right, bottom = box(name)
+        centre = 0.5 * (left + right), 0.5 * (top + bottom)
+        on_top = "([x, y]) => document.elementFromPoint(x, y)?.closest('button')?.innerText"
+        assert window.page.evaluate(on_top, list(centre)) == name
