@@ -39,6 +39,9 @@ WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
 MIN_WAYPOINT_DAMPING = 3e-6
 """Smallest damping, relative to the mean squared distance of the control points from the base."""
 
+FEWEST_SAMPLES, SAMPLES_PER_PIECE = 24, 4
+"""Number of places at which the length of a path is sampled: at least, and for each piece."""
+
 MAX_WAYPOINT_TRIALS = 6  # number of failed moves after which a waypoint waits for the next pass
 
 MAX_SET_CHANGES = 3  # how often the set of rows that count is corrected in a step of all waypoints
@@ -62,7 +65,6 @@ def find_direct_waypoints(
     stages: Array2,
     stiffness: float,
     min_decrease: float,
-    samples: int,
     kept: float,
 ) -> Array2:
     """Find the waypoints of the most direct path, with as many pieces as it needs.
@@ -71,25 +73,26 @@ def find_direct_waypoints(
         problem: the joints.
         guess: waypoints to start with, (N + 1, n), ends included.
         stages: number of pieces as a multiple of N, least weight of joint motion relative to `stiffness`,
-            largest number of passes, and path length ratio that is good enough to end with (0: not
-            measured), (s, 4).
+            largest number of passes, path length ratio that is good enough to end with (0: not measured),
+            and whether to start again from the guess (1) or not (0), (s, 5).
         stiffness: mean of the diagonal of J^T J for a typical configuration [m^2].
         min_decrease: relative decrease of the energy in one pass at which a stage ends.
-        samples: number of places at which the length of a path is sampled.
         kept: path length ratio up to which joint interpolation is kept.
 
     Returns:
         Waypoints, (K + 1, n); two for joint interpolation.
     """
     chain, which, ends, units, start, lower, upper, weight = problem
-    x, best = guess, np.empty((2, guess.shape[1]))
+    x, best = guess.copy(), np.empty((2, guess.shape[1]))
     best[0], best[1] = guess[0], guess[-1]
-    shortest = _length_ratio(problem, best, samples)
+    shortest = _length_ratio(problem, _refined(best, FEWEST_SAMPLES, lower, upper))
     if shortest <= kept:
         return best
     for number in range(len(stages)):
-        multiple, share, passes, good = stages[number]
+        multiple, share, passes, good, again = stages[number]
         pieces = int(multiple) * (len(guess) - 1)
+        if again > 0.0:
+            x = guess
         if pieces > len(x) - 1:
             x = _refined(x, pieces, lower, upper)
         heavier = max(weight, share * stiffness)
@@ -100,8 +103,8 @@ def find_direct_waypoints(
             x,
         )
         if good > 0.0:
-            finer = 4 if len(x) - 1 < samples else 1
-            ratio = _length_ratio(problem, _refined(x, finer * (len(x) - 1), lower, upper), samples)
+            finer = max(FEWEST_SAMPLES // pieces, SAMPLES_PER_PIECE)
+            ratio = _length_ratio(problem, _refined(x, finer * pieces, lower, upper))
             if ratio < shortest:
                 best, shortest = x.copy(), ratio
             if shortest <= good:
@@ -227,30 +230,20 @@ def _refined(x: Array2, pieces: int, lower: Array1, upper: Array1) -> Array2:
 
 
 @subkernel
-def _length_ratio(problem: PathProblem, x: Array2, samples: int) -> float:
-    """Return the length of the paths of all control points relative to straight lines from end to end.
-
-    The path is sampled at equal distances between the waypoints `x` (N + 1, n), which are joined by straight
-    lines.
-    """
+def _length_ratio(problem: PathProblem, x: Array2) -> float:
+    """Return the length of the paths of all control points relative to straight lines from end to end."""
     chain, which, start, units = problem.chain, problem.which, problem.start, problem.units
-    n, m, last = len(which), len(chain.ends), len(x) - 1
+    m, last = len(chain.ends), len(x) - 1
     frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))
-    points, positions, here = np.empty((3, m, 3)), start.copy(), np.empty(n)
-    path, direct = 0.0, 0.0
-    for sample in range(samples + 1):
-        place = last * sample / samples
-        i = min(int(place), last - 1)
-        share = place - i
-        for u in range(n):
-            here[u] = (1.0 - share) * x[i, u] + share * x[i + 1, u]
-        _set_positions(start, chain.inputs, which, units, here, positions)
-        at = 1 + sample % 2 if sample else 0
+    points, positions = np.empty((3, m, 3)), start.copy()
+    path = 0.0
+    for i in range(last + 1):
+        _set_positions(start, chain.inputs, which, units, x[i], positions)
+        at = 1 + i % 2 if i else 0
         placements(chain, positions, frames[0], frames[1], points[at], frames[2])
-        if sample:
-            path += _sum_distances(points[at], points[3 - at if sample > 1 else 0])
-        if sample == samples:
-            direct = _sum_distances(points[at], points[0])
+        if i:
+            path += _sum_distances(points[at], points[3 - at if i > 1 else 0])
+    direct = _sum_distances(points[1 + last % 2], points[0])
     return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
 

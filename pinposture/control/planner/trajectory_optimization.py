@@ -66,12 +66,14 @@ class Stage(NamedTuple):
         joint_share: least weight of joint motion, relative to the mean stiffness of the straight arm.
         passes: largest number of passes over all waypoints.
         good_ratio: path length ratio of the control points that is good enough to end with; 0: not measured.
+        again: whether it starts from the first guess again.
     """
 
     pieces: int
     joint_share: float
     passes: int
     good_ratio: float
+    again: bool = False
 
 
 STAGES = (
@@ -83,10 +85,13 @@ STAGES = (
     Stage(4, 3e-5, 5, 1.05),
     Stage(4, 0.0, 5, 1.1),
     Stage(8, 0.0, 20, 1.1),
-    Stage(16, 0.0, 30, 1.0),
+    Stage(4, 0.0, 60, 1.1, again=True),
+    Stage(8, 0.0, 60, 1.1),
+    Stage(16, 0.0, 60, 1.0),
 )
 """First few pieces and a large weight of joint motion, then more and less. A large weight converges quickly;
-with a small one and few pieces, a path is short at its waypoints only: the joints go far in between."""
+with a small one and few pieces, a path is short at its waypoints only: the joints go far in between. If that
+leads nowhere, as for arms that fold onto themselves, many pieces and the small weight start again."""
 
 _STAGES = np.array(STAGES)
 
@@ -102,9 +107,6 @@ cut corners that are not clear."""
 
 KEPT_RATIO = 1.01
 """Path length ratio up to which joint interpolation is kept."""
-
-LENGTH_SAMPLES = 32
-"""Number of places at which the length of a path is sampled."""
 
 REFINEMENT, MIN_PIECES = 4, 96
 """Number of pieces into which each one is divided at the end, on a smooth curve; more if there are few."""
@@ -248,7 +250,7 @@ class _Waypoints:
         arm = self.objective.arm
         pieces = min(max(3 + arm.n_modules // 10, MIN_FIRST_PIECES), MAX_FIRST_PIECES)
         stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
-        given = _STAGES, stiffness, MIN_DECREASE, LENGTH_SAMPLES, KEPT_RATIO
+        given = _STAGES, stiffness, MIN_DECREASE, KEPT_RATIO
         return kernels.find_direct_waypoints(self._problem, self.interpolate(change, bend, pieces), *given)
 
     def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
