@@ -84,10 +84,9 @@ STAGES = (
     Stage(4, 2e-4, 6, 1.05),
     Stage(4, 3e-5, 5, 1.05),
     Stage(4, 0.0, 5, 1.1),
-    Stage(8, 0.0, 20, 1.1),
     Stage(4, 0.0, 60, 1.1, again=True),
-    Stage(8, 0.0, 60, 1.1),
-    Stage(16, 0.0, 60, 1.0),
+    Stage(8, 0.0, 40, 1.1),
+    Stage(16, 0.0, 20, 1.0),
 )
 """First few pieces and a large weight of joint motion, then more and less. A large weight converges quickly;
 with a small one and few pieces, a path is short at its waypoints only: the joints go far in between. If that
