@@ -33,7 +33,7 @@ MAX_GAP = 1.0  # in the trace of the live arm, after which it starts anew [s]
 MAX_ROWS = 600  # of a trace; of more, the largest of neighbours stand for them
 MILLI = 1e3
 MOTION_PERIOD, LIVE_PERIOD = 0.1, 0.3  # between two plots of a motion, and of the live arm [s]
-RESTING_PERIOD = 3.0  # the same while nothing changes, for browsers that connect later [s]
+SETTLING_PERIOD, SETTLING_PLOTS = 3.0, 2  # the same after a browser connects, and how many [s]
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
 PLOT_HEIGHT = 100  # [pixels]
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
@@ -167,6 +167,9 @@ class Plots:
         self._recent, self._length = Recent(), length
         self._known: tuple[Motion, Trace, Array] | None = None
         self._due, self._color, self._jitter = 0.0, palette.FINAL, False
+        self._server = server
+        self._clients: tuple[int, ...] = ()
+        self._connected = 0.0  # when a browser came or left last
         self._shown: tuple[object, object] = None, None
         self._low = float(10.0 ** np.floor(np.log10(SMALLEST_PLOTTED * length * MILLI)))
         high = float(10.0 ** np.ceil(np.log10(length * MILLI)))
@@ -194,7 +197,11 @@ class Plots:
             self._recent.add(live, session.task.limits)
         if now < self._due:
             return
-        lately = now if self._recent.changing else now // RESTING_PERIOD
+        clients = tuple(self._server.get_clients())
+        if clients != self._clients:
+            self._clients, self._connected = clients, now
+        settled = self._connected, min((now - self._connected) // SETTLING_PERIOD, SETTLING_PLOTS)
+        lately = now if self._recent.changing else settled
         key = (None, lately) if motion is None else (motion, playback.time)
         if key == self._shown:
             return

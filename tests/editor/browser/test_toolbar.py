@@ -1,4 +1,4 @@
-"""What is always in sight: the toolbar, in windows large and small; keys for the view and the motion."""
+"""What is always in sight: the toolbar, in windows large and small; and a page that rests."""
 
 from __future__ import annotations
 
@@ -72,3 +72,24 @@ def test_nothing_is_covered_in_a_small_window(edit: Edit, look: Look, file: Path
         centre = 0.5 * (left + right), 0.5 * (top + bottom)
         on_top = "([x, y]) => document.elementFromPoint(x, y)?.closest('button')?.innerText"
         assert window.page.evaluate(on_top, list(centre)) == name
+
+
+def test_a_page_at_rest_receives_nothing(edit: Edit, look: Look, file: Path) -> None:
+    editor = edit(pp.Task.load(file), file)
+    window, frames = look(editor), []
+    window.page.on("websocket", lambda socket: socket.on("framereceived", lambda _: frames.append(1)))
+    window.page.reload()
+    window.page.wait_for_selector("#status")
+    arrived(editor)
+    wait_until(lambda: frames, "the page is drawn")
+
+    def rests() -> bool:
+        before = len(frames)
+        window.page.wait_for_timeout(4000)
+        return len(frames) == before
+
+    wait_until(rests, "nothing is sent for some seconds")
+    window.aside()
+    before = len(frames)
+    window.key("n")
+    wait_until(lambda: len(frames) > before or window.page.wait_for_timeout(100), "a change is sent")
