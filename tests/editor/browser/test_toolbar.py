@@ -67,11 +67,14 @@ def test_nothing_is_covered_in_a_small_window(edit: Edit, look: Look, file: Path
         return play[2] < delete[0] and delete[2] < 800.0 and max(play[3], delete[3]) < 600.0
 
     wait_until(free, "the panels stand beside each other")
-    for name in ("Play", "Loop: off", "Undo", "Save", "Top", "Insert after", "Delete"):
+    on_top = "([x, y]) => document.elementFromPoint(x, y)?.closest('button')?.innerText"
+
+    def seen(name: str) -> bool:
         left, top, right, bottom = box(name)
-        centre = 0.5 * (left + right), 0.5 * (top + bottom)
-        on_top = "([x, y]) => document.elementFromPoint(x, y)?.closest('button')?.innerText"
-        assert window.page.evaluate(on_top, list(centre)) == name
+        return bool(window.page.evaluate(on_top, [0.5 * (left + right), 0.5 * (top + bottom)]) == name)
+
+    for name in ("Play", "Loop: off", "Undo", "Save", "Top", "Insert after", "Delete"):
+        wait_until(lambda name=name: seen(name), f"{name} is not covered", 10.0)
 
 
 def test_a_page_at_rest_receives_nothing(edit: Edit, look: Look, file: Path) -> None:
