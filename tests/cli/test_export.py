@@ -15,7 +15,7 @@ import pinposture as pp
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.trajectory import Motion
 
-STEPS = 10
+STEPS = 11
 
 
 @pytest.fixture(scope="module")
