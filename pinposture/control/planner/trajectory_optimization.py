@@ -94,7 +94,7 @@ leads nowhere, as for arms that fold onto themselves, many pieces and the small 
 
 _STAGES = np.array(STAGES)
 
-FIRST_PIECES, FIRST_PIECES_OF_LONG, LONG = 5, 6, 30
+FIRST_PIECES, FIRST_PIECES_OF_LONG, LONG_ARM = 5, 6, 30
 """First number of pieces, the same for a long arm, and from how many modules on an arm is long."""
 
 MIN_DECREASE = 1e-4
@@ -247,7 +247,7 @@ class _Waypoints:
     def relax(self, change: Array, bend: Array) -> Array:
         """Return the waypoints of the most direct path that is found, with as many pieces as it needs."""
         arm = self.objective.arm
-        pieces = FIRST_PIECES if arm.n_modules < LONG else FIRST_PIECES_OF_LONG
+        pieces = FIRST_PIECES if arm.n_modules < LONG_ARM else FIRST_PIECES_OF_LONG
         stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
         given = _STAGES, stiffness, MIN_DECREASE, KEPT_RATIO
         return kernels.find_direct_waypoints(self._problem, self.interpolate(change, bend, pieces), *given)
