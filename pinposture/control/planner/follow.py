@@ -82,6 +82,7 @@ class StepsAhead(NamedTuple):
     """The next steps on a path, for an arm that is where each of them leads.
 
     Attributes:
+        bounds: the limits that they keep.
         places: where each leads, in waypoints, s numbers.
         errors: sum of the distances of the control points from their targets before the first step and after
             each, s + 1 numbers [m].
@@ -90,6 +91,7 @@ class StepsAhead(NamedTuple):
         at_limit: which joints are at a position limit then, (s, nv).
     """
 
+    bounds: JointBounds
     places: list[float]
     errors: list[float]
     dq: Array
@@ -287,7 +289,8 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
     if progress.arrived or timed.profile is not None or objective.has_tasks:
         return None
     arm, ahead, i = state.arm, progress.ahead, progress.taken
-    if ahead is None or i >= len(ahead.places) or not _is_expected(progress, state):
+    known = ahead is not None and ahead.bounds is bounds and i < len(ahead.places)
+    if ahead is None or not known or not _is_expected(progress, state):
         if len(objective.chain.joints) < len(arm.kinematics.columns):
             return None
         ahead, i = _steps_ahead(progress, state, bounds), 0
@@ -314,10 +317,7 @@ def _is_expected(progress: PathProgress, state: ArmState) -> bool:
 
 
 def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -> StepsAhead:
-    """Compute the next usual steps on a path, for an arm that goes as expected.
-
-    An arm that does not went elsewhere since the last call, and will again: one step is enough for it.
-    """
+    """Compute the next usual steps on a path; one only for an arm that does not go as expected."""
     arm, path, forward, wanted = state.arm, progress.path, state.forward, progress.objective.chain
     chain = arm.kinematics
     expected, count = progress.expected, STEPS_AHEAD
@@ -353,7 +353,7 @@ def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -
         reached,
         at_limit,
     )
-    return StepsAhead(places[:found].tolist(), errors.tolist(), dq, reached, at_limit)
+    return StepsAhead(bounds, places[:found].tolist(), errors.tolist(), dq, reached, at_limit)
 
 
 def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:

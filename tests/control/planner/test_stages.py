@@ -134,6 +134,17 @@ def test_an_arm_that_was_pushed_comes_back_to_its_path() -> None:
     assert 0.0 < place < path.path.end and off < 1e-9
 
 
+def test_limits_that_become_smaller_on_the_way_hold_at_once() -> None:
+    q, target = start_and_goal(1)
+    path = pp.retime(pp.plan(arm().at(q), target), FREE)
+    step = pp.follow(path, arm().at(q))
+    assert np.abs(step.dq).max() > 0.04
+    for most in (0.02, 0.005, 0.03):
+        q = arm().integrate(q, step.dq)
+        step = pp.follow(path, arm().at(q), pp.Limits(step=most), step.memory)
+        assert 0.9 * most < np.abs(step.dq).max() <= most * (1.0 + 1e-9)
+
+
 def test_another_path_begins_at_its_start() -> None:
     q, target = start_and_goal(2)
     first = pp.retime(pp.plan(arm().at(q), target), FREE)
