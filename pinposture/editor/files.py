@@ -6,6 +6,7 @@ import io
 import logging
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,6 +34,7 @@ logger = logging.getLogger(__name__)
 
 AUTOSAVE_PERIOD = 0.3  # between two files [s]
 MAX_WAIT = 10.0  # for files that are being written [s]
+MAX_LISTED = 100  # task files to choose from
 
 
 class Version(NamedTuple):
@@ -321,6 +323,19 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
         allowed = "allowed: files in that folder; --folder chooses another"
         raise FileError(name, f"is not a file in {folder}; {allowed}")
     return path
+
+
+def task_files(folder: Path) -> tuple[str, ...]:
+    """Return the task files in a folder and its subfolders, as names from there, the latest first.
+
+    Autosaves and hidden folders are left out.
+    """
+    found: dict[str, float] = {}
+    for path in (*folder.glob("*.toml"), *folder.glob("[!.]*/*.toml")):
+        with suppress(OSError):  # it may be gone already
+            if path.is_file() and not path.stem.endswith(".autosave"):
+                found[path.relative_to(folder).as_posix()] = path.stat().st_mtime
+    return tuple(sorted(found, key=lambda name: (-found[name], name))[:MAX_LISTED])
 
 
 class ExportKind(NamedTuple):

@@ -15,7 +15,7 @@ from edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor import edits
-from pinposture.editor.files import Autosave, Files, autosave_path, recover, restore, within
+from pinposture.editor.files import Autosave, Files, autosave_path, recover, restore, task_files, within
 from pinposture.editor.session import Session
 from pinposture.errors import FileError
 from pinposture.task import Task
@@ -387,3 +387,15 @@ def test_files_are_whole_whenever_it_is_killed(delay: float, path: Path) -> None
     Task.load(path)
     left = recover(path)
     assert left is None or left.task is not None
+
+
+def test_task_files_to_choose_from_are_those_of_the_folder_the_latest_first(tmp_path: Path) -> None:
+    left_out = ("new.autosave.toml", "motion.json", ".git/x.toml", "a/b/c.toml")
+    names = ("old.toml", "new.toml", "sub/in.toml", *left_out)
+    for number, name in enumerate(names):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+        os.utime(tmp_path / name, (0.0, 1000.0 + number))
+    (tmp_path / "gone.toml").symlink_to(tmp_path / "nowhere.toml")
+    (tmp_path / "folder.toml").mkdir()
+    assert task_files(tmp_path) == ("sub/in.toml", "new.toml", "old.toml")

@@ -1,8 +1,9 @@
-"""The File tab: save, open, undo, exports of the motion, and a tour for new users."""
+"""The File tab: open and save, exports of the motion, and a tour for new users."""
 
 from __future__ import annotations
 
 import logging
+import time
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 import viser
 
-from pinposture.editor.files import EXPORT_KINDS, Files, export, within
+from pinposture.editor.files import EXPORT_KINDS, Files, export, task_files, within
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
@@ -20,6 +21,9 @@ from pinposture.motion import Motion
 from pinposture.task import Task
 
 logger = logging.getLogger(__name__)
+
+NO_FILE = "a task file of the folder"  # what stands where none is chosen
+LISTING_PERIOD = 2.0  # between two looks at the folder [s]
 
 TOUR_SEEN_KEY = "pinposture-tour"  # in the storage of each browser that has shown the tour
 
@@ -92,12 +96,15 @@ class FileTab:
     def __init__(self, server: viser.ViserServer, files: Files, post: Post) -> None:
         self._files, self._post, gui = files, post, server.gui
         self._about = gui.add_html("")
+        hint = "Task files in the folder and its subfolders; the chosen one can be opened"
+        self._choice: Any = gui.add_dropdown("Choose", (NO_FILE,), hint=hint)
         self._path = gui.add_text("Task file", "", hint="File to open or to save as: .toml or .json")
         save_as = gui.add_button("Save under this name")
         open_file = gui.add_button("Open this file", icon=viser.Icon.FOLDER_OPEN)
         gui.add_button("Show the tour").on_click(_show_tour_again)
-        self._typed = ""
+        self._typed, self._due = "", 0.0
         self._shown: Path | None = None
+        on_change(self._choice, self._choose)
         on_change(self._path, self._type)
         on_click(save_as, self._save_as)
         on_click(open_file, self._open)
@@ -112,6 +119,14 @@ class FileTab:
             self._shown = session.path
             self._typed = _relative_name(session.path, session.folder)
             put(self._path, value=self._typed)
+        if time.monotonic() >= self._due:
+            self._due = time.monotonic() + LISTING_PERIOD
+            put(self._choice, options=(NO_FILE, *task_files(session.folder)))
+
+    def _choose(self, name: str) -> None:
+        if name != NO_FILE:
+            self._typed = name
+            self._post(lambda _: put(self._path, value=name))
 
     def _type(self, text: str) -> None:
         self._typed = text

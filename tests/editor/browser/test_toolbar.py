@@ -77,6 +77,20 @@ def test_nothing_is_covered_in_a_small_window(edit: Edit, look: Look, file: Path
         wait_until(lambda name=name: seen(name), f"{name} is not covered", 10.0)
 
 
+def test_a_task_file_of_the_folder_is_chosen_and_opened(edit: Edit, look: Look, file: Path) -> None:
+    other = pp.Task.load(file).edited(name="other")
+    other.save(file.with_name("other.toml"))
+    editor = edit(pp.Task.load(file), file)
+    window = look(editor)
+    window.tab("File")
+    window.field("Choose").click()
+    window.page.get_by_role("option", name="other.toml", exact=True).click()
+    wait_until(lambda: window.field("Task file").input_value() == "other.toml", "its name is filled in")
+    window.press("Open this file")
+    window.says("opened other.toml")
+    assert editor.session.task.name == "other"
+
+
 def test_a_page_at_rest_receives_nothing(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file)
     window, frames = look(editor), []
