@@ -125,7 +125,8 @@ def test_directions_go_on_the_way_round_that_they_were_going(sign: float) -> Non
 
 
 @given(
-    arrays(float, (2, 4, 3), elements=st.floats(-0.25, 0.25)),
+    # Control points 0.4 m apart that never turn back, so that no curve has a cusp.
+    arrays(float, (2, 4, 3), elements=st.floats(-0.19, 0.19)),
     st.floats(0.0, 1.0),
 )
 @examples(25)

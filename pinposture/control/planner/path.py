@@ -304,8 +304,9 @@ class TimedPath:
 
     @cached_property
     def configurations(self) -> Array:
-        """Configuration after each step, (K + 1, nq)."""
-        return np.array([self.path.configuration(place) for place in self.places])
+        """Configuration after each step, (K + 1, nq); on the curve through the waypoints if there is a profile."""
+        offset = self.path.offset if self.profile is None else self.path.smooth_offset
+        return np.array([self.path.arm.integrate(self.path.start, offset(place)) for place in self.places])
 
 
 def retime(
