@@ -151,9 +151,8 @@ def find_speed_profile(
         if np.sqrt(top[count]) > 0.5 * gain:  # else it can stop at once
             top[count] = 0.0
         gain = _acceleration_range(a[0], b[0], brake, tiny, 0.0)[1]
-        top[0] = min(
-            top[0], (start_speed + 0.5 * gain) ** 2
-        )  # half a step, before the first half of the next
+        # Half a step, before the first half of the next.
+        top[0] = min(top[0], (start_speed + 0.5 * gain) ** 2)
         for i in range(count - 1, -1, -1):
             top[i] = _fastest_start(a[i], b[i], brake, tiny, h, top[i], top[i + 1])
         for i in range(count):

@@ -304,7 +304,7 @@ class TimedPath:
 
     @cached_property
     def configurations(self) -> Array:
-        """Configuration after each step, (K + 1, nq); on the curve through the waypoints if there is a profile."""
+        """Configuration after each step, (K + 1, nq): with a profile, on the curve through the waypoints."""
         offset = self.path.offset if self.profile is None else self.path.smooth_offset
         return np.array([self.path.arm.integrate(self.path.start, offset(place)) for place in self.places])
 
