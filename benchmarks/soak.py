@@ -10,6 +10,7 @@ lag behind and sag. Every output is checked: finite, within the limits of speed,
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import resource
 import sys
@@ -70,6 +71,8 @@ def main() -> None:  # noqa: PLR0915
     limits = pp.Limits(step=None, velocity=SPEED, dt=DT, acceleration=None if given.free else ACCELERATION)
     tracker = Tracker(arm, given.controller, limits, deadline=given.deadline)
     listed = targets(arm, rng, 240)
+    gc.collect()
+    gc.freeze()  # or a pause of some 90 ms would come when the collector goes through all there is
     q = smooth_configuration(arm, rng, 0.5)
     sag = SAG * rng.normal(size=arm.nv)
     taken, outcome = np.empty(given.steps), Counter[str]()

@@ -466,6 +466,7 @@ def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
             problem.scene,
             feedback_time_constant=float("inf"),
             deadline=CONTROLLER_DEADLINE,
+            planning="thread",  # several trackers a second are made while an obstacle is dragged
         )
     tracker.restart(q, dq)  # keeps the speed: a dragged obstacle causes several new trackers a second
     return tracker

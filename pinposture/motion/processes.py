@@ -1,18 +1,23 @@
-"""Work on several processes, its results in order."""
+"""Work in other processes: many calls with their results in order, and one call in the background."""
 
 from __future__ import annotations
 
 import pickle
+import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import cached_property, lru_cache
 from itertools import islice
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from time import perf_counter
 from typing import Any, Generic, TypeVar
 
 from joblib import Parallel, parallel_config, wrap_non_picklable_objects
+from joblib.externals.loky.backend import get_context
 from joblib.parallel import get_active_backend
 
+from pinposture import kernels
 from pinposture._validation import is_whole
 from pinposture.errors import InvalidValue
 
@@ -144,3 +149,78 @@ def _one_thread_each() -> AbstractContextManager[object]:
     if backend.supports_inner_max_num_threads and backend.inner_max_num_threads is None:
         return parallel_config(backend="loky", inner_max_num_threads=1)  # type: ignore[no-any-return]
     return nullcontext()
+
+
+# One call at a time, in a process that stays.
+
+
+class BackgroundProcess:
+    """A process that makes one call at a time, while this one goes on without a pause.
+
+    It needs some seconds to start, during which calls wait; another one is started if it is ended from
+    outside. It ends with this process, and with this object. Calls have to be picklable; `Shared` values are
+    unpickled once.
+    """
+
+    def __init__(self) -> None:
+        self._start()
+
+    def _start(self) -> None:
+        self._connection, other = Pipe()
+        # `multiprocessing` by itself would run the script of the user again.
+        self._process = get_context("loky").Process(
+            target=_answer_calls, args=(other,), daemon=True, env=dict.fromkeys(THREAD_COUNTS, "1")
+        )
+        self._process.start()
+        other.close()
+
+    def submit(self, function: Callable[..., object], *arguments: object) -> None:
+        """Start a call; the one before has returned its result."""
+        call = pickle.dumps((function, arguments))
+        try:
+            self._connection.send_bytes(call)
+        except OSError:
+            self._start()
+            self._connection.send_bytes(call)
+
+    def done(self) -> bool:
+        """Whether `result` returns at once."""
+        return self._connection.poll()
+
+    def result(self) -> Any:
+        """Return the result, or raise what the call raised.
+
+        Raises:
+            EOFError: the process was ended from outside.
+        """
+        try:
+            value, error = pickle.loads(self._connection.recv_bytes())
+        except (EOFError, OSError):
+            self._start()
+            raise EOFError from None
+        if error is not None:
+            raise error
+        return value
+
+    def __del__(self) -> None:
+        if hasattr(self, "_connection"):
+            self._connection.close()
+
+
+THREAD_COUNTS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that set the number of threads of a process."""
+
+
+def _answer_calls(connection: Connection) -> None:
+    """Make calls until the other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that sends the calls decides
+    kernels.load()
+    with suppress(EOFError, OSError):
+        while True:
+            function, arguments = pickle.loads(connection.recv_bytes())
+            value = error = None
+            try:
+                value = function(*arguments)
+            except Exception as raised:  # `result` raises it
+                error = raised
+            connection.send_bytes(pickle.dumps((value, error)))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from concurrent.futures import Future, wait
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from math import exp, inf, isfinite
 from threading import Thread
@@ -16,10 +17,21 @@ from pinposture import kernels
 from pinposture._validation import finite_vector, float_array, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
-from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
+from pinposture.control import (
+    Controller,
+    Geodesic,
+    GeodesicMemory,
+    Limits,
+    PathProgress,
+    Step,
+    controller_named,
+)
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import cycle_of
+from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
+from pinposture.control.planner.plan import PlanNeeded
 from pinposture.errors import InvalidValue, PostureError, UnknownName
+from pinposture.motion.processes import BackgroundProcess, Shared
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
@@ -27,6 +39,8 @@ from pinposture.placement.points import with_configuration
 # Feedback: which measurements are used, and how they shift the target.
 
 Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
 
 FEEDBACK_TOLERANCE = 1e-7
 """Change of the feedback that leaves a target as it is, in `Arm.joint_units`, and in arm lengths."""
@@ -209,7 +223,7 @@ class Feedback:
 # Computing a step within the time of a cycle.
 
 
-class AsyncStep:
+class DirectStep:
     """Computes the step of a controller, in a thread of its own if there is a deadline.
 
     Args:
@@ -265,9 +279,86 @@ class AsyncStep:
         return future
 
 
+class Request(NamedTuple):
+    """What a path is being planned for: see `plan_from`."""
+
+    controller: Geodesic
+    target: Target
+    limits: Limits
+    previous: Array
+
+
+class PlannedStep:
+    """Computes the steps of `Geodesic` in this thread, and plans its paths in another process.
+
+    Args:
+        arm: the arm.
+        controller: the controller.
+    """
+
+    def __init__(self, arm: Arm, controller: Geodesic) -> None:
+        self._arm, self._process = arm, BackgroundProcess()
+        self._request: Request | None = None
+        self.controller = controller
+
+    @property
+    def controller(self) -> Controller:
+        """The controller; another one counts from the next step on."""
+        return self._controller
+
+    @controller.setter
+    def controller(self, controller: Controller) -> None:
+        self._controller = cast(Geodesic, controller)
+        self._prompt = PromptGeodesic(
+            **{each.name: getattr(controller, each.name) for each in fields(Geodesic)}
+        )
+        self._shared = Shared((self._arm, self._controller))
+
+    def compute(
+        self, state: ArmState, target: Target, limits: Limits, memory: Memory | None
+    ) -> tuple[Step | None, Memory | None]:
+        """Return the step of the controller, unless a path has to be planned first.
+
+        Returns:
+            The step, or None while a path is planned; and the memory to pass on in the next cycle.
+        """
+        if self._request is not None:
+            if not self._process.done():
+                return None, memory
+            memory = self._take_plan(self._request, memory)
+        try:
+            return self._prompt.step(state, target, limits, memory), memory
+        except PlanNeeded as needed:
+            # The path begins where the arm will be in the next cycle: until then it brakes.
+            motion = Memory(np.zeros(self._arm.nv)) if memory is None else memory
+            previous = motion.braked(limits, state).dq
+            self._request = Request(self._controller, target, limits, previous)
+            q = self._arm.integrate(state.q, previous)
+            self._process.submit(_plan, self._shared, q, target, limits, previous, needed.attempt)
+            return None, memory
+
+    def _take_plan(self, request: Request, memory: Memory | None) -> Memory | None:
+        """Return the memory with the path that was planned."""
+        self._request = None
+        try:
+            progress = self._process.result()
+        except EOFError:
+            logger.warning("the process that plans was ended from outside; another one plans again")
+            return memory
+        motion = Memory(request.previous) if memory is None else memory
+        late = None if np.array_equal(motion.dq, request.previous) else motion
+        adopted = adopt_plan(request.controller, progress, self._arm, request.target, request.limits, late)
+        return GeodesicMemory(motion.dq, motion.stopping, adopted)
+
+
+def _plan(shared: Shared[tuple[Arm, Geodesic]], *arguments: Any) -> PathProgress:
+    arm, controller = shared.value
+    return plan_from(controller, arm, *arguments)
+
+
 # The streaming controller: one step in each control cycle.
 
-INTERFACES = ("position", "velocity")
+INTERFACES, PLANNING = ("position", "velocity"), ("process", "thread")
 
 MIN_CYCLE = 1e-3
 """Shortest duration of a cycle, relative to the usual one."""
@@ -345,9 +436,12 @@ class Tracker:
             from them [s]. Infinite: the arm holds until `restart`.
         timeout: age at which a target expires [s]; infinite: never.
         deadline: how long a cycle may wait for the controller [s]. Planning a path around obstacles takes
-            seconds; past the deadline it continues in its own thread, and the arm holds until it is done.
-            Python threads share the interpreter, so a cycle can take some tens of milliseconds longer.
-            Infinite: every cycle waits.
+            seconds; past the deadline it continues in the background, and the arm brakes and holds until it
+            is done. Infinite: every cycle waits.
+        planning: where "geodesic" plans if there is a deadline. "process": in a process of its own, which
+            takes some seconds to start; every plan is made there, and no cycle waits for it. "thread": in a
+            thread, as with other controllers. Threads share the interpreter, so a cycle can then take some
+            tens of milliseconds longer than the deadline.
 
     Raises:
         InvalidValue: limits without dt, or a number that is not positive.
@@ -366,11 +460,16 @@ class Tracker:
         resync_time: float = 0.5,
         timeout: float = float("inf"),
         deadline: float = float("inf"),
+        planning: Literal["process", "thread"] = "process",
     ) -> None:
         period = cycle_of(limits)
         limits = cast(Limits, limits)  # anything else was refused
-        if interface not in INTERFACES:
-            raise UnknownName("interface", interface, INTERFACES)
+        for name, choice, choices in (
+            ("interface", interface, INTERFACES),
+            ("planning", planning, PLANNING),
+        ):
+            if choice not in choices:
+                raise UnknownName(name, choice, choices)
         times = {
             "feedback_time_constant": feedback_time_constant,
             "resync_time": resync_time,
@@ -382,7 +481,11 @@ class Tracker:
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # says now what does not fit
         controller, self.scene = in_scene(controller_named(controller), scene)
-        self._async_step = AsyncStep(controller, deadline)
+        self._steps: DirectStep | PlannedStep
+        if planning == "process" and deadline < inf and type(controller) is Geodesic:
+            self._steps = PlannedStep(arm, controller)
+        else:
+            self._steps = DirectStep(controller, deadline)
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
@@ -475,7 +578,7 @@ class Tracker:
                 errors of the program, not of a sensor.
         """
         if scene is not None and scene is not self.scene:
-            self._async_step.controller, self.scene = in_scene(self._async_step.controller, scene)
+            self._steps.controller, self.scene = in_scene(self._steps.controller, scene)
         passed = self._period if dt is None else _duration(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
@@ -486,7 +589,7 @@ class Tracker:
         if feedback.state is not None and self._target is not None and not reason:
             compensated = self._feedback.compensate(self._target)
             try:
-                step, memory = self._async_step.compute(feedback.state, compensated, limits, memory)
+                step, memory = self._steps.compute(feedback.state, compensated, limits, memory)
                 reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # an input that it cannot use, such as a target without a configuration
@@ -504,7 +607,7 @@ class Tracker:
 
     def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> Memory:
         """Brake and hold, but avoid approaching obstacles."""
-        controller, target = self._async_step.controller, self._target
+        controller, target = self._steps.controller, self._target
         moving = self.scene is not None and self.scene.velocities
         if moving and state is not None and target is not None and isinstance(controller, Geodesic):
             return controller.keep_clear(state, target, limits, memory)

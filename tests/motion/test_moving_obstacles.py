@@ -53,13 +53,13 @@ def ball_scene() -> pp.Scene:
 
 
 @pytest.mark.parametrize("seed", cases(range(12), 3))
-@pytest.mark.parametrize("deadline", [np.inf, 1e-9])
-def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float) -> None:
+@pytest.mark.parametrize("deadline, planning", [(np.inf, "thread"), (1e-9, "thread"), (0.002, "process")])
+def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, planning: str) -> None:
     q, goal, origin, velocity = crossing(seed)
     scene = ball_scene()
-    tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene, deadline=deadline)
+    tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene, deadline=deadline, planning=planning)
     # With a deadline that no step meets, the arm stays where it is, and still makes way.
-    tracker.update(pp.Target.from_configuration(arm(), goal if deadline == np.inf else q))
+    tracker.update(pp.Target.from_configuration(arm(), q if deadline == 1e-9 else goal))
     lowest, before = np.inf, np.zeros(arm().nv)
     for cycle in range(2500):
         center = origin + cycle * DT * velocity

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
+from time import monotonic, sleep
 from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
@@ -330,16 +331,20 @@ def test_the_tracker_node_drives_the_arm_to_the_curve_and_to_another(tmp_path: P
     joint_state, text = sys.modules["sensor_msgs.msg"].JointState, sys.modules["std_msgs.msg"].String
     positions = np.zeros(arm.nv)
 
-    def run(cycles: int) -> None:
+    def run() -> None:
         nonlocal positions
-        for _ in range(cycles):
+        end, converged = monotonic() + 60.0, 0  # the process that plans has to start
+        while converged < 50 and monotonic() < end:
+            converged += node.tracker.report.status == "converged"
+            sleep(0.001 if node.tracker.report.status == "holding" else 0.0)
             node.topics["/joint_states"](joint_state(name=names, position=[*positions[::-1], 0.01]))
             node.cycle()
             positions = np.array(node.published[-1].data)
 
     for name, curve in curves.items():
         node.topics["/curve"](text(data=str(tmp_path / f"{name}.json")))
-        run(400)
+        node.cycle()
+        run()
         target = pp.resolve_targets(arm, curve)
         np.testing.assert_allclose(arm.at(arm.configuration(positions)).points, target.points, atol=1e-6)
     node.topics["/curve"](text(data=str(tmp_path / "missing.json")))

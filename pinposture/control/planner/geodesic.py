@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,8 @@ from pinposture.control.planner.follow import (
     step_to_goal,
 )
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
-from pinposture.control.planner.path import TimedPath, retime
-from pinposture.control.planner.plan import find_path, is_small_change, replan
+from pinposture.control.planner.path import JointPath, TimedPath, retime
+from pinposture.control.planner.plan import PlanNeeded, find_path, is_small_change, replan
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -77,6 +77,9 @@ class Geodesic:
     tasks: tuple[ControlTask, ...] = ()
     scene: Scene | None = None
     name: str = "geodesic"
+
+    plans: ClassVar[bool] = True
+    """Whether a step plans a path where it needs one; else it raises `PlanNeeded`."""
 
     def __post_init__(self) -> None:
         tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
@@ -199,13 +202,20 @@ class Geodesic:
             progress = progress.along(progress.path.revised(objective=self._objective(state, target)))
         if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
             return _within(progress, limits)
-        attempt, bounds = progress.path.attempt + 1, limits.for_arm(state.arm)
+        attempt = progress.path.attempt + 1
         if self.scene is not None and self.scene.moving:  # another moment, another attempt
             attempt = 0
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
-        avoidance = Avoidance.of(self.scene, progress.objective, bounds)
-        return PathProgress(retime(find_path(progress.objective, state, bounds, avoidance, attempt), limits))
+        return PathProgress(retime(self._find_path(progress.objective, state, limits, attempt), limits))
+
+    def _find_path(
+        self, objective: Objective, state: ArmState, limits: Limits, attempt: int = 0
+    ) -> JointPath:
+        if not self.plans:
+            raise PlanNeeded(attempt)
+        bounds = limits.for_arm(state.arm)
+        return find_path(objective, state, bounds, Avoidance.of(self.scene, objective, bounds), attempt)
 
     def _plan(
         self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None
@@ -220,9 +230,10 @@ class Geodesic:
             or objective.has_tasks
             or not (avoidance is None or is_small_change(progress.objective, objective))
         ):
-            return PathProgress(retime(find_path(objective, state, bounds, avoidance), limits))
+            return PathProgress(retime(self._find_path(objective, state, limits), limits))
         place = np.inf if progress.arrived or progress.path.attempt else progress.place
-        path, bend = replan(progress.path, place, progress.bend, objective, state, bounds, avoidance)
+        given = progress.path, place, progress.bend, objective, state, bounds, avoidance
+        path, bend = replan(*given, prompt=not self.plans)
         if bend is None:
             return PathProgress(retime(path, limits))
         return progress.bent_to(path, bend, limits)
@@ -313,6 +324,61 @@ class Geodesic:
         box = limits.box(state, memory.dq)
         cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
         return replace(memory, dq=cleared.dq, stopping=cleared.stopping)
+
+
+class PromptGeodesic(Geodesic):
+    """The same, but its steps never plan: they raise `PlanNeeded`, and `plan_from` does it elsewhere."""
+
+    plans: ClassVar[bool] = False
+
+
+def plan_from(
+    controller: Geodesic, arm: Arm, q: Array, target: Target, limits: Limits, previous: Array, attempt: int
+) -> PathProgress:
+    """Plan for a step that needs a path, in another process.
+
+    Args:
+        controller: the controller.
+        arm: the arm.
+        q: configuration at which the path begins, (nq,).
+        target: the target posture.
+        limits: the limits of each step.
+        previous: the step that leads to q, (nv,) [rad or m].
+        attempt: as in `PlanNeeded`.
+
+    Returns:
+        The progress at the start of the path, without objective and scene; see `adopt_plan`.
+    """
+    state, objective = arm.at(q).compiled, controller.objective(arm, target)
+    path = controller._find_path(objective, state, limits, attempt)
+    progress = PathProgress.begin(retime(path, limits), previous)
+    bare: dict[str, Any] = {"objective": None, "scene": None}  # large, and known to the caller
+    return progress.along(progress.path.revised(**bare))._replace(expected=state.forward.positions)
+
+
+def adopt_plan(
+    controller: Geodesic,
+    progress: PathProgress,
+    arm: Arm,
+    target: Target,
+    limits: Limits,
+    late: Memory | None,
+) -> PathProgress:
+    """Return the progress of a plan, with what `plan_from` left out.
+
+    Args:
+        controller: as for `plan_from`.
+        progress: what it returned.
+        arm: as for it.
+        target: as for it.
+        limits: as for it.
+        late: the motion of an arm that comes later than planned, and has braked; None: it is in time.
+    """
+    path = progress.path.revised(objective=controller.objective(arm, target), scene=controller.scene)
+    timed = replace(progress.timed, path=path, limits=limits, bounds=limits.for_arm(arm))
+    if late is None:
+        return progress._replace(timed=timed)
+    return PathProgress.begin(timed, late.dq)._replace(expected=progress.expected)
 
 
 def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:

@@ -38,6 +38,19 @@ logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
+
+class PlanNeeded(Exception):
+    """A step needs a path, or a goal, that takes longer to find than a control cycle may.
+
+    Attributes:
+        attempt: number of paths to the same target that were abandoned before.
+    """
+
+    def __init__(self, attempt: int = 0) -> None:
+        super().__init__("the path is still being planned")
+        self.attempt = attempt
+
+
 Report = Callable[[str, JointPath | None], None]
 """Called with the next attempt, and the shortest clear path so far."""
 
@@ -65,6 +78,9 @@ MAX_BEND = 0.5
 
 MIN_PLANNED_MOTION = 0.1
 """Joint motion up to which no path around obstacles is planned, in `Arm.joint_units`."""
+
+MAX_PROMPT_MOTION = 0.5
+"""Joint motion up to which a path without obstacles is found well within a cycle, in `Arm.joint_units`."""
 
 MAX_PATHS = 12
 """Largest number of relaxed paths that are tried for a clear one; fewer in later attempts."""
@@ -174,6 +190,7 @@ def find_goal(
     good: float,
     before: ArmState | None = None,
     enough: float = 0.0,
+    prompt: bool = False,
 ) -> LeastSquaresResult:
     """Find the configuration with the smallest cost.
 
@@ -192,6 +209,7 @@ def find_goal(
         good: mean distance of the control points from their targets that is good enough [m].
         before: where to begin, if the target does not say: the goal of a target that was much like it.
         enough: mean distance with which the search ends, if no better was found for that target [m].
+        prompt: whether to raise `PlanNeeded` if the first search is not enough.
     """
     known, has_priority = objective.target.q is not None, any(task.priority for task in objective.tasks)
     # Where a task with priority holds the arm, what is near can be reached, and what is far perhaps not.
@@ -205,6 +223,8 @@ def find_goal(
     while agreeing < MAX_AGREEING and not (
         found.intrusion == 0.0 and (_is_good_enough(objective, found, wanted) or (known and not has_priority))
     ):
+        if prompt:
+            raise PlanNeeded
         start = next(starts, None)  # computed only now: to find one can take long
         if start is None:
             break
@@ -412,6 +432,7 @@ def replan(
     state: ArmState,
     bounds: JointBounds,
     avoidance: Avoidance | None,
+    prompt: bool = False,
 ) -> tuple[JointPath, Array | None]:
     """Find a path as `find_path` does, for a target close to the previous one, from the previous path.
 
@@ -427,6 +448,7 @@ def replan(
         bounds: the limits of its joints.
         avoidance: the obstacles to avoid; None: none. A slightly bent path is not checked again; each
             step on it is.
+        prompt: whether to raise `PlanNeeded` if this takes more than a search for the goal and a short path.
 
     Returns:
         The path, and the displacement of its end since it was planned, None for a new path.
@@ -437,19 +459,24 @@ def replan(
     if known is not None and (avoidance is None or avoidance.intrusion(known) == 0.0):
         goal = known.q
     else:
+        if prompt and not is_small_change(path.objective, objective):
+            raise PlanNeeded
         start = arm.at(before).compiled
         first = start if objective.target.q is None else None
         enough = _achievable_error(path.objective, objective, start)
         good = GOAL_TOLERANCE * arm.length
-        goal = find_goal(objective, state, bounds.edges, avoidance, good, first, enough).state.q
+        goal = find_goal(objective, state, bounds.edges, avoidance, good, first, enough, prompt).state.q
     change = objective.displacement(objective.normalize(arm.difference(before, goal)))
     bent = change if bend is None else bend + change
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         return replace(path.bent(place, change, bounds.edges), objective=objective), bent
+    motion = _size(objective, arm.difference(state.q, goal))
+    if prompt and motion > (MAX_PROMPT_MOTION if avoidance is None else MIN_PLANNED_MOTION):
+        raise PlanNeeded
     if avoidance is None:
         return direct_path(objective, state.q, goal, bounds.edges), None
-    if _size(objective, arm.difference(state.q, goal)) > MIN_PLANNED_MOTION:
+    if motion > MIN_PLANNED_MOTION:
         return find_path(objective, state, bounds, avoidance), None
     return replace(direct_path(objective, state.q, goal, bounds.edges), scene=path.scene), None
 

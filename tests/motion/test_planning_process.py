@@ -1,0 +1,116 @@
+"""A tracker with a deadline: its paths are planned in another process, and no cycle waits for them."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.arm import smooth_configuration
+from pinposture.control.planner import geodesic
+from pinposture.errors import UnknownName
+from pinposture.motion.processes import BackgroundProcess
+
+LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.01)
+PATIENCE = 60.0  # for a process to start on a busy machine [s]
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    return pp.Arm.from_template("RyRz", modules=6)
+
+
+def refuse(*_: object) -> None:
+    raise AssertionError("a path was planned in the process of the loop")
+
+
+class Loop:
+    """An arm that follows each command exactly; every output is checked."""
+
+    def __init__(self, tracker: pp.Tracker, q: np.ndarray) -> None:
+        self.tracker, self.q, self.before = tracker, q, np.zeros(tracker.arm.nv)
+        self.passed = []
+
+    def run(self, until: str, pause: float = 0.001) -> int:
+        """Step until the tracker has that status; return the number of steps with another one."""
+        end, count = time.monotonic() + PATIENCE, 0
+        while time.monotonic() < end:
+            dq = self.tracker.step(self.q)
+            assert np.abs(dq).max() <= LIMITS.velocity * LIMITS.dt + 1e-9
+            assert np.abs(dq - self.before).max() <= LIMITS.acceleration * LIMITS.dt**2 + 1e-9
+            self.q, self.before = self.tracker.arm.integrate(self.q, dq), dq
+            self.passed.append(self.q)
+            if self.tracker.report.status == until:
+                return count
+            count += 1
+            if self.tracker.report.status == "holding":
+                time.sleep(pause)
+        raise AssertionError(f"{self.tracker.report.status} after {PATIENCE} s, not {until}")
+
+
+def test_no_path_is_planned_in_the_loop_and_the_arm_takes_each_posture(
+    arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(geodesic, "find_path", refuse)
+    rng = np.random.default_rng(0)
+    ball = pp.Scene({"ball": pp.Sphere((0.1, 0.1, 0.5), 0.05)}, margin=0.005, arm_radius=0.01)
+    tracker = pp.Tracker(arm, pp.Geodesic(joint_weight=0.3), LIMITS, scene=ball, deadline=0.002)
+    start, one, other = (smooth_configuration(arm, rng, spread) for spread in (0.1, 0.5, 0.6))
+    loop = Loop(tracker, start)
+    targets = [pp.Target.from_configuration(arm, one), pp.Target.from_points(arm, arm.at(other).points)]
+    for target in targets:
+        tracker.update(target)
+        assert loop.run("moving") >= 1  # the arm held while the path was planned
+        loop.run("converged")
+        assert np.abs(arm.at(loop.q).points - target.points).max() <= 1e-5 * arm.length
+    # Targets that jump while the arm moves: it brakes, and goes on from there.
+    for target in (*targets, *targets):
+        tracker.update(target)
+        for _ in range(15):
+            loop.run("moving")
+    loop.run("converged")
+    assert np.abs(arm.at(loop.q).points - targets[-1].points).max() <= 1e-5 * arm.length
+
+
+def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
+    start, goal = (smooth_configuration(arm, np.random.default_rng(seed), 0.6) for seed in (1, 2))
+    target, reached = pp.Target.from_configuration(arm, goal), []
+    for deadline in (np.inf, 0.002):
+        loop = Loop(pp.Tracker(arm, limits=LIMITS, deadline=deadline), start)
+        loop.tracker.update(target)
+        held = loop.run("moving")
+        loop.run("converged")
+        reached.append(loop.passed[held:])
+    np.testing.assert_allclose(*reached, atol=1e-9)
+
+
+def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
+    tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
+    loop = Loop(tracker, arm.neutral())
+    for seed in (3, 4):
+        goal = smooth_configuration(arm, np.random.default_rng(seed), 0.5)
+        tracker.update(pp.Target.from_configuration(arm, goal))
+        loop.run("holding")
+        os.kill(tracker._steps._process._process.pid, signal.SIGKILL)
+        loop.run("converged")
+
+
+def test_errors_and_results_come_back_in_order() -> None:
+    process = BackgroundProcess()
+    process.submit(divmod, 7, 3)
+    assert process.result() == (2, 1)
+    process.submit(divmod, 7, 0)
+    with pytest.raises(ZeroDivisionError):
+        process.result()
+    process.submit(os._exit, 1)
+    with pytest.raises(EOFError):
+        process.result()
+    process.submit(divmod, 9, 2)
+    assert process.result() == (4, 1)
+
+
+def test_where_to_plan_is_checked(arm: pp.Arm) -> None:
+    with pytest.raises(UnknownName, match="planning"):
+        pp.Tracker(arm, limits=LIMITS, deadline=0.002, planning="elsewhere")
