@@ -57,6 +57,7 @@ def main() -> None:  # noqa: PLR0915
     parser.add_argument("--modules", type=int, default=20)
     parser.add_argument("--controller", default="geodesic")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jerk", type=float, help="limit of jerk [rad/s^3]; else there is none")
     parser.add_argument("--free", action="store_true", help="no limit of acceleration")
     parser.add_argument("--deadline", type=float, default=float("inf"), help="of the tracker [s]")
     parser.add_argument("--pause", type=float, default=0.0, help="between cycles, for other threads [s]")
@@ -68,7 +69,8 @@ def main() -> None:  # noqa: PLR0915
     sys.setswitchinterval(given.switch)
     rng = np.random.default_rng(given.seed)
     arm = pp.Arm.from_template("RyRz", modules=given.modules)
-    limits = pp.Limits(step=None, velocity=SPEED, dt=DT, acceleration=None if given.free else ACCELERATION)
+    acceleration = None if given.free else ACCELERATION
+    limits = pp.Limits(step=None, velocity=SPEED, dt=DT, acceleration=acceleration, jerk=given.jerk)
     tracker = Tracker(arm, given.controller, limits, deadline=given.deadline)
     listed = targets(arm, rng, 240)
     gc.collect()
@@ -77,6 +79,7 @@ def main() -> None:  # noqa: PLR0915
     sag = SAG * rng.normal(size=arm.nv)
     taken, outcome = np.empty(given.steps), Counter[str]()
     before, fastest, hardest, beyond, memory = np.zeros(arm.nv), 0.0, 0.0, -np.inf, []
+    changed, roughest = np.zeros(arm.nv), 0.0
     for step in range(given.steps):
         if rng.random() < 0.005:
             tracker.update(listed[rng.integers(len(listed))])
@@ -101,7 +104,8 @@ def main() -> None:  # noqa: PLR0915
             raise SystemExit(f"step {step}: not finite")
         fastest = max(fastest, float(np.abs(dq).max()) / DT)
         hardest = max(hardest, float(np.abs(dq - before).max()) / DT**2)
-        command = tracker.command
+        roughest = max(roughest, float(np.abs(dq - before - changed).max()) / DT**3)
+        command, changed = tracker.command, dq - before
         beyond = max(beyond, float((np.abs(command) - arm.limits.upper).max()))
         before = dq
         q = q + (command + sag - q) * (DT / LAG)
@@ -112,6 +116,7 @@ def main() -> None:  # noqa: PLR0915
         "controller": given.controller,
         "largest speed, of its limit": fastest / SPEED,
         "largest acceleration, of its limit": None if given.free else hardest / ACCELERATION,
+        "largest jerk, of its limit": roughest / given.jerk if given.jerk else None,
         "farthest beyond a position limit [rad]": beyond,
         "microseconds p50": 1e6 * float(np.percentile(taken, 50)),
         "microseconds p99": 1e6 * float(np.percentile(taken, 99)),

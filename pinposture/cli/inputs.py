@@ -406,6 +406,14 @@ class LimitOptions:
             "A,...",
         ),
     ] = None
+    jerk: Annotated[
+        str | None,
+        LIMITS(
+            "Largest jerk of joints, in rad/s^3 or m/s^3, one number or one for each; else there is no "
+            "such limit. Needs --acceleration.",
+            "J,...",
+        ),
+    ] = None
     dt: Annotated[float | None, LIMITS("Duration of a step, in s; else speeds are not limited.")] = None
     position_margin: Annotated[
         float, LIMITS("Distance to keep from the limits of joint positions, in rad or metres.")
@@ -420,17 +428,18 @@ class LimitOptions:
         """
         from pinposture.control import Limits
 
-        given = {"--velocity": self.velocity, "--acceleration": self.acceleration}
+        given = {"--velocity": self.velocity, "--acceleration": self.acceleration, "--jerk": self.jerk}
         for option, text in given.items():
             if self.dt is None and text is not None:
                 raise InvalidValue("--dt", None, f"the duration of a step [s], needed with {option}")
-        speed, change = (_for_joints(option, text) for option, text in given.items())
+        speed, change, jerk = (_for_joints(option, text) for option, text in given.items())
         return Limits(
             step=self.step_limit,
             velocity=speed,
             dt=self.dt,
             position_margin=self.position_margin,
             acceleration=change,
+            jerk=jerk,
         )
 
 

@@ -180,7 +180,7 @@ def _simulate_closed(
     if isinstance(kept, Trajectory):
         limits, scene = replace(kept.limits, dt=asked.dt), kept.scene if scene is None else scene
     if isinstance(motion, Motion):  # it is within its limits: whoever follows it need not brake early
-        limits = replace(limits, acceleration=None)
+        limits = replace(limits, acceleration=None, jerk=None)
     duration = asked.dt * (len(asked.positions) - 1) + hold
     start, tracker = arm.configuration(asked.positions[0]), Tracker(arm, limits=limits, scene=scene)
     told: dict[str, Any] = {"progress": progress, "scene": scene, "tolerance": tolerance}

@@ -1,4 +1,4 @@
-"""Joint limits of a step: position, speed and acceleration, and braking in discrete time."""
+"""Joint limits of a step: position, speed, acceleration and jerk, and braking in discrete time."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ class JointBounds(NamedTuple):
         units: unit of motion of each joint of the chain, (n,) [rad or m].
         leaning: how far outside its limits each may be before it is brought back, (n,) [rad or m].
         dt: duration of a step [s]; None: undefined.
+        jerk: largest change of that change from one step to the next, (nv,) [rad or m]; None: any.
 
     Kernels take the arrays. Do not write to them.
     """
@@ -46,6 +47,7 @@ class JointBounds(NamedTuple):
     units: Array
     leaning: Array
     dt: float | None
+    jerk: Array | None
 
 
 def joint_bounds(
@@ -55,13 +57,14 @@ def joint_bounds(
     acceleration: float | Array | None,
     dt: float | None,
     position_margin: float,
+    jerk: float | Array | None = None,
 ) -> JointBounds:
     """Return the bounds for the joints of an arm; the arguments are the attributes of `Limits`.
 
     Raises:
         InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
     """
-    bound, brake = np.full(arm.nv, np.inf), None
+    bound, brake, change_of_brake = np.full(arm.nv, np.inf), None, None
     if step is not None:
         bound = np.minimum(bound, _per_joint("step", step, arm))
     if dt is not None:
@@ -70,10 +73,13 @@ def joint_bounds(
         if acceleration is not None:
             change = _per_joint("acceleration", acceleration, arm) * dt**2
             brake = np.clip(change, 1e-100, 1e200)  # so that nothing made of it overflows, or divides by zero
+            if jerk is not None:
+                change_of_brake = np.maximum(_per_joint("jerk", jerk, arm) * dt**3, 1e-100)
     edges = _edges(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
-    return JointBounds(bound, travel, edges, brake, units, POSITION_SLACK * units, dt)
+    leaning = POSITION_SLACK * units
+    return JointBounds(bound, travel, edges, brake, units, leaning, dt, change_of_brake)
 
 
 def _edges(arm: Arm, margin: float) -> Array:
@@ -280,6 +286,9 @@ class Limits:
         acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. In one
             step dq changes by at most acceleration * dt^2, and joints brake early enough to stop at their
             position limits. None: no limit.
+        jerk: largest joint jerk [rad/s^3 or m/s^3]; one number or (nv,). Needs `acceleration`. `track`,
+            motions and `Tracker` keep it (see `JerkFilter`); a single step of a controller, and `retime`, do
+            not know it. None: no limit.
     """
 
     step: float | Array | None = 0.1
@@ -287,9 +296,10 @@ class Limits:
     dt: float | None = None
     position_margin: float = 0.0
     acceleration: float | Array | None = None
+    jerk: float | Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("step", "velocity", "acceleration"):
+        for name in ("step", "velocity", "acceleration", "jerk"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, _positive(name, value))
@@ -299,12 +309,14 @@ class Limits:
         for name in ("velocity", "acceleration"):
             if getattr(self, name) is not None and self.dt is None:
                 raise InvalidValue("dt", None, f"a positive duration [s], needed to limit the {name}")
+        if self.jerk is not None and self.acceleration is None:
+            raise InvalidValue("acceleration", None, "a limit of acceleration, needed to limit the jerk")
         require_positive("position_margin", self.position_margin, zero=True)
         object.__setattr__(self, "position_margin", float(self.position_margin))
 
     @cached_property
     def _key(self) -> tuple[object, ...]:
-        values = (self.step, self.velocity, self.acceleration)
+        values = (self.step, self.velocity, self.acceleration, self.jerk)
         numbers = [value.tobytes() if isinstance(value, np.ndarray) else value for value in values]
         return (*numbers, self.dt, self.position_margin)
 
@@ -403,8 +415,80 @@ class Limits:
             if len(known) >= _MAX_CACHED:
                 known.clear()
             values = (self.step, self.velocity, self.acceleration, self.dt, self.position_margin)
-            bounds = known[self._key] = joint_bounds(arm, *values)
+            bounds = known[self._key] = joint_bounds(arm, *values, self.jerk)
         return bounds
+
+
+# Limits of jerk: the arm follows another one that runs ahead.
+#
+# Let an arm that runs ahead take steps d_k within limits of speed, acceleration and position, and let the arm
+# take their mean over the last w cycles, e_k = (d_k + ... + d_(k-w+1)) / w. Its position, step and change of
+# step are means of those of the arm ahead, and every such limit is an interval; the states from which it can
+# still stop are a convex set, too, since S above is convex. So the arm keeps what the arm ahead keeps. With
+# a_k = d_k - d_(k-1), its change of step changes by (a_k - a_(k-w)) / w, which is at most 2 A / w. Hence
+# w = ceil(2 A / J) for the joint with the largest ratio, the same for all: each configuration is then a mean
+# of configurations of the arm ahead, and on a straight path in joint space the arm stays on that. On a curved
+# one it cuts the corner, by at most A w^2 / 24 for a joint: a^3 / (6 j^2). The arm comes w - 1 steps later.
+# (Moving averages as generators of smooth motions: Biagiotti and Melchiorri, Control Engineering Practice
+# 20, 2012.)
+
+MAX_JERK_CYCLES = 10_000
+"""Largest number of cycles over which steps are averaged."""
+
+
+class JerkFilter:
+    """Limits the jerk of an arm: its steps are means of the last steps of one that runs ahead.
+
+    Args:
+        arm: the arm.
+        limits: the limits.
+
+    Attributes:
+        cycles: number of steps that are averaged; 1 without a limit of jerk: steps pass unchanged.
+
+    Raises:
+        InvalidValue: a jerk so small that steps would be averaged over more than `MAX_JERK_CYCLES`.
+    """
+
+    def __init__(self, arm: Arm, limits: Limits) -> None:
+        bounds, cycles = limits.for_arm(arm), 1.0
+        if bounds.brake is not None and bounds.jerk is not None:
+            ratios = np.where(np.isfinite(bounds.jerk), 2.0 * bounds.brake / bounds.jerk, 0.0)
+            cycles = float(np.ceil(ratios[arm.columns].max() - 1e-9))
+        if not cycles <= MAX_JERK_CYCLES:
+            least = f"at least 2 acceleration / ({MAX_JERK_CYCLES} dt)"
+            raise InvalidValue(
+                "jerk", limits.jerk, f"{least}, or steps are averaged over {cycles:.4g} cycles"
+            )
+        self.cycles = max(int(cycles), 1)
+        self._steps = np.zeros((self.cycles, arm.nv))
+        self._owed = np.arange(self.cycles)[:, None] / self.cycles
+
+    @property
+    def ahead(self) -> Array:
+        """How far the arm ahead is ahead, (nv,) [rad or m]."""
+        return np.asarray((self._owed * self._steps).sum(axis=0))
+
+    @property
+    def moving(self) -> bool:
+        """Whether the arm still moves if the one ahead stands."""
+        return bool(np.any(self._steps[1:]))
+
+    def apply(self, dq: Array) -> Array:
+        """Return the step of the arm, (nv,), while the arm ahead takes the step `dq`."""
+        if self.cycles == 1:
+            return dq
+        self._steps[:-1] = self._steps[1:]
+        self._steps[-1] = dq
+        return np.asarray(self._steps.mean(axis=0))
+
+    def restart(self, dq: Array | None = None) -> None:
+        """Begin at rest, or at the speed of a step dq, (nv,)."""
+        self._steps[:] = 0.0 if dq is None else dq
+
+    def rescale(self, ratio: float) -> None:
+        """Go on with cycles of another duration."""
+        self._steps *= ratio
 
 
 def require_limits(limits: Limits | None) -> Limits:

@@ -198,7 +198,7 @@ def _format_of(kind: type, name: str, value: object) -> Format:
 
 # Parts that several formats share.
 
-_LIMITS_ARRAYS = ("step", "velocity", "acceleration")
+_LIMITS_ARRAYS = ("step", "velocity", "acceleration", "jerk")
 _TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
 
 

@@ -15,7 +15,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
-from pinposture.control.limits import require_limits
+from pinposture.control.limits import JerkFilter, require_limits
 from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
@@ -59,6 +59,10 @@ class RunRecord:
     def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error is larger at a state than now, by more than rounding."""
         return float(self._point_errors(state).sum()) > self.posture_error + ERROR_ROUNDING * state.arm.length
+
+    def mean_error_at(self, state: ArmState) -> float:
+        """Return the mean distance of the control points that have a target from it at a state [m]."""
+        return float(self._point_errors(state).sum()) / int(np.count_nonzero(self._target.has_target))
 
     def _point_errors(self, state: ArmState) -> Array:
         return np.asarray(
@@ -186,6 +190,8 @@ class ControlLoop:
         controller: the controller.
         limits: the limits of each step.
         state: the current state.
+        ahead: the state from which controllers step: the same, or ahead of it with a limit of jerk.
+        filter: what limits the jerk.
         memory: state of the controller between steps; None before the first step.
         last_step: the last step that was computed; None before the first.
         record: the run so far.
@@ -205,11 +211,13 @@ class ControlLoop:
         self.memory: Memory | None = None
         self.last_step: Step | None = None
         self.record = RunRecord(target, self.state, scene)
+        self.filter = JerkFilter(arm, limits)
+        self.ahead = self.state
 
     def compute_step(self, target: Target) -> Step:
         """Compute the next step towards a target without taking it."""
         before = self.memory
-        step = next_step(self.controller, self.state, target, self.limits, before)
+        step = next_step(self.controller, self.ahead, target, self.limits, before)
         # Keep what the controller found out; the arm has not moved yet.
         before = Memory(np.zeros(self.arm.nv)) if before is None else before
         self.memory, self.last_step = step.memory.with_motion_of(before), step
@@ -222,7 +230,11 @@ class ControlLoop:
             step: the step.
             target: the target after the step, if it has changed.
         """
-        self.state, self.memory = self.arm.at(self.arm.integrate(self.state.q, step.dq)), step.memory
+        dq, self.memory = self.filter.apply(step.dq), step.memory
+        self.state = self.ahead = self.arm.at(self.arm.integrate(self.state.q, dq))
+        if self.filter.cycles > 1:
+            step = step._replace(dq=dq)
+            self.ahead = self.arm.at(self.arm.integrate(self.state.q, self.filter.ahead))
         self.record.append(self.state, step, self.limits.travel(self.state), target)
 
     def run(
@@ -244,6 +256,9 @@ class ControlLoop:
             if status:
                 break
             step = self.compute_step(target)
+            if step.diagnostics.reason and self.filter.moving:
+                self.brake()  # the arm ahead has come to its end; this one has not
+                continue
             if step.diagnostics.reason:
                 # A controller that has points to control but no step to take is stuck.
                 status, reason = "stalled" if step.active else "no_control_points", step.diagnostics.reason
@@ -258,14 +273,16 @@ class ControlLoop:
 
     def brake_to_rest(self) -> None:
         """Brake until no joint moves; without acceleration limits that takes no step."""
-        while self.memory is not None and np.any(self.memory.braked(self.limits, self.state).dq):
+        while self.memory is not None and (
+            self.filter.moving or np.any(self.memory.braked(self.limits, self.ahead).dq)
+        ):
             self.brake()
 
     def brake(self) -> None:
         """Take a step that decelerates all joints as much as the limits allow."""
         before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
-        memory = before.braked(self.limits, self.state)
-        rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
+        memory = before.braked(self.limits, self.ahead)
+        rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.ahead.q, memory.dq)))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
         note = Diagnostics(still, error_increasing=rises)
         self.take_step(Step(memory.dq, (), note, memory))
@@ -278,6 +295,8 @@ class ControlLoop:
     def _check_end(self, tolerance: float, max_steps: int) -> tuple[str, str]:
         """Return status and reason if the run is over; empty texts while it goes on."""
         mean = self.record.mean_error
+        if self.filter.moving:
+            mean = max(mean, self.record.mean_error_at(self.ahead))
         if mean <= tolerance and not self._cannot_stop():
             return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
         if self.record.steps >= max_steps:

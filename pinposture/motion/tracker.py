@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, float_array, require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control import (
     Controller,
     Geodesic,
@@ -27,7 +27,7 @@ from pinposture.control import (
     controller_named,
 )
 from pinposture.control.controller import Memory, next_step
-from pinposture.control.limits import cycle_of
+from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
 from pinposture.control.planner.plan import PlanNeeded
 from pinposture.errors import InvalidValue, PostureError, UnknownName
@@ -368,6 +368,9 @@ NOT_DONE = "the controller is still computing"
 REST_TOLERANCE = 1e-9
 """Largest step of an arm at rest, in `Arm.joint_units`: some controllers go on forever by less."""
 
+MARGIN_ROUNDING = 1e-3
+"""Share of the margin to obstacles whose loss is not reported."""
+
 ARRIVAL_TOLERANCE = 1e-6
 """Mean distance of the control points from their targets at which the arm has arrived, in arm lengths."""
 
@@ -489,6 +492,7 @@ class Tracker:
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
+        self._filter = JerkFilter(arm, limits)
         self._timeout, self._period = timeout, period
         self._target: Target | None = None
         self._age = 0.0
@@ -551,6 +555,7 @@ class Tracker:
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
         self._feedback.restart(self.arm.checked_start(q_measured, "q_measured"), moved is not None)
         self._memory, self._dt = None if moved is None else Memory(moved), self._period
+        self._filter.restart(moved)
 
     def step(
         self,
@@ -584,26 +589,35 @@ class Tracker:
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
         feedback = self._feedback.update(q_measured, points, dt)
         memory = None if self._feedback.restarted else self._rescaled_memory(dt)
+        if memory is None:
+            self._filter.restart()
         self._age += passed
         step, reason, compensated = None, feedback.reason or self._target_problem(), None
-        if feedback.state is not None and self._target is not None and not reason:
+        state = self._ahead(feedback.state)
+        if state is not None and self._target is not None and not reason:
             compensated = self._feedback.compensate(self._target)
             try:
-                step, memory = self._steps.compute(feedback.state, compensated, limits, memory)
+                step, memory = self._steps.compute(state, compensated, limits, memory)
                 reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # an input that it cannot use, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         if step is None or reason:
-            memory = self._hold(feedback.state, limits, memory)
+            memory = self._hold(state, limits, memory)
             memory = memory if step is None else step.memory.with_motion_of(memory)
         else:
             memory = step.memory
-        self._memory, self._dt, dq = memory, dt, memory.dq
+        self._memory, self._dt, dq = memory, dt, self._filter.apply(memory.dq)
         self._feedback.apply_step(dq)
         self.report = self._make_report(feedback, step, reason, compensated, dq)
         return np.array(dq)
+
+    def _ahead(self, state: ArmState | None) -> ArmState | None:
+        """Return the state of the arm that controllers move: with a limit of jerk, it runs ahead."""
+        if state is None or self._filter.cycles == 1:
+            return state
+        return self.arm.at(self.arm.integrate(state.q, self._filter.ahead))
 
     def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> Memory:
         """Brake and hold, but avoid approaching obstacles."""
@@ -618,6 +632,7 @@ class Tracker:
         """The memory of the controller, its last step scaled to the duration of this cycle."""
         if self._memory is None or dt == self._dt:
             return self._memory
+        self._filter.rescale(dt / self._dt)
         return replace(self._memory, dq=self._memory.dq * (dt / self._dt), stopping=None)
 
     def _target_problem(self) -> str:
@@ -651,7 +666,19 @@ class Tracker:
         error = None if target is None or points is None else _mean_distance(points, target)
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
+        relaxed += self._lost_clearance()
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
+
+    def _lost_clearance(self) -> tuple[str, ...]:
+        """Say what the arm comes too close to, if that may be because a limit of jerk cuts a corner."""
+        command = self._feedback.command
+        if self._filter.cycles == 1 or self.scene is None or command is None:
+            return ()
+        closest = CollisionModel(self.arm, self.scene).minimum(command)
+        if closest.distance >= (1.0 - MARGIN_ROUNDING) * self.scene.margin:
+            return ()
+        pair = " to ".join(closest.pair or ())
+        return (f"margin from {pair}: {1e3 * closest.distance:.3g} mm are left",)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

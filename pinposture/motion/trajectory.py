@@ -56,7 +56,7 @@ class Shares(NamedTuple):
 
 
 class LimitViolation(NamedTuple):
-    """How a motion exceeds its velocity and acceleration limits.
+    """How a motion exceeds its limits of velocity, acceleration and jerk.
 
     Attributes:
         steps: the steps in which it does, counted from 0. The stop at the end belongs to the last.
@@ -75,7 +75,7 @@ class LimitViolation(NamedTuple):
 
 def limit_shares(run: Trajectory) -> Shares:
     """Return velocities and accelerations of a run relative to its limits."""
-    speeds, accelerations = _joint_shares(run)
+    speeds, accelerations, _ = _joint_shares(run)
     bounds = run.limits.for_arm(run.arm)
     limited = bool(np.any(np.isfinite(bounds.bound)))
     return Shares(
@@ -85,23 +85,29 @@ def limit_shares(run: Trajectory) -> Shares:
 
 
 def find_limit_violation(run: Trajectory) -> LimitViolation | None:
-    """Return where a run, from and to rest, exceeds its velocity and acceleration limits; None if nowhere."""
+    """Return where a run, from and to rest, exceeds a limit of velocity, acceleration or jerk."""
     if not run.steps:
         return None
-    bounds = run.limits.for_arm(run.arm)
-    speeds, accelerations = _joint_shares(run)
-    accelerations[-2] = np.maximum(accelerations[-2], accelerations[-1])
-    brake = np.inf if bounds.brake is None else bounds.brake
+    bounds, kinds = run.limits.for_arm(run.arm), ("velocity", "acceleration", "jerk")
+    shares = _joint_shares(run)
+    for each in shares[1:]:
+        each[run.steps - 1] = each[run.steps - 1 :].max(axis=0)
     rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
-    over = np.stack([speeds - rounding / bounds.bound, accelerations[:-1] - 2.0 * rounding / brake])
+    largest = (bounds.bound, bounds.brake, bounds.jerk)
+    over = np.stack(
+        [
+            each[: run.steps] - (0.0 if most is None else 2.0**order * rounding / most)
+            for order, (each, most) in enumerate(zip(shares, largest, strict=True))
+        ]
+    )
     steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + LIMIT_TOLERANCE)
     if not len(steps):
         return None
     words, ratios = [], []
     for step in steps:
         kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
-        ratios.append(float((speeds[step], accelerations[step])[kind][joint]))
-        what = f"{('velocity', 'acceleration')[kind]} of joint {run.arm.joint_names[joint]!r}"
+        ratios.append(float(shares[kind][step, joint]))
+        what = f"{kinds[kind]} of joint {run.arm.joint_names[joint]!r}"
         words.append(f"{what} is {ratios[-1]:.4g} times its limit")
     most = int(np.argmax(ratios))
     number, worst = len(steps), int(steps[most])
@@ -110,14 +116,18 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     return LimitViolation(tuple(int(step) for step in steps), tuple(words), worst, ratios[most], text)
 
 
-def _joint_shares(run: Trajectory) -> tuple[Array, Array]:
-    """Speeds (steps, nv) and accelerations (steps + 1, nv) of joints, relative to their limits; 0 without."""
+def _joint_shares(run: Trajectory) -> tuple[Array, Array, Array]:
+    """Speeds, accelerations and jerks of joints, (steps + 0, 1 and 2, nv), relative to their limits.
+
+    The arm is at rest before and after. Shares of limits that do not exist are zero.
+    """
     arm, bounds = run.arm, run.limits.for_arm(run.arm)
     moved = [arm.difference(a, b) for a, b in zip(run.q[:-1], run.q[1:], strict=True)]
-    steps = np.reshape(moved, (run.steps, arm.nv))
-    changes = np.diff(np.pad(steps, ((1, 1), (0, 0))), axis=0)
-    brake = np.inf if bounds.brake is None else bounds.brake
-    return np.abs(steps) / bounds.bound, np.abs(changes) / brake
+    values, shares = np.reshape(moved, (run.steps, arm.nv)), []
+    for most in (bounds.bound, bounds.brake, bounds.jerk):
+        shares.append(np.abs(values) / (np.inf if most is None else most))
+        values = np.diff(np.pad(values, ((1, 1), (0, 0))), axis=0)
+    return shares[0], shares[1], shares[2]
 
 
 # How motions end, and whether one may be sent to a robot.
@@ -185,8 +195,8 @@ class FinishedMotion(Protocol):
 def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
     """Return why a motion should not be sent to a robot, in words; empty if it may be.
 
-    It did not converge, it exceeds velocity or acceleration limits, or bodies penetrate each other. Only this
-    function decides it.
+    It did not converge, it exceeds a limit of velocity, acceleration or jerk, or bodies penetrate each other.
+    Only this function decides it.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
     return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
@@ -559,8 +569,12 @@ class Motion:
         if self.plan_time[cycle] == self.plan_time[cycle + 1]:
             off_the_path = self.deviations and self.run.scene is not None
             return OFF_THE_PATH if off_the_path else "the arm is behind its targets"
-        speeds, accelerations = self._shares
-        used = {"velocity": speeds[cycle], "acceleration": accelerations[cycle : cycle + 2].max(axis=0)}
+        speeds, accelerations, jerks = self._shares
+        used = {
+            "velocity": speeds[cycle],
+            "acceleration": accelerations[cycle : cycle + 2].max(axis=0),
+            "jerk": jerks[cycle : cycle + 3].max(axis=0),
+        }
         kind = max(used, key=lambda kind: float(used[kind].max()))
         ahead = sum(place.planned <= self.plan_time[cycle] for place in self.waypoints)
         # The arm slows down before a keyframe whose speed is limited sets in, and speeds up after it.
@@ -571,7 +585,7 @@ class Motion:
         return f"joint {self.arm.joint_names[int(used[kind].argmax())]} is at its {kind} limit"
 
     @cached_property
-    def _shares(self) -> tuple[Array, Array]:
+    def _shares(self) -> tuple[Array, Array, Array]:
         return _joint_shares(self.run)
 
     @cached_property

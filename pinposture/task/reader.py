@@ -370,7 +370,7 @@ def _make_leader(document: Document, spec: LeaderSpec, placement: Any, arm: Arm)
 
 
 def _make_limits(document: Document, spec: LimitsSpec, arm: Arm) -> Limits:
-    values = {key: getattr(spec, key) for key in ("step", "velocity", "acceleration", "position_margin")}
+    values = spec.model_dump(exclude={"cycle"})
     with document.blaming(("limits",)):
         limits = Limits(**values, dt=spec.cycle)
         limits.for_arm(arm)

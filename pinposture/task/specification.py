@@ -101,6 +101,8 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "rate of turning": {**_per(_ANGLES, "s"), "rpm": math.pi / 30.0},
         "acceleration": _per(_LENGTHS, "s^2"),
         "rate of change of turning": _per(_ANGLES, "s^2"),
+        "jerk": _per(_LENGTHS, "s^3"),
+        "jerk of turning": _per(_ANGLES, "s^3"),
     }
 )
 """Units by the kind of quantity, with the value of each in SI units."""
@@ -465,9 +467,10 @@ class LimitsSpec(TableSpec):
     step: Any = None
     velocity: Any = None
     acceleration: Any = None
+    jerk: Any = None
     position_margin: Any = 0.0
 
-    @field_validator("step", "velocity", "acceleration")
+    @field_validator("step", "velocity", "acceleration", "jerk")
     @classmethod
     def _for_joints(cls, value: object, info: ValidationInfo) -> Any:
         """Read a limit for all joints, for those that turn and those that slide, or one for each."""
@@ -476,6 +479,7 @@ class LimitsSpec(TableSpec):
             "step": ("angle", "length"),
             "velocity": ("rate of turning", "speed"),
             "acceleration": ("rate of change of turning", "acceleration"),
+            "jerk": ("jerk of turning", "jerk"),
         }[str(info.field_name)]
         if value == UNLIMITED_WORD:
             return math.inf

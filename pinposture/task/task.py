@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -510,10 +511,22 @@ class _Performance:
     ) -> None:
         self.guide, self.loop, self.tolerance, self.progress = guide, loop, tolerance, progress
         self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
-        self._place = 0.0
+        self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
+        self._set_place(0.0)
         self._places, self._targets = [0.0], [guide.target(0.0)]
         self._start_index: int | None = None  # None until the first posture is reached
         self._notes: list[str] = []
+
+    def _set_place(self, place: float) -> None:
+        """Set the place of an arm at rest."""
+        self._place = place
+        self._latest.extend([place] * self.loop.filter.cycles)
+
+    def _advance(self, place: float) -> float:
+        """Set the place of the arm that runs ahead; return that of the arm, which a limit of jerk delays."""
+        self._place = place
+        self._latest.append(place)
+        return place if len(self._latest) == 1 else sum(self._latest) / len(self._latest)
 
     def run(self) -> tuple[str, str]:
         """Go to the first posture, along the reference, and to rest; returns status and reason."""
@@ -570,7 +583,7 @@ class _Performance:
             if self._report():
                 ended = "stopped", STOPPED
         if ended[0] == "converged":
-            self._place = place
+            self._set_place(place)
         self._fill(self._place, target)
         self._max_steps += record.steps - begun
         return ended
@@ -592,7 +605,6 @@ class _Performance:
 
     def _record(self, place: float, target: Target) -> tuple[str, str] | None:
         """Record the place after a step; returns status and reason if the motion ends there."""
-        self._place = place
         self._places.append(place)
         self._targets.append(target)
         ended = None
@@ -623,7 +635,7 @@ class _Performance:
         while self._place < guide.end:
             begun, progress = self._place, None
             remaining = guide.remaining(begun, controller)
-            loop.memory = controller.start(remaining, loop.state.compiled, loop.memory)
+            loop.memory = controller.start(remaining, loop.ahead.compiled, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
                 target = guide.target(foreseen)
@@ -633,7 +645,7 @@ class _Performance:
                     break
                 if step.diagnostics.reason and not ahead.arrived:
                     break
-                progress, place = ahead, begun + ahead.place
+                progress, place = ahead, self._advance(begun + ahead.place)
                 target = target if place == foreseen else guide.target(place)
                 loop.take_step(step, target)
                 ended = self._record(place, target)
@@ -671,13 +683,16 @@ class _Performance:
                 place = guide.next(place, speed)
                 speed = place - self._place
                 target = guide.target(place)
-                loop.record.set_target(target)
+            place = self._advance(place)
+            shown = target if place == self._place else guide.target(place)
+            if not (behind and patient):
+                loop.record.set_target(shown)
             step = loop.compute_step(target)
             if step.diagnostics.reason:
                 loop.brake()
             else:
                 loop.take_step(step)
-            ended = self._record(place, target)
+            ended = self._record(place, shown)
             if ended is not None:
                 return ended
         return None

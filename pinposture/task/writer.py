@@ -219,7 +219,7 @@ def write_tip(tip: EndEffector) -> dict[str, Any]:
 def write_limits(limits: Limits, arm: Arm) -> dict[str, Any]:
     """Return the table of the limits of each control cycle."""
     table: dict[str, Any] = {"cycle": limits.dt}
-    for key in ("step", "velocity", "acceleration"):
+    for key in ("step", "velocity", "acceleration", "jerk"):
         value = getattr(limits, key)
         if value is not None:
             table[key] = _limit(key, value, arm)

@@ -30,6 +30,12 @@ def test_speed_and_acceleration_limits_hold_and_bind(track, controller):
     assert 0.6 * 20 * 0.02**2 < np.abs(changes).max() <= 20 * 0.02**2 + 1e-9
 
 
+def test_a_limit_of_jerk_holds_and_binds(track):
+    q = track("--acceleration", 5, "--jerk", 30, "--dt", 0.05, "--steps", 400).q
+    jerks = np.diff(np.pad(np.diff(q, axis=0), ((2, 2), (0, 0))), 2, axis=0) / 0.05**3
+    assert 0.2 * 30 < np.abs(jerks).max() <= 30 + 1e-6
+
+
 def test_one_number_for_each_joint(track):
     speeds = np.linspace(0.5, 1.6, 12)
     run = track("--velocity", ",".join(map(str, speeds)), "--dt", 0.05)
@@ -60,6 +66,7 @@ def test_an_infinite_step_is_no_limit(track):
     [
         (("--velocity", 1), ("--dt is None", "with --velocity")),
         (("--acceleration", 1), ("--dt is None", "with --acceleration")),
+        (("--jerk", 1, "--dt", 1), ("acceleration is None", "needed to limit the jerk")),
         (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "numbers separated by commas")),
         (("--velocity", 0, "--dt", 1), ("velocity is 0", "positive")),
         (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),

@@ -20,6 +20,8 @@ IN_SI = {
     "rate of turning": {"rad/s": 1, "deg/s": math.tau / 360, "turns/s": math.tau, "rpm": math.tau / 60},
     "acceleration": {"m/s^2": 1, "cm/s^2": 1 / 100, "mm/s^2": 1 / 1000},
     "rate of change of turning": {"rad/s^2": 1, "deg/s^2": math.tau / 360, "turns/s^2": math.tau},
+    "jerk": {"m/s^3": 1, "cm/s^3": 1 / 100, "mm/s^3": 1 / 1000},
+    "jerk of turning": {"rad/s^3": 1, "deg/s^3": math.tau / 360, "turns/s^3": math.tau},
 }
 PAIRS = [(kind, unit) for kind, units in IN_SI.items() for unit in units]
 NUMBERS = st.floats(-1e9, 1e9)

@@ -220,6 +220,10 @@ def test_limits_of_each_joint_or_each_kind(tmp_path: Path) -> None:
         ({"acceleration": [0.5, inf, inf, inf, inf]}, {"acceleration": {"sliding": 0.5}}),
         ({"acceleration": [0.5, 3, 3, inf, 4]}, {"acceleration": [0.5, 3, 3, "none", 4]}),
         ({"acceleration": [inf] * 5}, {"acceleration": ["none"] * 5}),
+        (
+            {"acceleration": 2, "jerk": [1, 9, 9, 9, 9]},
+            {"acceleration": 2, "jerk": {"turning": 9, "sliding": 1}},
+        ),
     ]
     for number, (given, said) in enumerate(cases):
         arrays = {key: np.array(value) if isinstance(value, list) else value for key, value in given.items()}

@@ -104,13 +104,14 @@ def test_what_is_not_said_has_the_usual_value(tmp_path: Path) -> None:
 
 def test_an_arm_on_a_feed_and_limits_for_both_kinds_of_joints(tmp_path: Path) -> None:
     limits = 'velocity = { turning = "1 turns/s" }\nstep = { turning = 0.1 }\n'
-    limits += 'acceleration = { sliding = "50 cm/s^2" }\n'
+    limits += 'acceleration = { sliding = "50 cm/s^2" }\njerk = { sliding = "5 m/s^3" }\n'
     task = loaded(tmp_path, LEADER.replace('cycle = "200 ms"\n', limits))
     arm = task.arm
     np.testing.assert_array_equal(arm.slides, [True] + 8 * [False])
     assert (arm.limits.lower[0], arm.limits.upper[0]) == (0.0, 0.3)
     np.testing.assert_allclose(task.limits.velocity, [0.1] + 8 * [2 * np.pi])
     np.testing.assert_allclose(task.limits.acceleration, [0.5] + 8 * [np.inf])
+    np.testing.assert_allclose(task.limits.jerk, [5.0] + 8 * [np.inf])
     np.testing.assert_allclose(task.limits.step, [np.inf] + 8 * [0.1])
     listed = LEADER.replace('cycle = "200 ms"\n', f"velocity = ['1 cm/s', {', '.join(8 * ['1'])}]\n")
     np.testing.assert_allclose(loaded(tmp_path, listed).limits.velocity, [0.01] + 8 * [1.0])

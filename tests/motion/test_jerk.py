@@ -1,0 +1,184 @@
+"""Limits of jerk: they and all others hold on the output, and the arm still arrives."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.arm import smooth_configuration
+from pinposture.collision import CollisionModel
+from pinposture.control.limits import JerkFilter
+from pinposture.errors import InvalidValue
+from pinposture.motion.trajectory import find_limit_violation
+
+DT = 0.01
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    return pp.Arm.from_template("RyRz", modules=6)
+
+
+def limited(jerk: float, velocity: float = 1.0, acceleration: float = 5.0) -> pp.Limits:
+    return pp.Limits(step=None, velocity=velocity, acceleration=acceleration, jerk=jerk, dt=DT)
+
+
+def largest(steps: np.ndarray, limits: pp.Limits) -> np.ndarray:
+    """Largest speed, acceleration and jerk of an arm that rests before and after steps, of their limits."""
+    rates = np.pad(steps, ((3, 3), (0, 0))) / DT
+    found = [np.abs(np.diff(rates, order, axis=0)).max() / DT**order for order in range(3)]
+    return np.array(found) / [limits.velocity, limits.acceleration, limits.jerk]
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    velocity=st.floats(0.2, 3.0),
+    acceleration=st.floats(0.5, 20.0),
+    jerk=st.floats(3.0, 2000.0),
+    controller=st.sampled_from(["geodesic", "selection", "joint"]),
+)
+def test_all_limits_hold_and_the_arm_arrives(
+    arm: pp.Arm, seed: int, velocity: float, acceleration: float, jerk: float, controller: str
+) -> None:
+    rng, limits = np.random.default_rng(seed), limited(jerk, velocity, acceleration)
+    start, goal = (smooth_configuration(arm, rng, 0.6) for _ in range(2))
+    run = pp.track(arm, pp.Target.from_configuration(arm, goal), start, controller, limits, max_steps=4000)
+    assert np.all(largest(np.diff(run.q, axis=0), limits) <= 1.0 + 1e-9)
+    assert np.all((run.q >= arm.limits.lower - 1e-9) & (run.q <= arm.limits.upper + 1e-9))
+    assert run.excess is None
+    if controller != "selection":  # which may stop on the way
+        assert run.converged and run.posture_error[-1] <= arm.n_modules * 1.001e-6 * arm.length
+
+
+@pytest.mark.parametrize("jerk", [20.0, 50.0, 200.0])
+@pytest.mark.parametrize("distance", [1.5, 2.5])
+def test_a_long_motion_of_one_joint_takes_little_longer_than_the_shortest(
+    jerk: float, distance: float
+) -> None:
+    arm, limits = pp.Arm.from_template("RyRz", 1), limited(jerk)
+    target = pp.Target.from_configuration(arm, [distance, 0.0])
+    run = pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=2000)
+    # From rest to rest, at full jerk, acceleration and speed in turn.
+    v, a = limits.velocity, limits.acceleration
+    shortest = distance / v + v / a + a / jerk
+    assert run.converged and np.all(largest(np.diff(run.q, axis=0), limits) <= 1.0 + 1e-9)
+    assert shortest - 3 * DT <= DT * run.steps <= shortest + a / jerk + 0.02 * distance / v + 3 * DT
+
+
+def test_the_filter_is_a_moving_average_that_arrives(arm: pp.Arm) -> None:
+    rng, limits = np.random.default_rng(0), limited(75.0)
+    jerk_filter, cycles = JerkFilter(arm, limits), 14  # 2 * 5 / (75 * 0.01), rounded up
+    assert jerk_filter.cycles == cycles
+    given_steps = np.concatenate([rng.normal(size=(40, arm.nv)), np.zeros((cycles - 1, arm.nv))])
+    kernel = np.full(cycles, 1.0 / cycles)
+    expected = np.array([np.convolve(column, kernel)[: len(column)] for column in given_steps.T]).T
+    taken, before = [], np.zeros(arm.nv)
+    for number, step in enumerate(given_steps):
+        taken.append(jerk_filter.apply(step))
+        before = before + step
+        np.testing.assert_allclose(np.sum(taken, axis=0) + jerk_filter.ahead, before, atol=1e-12)
+        assert jerk_filter.moving == (number < len(given_steps) - 1)
+    np.testing.assert_allclose(taken, expected, atol=1e-12)
+    jerk_filter.restart(given_steps[0])
+    np.testing.assert_allclose(jerk_filter.apply(given_steps[0]), given_steps[0])
+
+
+def test_a_path_that_bends_is_cut_by_no_more_than_derived(arm: pp.Arm) -> None:
+    limits, rng = limited(30.0), np.random.default_rng(3)
+    start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
+    target = pp.Target.from_configuration(arm, goal)
+    along = pp.track(arm, target, start, limits=pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=DT)).q
+    run = pp.track(arm, target, start, limits=limits)
+    apart = np.abs(run.q[:, None] - along[None]).max(axis=2).min(axis=1)
+    cycles = JerkFilter(arm, limits).cycles
+    between = 0.5 * np.abs(np.diff(along, axis=0)).max()  # the rows of a path are not all of it
+    assert apart.max() <= 5.0 * DT**2 * cycles**2 / 24.0 + between
+
+
+@pytest.mark.parametrize("interface", ["position", "velocity"])
+def test_the_tracker_keeps_them_whatever_happens(arm: pp.Arm, interface: str) -> None:
+    rng, limits = np.random.default_rng(1), limited(60.0)
+    tracker = pp.Tracker(arm, limits=limits, interface=interface)
+    q, steps = arm.neutral(), []
+    for cycle in range(900):
+        if cycle % 60 == 0 and cycle < 600:
+            goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.9))
+            tracker.update(pp.Target.from_configuration(arm, goal))
+        measured = None if rng.random() < 0.05 and cycle < 600 else q + 1e-5 * rng.normal(size=arm.nv)
+        dq = tracker.step(measured)
+        steps.append(dq)
+        q = q + dq if interface == "velocity" else q + 0.5 * (tracker.command - q)
+    taken = np.array(steps)
+    rates = np.pad(taken, ((3, 0), (0, 0))) / DT
+    found = [np.abs(np.diff(rates, order, axis=0)).max() / DT**order for order in range(3)]
+    assert np.all(np.array(found) <= np.array([1.0, 5.0, 60.0]) * (1.0 + 1e-9))
+    assert np.abs(arm.at(q).points - arm.at(goal).points).max() <= 1e-3 * arm.length
+
+
+def test_a_tracker_that_starts_in_motion_goes_on_smoothly(arm: pp.Arm) -> None:
+    tracker, before = pp.Tracker(arm, limits=limited(60.0)), np.full(arm.nv, 0.008)
+    tracker.restart(arm.neutral(), before)
+    assert np.abs(tracker.step(arm.neutral()) - before).max() <= 60.0 * DT**3 + 1e-12  # it brakes
+
+
+def test_motions_keep_them_and_stay_on_their_keyframes(arm: pp.Arm) -> None:
+    rng, limits = np.random.default_rng(5), limited(100.0, 2.0, 10.0)
+    postures = [smooth_configuration(arm, rng, 0.5) for _ in range(3)]
+    keyframes = [pp.Keyframe(None, time, joints=q) for time, q in zip((0.0, 1.0, 2.0), postures, strict=True)]
+    for controller in ("geodesic", "joint"):
+        motion = pp.move_through(arm, keyframes, controller, limits)
+        assert motion.converged and not motion.faults
+        assert np.all(largest(np.diff(motion.q, axis=0), limits) <= 1.0 + 1e-9)
+        assert len(motion.targets) == len(motion.q) and np.all(np.diff(motion.plan_time) >= -1e-12)
+        worst = max(place.mean_error for place in motion.waypoints)
+        assert worst <= 0.02 * arm.length
+    np.testing.assert_allclose(motion.q[-1], postures[-1], atol=1e-5)
+
+
+def test_clearance_that_a_cut_corner_costs_is_reported(arm: pp.Arm) -> None:
+    rng, limits = np.random.default_rng(2), limited(15.0, 2.0)
+    start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
+    middle = arm.at(0.5 * (start + goal)).points[4]
+    scene = pp.Scene(
+        {"ball": pp.Sphere(tuple(middle + [0.0, 0.0, 0.04]), 0.02)}, margin=0.01, arm_radius=0.005
+    )
+    tracker, model = pp.Tracker(arm, limits=limits, scene=scene), CollisionModel(arm, scene)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    q, lowest = start, np.inf
+    for _ in range(1500):
+        q = arm.integrate(q, tracker.step(q))
+        told = any(each.startswith("margin") for each in tracker.report.violated_constraints)
+        assert told or model.minimum(q).distance >= 0.99 * scene.margin
+        lowest = min(lowest, model.minimum(q).distance)
+        if tracker.report.status == "converged":
+            break
+    assert tracker.report.status == "converged"
+    assert lowest < 0.95 * scene.margin  # so that there was something to report
+
+
+def test_what_is_asked_for_is_checked(arm: pp.Arm) -> None:
+    with pytest.raises(InvalidValue, match="acceleration"):
+        pp.Limits(velocity=1.0, jerk=10.0, dt=DT)
+    with pytest.raises(InvalidValue, match="jerk"):
+        pp.Limits(acceleration=1.0, jerk=-1.0, dt=DT)
+    with pytest.raises(InvalidValue, match="jerk"):
+        pp.track(arm, pp.Target.from_configuration(arm, arm.neutral()), arm.neutral(), limits=limited(1e-3))
+    with pytest.raises(InvalidValue, match="jerk"):
+        pp.Limits(acceleration=1.0, jerk=[1.0, 2.0], dt=DT).for_arm(arm)
+
+
+def test_a_run_that_exceeds_the_limit_says_so(arm: pp.Arm, tmp_path: Path) -> None:
+    goal = smooth_configuration(arm, np.random.default_rng(0), 0.6)
+    target = pp.Target.from_configuration(arm, goal)
+    run = pp.track(arm, target, arm.neutral(), limits=limited(20.0))
+    pp.save(run, tmp_path / "run.npz")
+    assert pp.load(tmp_path / "run.npz").limits == run.limits
+    free = pp.track(arm, target, arm.neutral(), limits=limited(1e6))
+    vars(free)["limits"] = limited(20.0)
+    excess = find_limit_violation(free)
+    assert excess is not None and "jerk of joint" in excess.text
+    worst = largest(np.diff(free.q, axis=0), limited(20.0))[2]
+    assert excess.ratio == pytest.approx(worst, rel=1e-6)
