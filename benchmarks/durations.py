@@ -8,6 +8,9 @@ them, at times at which limits bind throughout. Limits of all joints are 1 rad/s
 5 rad/s^2 alone. The cycle is 10 ms. The shortest time is that of TOPP-RA (the `toppra` package, in an
 environment of its own, made when first needed) for the same path, from rest to rest. What the output takes of
 the limits is measured from the joint positions of the run.
+
+Single joints also have limits of jerk; their shortest time is that of Ruckig (package `ruckig`, as above).
+Ratios below 1 come from cycles: limits hold for differences between them, not for all times.
 """
 
 from __future__ import annotations
@@ -35,6 +38,9 @@ from pinposture.task.task import ReferencePath
 CYCLE = 0.01
 LIMITS = ((1.0, 2.0), (1.0, 5.0), (1.0, 20.0), (1000.0, 5.0))
 """Limits of speed [rad/s] and acceleration [rad/s^2]."""
+
+JERKS, DISTANCES = (20.0, 50.0, 200.0), (0.02, 0.1, 0.3, 1.0, 2.5)
+"""Limits of jerk [rad/s^3], and distances that single joints move [rad]."""
 
 BEND, POSTURES, ROWS, SAMPLES = 32.0, 5, 401, 4
 """Joint motion of postures, times the number of joints [rad]; postures and waypoints of a motion; and samples
@@ -95,6 +101,34 @@ def shortest_durations(runs: list[Run], limits: np.ndarray) -> list[float]:
         return [float(each) for each in json.loads(output.read_text())]
 
 
+def measure_jerk(jerk: float) -> list[dict[str, Any]]:
+    """Return the figures of motions of a single joint."""
+    arm, (speed, acceleration) = pp.Arm.from_template("RyRz", 1), LIMITS[1]
+    limits = pp.Limits(step=None, velocity=speed, acceleration=acceleration, jerk=jerk, dt=CYCLE)
+    rows, motions = [], [(distance, speed, acceleration, jerk) for distance in DISTANCES]
+    for motion, best in zip(motions, shortest_motions(motions), strict=True):
+        target = pp.Target.from_configuration(arm, [motion[0], 0.0])
+        run = pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=20_000)
+        jerks = np.diff(np.pad(run.q, ((3, 3), (0, 0)), mode="edge"), 3, axis=0) / CYCLE**3
+        duration, used = CYCLE * run.steps, float(np.abs(jerks).max() / jerk)
+        row = {"kind": "joint", "distance": motion[0], "jerk": jerk, "arrived": run.converged}
+        rows.append({**row, "duration": duration, "ratio": duration / best, "jerk_used": used})
+    return rows
+
+
+def shortest_motions(motions: list[tuple[float, ...]]) -> list[float]:
+    """Return the shortest durations of motions of one joint, by Ruckig [s]."""
+    where = environments.prepare({"ruckig"})["ruckig"]
+    if where.python is None:
+        raise SystemExit(f"ruckig cannot be installed: {where.reason}")
+    with tempfile.TemporaryDirectory() as folder:
+        source, output = Path(folder, "motions.json"), Path(folder, "durations.json")
+        source.write_text(json.dumps(motions))
+        script = Path(__file__).with_name("ruckig_durations.py")
+        subprocess.run([where.python, str(script), str(source), str(output)], check=True)
+        return [float(each) for each in json.loads(output.read_text())]
+
+
 def measure(kind: str, joints: int, speed: float, acceleration: float, draws: int) -> dict[str, Any]:
     """Return the figures of one kind of runs with one number of joints."""
     arm = pp.Arm.from_template("RyRz", joints // 2, (1.0 / joints, 1.0 / joints))
@@ -141,6 +175,14 @@ def main() -> None:
                 "{kind:6s} {joints:4d} joints, {speed:6g} rad/s, {acceleration:4g} rad/s^2: {ratio:.3f} "
                 "times the shortest (largest {largest_ratio:.3f}); arrived {arrived} of {of}; at most "
                 "{speed_used:.1%} of the speed, {acceleration_used:.1%} of the acceleration".format(**row),
+                flush=True,
+            )
+    for row in (row for jerk in JERKS for row in measure_jerk(jerk)):
+        rows.append(row)
+        if not given.json:
+            print(
+                "one joint by {distance:4g} rad, {jerk:4g} rad/s^3: {duration:.2f} s, {ratio:.3f} times the "
+                "shortest; at most {jerk_used:.1%} of the jerk".format(**row),
                 flush=True,
             )
     if given.json:

@@ -38,6 +38,7 @@ ENVIRONMENTS = {
     "mink": Recipe("peers", ("mink", "mujoco", "qpsolvers", "daqp"), "mink"),
     "placo": Recipe("placo", ("placo",), "placo"),
     "toppra": Recipe("toppra", ("toppra",), "toppra"),
+    "ruckig": Recipe("ruckig", ("ruckig",), "ruckig"),
 }
 """Recipes by the names that `peers.Entry.environment` uses; those of a folder are installed in this order."""
 
