@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, rigid_placement
-from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions
+from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions, plausible_positions
 from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
@@ -495,8 +495,15 @@ class Arm(ConfigurationSpace):
             InvalidValue: as `checked`; or joints are so far outside that degrees may have been meant.
         """
         checked = self.checked(q, name)
-        self.check_positions(self.difference(self.origin, checked), name)
+        positions, (low, high) = self.difference(self.origin, checked), self._plausible_positions
+        if np.less(positions, low).any() or np.greater(positions, high).any():
+            self.check_positions(positions, name)
         return checked
+
+    @cached_property
+    def _plausible_positions(self) -> tuple[Array, Array]:
+        """Joint positions, (nv,) each, between which `check_positions` finds nothing."""
+        return plausible_positions(self.limits, self.slides)
 
     def check_positions(self, positions: ArrayLike, name: str = "positions") -> None:
         """Check joint positions (nv,) [rad or m] against the limits, as `checked_start` does.

@@ -217,6 +217,14 @@ def check_joint_positions(
         warnings.warn(text, PostureWarning, stacklevel=4)
 
 
+def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return lowest and highest positions, (nv,) each, between which `check_joint_positions` says nothing."""
+    free = ~slides & ~np.isfinite(np.minimum(-limits.lower, limits.upper))
+    widest = np.where(free, WOUND_POSITION, np.inf)
+    slack = 0.9 * SLACK  # no more than that, whatever the rounding
+    return np.maximum(limits.lower - slack, -widest), np.minimum(limits.upper + slack, widest)
+
+
 def _suggest_degrees(suspicious: NDArray[np.bool_], comparable: NDArray[np.bool_]) -> bool:
     least = max(DEGREES_MIN_COUNT, DEGREES_FRACTION * np.count_nonzero(comparable))
     return bool(np.count_nonzero(suspicious) >= least)

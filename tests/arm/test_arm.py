@@ -13,9 +13,12 @@ from analytic import enumeration, planar, ryrz
 from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
 import pinposture as pp
 from pinposture.arm import continuum_section
+from pinposture.arm.configurations import JointLimits, check_joint_positions, plausible_positions
 from pinposture.control import controller_named
 from pinposture.errors import InvalidValue, UnknownName
 
@@ -389,3 +392,20 @@ def test_degrees_count_for_joints_that_turn() -> None:
     np.testing.assert_allclose(arm.to_degrees(q), [0.02, 90.0, -45.0])
     with pytest.raises(InvalidValue, match="positions"):
         arm.from_degrees([1.0, 2.0])
+
+
+@given(
+    lower=arrays(float, 5, elements=st.one_of(st.just(-np.inf), st.floats(-10.0, -0.1))),
+    upper=arrays(float, 5, elements=st.one_of(st.just(np.inf), st.floats(0.1, 10.0))),
+    slides=arrays(bool, 5),
+    positions=arrays(float, 5, elements=st.floats(-60.0, 60.0)),
+)
+def test_positions_called_plausible_pass_the_check_in_silence(
+    lower: np.ndarray, upper: np.ndarray, slides: NDArray[np.bool_], positions: np.ndarray
+) -> None:
+    limits = JointLimits(lower, upper, np.ones(5))
+    low, high = plausible_positions(limits, slides)
+    assert np.all(low <= np.maximum(lower, -20.0)) and np.all(high >= np.minimum(upper, 20.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_joint_positions("q", np.clip(positions, low, high), limits, slides, list("abcde"))
