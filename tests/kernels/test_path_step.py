@@ -164,3 +164,6 @@ def test_refined_waypoints_are_on_the_natural_spline(pieces: int, factor: int) -
     places = np.linspace(0.0, pieces, factor * pieces + 1)
     spline = CubicSpline(np.arange(pieces + 1.0), x, bc_type="natural" if pieces > 1 else "not-a-knot")
     np.testing.assert_allclose(finer, spline(places), atol=1e-13)
+    slopes = np.empty_like(x)
+    kernels.spline_slopes(x, slopes)
+    np.testing.assert_allclose(slopes, spline(np.arange(pieces + 1.0), 1), atol=1e-12)

@@ -106,7 +106,8 @@ def test_keyframes_lie_on_the_curves_of_the_file(examples: dict[str, Done]) -> N
     # The helix (6.17) has the radius 0.06 and the pitch 0.15, so all its chords over a turn are that long.
     curve = reference.marks[3].target.curve
     near = curve.at(np.linspace(0, curve.length, 20_000))
-    assert max(np.linalg.norm(near - point, axis=1).min() for point in helix) < 1e-4
+    # The arm passes it within half a cycle of the nearest row.
+    assert max(np.linalg.norm(near - point, axis=1).min() for point in helix) < 3e-4
     turn = 2 * np.pi * np.hypot(0.06, 0.15 / (2 * np.pi))
     assert curve.length == pytest.approx(4 * turn, rel=1e-9)
 

@@ -85,11 +85,9 @@ class JointPath:
 
     @cached_property
     def slopes(self) -> Array:
-        """Change of the offset at each waypoint from one to the next, (N + 1, nv) [rad or m]."""
-        offsets, slopes = self.offsets, np.empty_like(self.offsets)
-        np.subtract(offsets[2:], offsets[:-2], out=slopes[1:-1])
-        slopes[1:-1] *= 0.5
-        slopes[0], slopes[-1] = offsets[1] - offsets[0], offsets[-1] - offsets[-2]
+        """Slope of the smooth curve at each waypoint, (N + 1, nv) [rad or m per waypoint]."""
+        slopes = np.empty_like(self.offsets)
+        kernels.spline_slopes(self.offsets, slopes)
         return slopes
 
     @property
@@ -114,7 +112,7 @@ class JointPath:
         return np.asarray((1.0 - share) * self.offsets[i] + share * self.offsets[i + 1])
 
     def smooth_offset(self, place: float) -> Array:
-        """Return the same on a cubic curve through the waypoints, which has no corners, (nv,)."""
+        """Return the same on natural cubic splines through the waypoints, (nv,)."""
         i = min(int(place), len(self.offsets) - 2)
         t = place - i
         before, after = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * t * (3.0 - 2.0 * t)
