@@ -91,7 +91,7 @@ def _fastest_start(
         if -x / (2.0 * h) > low:
             low, low_slope = -x / (2.0 * h), -0.5 / h
         excess = low - high
-        if excess <= PROFILE_ROUNDING * (abs(low) + abs(high)):
+        if excess <= PROFILE_ROUNDING * (abs(low) + abs(high) + x / h):  # both may be nearly zero
             return x
         fall = low_slope - high_slope
         if fall <= 0.0:

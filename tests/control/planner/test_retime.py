@@ -9,10 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples, seeds
+from scipy.interpolate import CubicSpline
+from scipy.optimize import linprog
+from scipy.sparse import csr_array, vstack
 
 import pinposture as pp
 from pinposture.control.planner.objective import Objective
-from pinposture.control.planner.path import JointPath, SpeedProfile
+from pinposture.control.planner.path import ACCELERATION_SHARE, JointPath, SpeedProfile
 
 ROUNDING = 1e-9
 
@@ -171,3 +174,54 @@ def test_the_last_step_can_be_stopped_from_at_once(most: float) -> None:
         places = gone(path, np.array([0.05]), np.array([brake]), most)
         last = path.smooth_offset(places[-1]) - path.smooth_offset(places[-2])
         assert abs(last[0]) <= brake * (1.0 + ROUNDING)
+
+
+def shortest(path: JointPath, profile: SpeedProfile, brake: np.ndarray) -> float:
+    """Steps with the largest squares of speeds on the parts of a path that HiGHS finds for its limits."""
+    count = len(profile.top) - 1
+    h = path.end / count
+    curve = CubicSpline(np.arange(path.end + 1.0), path.offsets, bc_type="natural")
+    at = h * np.arange(count)[:, None] + h * np.array([1e-9, 0.5, 1.0 - 1e-9])
+    slopes, bends = curve(at, 1), curve(at, 2)
+    # f = q' u + q'' (x + 2 (s - s0) u) has three Bernstein coefficients on a part that begins at s0.
+    u = slopes + bends * (2.0 * h * np.array([0.0, 0.5, 1.0]))[:, None]
+    u[:, 1], bends[:, 1] = (
+        2.0 * u[:, 1] - 0.5 * (u[:, 0] + u[:, 2]),
+        2.0 * bends[:, 1] - bends[:, ::2].mean(1),
+    )
+    rows, columns, values, parts = [], [], [], np.repeat(np.arange(count), u[0].size)
+    for column, share in ((parts, bends - u / (2.0 * h)), (parts + 1, u / (2.0 * h))):
+        rows.append(np.arange(len(parts)))
+        columns.append(column)
+        values.append(share.reshape(count, -1).ravel())
+    matrix = csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))))
+    limits = np.tile(brake, 3 * count)
+    ends = [(0.0, (path.end + 1.0) ** 2)] * (count + 1)
+    ends[0], ends[-1] = (0.0, profile.top[0] ** 2), (0.0, profile.top[-1] ** 2)
+    both, most = vstack([matrix, -matrix]), np.concatenate([limits, limits])
+    found = linprog(-np.ones(count + 1), both, most, bounds=ends)
+    assert found.status == 0
+    speeds = np.sqrt(np.maximum(found.x, 0.0))
+    return float((2.0 * h / (speeds[1:] + speeds[:-1])).sum())
+
+
+@pytest.mark.parametrize("seed", seeds(12))
+def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path, brake = smooth_way(rng, 70, 4), rng.uniform(1e-4, 1e-2, 4)
+    bounds = (
+        pp.Limits().for_arm(path.arm)._replace(bound=np.full(4, np.inf), brake=brake / ACCELERATION_SHARE)
+    )
+    profile = SpeedProfile(path, bounds)
+    assert profile.steps <= 1.02 * shortest(path, profile, brake)
+
+
+def test_the_arm_does_not_stop_on_the_way_because_of_rounding() -> None:
+    arm, rng = pp.Arm.from_template("RyRz", 8, (1 / 16, 1 / 16)), np.random.default_rng(15)
+    limits = pp.Limits(step=None, velocity=1000.0, acceleration=5.0, dt=0.01)
+    start, goal = (pp.arm.smooth_configuration(arm, rng, 2.0) for _ in range(2))
+    path = pp.plan(arm.at(start), pp.Target.from_configuration(arm, goal), limits=limits)
+    profile = pp.retime(path, limits).profile
+    assert profile is not None and profile.top[1:-1].min() > 0.05
+    brake = ACCELERATION_SHARE * limits.for_arm(arm).brake
+    assert profile.steps <= 1.02 * shortest(path, profile, brake)
