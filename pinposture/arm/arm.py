@@ -53,34 +53,33 @@ from pinposture.storage import settled
 Array = NDArray[np.float64]
 
 TURN_TOLERANCE = 1e-9
-"""Fraction of a turn that counts as rounding."""
+"""Fraction of a turn that counts as rounding error."""
 
 
 class Arm(ConfigurationSpace):
     """A serial arm with posture control points at its module boundaries.
 
-    Make one with `from_template`, `from_modules`, `load` or `from_model`. An arm is immutable and
-    pickles; it may be shared between threads. Configurations are Pinocchio's: `q` has `nq` entries and
-    moves only by `integrate`, because a continuous joint takes two of them.
+    Build one with `from_template`, `from_modules`, `load` or `from_model`. An arm is immutable, can be
+    pickled and can be shared between threads. Configurations are Pinocchio's: `q` has `nq` entries, two for
+    each continuous joint, and must be changed with `integrate`.
 
     Attributes:
-        model: the arm's own `pin.Model`, base placement included. Do not change it.
+        model: the arm's own `pin.Model`, base placement included. Do not modify it.
         control_points: names of the control points from base to tip, (m,).
-        base_placement: where the base link stands in the world.
+        base_placement: placement of the base link in the world.
         chain: the kinematic chain at the neutral configuration.
         urdf: the description it was loaded from, or None.
-        report: what was decided while it was loaded (base, tip, warnings, ...); None if it was not.
-        spec: what it was made from; None if that was a Pinocchio model.
+        report: decisions made while loading (base, tip, warnings, ...); None if the arm was not loaded.
+        spec: the specification it was built from; None if it was built from a Pinocchio model.
         segmentation: how its joints are grouped into modules, and why.
-        kinematics: the chain as kernels see it.
+        kinematics: the chain as arrays for kernels.
         frames: reads the control points from Pinocchio; None if the arm is too long for that.
         moved: 1 where a degree of freedom belongs to the chain, else 0, (nv,).
-        characteristic_length: the slide that weighs as much as a turn of one radian, where both are compared
-            [m]: the mean module length, unless set by `with_characteristic_length`.
-        joint_units: the motion of each joint that counts as one, (nv,): one radian, or
-            `characteristic_length` metres.
-        cache: what other packages derive from the arm, such as its collision models, by class or function;
-            neither copied nor pickled.
+        characteristic_length: the sliding distance equivalent to one radian, where both are compared [m]:
+            the mean module length, unless set by `with_characteristic_length`.
+        joint_units: unit motion of each joint, (nv,): one radian, or `characteristic_length` metres.
+        cache: data that other packages derive from the arm, such as its collision models, keyed by class or
+            function; neither copied nor pickled.
     """
 
     def __init__(
@@ -128,14 +127,14 @@ class Arm(ConfigurationSpace):
             name: template name, for instance "RyRz".
             modules: number of modules, at least 1.
             link_lengths: length of the link after each joint of the module [m]; the template's own if None.
-            base_placement: where the base stands in the world; the origin if None.
+            base_placement: placement of the base in the world; the origin if None.
 
         Returns:
             The arm, stretched along x at its neutral configuration.
 
         Raises:
-            UnknownName: no such template.
-            InvalidValue: a number of modules or link lengths that make no arm.
+            UnknownName: there is no such template.
+            InvalidValue: invalid number of modules or link lengths.
         """
         if isinstance(modules, bool) or not isinstance(modules, int) or modules < 1:
             raise InvalidValue("modules", modules, "a whole number of at least 1")
@@ -148,16 +147,13 @@ class Arm(ConfigurationSpace):
 
     @classmethod
     def from_spec(cls, spec: ArmSpec) -> Arm:
-        """Build the arm that a specification describes.
+        """Build an arm from a specification, which it keeps as `spec`.
 
         Args:
-            spec: a template or a URDF, and how to make an arm of it.
-
-        Returns:
-            The arm, which keeps `spec`.
+            spec: a template or a URDF, and how to build an arm from it.
 
         Raises:
-            PostureError: as `from_template` and `load`, or neither a template nor a URDF is named.
+            PostureError: as `from_template` and `load`, or if neither a template nor a URDF is given.
         """
         placement = None if spec.placement is None else spec.placement.build()
         if spec.urdf is None:
@@ -184,7 +180,7 @@ class Arm(ConfigurationSpace):
 
         Args:
             modules: the templates in order.
-            base_placement: where the base stands in the world; the origin if None.
+            base_placement: placement of the base in the world; the origin if None.
             name: robot name written into the URDF.
 
         Returns:
@@ -206,36 +202,36 @@ class Arm(ConfigurationSpace):
         base_placement: pin.SE3 | None = None,
         couplings: Mapping[str, str | Sequence[Any]] | None = None,
     ) -> Arm:
-        """Load an arm from wherever it is described; meshes are not needed.
+        """Load an arm from a robot description; meshes are not needed.
 
             pp.Arm.load("arm.urdf")
             pp.Arm.load("ur10e_description", modules=2)
             pp.Arm.load("arm.xml", base="torso", tip="hand")
 
         Args:
-            source: URDF or xacro, the text or the path of a file; path of an MJCF file; the name of a
-                description in the package robot_descriptions, which fetches it; or a Pinocchio model with
-                joints of one degree of freedom. Models and MJCF files become URDF, without shapes.
-            base: link at which the arm begins; the root if None.
-            tip: link at which it ends; if None, the last of the links in `modules`, or the end of the longest
+            source: URDF or xacro, as text or file path; path of an MJCF file; the name of a description in
+                the package robot_descriptions, which fetches it; or a Pinocchio model whose joints have one
+                degree of freedom. Models and MJCF files are converted to URDF, without shapes.
+            base: first link of the arm; the root if None.
+            tip: last link of the arm; if None, the last of the links in `modules`, or the end of the longest
                 moving chain (`pinposture.arm.urdf_reader`).
-            modules: joints per module: one number for all, or one for each module; or names of the links at
+            modules: joints per module, one number for all or one for each module; or names of the links at
                 whose origins modules end. If None, the smallest modules that can follow any curve
                 (`pinposture.arm.segmentation`).
-            locked: joints to lock and their positions [rad or m]. Joints off the chain are locked anyway,
-                where the joint that they mimic puts them or at the position nearest zero within their limits.
-            package_dirs: folders in which viewers look for meshes; loading needs none.
-            base_placement: where the root link stands in the world; the origin if None.
-            couplings: joints that follow others, besides those with <mimic>: for each the name of the joint
-                that it follows; or that name, a ratio, and an offset [rad or m].
+            locked: joints to lock and their positions [rad or m]. Joints off the chain are always locked:
+                mimic joints where their leader puts them, others at the position nearest zero within limits.
+            package_dirs: folders in which viewers look for meshes; not needed for loading.
+            base_placement: placement of the root link in the world; the origin if None.
+            couplings: joints that follow others, in addition to <mimic>: joint name to the name of its
+                leader, or to the leader's name, a ratio, and an offset [rad or m].
 
         Returns:
             The arm, with control points named "module_01", "module_02", ... at the ends of its modules.
-            Decisions that may surprise are in `warnings`, and each is issued as a `PostureWarning`.
+            Possibly unexpected decisions are listed in `warnings` and issued as `PostureWarning`.
 
         Raises:
             FileError: the source is missing, unreadable, or cannot be converted.
-            URDFError: the description cannot be used; names the link or joint and the reason.
+            URDFError: unusable description; names the link or joint and the reason.
             UnknownName: `base`, `tip` or a locked joint does not exist.
             InvalidValue: `modules` does not fit the chain, or another argument is invalid.
         """
@@ -244,7 +240,7 @@ class Arm(ConfigurationSpace):
         given = (source, base, tip, modules, locked or {}, package_dirs, base_placement, couplings)
         loaded = load_model(*given)
         folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
-        embedded = is_urdf_text(source) or not Path(source).exists()  # a name says less than what was found
+        embedded = is_urdf_text(source) or not Path(source).exists()  # a name does not identify the text
         if embedded:
             folders = loaded.report.package_dirs
         spec = ArmSpec(
@@ -274,19 +270,19 @@ class Arm(ConfigurationSpace):
         control_points: Sequence[str],
         base_placement: pin.SE3 | None = None,
     ) -> Arm:
-        """Use an existing Pinocchio model; it is copied and never written to.
+        """Build an arm from a copy of an existing Pinocchio model.
 
         Args:
             model: the model; each joint on the chain has one degree of freedom.
             control_points: names of existing frames from base to tip, the ends of the modules.
-            base_placement: moves the whole model in the world; not at all if None.
+            base_placement: moves the whole model in the world; not moved if None.
 
         Returns:
-            The arm. Joints that move none of the control points stay in `q` and are never moved.
+            The arm. Joints that move no control point keep their entries in `q` but are never moved.
 
         Raises:
-            UnknownName: a frame that does not exist.
-            InvalidValue: frames that are not in order along one chain.
+            UnknownName: a frame does not exist.
+            InvalidValue: the frames are not in order along one chain.
         """
         if not isinstance(model, pin.Model):
             raise InvalidValue("model", model, "a pin.Model")
@@ -296,7 +292,7 @@ class Arm(ConfigurationSpace):
         return cls(own, control_points, placement)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is needed to build this arm again, as data that JSON can hold."""
+        """Return JSON-compatible data from which `from_dict` rebuilds this arm."""
         described: dict[str, Any] = {"control_points": list(self.control_points)}
         described["base_placement"] = np.asarray(self.base_placement.homogeneous).tolist()
         described["urdf"] = self.urdf
@@ -311,7 +307,7 @@ class Arm(ConfigurationSpace):
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any]) -> Arm:
-        """Build the arm that `to_dict` described."""
+        """Rebuild an arm from the data of `to_dict`."""
         model = pin.Model()
         model.loadFromString(described["model"])
         placement = pin.SE3(np.array(described["base_placement"]))
@@ -339,27 +335,27 @@ class Arm(ConfigurationSpace):
 
     @property
     def base(self) -> str:
-        """Link at which the arm begins; of a Pinocchio model, the world."""
+        """First link of the arm; for a Pinocchio model, the world."""
         return self.report.base if self.report else str(self.model.frames[0].name)
 
     @property
     def tip(self) -> str:
-        """Link at which it ends; of a Pinocchio model, the frame of the last control point."""
+        """Last link of the arm; for a Pinocchio model, the frame of the last control point."""
         return self.report.tip if self.report else self.control_points[-1]
 
     @property
     def n_modules(self) -> int:
-        """Number of modules m, which is the number of control points."""
+        """Number of modules and of control points, m."""
         return len(self.control_points)
 
     @cached_property
     def couplings(self) -> tuple[Coupling, ...]:
-        """The joints that follow others, so that there are fewer degrees of freedom than joints."""
+        """Joints that follow others and have no degree of freedom of their own."""
         return read_couplings(self.model)
 
     @property
     def columns(self) -> NDArray[np.intp]:
-        """Index in the tangent space of each degree of freedom of the chain, from base to tip, (n,)."""
+        """Tangent-space index of each degree of freedom of the chain, from base to tip, (n,)."""
         return self.chain.inputs
 
     @property
@@ -392,14 +388,11 @@ class Arm(ConfigurationSpace):
 
     @property
     def length(self) -> float:
-        """Length from the first joint to the tip, along the arm [m]."""
+        """Length along the arm from the first joint to the tip [m]."""
         return self.chain.length
 
     def can_follow(self, curve: Curve) -> Feasibility:
-        """Tell whether the modules can follow a curve within their joint limits (Section 4.1).
-
-        Args:
-            curve: the curve to follow.
+        """Check whether the modules can follow a curve within their joint limits (Section 4.1).
 
         Returns:
             The largest curvature and torsion that the modules can follow, and the stretches of the curve
@@ -408,7 +401,7 @@ class Arm(ConfigurationSpace):
         return check_feasibility(self.chain, self.limits.lower, self.limits.upper, curve)
 
     def from_degrees(self, positions: ArrayLike) -> Array:
-        """Return the configuration of joint positions in degrees; those of slides stay in metres.
+        """Convert joint positions in degrees to a configuration; slides are given in metres.
 
         Args:
             positions: one number per degree of freedom, (nv,) [deg or m].
@@ -423,14 +416,14 @@ class Arm(ConfigurationSpace):
         return self.configuration(np.where(self.in_metres, given, np.deg2rad(given)))
 
     def to_degrees(self, q: ArrayLike) -> Array:
-        """Return the joint positions of a configuration (nq,) in degrees, (nv,); of slides in metres."""
+        """Return the joint positions of a configuration (nq,), (nv,), in degrees; slides in metres."""
         positions = self.positions(q)
         return np.asarray(np.where(self.in_metres, positions, np.rad2deg(positions)))
 
     def straight(self) -> Array:
         """Return the configuration of longest reach, (nq,); the neutral one for shipped templates.
 
-        A base that slides without real limits (`roaming`) stays at zero.
+        Slides without real limits that carry the base (`roaming`) stay at zero.
         """
         return self.configuration(self._stretched)
 
@@ -438,9 +431,9 @@ class Arm(ConfigurationSpace):
     def _stretched(self) -> Array:
         """Joint positions (nv,) [rad or m] that maximise the distance from base to tip, within the limits.
 
-        They are zero if the arm is straight there and cannot slide; otherwise the maximum is searched from
-        there, and is a local one for arms that can stretch in several ways. A slide without real limits goes
-        as far as the arm is long, or stays at zero if it carries the base.
+        Zero if the arm is straight there and has no slides. Otherwise the maximum is searched for from zero,
+        and is a local one for arms that can stretch in several ways. A slide without real limits extends by
+        the length of the arm, or stays at zero if it carries the base.
         """
         base, length, units = self.chain.base, self.length, self.joint_units
         straight = np.linalg.norm(self.chain.points[-1] - base) > (1.0 - 1e-9) * length
@@ -458,7 +451,7 @@ class Arm(ConfigurationSpace):
         low[~self.slides], high[~self.slides] = (np.array(self.limits[:2]) / units)[:, ~self.slides]
         fixed = np.clip(0.0, self.limits.lower, self.limits.upper) / units
         low, high = np.where(self.roaming, fixed, low), np.where(self.roaming, fixed, high)
-        # Zero itself can be a stationary point, for instance of an arm that is folded there.
+        # Zero itself can be a stationary point, for instance if the arm is folded there.
         start = np.clip(np.full(self.nv, 1e-3), low, high)
         bounds = list(zip(low, high, strict=True))
         found = minimize(negative_reach, start, jac=True, bounds=bounds, method="L-BFGS-B").x
@@ -466,14 +459,14 @@ class Arm(ConfigurationSpace):
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:
-        """True for a degree of freedom of the chain that slides, (nv,)."""
+        """True for each sliding degree of freedom of the chain, (nv,)."""
         slides = np.zeros(self.nv, dtype=np.bool_)
         slides[self.columns] = ~self.chain.revolute[self.chain.leaders]
         return slides
 
     @cached_property
     def in_metres(self) -> NDArray[np.bool_]:
-        """True for a degree of freedom that slides, on the chain or beside it, (nv,)."""
+        """True for each sliding degree of freedom, on the chain or off it, (nv,)."""
         joints = [number for number in range(1, self.model.njoints) if self.model.joints[number].nv == 1]
         slides = np.zeros(self.nv, dtype=np.bool_)
         slides[[self.model.joints[joint].idx_v for joint in joints]] = ~joint_axes(self.model, joints)[1]
@@ -486,13 +479,13 @@ class Arm(ConfigurationSpace):
 
         Args:
             q: configuration, (nq,).
-            name: what to call it in the error.
+            name: name of the value in error messages.
 
         Returns:
             Copy of q, (nq,).
 
         Raises:
-            InvalidValue: as `checked`; or joints are so far outside that degrees may have been meant.
+            InvalidValue: as `checked`; or joints are so far outside that they may be in degrees.
         """
         checked = self.checked(q, name)
         positions, (low, high) = self.difference(self.origin, checked), self._plausible_positions
@@ -509,25 +502,25 @@ class Arm(ConfigurationSpace):
         """Check joint positions (nv,) [rad or m] against the limits, as `checked_start` does.
 
         Raises:
-            InvalidValue: not (nv,) finite numbers, or so far outside that degrees may have been meant.
+            InvalidValue: not (nv,) finite numbers, or so far outside that they may be in degrees.
         """
         given = finite_vector(name, positions, self.nv)
         check_joint_positions(name, given, self.limits, self.slides, self.joint_names)
 
     @cached_property
     def unlimited(self) -> NDArray[np.bool_]:
-        """True for a degree of freedom without real limits, (nv,): none, or so wide that they mean none.
+        """True for each degree of freedom without limits, or with limits so wide that they mean none, (nv,).
 
-        They allow more than 100 arm lengths of sliding, or more than 100 rad of turning. Such limits are
-        still enforced, but the joint is not driven towards them.
+        Such limits allow more than 100 arm lengths of sliding or 100 rad of rotation. They are still
+        enforced, but the joint is not driven towards them.
         """
         return _read_only(find_unlimited(self.limits.lower, self.limits.upper, self.slides, self.length))
 
     @cached_property
     def roaming(self) -> NDArray[np.bool_]:
-        """True for the slides without real limits that carry the base, (nv,), as of a mobile robot.
+        """True for the slides without real limits that carry the base, as in a mobile robot, (nv,).
 
-        They come before the first revolute joint. The straight arm has them at zero, and they keep their
+        They come before the first revolute joint. They are at zero in the straight arm, and keep their
         positions when the arm takes the shape of a curve that begins at its base.
         """
         roaming = np.zeros(self.nv, dtype=np.bool_)
@@ -537,10 +530,10 @@ class Arm(ConfigurationSpace):
 
     @cached_property
     def usual_positions(self) -> tuple[Array, Array]:
-        """Smallest and largest joint positions to sample or to search, (nv,) each [rad or m].
+        """Smallest and largest joint positions for sampling and searching, (nv,) each [rad or m].
 
-        The limits; where those are none (`unlimited`), half a turn either side of the position nearest zero,
-        or the length of the arm for a slide, clipped to the limits.
+        The joint limits. For `unlimited` joints, half a turn to either side of the position nearest zero, or
+        one arm length for a slide, clipped to the limits.
         """
         lower, upper = self.limits.lower, self.limits.upper
         middle, far = np.clip(0.0, lower, upper), np.where(self.slides, self.length, np.pi)
@@ -549,15 +542,15 @@ class Arm(ConfigurationSpace):
         return _read_only(low), _read_only(high)
 
     def random(self, rng: np.random.Generator | int | None = None) -> Array:
-        """Draw a configuration uniformly from `usual_positions`, (nq,): within limits and within reach.
+        """Draw a configuration uniformly from `usual_positions`, (nq,).
 
         Args:
-            rng: what to draw from: a generator, or the seed of one; None: another one each time.
+            rng: generator or seed; a fresh random seed if None.
         """
         return self.configuration(np.random.default_rng(rng).uniform(*self.usual_positions))
 
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
-        """Tell whether no joint of q exceeds its limits by more than the tolerance, in `joint_units`."""
+        """Check that no joint of q exceeds its limits by more than the tolerance, in `joint_units`."""
         positions, slack = self.positions(q), tolerance * self.joint_units
         low, high = self.limits.lower - slack, self.limits.upper + slack
         return bool(np.all((positions >= low) & (positions <= high)))
@@ -578,7 +571,7 @@ class Arm(ConfigurationSpace):
 
     @cached_property
     def multi_turn(self) -> NDArray[np.bool_]:
-        """Degrees of freedom that can reach the same posture at positions a full turn apart, (nv,)."""
+        """True for joints that can reach the same posture at positions a full turn apart, (nv,)."""
         room = self.limits.upper - self.limits.lower > 2.0 * np.pi
         alone = np.bincount(self.chain.columns, minlength=self.nv) == 1
         return np.asarray(room & alone & ~self.slides & ~self.kinematics.endless)
@@ -586,10 +579,9 @@ class Arm(ConfigurationSpace):
     def nearest_turns(
         self, q: ArrayLike, near: ArrayLike | None = None, edges: ArrayLike | None = None
     ) -> Array:
-        """Return the same posture with every joint within half a turn of a reference.
+        """Shift joints by full turns, which keeps the posture, to within half a turn of a reference.
 
-        A revolute joint reaches the same posture again after each turn. Where limits forbid the nearest turn,
-        the nearest one that they allow is taken.
+        Where limits forbid the nearest turn, the nearest allowed one is used.
 
         Args:
             q: configuration, (nq,).
@@ -620,10 +612,10 @@ class Arm(ConfigurationSpace):
         )
 
     def with_characteristic_length(self, characteristic_length: float) -> Arm:
-        """Return the same arm with another slide that weighs as much as a turn of one radian [m].
+        """Return the same arm with another sliding distance equivalent to one radian [m].
 
-        Manipulability conditions, the smallest joint motions that controllers look for, and singular values
-        compare motions of all joints; for slides and turns there is no natural scale between them.
+        Manipulability conditions, singular values and the minimal joint motions of controllers compare the
+        motions of all joints, but there is no natural scale between slides and rotations.
 
         Raises:
             InvalidValue: not a finite length above 0.
@@ -660,9 +652,9 @@ def _plain_coupling(value: Any) -> Any:
 class ArmState:
     """The arm at one configuration; everything in it is read-only and computed on first use.
 
-    Pinocchio supplies placements and Jacobians: `computeJointJacobians` and `updateFramePlacements`, once for
-    a state. Arms with more than `kinematics.MAX_PINOCCHIO_DOF` degrees of freedom, for which `pin.Data` would
-    need too much memory, use the compiled pass along the chain instead.
+    Pinocchio computes placements and Jacobians, with one call of `computeJointJacobians` and
+    `updateFramePlacements` per state. Arms with more than `kinematics.MAX_PINOCCHIO_DOF` degrees of freedom,
+    for which `pin.Data` would need too much memory, use the compiled pass along the chain instead.
 
     Attributes:
         arm: the arm.
@@ -673,9 +665,9 @@ class ArmState:
 
     @cached_property
     def compiled(self) -> ArmState:
-        """The same state computed by the compiled pass along the chain, for use inside solvers.
+        """The same state, up to rounding, computed by the compiled pass along the chain, for solvers.
 
-        It equals this one up to rounding; an iteration takes all its numbers from one of the two.
+        Within an iteration, use only one of the two.
         """
         state = _CompiledState(self.arm, self._q)
         state.__dict__["forward"] = self.forward
@@ -688,7 +680,7 @@ class ArmState:
 
     @cached_property
     def frames(self) -> Frames | None:
-        """The control points as computed by Pinocchio; None if the arm is too long for `pin.Data`."""
+        """The control points computed by Pinocchio; None if the arm is too long for `pin.Data`."""
         reader = self.arm.frames
         return None if reader is None else reader.read(self._q)
 
@@ -704,9 +696,9 @@ class ArmState:
 
     @cached_property
     def links(self) -> Array:
-        """The polyline from the base through joints and control points to the tip, (k, 3) [m], world frame.
+        """Polyline from the base through joints and control points to the tip, (k, 3) [m], world frame.
 
-        If the base moves on slides without real limits, the line begins after those slides.
+        If slides without real limits carry the base, the line begins after those slides.
         """
         chain = self.arm.chain
         origins = [self.forward.origins[joints] for joints in chain.module_slices]
@@ -728,8 +720,8 @@ class ArmState:
     def jacobians(self) -> Array:
         """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
 
-        A column is v + w x p for a joint that carries the control point p, else zero: v is the velocity at
-        the world origin and w the angular velocity that one unit of joint motion gives to a body.
+        The column of a joint that carries the control point p is v + w x p, else zero, where v is the
+        velocity at the world origin and w the angular velocity per unit of joint motion.
         """
         if self.frames is None:
             return _read_only(self.arm.kinematics.jacobians(self.forward))
@@ -745,8 +737,8 @@ class ArmState:
     def axes(self) -> Array:
         """Angular velocity per unit of joint motion, (3, nv) [rad/rad], world axes.
 
-        The unit axis of a revolute joint; zero for a slide and for a joint off the chain. For coupled joints
-        that of what lies behind all of them.
+        The unit axis of a revolute joint; zero for a slide and for a joint off the chain. For coupled joints,
+        the angular velocity of the body after the last of them.
         """
         if self.frames is not None:
             return _read_only(self.frames.motions[:, 3:].T * self.arm.moved)
@@ -759,24 +751,24 @@ class ArmState:
     def angular_jacobians(self) -> Array:
         """Angular Jacobians of the control points, (m, 3, nv) [rad/rad], world axes.
 
-        A column is the rotation vector of the control point per unit of joint motion; zero where the joint
-        does not rotate it.
+        A column is the angular velocity of the control point per unit of joint motion; zero if the joint does
+        not rotate it.
         """
         return _read_only(self.axes * self.arm.support[:, None, :])
 
     def jacobian(self, frame: str) -> Array:
-        """Return the Jacobian of any frame: of a control point, a link or a joint.
+        """Return the Jacobian of any frame: a control point, a link or a joint.
 
         Args:
             frame: name of the frame.
 
         Returns:
-            Array (6, nv), world axes: velocity of the origin of the frame [m/rad], then angular velocity
-            [rad/rad], for each unit of joint motion.
+            Array (6, nv), world axes: velocity of the frame's origin [m/rad], then angular velocity
+            [rad/rad], per unit of joint motion.
 
         Raises:
             UnknownName: there is no such frame.
-            InvalidValue: a frame other than a control point, of an arm that is too long for `pin.Data`.
+            InvalidValue: not a control point, and the arm is too long for `pin.Data`.
         """
         names, reader = self.arm.control_points, self.arm.frames
         if frame in names:
@@ -802,12 +794,12 @@ class ArmState:
     def manipulability(self) -> Array:
         """Return the manipulability indices of all sections, (4.3) and (4.4); computed once per state.
 
-        w = (product of sigma) / sigma_max^d, from the Gram matrices of the sections. It is resolved to about
+        w = (product of sigma) / sigma_max^d, from the Gram matrices of the sections. Its resolution is about
         1e-8, because the determinant of a Gram matrix is only known to machine precision.
 
         Returns:
             Array (m + 1, m + 1): entry [s, i] is the index of control point i relative to control
-            point s, in [0, 1]; 0 stands for the base; zero where s >= i.
+            point s, in [0, 1], where 0 is the base; zero where s >= i.
         """
         return self._manipulability
 
@@ -820,21 +812,20 @@ class ArmState:
     def ellipsoids(
         self, points: ControlPoints | None = None, relative_to: str = "base"
     ) -> tuple[Ellipsoid, ...]:
-        """Compute manipulability ellipsoids, which tell how close a singularity is (Section 3.3).
+        """Compute manipulability ellipsoids, which show how close a singularity is (Section 3.3).
 
         Args:
-            points: control points, by their indices, 0-based or from the tip as -1, or by their names; all of
-                them if None.
-            relative_to: "base" to let all joints move; "previous" for only those that come after the previous
-                chosen control point, as in the relative manipulability condition of a control set.
+            points: control points by index, 0-based or negative from the tip, or by name; all if None.
+            relative_to: "base" to let all joints move; "previous" for only those after the previous chosen
+                control point, as in the relative manipulability condition of a control set.
 
         Returns:
-            One ellipsoid for each, in the order of `points`. Radii and measures are in comparable units, as
-            `task_jacobians` is.
+            One ellipsoid for each of `points`, in order. Radii and measures are in the units of
+            `task_jacobians`.
 
         Raises:
-            InvalidValue: an index that no control point has, or a control point chosen twice.
-            UnknownName: a name that no control point has, or another `relative_to`.
+            InvalidValue: an index out of range, or a control point chosen twice.
+            UnknownName: no such control point, or another `relative_to`.
         """
         arm = self.arm
         chosen = chosen_points(arm.control_points, range(arm.n_modules) if points is None else points)
@@ -849,7 +840,7 @@ class ArmState:
 
 
 class _CompiledState(ArmState):
-    """A state that does not use Pinocchio."""
+    """A state computed without Pinocchio."""
 
     @property
     def compiled(self) -> ArmState:
@@ -861,7 +852,7 @@ class _CompiledState(ArmState):
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a view that cannot be written to."""
+    """Return a read-only view."""
     view: NDArray[Any] = array.view()
     view.flags.writeable = False
     return view
@@ -870,8 +861,8 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -> Array:
     """Draw a configuration that varies smoothly along the arm, like an arm at rest.
 
-    The joints at the same place in their modules follow a sum of three sine waves along the arm with
-    random phases; the largest joint position is the amplitude.
+    Joints with the same index in their modules follow a sum of three sine waves along the arm with random
+    phases; the largest joint position is the amplitude.
 
     Args:
         arm: the arm.

@@ -1,4 +1,4 @@
-"""Configurations of a Pinocchio model: limits, motion on the manifold, checks of positions."""
+"""Configurations of a Pinocchio model: limits, motion on the manifold, position checks."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from pinposture.errors import InvalidValue, PostureWarning
 Array = NDArray[np.float64]
 
 NO_LIMIT = 1e9
-"""A limit this large [rad, m, rad/s or m/s] means none: files write 1e16 or the largest float for it."""
+"""A limit this large [rad, m, rad/s or m/s] means none: files use 1e16 or the largest float for that."""
 SLACK = 1e-4
 """How far outside its limits a joint may be without a warning [rad or m]: rounding to four digits."""
 ATAN2_THRESHOLD = 3.0
-"""Angle up to which Pinocchio's difference of two angles is accurate to all digits [rad]."""
+"""Angle up to which Pinocchio's difference of two angles is accurate to full precision [rad]."""
 FULL_TURN = 2.0 * np.pi
 CLEARLY_OUTSIDE = 0.1
-"""How far outside its limits a joint counts as a sign of degrees [rad]."""
+"""Distance outside its limits at which a joint suggests that positions are in degrees [rad]."""
 DEGREES_FRACTION, DEGREES_MIN_COUNT = 0.5, 3
-"""Fraction of all comparable joints, and the least number of joints, that mean degrees."""
+"""Fraction of all comparable joints, and minimum number of joints, that indicate degrees."""
 WOUND_POSITION = 4.0 * FULL_TURN
-"""Position beyond which a joint without limits is a sign of degrees [rad]."""
-DEGREES_HINT = "is it in degrees? np.deg2rad makes radians of them (--degrees on the command line)"
+"""Position beyond which a joint without limits suggests that positions are in degrees [rad]."""
+DEGREES_HINT = "is it in degrees? np.deg2rad converts to radians (--degrees on the command line)"
 
 
 class JointLimits(NamedTuple):
@@ -50,9 +50,8 @@ class JointLimits(NamedTuple):
 class ConfigurationSpace:
     """The configurations of a Pinocchio model.
 
-    A configuration `q` has `nq` entries and moves only by `integrate`, because a continuous joint takes two
-    of them: the cosine and the sine of its angle. Joint positions have `nv` entries, one for each degree of
-    freedom.
+    A configuration `q` has `nq` entries, two for each continuous joint (cosine and sine of its angle), and
+    must be changed with `integrate`. Joint positions have `nv` entries, one for each degree of freedom.
 
     Attributes:
         model: the model.
@@ -68,7 +67,7 @@ class ConfigurationSpace:
 
     @cached_property
     def nv(self) -> int:
-        """Number of degrees of freedom: entries of `dq`."""
+        """Number of degrees of freedom and of entries of `dq`."""
         return int(self.model.nv)
 
     @cached_property
@@ -80,12 +79,12 @@ class ConfigurationSpace:
 
     @cached_property
     def _flat(self) -> bool:
-        """Whether configurations are plain vectors, whose sums need no slow call of Pinocchio."""
+        """Whether configurations are plain vectors, which can be added without a slow call of Pinocchio."""
         return self.nq == self.nv
 
     @cached_property
     def _continuous(self) -> tuple[tuple[int, int], ...]:
-        """For each continuous joint the index of its cosine in a configuration, and its degree of freedom."""
+        """Index of the cosine in a configuration, and degree of freedom, for each continuous joint."""
         return tuple((j.idx_q, j.idx_v) for j in self.model.joints[1:] if (j.nq, j.nv) == (2, 1))
 
     @cached_property
@@ -100,7 +99,7 @@ class ConfigurationSpace:
             if joint.nq == joint.nv == 1:  # not continuous
                 lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
                 upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]
-        # A model built by hand has the largest floats for limits it was never given.
+        # A model built by hand has the largest floats as limits that were never set.
         lower[lower <= -NO_LIMIT], upper[upper >= NO_LIMIT] = -np.inf, np.inf
         velocity[(velocity <= 0.0) | (velocity >= NO_LIMIT)] = np.inf
         for array in (lower, upper, velocity):
@@ -109,7 +108,7 @@ class ConfigurationSpace:
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
-        """Name of the joint that each degree of freedom belongs to, (nv,), on the chain or off it."""
+        """Joint name of each degree of freedom, on the chain or off it, (nv,)."""
         names = [""] * self.nv
         for joint, name in list(zip(self.model.joints, self.model.names, strict=True))[1:]:
             names[joint.idx_v : joint.idx_v + joint.nv] = [str(name)] * joint.nv
@@ -152,18 +151,18 @@ class ConfigurationSpace:
             return np.asarray(end - start)
         displacement = np.array(pin.difference(self.model, start, end))
         for at, dof in self._continuous:
-            # Pinocchio computes the angle from its cosine, which loses half the digits near half a turn.
+            # Pinocchio computes the angle from its cosine, which loses half the digits near pi.
             if abs(displacement[dof]) > ATAN2_THRESHOLD:
                 (a, b), (c, d) = start[at : at + 2], end[at : at + 2]
                 displacement[dof] = atan2(a * d - b * c, a * c + b * d)
         return displacement
 
     def checked(self, q: ArrayLike, name: str = "q") -> Array:
-        """Check a configuration and return it as a fresh float array.
+        """Check a configuration and return it as a new float array.
 
         Args:
             q: configuration, (nq,).
-            name: what to call it in the error.
+            name: name of the value in error messages.
 
         Returns:
             Copy of q, (nq,).
@@ -181,13 +180,13 @@ class ConfigurationSpace:
 def check_joint_positions(
     name: str, positions: Array, limits: JointLimits, slides: NDArray[np.bool_], joints: Sequence[str]
 ) -> None:
-    """Check joint positions (nv,) [rad or m] that a caller gave, as a start or a goal, against the limits.
+    """Check joint positions (nv,) [rad or m] given as a start or a goal against the limits.
 
-    A `PostureWarning` reports joints outside their limits, and many joints without limits that are wound by
-    several turns.
+    A `PostureWarning` reports joints outside their limits, and many unlimited joints wound by several turns.
 
     Raises:
-        InvalidValue: a revolute joint is outside its limits by more than a turn, or many are: degrees.
+        InvalidValue: a revolute joint is outside its limits by more than a turn, or many joints are clearly
+            outside: the positions may be in degrees.
     """
     excess = np.maximum(limits.lower - positions, positions - limits.upper)
     revolute_excess = np.where(slides, -np.inf, excess)
@@ -201,12 +200,12 @@ def check_joint_positions(
         allowed = f"{limits.lower[worst]:.4g} to {limits.upper[worst]:.4g} {unit}"
         which = f"joint {joints[worst]!r}"
         if in_degrees:
-            more = f", and {outside - 1} more joints are outside of theirs" if outside > 1 else ""
+            more = f", and {outside - 1} more joints are outside theirs" if outside > 1 else ""
             reason = f"{allowed}, the limits of {which}{more}; {DEGREES_HINT}"
             raise InvalidValue(f"{name}[{worst}]", float(positions[worst]), reason)
         count = f"{outside} joints" if outside > 1 else "a joint"
         at = f"{which} is at {positions[worst]:.4g}, allowed {allowed}"
-        warnings.warn(f"{name}: {count} outside of the limits; {at}", PostureWarning, stacklevel=4)
+        warnings.warn(f"{name}: {count} outside the limits; {at}", PostureWarning, stacklevel=4)
     free = ~slides & ~limited
     wound = free & (np.abs(positions) > WOUND_POSITION)
     if _suggest_degrees(wound, free):

@@ -1,8 +1,8 @@
 """Coupled joints: one degree of freedom moves several joints, each by its own ratio.
 
-Tendons and gears couple joints, and <mimic> says so in a URDF: position = ratio * position of a leader +
+Tendons and gears couple joints; URDF describes this with <mimic>: position = ratio * position of a leader +
 offset. In the Pinocchio model of an arm the leader is the first of the coupled joints on the chain, whichever
-joint the description names; the others are mimic joints there.
+joint the description names; the others are mimic joints.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Coupling(NamedTuple):
         joint: name of the joint.
         leader: name of the joint that it follows.
         ratio: its motion relative to that of the leader.
-        offset: its position where the leader is at zero [rad or m].
+        offset: its position when the leader is at zero [rad or m].
     """
 
     joint: str
@@ -48,12 +48,12 @@ class JointRange(NamedTuple):
 
 
 class CoupledJoints(NamedTuple):
-    """The joints of a chain, by what moves them.
+    """The moving joints of a chain and their couplings.
 
     Attributes:
         moving: the joints that move, from base to tip.
         couplings: those of them that follow others.
-        ranges: limits of the leaders, within which all that follow them keep their own; by name.
+        ranges: limits of each leader, by name, within which its followers keep their own limits.
     """
 
     moving: list[JointDescription]
@@ -62,16 +62,16 @@ class CoupledJoints(NamedTuple):
 
 
 def with_couplings(description: Description, given: Mapping[str, object] | None) -> Description:
-    """Return a description in which joints follow others as a user says, besides those that do anyway.
+    """Add couplings given by the user to a description.
 
     Args:
         description: the description.
-        given: for each joint that follows another the name of that one; or its name and a ratio; or its name,
-            a ratio, and an offset [rad or m].
+        given: for each following joint, the name of its leader; or the name and a ratio; or the name, a
+            ratio, and an offset [rad or m].
 
     Raises:
-        UnknownName: a joint that does not exist.
-        InvalidValue: anything else than a name and numbers; names the joint.
+        UnknownName: a joint does not exist.
+        InvalidValue: not a name and numbers; names the joint.
     """
     joints = {joint.name: joint for joint in description.joints}
     for name, value in (given or {}).items():
@@ -90,26 +90,26 @@ def _read_follows(name: str, value: object) -> Follows:
             return Follows(parts[0], *[*numbers, *(1.0, 0.0)[len(numbers) :]])
     except (IndexError, TypeError, ValueError):
         pass
-    allowed = "the name of the joint that it follows, then a ratio and an offset [rad or m], if not 1 and 0"
+    allowed = "the name of the joint it follows, then a ratio and an offset [rad or m], if not 1 and 0"
     raise InvalidValue(f"couplings[{name!r}]", value, allowed)
 
 
 def find_couplings(
     description: Description, chain: Sequence[JointDescription], locked: Iterable[str]
 ) -> CoupledJoints:
-    """Find what moves each joint of a chain.
+    """Find the moving joints of a chain and their couplings.
 
-    Joints that follow a locked joint, or one that limits leave a single position, are still; so are those
-    with a ratio of zero. A joint that follows one off the chain moves by itself, within the limits of both.
+    Joints do not move if they follow a locked joint or one whose limits allow a single position, or if their
+    ratio is zero. A joint that follows one off the chain moves independently, within the limits of both.
 
     Args:
-        description: the description that the joints are of.
-        chain: joints that are not still by themselves, from base to tip.
-        locked: names of joints that a user locks.
+        description: the description of the joints.
+        chain: joints that are neither fixed nor locked themselves, from base to tip.
+        locked: names of joints locked by the user.
 
     Raises:
-        URDFError: a joint follows one that does not exist, or is no hinge or slide; joints follow each other
-            in a circle; or limits of coupled joints leave no position.
+        URDFError: a joint follows one that does not exist or has no single degree of freedom; joints follow
+            each other in a cycle; or the limits of coupled joints leave no common range.
     """
     named, still = {joint.name: joint for joint in description.joints}, set(locked)
     groups: dict[str, list[tuple[JointDescription, Follows]]] = {}
@@ -124,7 +124,7 @@ def find_couplings(
         (first, own), members = group[0], group
         if len(group) == 1 and name == first.name:
             continue
-        if name not in moving:  # an actuator beside the chain, whose limits count as well
+        if name not in moving:  # an actuator off the chain, whose limits apply as well
             members = [*group, (named[name], Follows(name, 1.0, 0.0))]
         lower, upper, velocity = -math.inf, math.inf, math.inf
         for joint, follows in members:
@@ -150,7 +150,7 @@ def _follow(
     joint: JointDescription,
     still: set[str],
 ) -> Follows:
-    """Return the joint that moves another one in the end, and how; itself if it follows none."""
+    """Return the ultimate leader of a joint, with ratio and offset; itself if it follows none."""
     ratio, offset, at, seen = 1.0, 0.0, joint, {joint.name}
     while at.follows is not None and at.name not in still:
         following = at.follows
@@ -160,7 +160,7 @@ def _follow(
         elif named[following.joint].type not in CHAIN_JOINTS:
             fault = f"which is {named[following.joint].type}; allowed: {', '.join(CHAIN_JOINTS)}"
         elif following.joint in seen:
-            fault = "in a circle"
+            fault = "in a cycle"
         if fault:
             reason = f"mimics joint {following.joint!r}, {fault}"
             raise URDFError(description.source, f"joint {at.name!r}", reason)
@@ -178,9 +178,9 @@ _DRIVES = (*_RATES, "damping", "armature", "rotorInertia", "rotorGearRatio")
 
 
 def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
-    """Return a model in which joints are coupled, and the limits of their leaders hold for all of them.
+    """Return a model with coupled joints, in which the limits of the leaders respect those of all followers.
 
-    It is built anew, joint by joint: `pin.transformJointIntoMimic` copies the model for each.
+    It is rebuilt joint by joint, because `pin.transformJointIntoMimic` copies the whole model for each.
     """
     if coupled.couplings:
         model = _rebuilt(model, {each.joint: each for each in coupled.couplings})
@@ -195,10 +195,10 @@ def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
 
 
 def _rebuilt(model: pin.Model, followers: Mapping[str, Coupling]) -> pin.Model:
-    """Return a model in which joints, by their names, follow others that come before them."""
+    """Return a model in which the named joints follow earlier ones."""
     built = pin.Model()
     built.name, built.gravity = model.name, model.gravity
-    names, own = list(model.names), []  # entries of vectors that stay
+    names, own = list(model.names), []  # vector entries to keep
     for number in range(1, model.njoints):
         name, joint = names[number], pin.JointModel(model.joints[number])
         if name in followers:
@@ -220,7 +220,7 @@ def _rebuilt(model: pin.Model, followers: Mapping[str, Coupling]) -> pin.Model:
 
 
 def is_coupled(joint: pin.JointModel) -> bool:
-    """Tell whether a joint of a model has no degree of freedom of its own, but follows another joint."""
+    """Check whether a joint of a model follows another and has no degree of freedom of its own."""
     return bool(joint.shortname() == "JointModelMimic")
 
 
@@ -239,7 +239,7 @@ def joint_axes(model: pin.Model, joints: list[int]) -> tuple[Array, NDArray[np.b
 
 
 def joint_placements(model: pin.Model) -> list[pin.SE3]:
-    """Return the placement of each joint in the frame of the one before, where their leaders are at zero.
+    """Return the placement of each joint in the frame of its parent joint, with all leaders at zero.
 
     Coupled joints are then at their offsets, which `pin.Model.jointPlacements` does not include.
     """

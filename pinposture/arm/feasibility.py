@@ -1,9 +1,8 @@
 """Whether the modules of an arm can follow a curve (Section 4.1).
 
-A module whose joints keep the same angles from module to module puts its control points on a helix:
-repeating one rigid motion is a screw motion. The curvature and torsion of that helix follow from the
-module's forward kinematics alone, so the curvature that a module can follow is found without solving
-for any target.
+If all modules have the same joint angles, the control points lie on a helix, because repeating one rigid
+motion is a screw motion. The curvature and torsion of that helix follow from the module's forward kinematics,
+so the curvature that a module can follow is found without solving for a target.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ Array = NDArray[np.float64]
 QUARTER_TURN = np.pi / 2
 """Largest turn of the curve, or of its bending direction, within one module [rad].
 
-With fewer than four modules per turn the control points no longer show the shape of the curve: the chain can
-meet it in each point and still cut across its loops."""
+With fewer than four modules per turn, the control points no longer resolve the shape of the curve: each may
+lie on the curve while the chain cuts across its loops."""
 SAMPLES_PER_CURVE = 2000
 MIN_BEND = 0.1
-"""Bend of a curve within one module below which it is almost straight [rad]: less than an eightieth of the
-module's length off its chord."""
+"""Bend of a curve within one module below which it counts as straight [rad]: it deviates from its chord by
+less than 1/80 of the module length."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +35,10 @@ class Violation:
 
     Attributes:
         quantity: "curvature" or "torsion".
-        start: where it begins, arc length [m].
-        end: where it ends, arc length [m].
+        start: arc length at its start [m].
+        end: arc length at its end [m].
         worst: the largest value on it [1/m].
-        allowed: what the modules can follow [1/m].
+        allowed: the largest value that the modules can follow [1/m].
     """
 
     quantity: str
@@ -65,7 +64,7 @@ class Feasibility:
         max_torsion: largest torsion that every module can follow [1/m].
         curvature: largest curvature of the curve [1/m].
         torsion: largest absolute torsion of the curve's bending within one module [1/m].
-        excesses: the stretches that the modules cannot follow, from the start of the curve on.
+        excesses: the stretches that the modules cannot follow, in order along the curve.
     """
 
     max_curvature: float
@@ -79,10 +78,10 @@ class Feasibility:
 
 
 def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: Curve) -> Feasibility:
-    """Compare the curvature and torsion that the modules can follow with those of a curve.
+    """Compare the curvature and torsion of a curve with those that the modules can follow.
 
     Only the part of the curve that the arm can cover counts. Torsion is averaged over one module, weighted by
-    curvature, because its peaks where a curve hardly bends do not matter. `lower` and `upper` are the
+    curvature, because torsion peaks where a curve hardly bends do not matter. `lower` and `upper` are the
     position limits, (nv,) [rad or m].
     """
     span = float(chain.spans.max())
@@ -105,7 +104,7 @@ def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: Curve) ->
 
 
 def _weighted_torsion(s: Array, curvature: Array, torsion: Array, span: float) -> Array:
-    """Average torsion within a span around each place, weighted by curvature, (n,) [1/m]; 0 if straight."""
+    """Curvature-weighted mean torsion within a span around each point, (n,) [1/m]; 0 if straight."""
     low, high = np.maximum(s - span / 2.0, s[0]), np.minimum(s + span / 2.0, s[-1])
 
     def integral(values: Array) -> Array:
@@ -120,13 +119,12 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
     """Curvature that the weakest joint of a module reaches alone, in its weaker direction.
 
     A curve may bend in any direction; the directions in which only one joint contributes are the hardest.
-    Joints that do not bend the module across its axis (a roll, a slide) do not count; coupled joints bend it
-    together.
+    Joints that do not bend the module (a roll, a slide) are ignored; coupled joints bend it together.
     """
     start = chain.base if module == 0 else chain.points[module - 1]
     span = chain.points[module] - start
     if chain.module_lengths[module] <= 1e-12 * chain.length:
-        return 0.0  # its end is where it begins
+        return 0.0  # the module has no length
     along = span / chain.module_lengths[module]
     joints, reachable = chain.module_slices[module], []
     for column in dict.fromkeys(chain.columns[joints].tolist()):
@@ -136,7 +134,7 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
         size = float(np.linalg.norm(turn))
         if size < 1e-12 or np.linalg.norm(turn - along * (along @ turn)) < 0.1 * size:
             continue
-        # A section of coupled joints is itself bent: half a turn of it still shows the shape of the curve.
+        # A section of coupled joints is itself curved, so half a turn still resolves the shape of the curve.
         most = (QUARTER_TURN if len(own) == 1 else 2.0 * QUARTER_TURN) / size
         bends = []
         for limit in (lower[column], upper[column]):
@@ -147,10 +145,10 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
 
 
 def _module_curvature(chain: Chain, module: int, joints: NDArray[np.intp], values: Array) -> Array:
-    """Return the curvature of a module where some of its joints, coupled ones, are bent alone, (n,) [1/m].
+    """Return the curvature of a module bent only by `joints`, which share one degree of freedom, (n,) [1/m].
 
-    It is that of the helix which repeats the motion from the base of the module to its end. `values` are the
-    positions of the degree of freedom of the joints, (n,) [rad].
+    It is that of the helix that repeats the motion from the base of the module to its end. `values` are the
+    positions of the degree of freedom, (n,) [rad].
     """
     start = chain.base if module == 0 else chain.points[module - 1]
     turn, shift = Rotation.from_rotvec(np.zeros((len(values), 3))), np.zeros((len(values), 3))

@@ -2,8 +2,8 @@
 
 `read_chain` reads the joints from a Pinocchio model. `FrameReader` reads the control points at a
 configuration from Pinocchio, for `ArmState` and the methods of the thesis. `Kinematics` computes the same
-numbers on plain arrays, for kernels and for arms that are too long for `pin.Data`, whose memory grows with
-the cube of the number of joints. A test compares the two.
+values on plain arrays, for kernels and for arms that are too long for `pin.Data`, whose memory grows with the
+cube of the number of joints. A test compares the two.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ BoolArray = NDArray[np.bool_]
 PARALLEL = 1e-3
 """Largest angle between parallel axes [rad]; files round a quarter turn to 1.571 or even 1.57."""
 ON_AXIS = 1e-6
-"""Distance from a joint axis below which the joint does not move a point, relative to the arm."""
+"""Distance from a joint axis below which the joint does not move a point, relative to the arm length."""
 UNLIMITED_RANGE = 100.0
-"""Range beyond which position limits mean none [arm lengths, or rad]: files write +-1e6 for it."""
+"""Range beyond which position limits mean none [arm lengths, or rad]: files use +-1e6 for that."""
 
 
 def neutral_placements(model: pin.Model) -> list[pin.SE3]:
     """Compute the placements of all joints at the neutral configuration, world frame.
 
-    `pin.Data` has the same placements, but that of an arm of 1,000 joints does not fit into memory.
+    `pin.Data` holds the same placements, but does not fit into memory for an arm of 1,000 joints.
     """
     placements, own = [pin.SE3.Identity()], joint_placements(model)
     for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
@@ -46,15 +46,15 @@ def neutral_placements(model: pin.Model) -> list[pin.SE3]:
 
 
 def frame_position(frame: pin.Frame, placements: Sequence[pin.SE3]) -> Array:
-    """Return the position of a frame (3,) [m], given the placements of all joints."""
+    """Return the position of a frame, (3,) [m], given the placements of all joints."""
     return np.array((placements[frame.parentJoint] * frame.placement).translation)
 
 
 def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, length: float) -> Array | None:
     """Return the normal of the plane in which joints move an arm, (3,), or None if there is no such plane.
 
-    Revolute joints turn about the normal, slides move across it. Revolute joints at the end whose axes pass
-    through the tip move nothing, so they may have any axis.
+    Revolute joints turn about the normal, slides are perpendicular to it. Revolute joints at the end may have
+    any axis through the tip, because they do not move it.
     """
     n = len(axes)
     while n > 1 and revolute[n - 1]:
@@ -77,15 +77,15 @@ def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, l
 
 
 def find_unlimited(lower: Array, upper: Array, slides: BoolArray, length: float) -> BoolArray:
-    """Find the joints without real position limits, (n,): none, or so wide that they mean none.
+    """Find the joints without position limits, or with limits so wide that they mean none, (n,).
 
-    These allow more than 100 lengths of the arm to slide, or more than 100 rad to turn.
+    These allow more than 100 arm lengths of sliding, or more than 100 rad of rotation.
     """
     return np.asarray(upper - lower > UNLIMITED_RANGE * np.where(slides, length, 1.0))
 
 
 def find_base_slides(unlimited: BoolArray, revolute: BoolArray) -> BoolArray:
-    """Find the slides without real limits that carry the base, as of a mobile robot, (n,).
+    """Find the slides without real limits that carry the base, as in a mobile robot, (n,).
 
     They come before the first revolute joint; an arm without revolute joints has none.
     """
@@ -102,12 +102,12 @@ class Skeleton:
     stations: Array  # origins of the joints, and the tip after them, (n + 1, 3) [m]
     lower: Array  # smallest joint positions, (n,) [rad or m]
     upper: Array  # largest joint positions, (n,) [rad or m]
-    columns: NDArray[np.intp]  # degree of freedom of each joint, (n,); the same for joints that are coupled
-    ratios: Array  # motion of each joint relative to that of its degree of freedom, (n,)
+    columns: NDArray[np.intp]  # degree of freedom of each joint, (n,); the same for coupled joints
+    ratios: Array  # motion of each joint relative to its degree of freedom, (n,)
 
     @cached_property
     def length(self) -> float:
-        """Arc length from the first joint through the others to the tip [m]; inf or NaN if out of range."""
+        """Length from the first joint through the others to the tip [m]; inf or NaN if out of range."""
         with np.errstate(over="ignore", invalid="ignore"):
             return _polyline_length(self.stations)
 
@@ -124,7 +124,7 @@ class Skeleton:
 
 
 def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array, upper: Array) -> Skeleton:
-    """Read the joints of a chain that ends at a link from a model; see `Skeleton`.
+    """Read the named joints of a model, which form a chain that ends at link `tip`.
 
     `lower` and `upper` are the limits of the degrees of freedom, (nv,) [rad or m].
     """
@@ -147,7 +147,7 @@ def _world_axes(
 
 
 def without_repeats(line: Array, tolerance: float = 1e-9) -> Array:
-    """Return the points of a line (n, 3) that are farther than a tolerance from the one before [m]."""
+    """Return the points of a line, (n, 3) [m], that are farther than a tolerance from the previous one."""
     legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
     return np.asarray(line[np.concatenate([[True], legs > tolerance])])
 
@@ -160,15 +160,15 @@ def _polyline_length(stations: Array) -> float:
 class Chain:
     """Joints and control points of a serial arm at its neutral configuration, world frame.
 
-    Every joint u is a screw fixed to the body before it; at the neutral configuration its axis passes through
-    `origins[u]` along `axes[u]`. Together with the control points this is the whole kinematics (product of
+    Each joint u is a screw fixed to the body before it; at the neutral configuration its axis passes through
+    `origins[u]` along `axes[u]`. Together with the control points this defines the kinematics (product of
     exponentials), whatever frames the file uses.
 
     Attributes:
         joints: names of the moving joints from base to tip, (n,).
-        columns: index of each joint's velocity in the tangent space of the model, (n,); the same for joints
-            that are coupled.
-        ratios: motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled.
+        columns: index of each joint's velocity in the tangent space of the model, (n,); the same for coupled
+            joints.
+        ratios: motion of each joint relative to its degree of freedom, (n,); 1 unless coupled.
         revolute: True for a joint that turns, False for one that slides, (n,).
         axes: unit joint axes, (n, 3).
         origins: a point on each axis, (n, 3) [m].
@@ -191,18 +191,18 @@ class Chain:
     def leaders(self) -> NDArray[np.intp]:
         """Index into `joints` of the first joint of each degree of freedom, (f,); increasing.
 
-        The other joints, if there are any, are coupled to one of these.
+        Any other joints are coupled to one of these.
         """
         return np.sort(np.unique(self.columns, return_index=True)[1])
 
     @cached_property
     def inputs(self) -> NDArray[np.intp]:
-        """The degrees of freedom from base to tip, by their columns, (f,): `columns` without repetitions."""
+        """Columns of the degrees of freedom from base to tip, (f,): `columns` without duplicates."""
         return self.columns[self.leaders]
 
     @cached_property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the joints that lead, (f,)."""
+        """Names of the leading joints, (f,)."""
         return tuple(self.joints[u] for u in self.leaders)
 
     @cached_property
@@ -213,7 +213,7 @@ class Chain:
 
     @cached_property
     def input_ends(self) -> NDArray[np.intp]:
-        """Number of the degrees of freedom that carry each control point, (m,); increasing."""
+        """Number of degrees of freedom that carry each control point, (m,); increasing."""
         return np.searchsorted(self.leaders, [part.stop for part in self.module_slices])
 
     @cached_property
@@ -229,7 +229,7 @@ class Chain:
 
     @cached_property
     def length(self) -> float:
-        """Arc length from the first joint along the joint origins and control points to the tip [m]."""
+        """Length from the first joint through joint origins and control points to the tip [m]."""
         stations = [self.base[None]]
         for joints, point in zip(self.module_slices, self.points, strict=True):
             stations += [self.origins[joints], point[None]]
@@ -250,9 +250,9 @@ class Chain:
 
     @cached_property
     def plane_bound(self) -> BoolArray:
-        """Which modules of a spatial arm move their ends in one plane only, (m,).
+        """Modules of a spatial arm that move their ends in one plane only, (m,).
 
-        Their joints turn about parallel axes. All False for a planar arm.
+        Their joint axes are parallel. All False for a planar arm.
         """
         bound = np.zeros(len(self.points), dtype=np.bool_)
         if len(self.plane) == 2:
@@ -265,7 +265,7 @@ class Chain:
 
     @cached_property
     def spans(self) -> Array:
-        """Length of arm that it takes to bend in every direction across a curve, for each module, (m,) [m].
+        """Length of arm needed to bend in every direction normal to a curve, for each module, (m,) [m].
 
         Usually the length of the module. Consecutive modules bound to one plane bend together with the
         modules before and after them, which turn the plane.
@@ -281,11 +281,11 @@ class Chain:
         """Project points of a planar arm into its plane, world frame.
 
         Args:
-            places: points that the arm carries, at any of its configurations, (..., 3) [m].
+            places: points on the arm, at any configuration, (..., 3) [m].
 
         Returns:
-            For a planar arm, the points moved along its normal into the plane of its base; for a spatial one,
-            the points unchanged.
+            For a planar arm, the points projected along its normal onto the plane of its base; for a spatial
+            one, the points unchanged.
         """
         if len(self.plane) == 3:
             return places
@@ -297,8 +297,8 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
     """Read the chain that leads to the last control point from a model, base placement applied.
 
     Raises:
-        InvalidValue: a control point that does not lie farther along the chain than the one before it, or
-            lies between coupled joints; or a joint with several degrees of freedom.
+        InvalidValue: a control point is not farther along the chain than the previous one, or lies between
+            coupled joints; or a joint has several degrees of freedom.
     """
     frames = [model.frames[index] for index in frame_ids(model, control_points)]
     parents = [frame.parentJoint for frame in frames]
@@ -321,7 +321,7 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
     for name, start, stop in zip(control_points, [0, *starts[1:]], [*starts[1:], count], strict=True):
         for u in range(start, stop):
             if last[columns[u]] >= stop:
-                allowed = f"a place behind or before all joints that are coupled to {names[u]!r}"
+                allowed = f"a place before or after all joints coupled to {names[u]!r}"
                 raise InvalidValue(f"control point {name!r}", "between coupled joints", allowed)
     placements = neutral_placements(model)
     axes, revolute = _world_axes(model, support, placements)
@@ -340,7 +340,7 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
 
 
 def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
-    """Return the indices of frames; if a link and a joint have the same name, that of the link.
+    """Return the indices of frames; if a link and a joint share a name, the index of the link.
 
     Raises:
         UnknownName: there is no such frame.
@@ -362,33 +362,33 @@ def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
 IntArray = NDArray[np.int64]
 
 MAX_PINOCCHIO_DOF = 100
-"""Degrees of freedom up to which an arm is read from Pinocchio; a `pin.Data` then takes 66 MB per thread."""
+"""Most degrees of freedom for which Pinocchio is used; a `pin.Data` then takes 66 MB per thread."""
 
 
 class Frames(NamedTuple):
-    """Control points and joints of an arm at one configuration, by Pinocchio; world frame."""
+    """Control points and joint motions of an arm at one configuration, by Pinocchio; world frame."""
 
     points: Array  # positions of the control points, (m, 3) [m]
     rotations: Array  # their orientations, (m, 3, 3), from control-point to world frame
-    # how each degree of freedom moves a body at the world origin, (nv, 6): velocity [m/rad], then angular
-    # velocity [rad/rad]; the columns of `data.J`, of coupled joints their sum: they all carry the body
+    # motion of a body at the world origin per degree of freedom, (nv, 6): velocity [m/rad], then angular
+    # velocity [rad/rad]; the columns of `data.J`, summed over coupled joints, which all carry the body
     motions: Array
 
 
 class FrameReader:
-    """Reads the frames of the control points from Pinocchio, with one `pin.Data` for each thread."""
+    """Reads the frames of the control points from Pinocchio, with one `pin.Data` per thread."""
 
     def __init__(self, model: pin.Model, frames: Sequence[int]) -> None:
         """Store the model, base placement applied, and the indices of the control points."""
         self._model, self._frames, self._local = model, tuple(frames), threading.local()
-        # The columns of `data.J` are those of all joints, coupled ones too: their degrees of freedom.
+        # `data.J` has columns for all joints, coupled ones too; this is the degree of freedom of each.
         moving = [joint for joint in model.joints[1:] if joint.nvExtended]
         listed = [range(joint.idx_v, joint.idx_v + joint.nvExtended) for joint in moving]
         self._columns = np.array([column for each in listed for column in each])
         self._coupled = len(self._columns) > model.nv
 
     def _buffers(self) -> tuple[pin.Data, list[Array], list[Array]]:
-        """Return the data of this thread, and views of the placements in it."""
+        """Return this thread's data, and views of the placements in it."""
         try:
             buffers: tuple[pin.Data, list[Array], list[Array]] = self._local.buffers
         except AttributeError:
@@ -400,7 +400,7 @@ class FrameReader:
         return buffers
 
     def jacobian(self, q: Array, name: str) -> Array:
-        """Compute the Jacobian of any frame, (6, nv), at its origin and along world axes: linear, angular.
+        """Compute the Jacobian of any frame at its origin, (6, nv), world axes: linear, then angular.
 
         Raises:
             UnknownName: there is no such frame.
@@ -410,7 +410,7 @@ class FrameReader:
         return np.array(pin.computeFrameJacobian(self._model, self._buffers()[0], q, frame, aligned))
 
     def read(self, q: Array) -> Frames:
-        """Compute the frames at a configuration (nq,); the arrays are copies that stay as they are."""
+        """Compute the frames at a configuration (nq,); the arrays are copies."""
         data, positions, orientations = self._buffers()
         pin.computeJointJacobians(self._model, data, q)
         pin.updateFramePlacements(self._model, data)
@@ -424,22 +424,22 @@ class FrameReader:
 
 
 class ForwardKinematics(NamedTuple):
-    """Placements of a chain, world frame: arrays for kernels, not to be written to."""
+    """Placements of a chain, world frame: arrays for kernels; do not write to them."""
 
-    axes: Array  # unit joint axes, (k, 3): all joints, of coupled ones each
+    axes: Array  # unit joint axes, (k, 3): all joints, coupled ones too
     origins: Array  # origins of the joints, a point on each axis, (k, 3) [m]
     points: Array  # control points, (m, 3) [m]
     rotations: Array  # orientations of the control points, (m, 3, 3), from control-point to world frame
-    positions: Array  # the joint positions, (nv,) [rad or m]
+    positions: Array  # joint positions, (nv,) [rad or m]
 
 
 class TaskConstants(NamedTuple):
-    """What kernels of task rows need and no configuration changes; arrays not to be written to."""
+    """Constant arguments of the task row kernels; do not write to the arrays."""
 
-    joints: IntArray  # the degrees of freedom by their numbers along the chain, (n,)
-    units: Array  # the motion of each of them that counts as one, (n,) [rad or m]
+    joints: IntArray  # indices of the degrees of freedom along the chain, (n,)
+    units: Array  # unit motion of each of them, (n,) [rad or m]
     plane: Array  # directions in which the arm can move, (2, 3) or (3, 3), world axes
-    every: IntArray  # the control points by their numbers, (m,)
+    every: IntArray  # indices of the control points, (m,)
     dimensions: IntArray  # number of these directions, once for each control point, (m,)
     frames: Array  # these directions, and the normal of a planar arm, once for each control point, (m, 3, 3)
 
@@ -448,10 +448,10 @@ class Kinematics:
     """The constants of a chain, in the order of its joints from base to tip.
 
     Attributes:
-        columns: the degrees of freedom from base to tip, by their columns in the tangent space, (n,).
-        ends: number of them that carry each control point, (m,).
-        endless: which joint positions are periodic, (nv,).
-        constants: the arguments of `kernels.placements` that no configuration changes.
+        columns: tangent-space columns of the degrees of freedom from base to tip, (n,).
+        ends: number of degrees of freedom that carry each control point, (m,).
+        endless: True for periodic joint positions, (nv,).
+        constants: the arguments of `kernels.placements` that do not depend on the configuration.
     """
 
     def __init__(self, model: pin.Model, chain: Chain, frames: Sequence[int], joint_units: Array) -> None:
@@ -461,10 +461,10 @@ class Kinematics:
             model: the arm.
             chain: its chain.
             frames: indices of the control points.
-            joint_units: the motion of each degree of freedom that counts as one, (nv,) [rad or m].
+            joint_units: unit motion of each degree of freedom, (nv,) [rad or m].
 
         Raises:
-            InvalidValue: a joint that neither turns about one axis nor slides along one.
+            InvalidValue: a joint neither turns about one axis nor slides along one.
         """
         joints = [model.getJointId(name) for name in chain.joints]
         for joint in joints:
@@ -498,7 +498,7 @@ class Kinematics:
         self._chain, self._units = chain, joint_units
 
     def forward(self, positions: Array) -> ForwardKinematics:
-        """Compute all placements with the joints at positions (nv,) [rad or m]."""
+        """Compute all placements at joint positions (nv,) [rad or m]."""
         k, m = len(self.constants.slides), len(self.ends)
         arrays = np.empty((k, 3)), np.empty((k, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
         kernels.placements(self.constants, positions, *arrays)
@@ -539,13 +539,13 @@ def _require_simple(model: pin.Model, joint: int) -> None:
 
 
 class HasKinematics(Protocol):
-    """An arm, as far as this module uses it."""
+    """The part of an arm that this module uses."""
 
     kinematics: Kinematics
 
 
 class HasPlacements(Protocol):
-    """A state of an arm, as far as this module uses it."""
+    """The part of an arm's state that this module uses."""
 
     @property
     def arm(self) -> HasKinematics:
@@ -557,11 +557,11 @@ class HasPlacements(Protocol):
 
     @property
     def frames(self) -> Frames | None:
-        """The control points by Pinocchio, if it computes them."""
+        """The control points by Pinocchio, or None."""
 
 
 def constants_of(arm: HasKinematics) -> TaskConstants:
-    """Return what kernels of task rows need of an arm."""
+    """Return the arm's constant arguments for the task row kernels."""
     return arm.kinematics.task_constants
 
 

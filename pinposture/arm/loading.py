@@ -1,4 +1,4 @@
-"""From a robot description to a Pinocchio model of one chain with a frame at each control point."""
+"""Loading of a robot description as a Pinocchio model of one chain with a frame at each control point."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from pinposture.arm.urdf_reader import (
 from pinposture.errors import InvalidValue, UnknownName, URDFError
 
 Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
-"""How to cut the chain: joints per module, one number for all or one for each, or links where modules end."""
+"""How to split the chain: joints per module, one number for all or one each, or links where modules end."""
 
 ALLOWED_LENGTHS = (1e-9, 1e9)
-"""Shortest and longest chain that is accepted [m]; the squares of others leave the range of numbers."""
+"""Shortest and longest accepted chain [m]; beyond these, squared lengths could under- or overflow."""
 MULTI_DOF_JOINTS = ("floating", "planar")
 """Types of joints with several degrees of freedom."""
 _LINK_SUFFIX = "\n"  # no name in a description has one
@@ -45,11 +45,11 @@ _LINK_SUFFIX = "\n"  # no name in a description has one
 
 @dataclass(frozen=True)
 class LoadReport:
-    """What was decided while an arm was loaded.
+    """Decisions made while loading an arm.
 
     Attributes:
-        base: link at which the arm begins.
-        tip: link at which it ends.
+        base: first link of the arm.
+        tip: last link of the arm.
         package_dirs: folders in which viewers look for meshes, the file's own last.
         warnings: decisions that the user may not expect.
         segmentation: how the joints were grouped into modules.
@@ -63,7 +63,7 @@ class LoadReport:
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any]) -> LoadReport:
-        """Return the report that `dataclasses.asdict` described."""
+        """Rebuild a report from the output of `dataclasses.asdict`."""
         sizes = tuple(described["segmentation"]["sizes"])
         segmentation = Segmentation(**{**described["segmentation"], "sizes": sizes})
         lists = tuple(described["package_dirs"]), tuple(described["warnings"])
@@ -75,9 +75,9 @@ class LoadedModel(NamedTuple):
 
     model: pin.Model  # the chain, base placement applied, with a frame at the end of each module
     control_points: tuple[str, ...]  # names of those frames, from base to tip
-    base_placement: pin.SE3 | None  # where the root link stands in the world; None if not given
-    text: str  # the URDF that was read
-    report: LoadReport  # what was decided
+    base_placement: pin.SE3 | None  # placement of the root link in the world; None if not given
+    text: str  # the URDF text
+    report: LoadReport  # decisions made
 
 
 def load_model(
@@ -90,7 +90,7 @@ def load_model(
     base_placement: pin.SE3 | None = None,
     couplings: Mapping[str, object] | None = None,
 ) -> LoadedModel:
-    """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.load`."""
+    """Load and check a description, reduce it to the chain and split that into modules. See `Arm.load`."""
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
     found = find_urdf(source)
     description = with_couplings(read_description(found.urdf), couplings)
@@ -102,7 +102,7 @@ def load_model(
         base, tip = description.longest_chain()
         wrist = description.wrist(base, tip)
     elif tip is None:
-        message = "base= alone does not say which chain; pass tip= as well"
+        message = "base= alone does not determine the chain; pass tip= as well"
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
     base = description.root if base is None else base
     locks = _checked_locks(description, locked or {})
@@ -111,7 +111,7 @@ def load_model(
     try:
         model = pin.buildModelFromXML(_without_turns(description.text, coupled))
     except (ValueError, RuntimeError) as error:
-        raise URDFError(description.source, "<robot>", f"is refused by Pinocchio: {error}") from None
+        raise URDFError(description.source, "<robot>", f"was rejected by Pinocchio: {error}") from None
     model = _lock_others(model, description, names, locks)
     _set_limits(model, coupled.moving)
     model = couple_joints(model, coupled)
@@ -123,7 +123,7 @@ def load_model(
             f"is {skeleton.length:.3g} m long; allowed: {ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
         )
         if skeleton.length == 0.0:
-            reason = "has no length: all its joints and its tip are in one place"
+            reason = "has zero length: all its joints and its tip coincide"
         raise URDFError(description.source, f"chain from {base!r} to {tip!r}", reason)
     segmentation = _modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
     points = _add_end_frames(model, names, tip, segmentation.sizes, links)
@@ -131,7 +131,7 @@ def load_model(
     if segmentation.can_follow is False:
         warnings.append(segmentation.reason)
     if wrist is not None:
-        warnings.append(f"the arm ends in a finger, at link {tip!r}; tip={wrist!r} ends it before its hand")
+        warnings.append(f"the arm ends in a finger, at link {tip!r}; tip={wrist!r} ends it before the hand")
     folders = _mesh_folders(found, package_dirs)
     report = LoadReport(base, tip, folders, tuple(warnings), segmentation)
     return LoadedModel(model, points, placement, description.text, report)
@@ -157,7 +157,7 @@ def place_base(model: pin.Model, placement: pin.SE3) -> None:
 
 
 def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, ...] | None]:
-    """Return the links at which modules end, if any are given, and the sizes of modules, if any are given."""
+    """Return the links at which modules end and the sizes of modules, whichever is given."""
     if modules is None:
         return (), None
     if isinstance(modules, str):
@@ -177,7 +177,7 @@ def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, .
 
 
 def _mesh_folders(found: Source, given: Sequence[str | Path] | None) -> tuple[str, ...]:
-    """Return the folders to look for meshes in: those given, those of the source, that of the file."""
+    """Return the folders to search for meshes: those given, those of the source, that of the file."""
     if isinstance(given, (str, os.PathLike)):
         given = [given]
     try:
@@ -192,7 +192,7 @@ def _mesh_folders(found: Source, given: Sequence[str | Path] | None) -> tuple[st
 def _moving_joints(
     description: Description, base: str, tip: str, locked: Mapping[str, float]
 ) -> CoupledJoints:
-    """Return the joints of the chain that move, and how, or say why they make no arm."""
+    """Return the moving joints of the chain and their couplings, or raise if they form no arm."""
     moving: list[JointDescription] = []
     chain = description.chain(base, tip)
     for joint in chain:
@@ -200,7 +200,7 @@ def _moving_joints(
         if joint.name in locked or not joint.moves:
             continue
         if joint.type not in CHAIN_JOINTS:
-            if not moving:  # a floating base, which keeps its place
+            if not moving:  # a floating base, treated as fixed
                 continue
             allowed = ", ".join(CHAIN_JOINTS)
             reason = f"type {joint.type!r} cannot be part of the chain; allowed: {allowed}, fixed"
@@ -213,9 +213,9 @@ def _moving_joints(
 
 
 def _without_turns(text: str, coupled: CoupledJoints) -> str:
-    """Return a description in which coupled joints that turn without end are revolute.
+    """Return a description in which coupled continuous joints are revolute.
 
-    A ratio of positions has no meaning for a position that is an angle modulo a turn.
+    A ratio of positions has no meaning for angles modulo a turn.
     """
     names = {each.joint for each in coupled.couplings} | {each.leader for each in coupled.couplings}
     turning = {joint.name for joint in coupled.moving if joint.type == "continuous"} & names
@@ -233,26 +233,26 @@ def _without_turns(text: str, coupled: CoupledJoints) -> str:
 
 
 def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -> str:
-    """Say why no joint of a chain moves."""
+    """Explain why no joint of a chain moves."""
     other = [joint.name for joint in chain if joint.type in MULTI_DOF_JOINTS]
     still = {
-        "limits leave one position to": [j.name for j in chain if j.type != "fixed" and not j.moves],
-        "locked= holds": [joint.name for joint in chain if joint.name in locked],
-        f"floating and planar joints are none of them ({', '.join(CHAIN_JOINTS)})": other,
+        "limits allow a single position of": [j.name for j in chain if j.type != "fixed" and not j.moves],
+        "locked= locks": [joint.name for joint in chain if joint.name in locked],
+        f"floating and planar joints do not count (only {', '.join(CHAIN_JOINTS)})": other,
     }
     reasons = [f"; {why}: {quote_names(names)}" for why, names in still.items() if names]
     return f"has no {'joint that can move an arm' if other else 'moving joint'}{''.join(reasons)}"
 
 
 def _checked_locks(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of the joints that the user locks, [rad or m]."""
+    """Return the checked positions of the joints that the user locks [rad or m]."""
     known = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
     checked = {}
     for name, value in locked.items():
         if name not in known:
             raise UnknownName("moving joint", name, known)
         if known[name].type in MULTI_DOF_JOINTS:
-            allowed = f"nothing: it is {known[name].type}, its position is not one number"
+            allowed = f"nothing: the joint is {known[name].type}, its position is not a single number"
             raise InvalidValue(f"locked[{name!r}]", value, allowed)
         try:
             checked[name] = float(value)
@@ -266,11 +266,7 @@ def _checked_locks(description: Description, locked: Mapping[str, float]) -> dic
 def _lock_others(
     model: pin.Model, description: Description, moving: Iterable[str], locked: Mapping[str, float]
 ) -> pin.Model:
-    """Return a model in which only the listed joints move.
-
-    The others stay at their locked position, or where the joint that they mimic puts them, or at the position
-    nearest zero within their limits.
-    """
+    """Return a model in which only the listed joints move; the others stay at `_locked_positions`."""
     free, positions = set(moving), _locked_positions(description, locked)
     reference = pin.neutral(model)
     others = [index for index in range(1, model.njoints) if model.names[index] not in free]
@@ -282,7 +278,7 @@ def _lock_others(
             reference[joint.idx_q] = positions[name]
         elif joint.nv == 1:
             reference[joint.idx_q : joint.idx_q + 2] = np.cos(positions[name]), np.sin(positions[name])
-    # Pinocchio cannot reduce a model in which a link and a joint have the same name.
+    # Pinocchio cannot reduce a model in which a link and a joint share a name.
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:
             frame.name += _LINK_SUFFIX
@@ -296,7 +292,10 @@ def _lock_others(
 
 
 def _locked_positions(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
-    """Return the position that each joint with one degree of freedom has if it is locked [rad or m]."""
+    """Return the position of each joint if locked [rad or m].
+
+    That is its given position, or where its mimic leader puts it, or the position nearest zero within limits.
+    """
     named = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
 
     def position(joint: JointDescription, above: frozenset[str]) -> float:
@@ -314,7 +313,7 @@ def _locked_positions(description: Description, locked: Mapping[str, float]) -> 
 def _lock_warnings(
     description: Description, base: str, tip: str, moving: Iterable[str], locked: Mapping[str, float]
 ) -> list[str]:
-    """Report joints without limits, and joints that are locked although the user did not lock them."""
+    """Report joints without limits, and joints locked although the user did not ask for it."""
     free, chain = set(moving), description.chain(base, tip)
     on_chain = {joint.name for joint in chain}
     before = description.chain(description.root, base)
@@ -325,10 +324,10 @@ def _lock_warnings(
     ]
     stuck = [j.name for j in chain if j.type != "fixed" and not j.moves and j.name not in locked]
     if stuck:
-        messages.append(f"limits that leave one position lock {_quote_joints(stuck)} on the chain")
+        messages.append(f"limits that allow a single position lock {_quote_joints(stuck)} on the chain")
     endless = [joint.name for joint in chain if joint.name in free and _lacks_limits(joint)]
     if endless:
-        messages.append(f"no limits are given for {_quote_joints(endless)}; taken as unlimited")
+        messages.append(f"no limits are given for {_quote_joints(endless)}; treated as unlimited")
     still = [
         joint
         for joint in description.joints
@@ -342,7 +341,7 @@ def _lock_warnings(
     named = {joint.name: joint for joint in description.joints}
     led = [joint.name for joint in still if joint.mimic and leading_joint(joint, named).name in free]
     if led:
-        what = "mimic joints on it, but are held where those are at zero"
+        what = "mimic joints on it, but are locked where those are at zero"
         messages.append(f"{_quote_joints(led)} off the chain {what}")
     lost = [joint.name for joint in still if joint.follows is not None and joint.follows.joint not in named]
     if lost:
@@ -355,7 +354,7 @@ def _lacks_limits(joint: JointDescription) -> bool:
 
 
 def _off_chain(description: Description, base: str, tip: str, still: list[JointDescription]) -> str:
-    """Say how many joints off the chain are locked, and at which link of the chain their branches begin."""
+    """Describe the locked joints off the chain, by the link of the chain at which their branches begin."""
     links = {base, *(joint.child for joint in description.chain(base, tip))}
     branches = defaultdict[str, list[str]](list)
     for joint in still:
@@ -365,7 +364,7 @@ def _off_chain(description: Description, base: str, tip: str, still: list[JointD
         branches[link].append(joint.name)
     places = [f"{len(names)} at link {link!r} ({quote_names(names, 3)})" for link, names in branches.items()]
     listed = "; ".join(places[:6]) + ("; ..." if len(places) > 6 else "")
-    return f"{count_joints(len(still))} off the chain from {base!r} to {tip!r} held still: {listed}"
+    return f"{count_joints(len(still))} off the chain from {base!r} to {tip!r} locked: {listed}"
 
 
 def _quote_joints(names: list[str]) -> str:
@@ -373,7 +372,7 @@ def _quote_joints(names: list[str]) -> str:
 
 
 def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
-    """Set position limits; Pinocchio reads a limit without lower and upper, which means none, as (0, 0)."""
+    """Set position limits; Pinocchio reads a <limit> without lower and upper, i.e. no limits, as (0, 0)."""
     for joint in moving:
         index = model.joints[model.getJointId(joint.name)]
         if index.nq == 1:
@@ -384,8 +383,8 @@ def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
 def _modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]) -> Segmentation:
     """Return the modules that end at the origins of links, given from base to tip.
 
-    A joint that turns about an axis through the origin of a link does not move it, so it belongs to the next
-    module: the origin of a link is where the joint that carries it sits.
+    A joint whose axis passes through the origin of a link does not move that origin, so it belongs to the
+    next module; usually this is the joint that carries the link.
     """
     bodies = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
     placements = neutral_placements(model)
@@ -402,7 +401,7 @@ def _modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]
             end -= int(np.linalg.norm(lever) <= ON_AXIS * skeleton.length)
         if end <= ends[-1]:
             allowed = (
-                "links in order from base to tip, each moved by a joint that does not move the one before"
+                "links in order from base to tip, each moved by a joint that does not move the previous one"
             )
             raise InvalidValue(f"modules: link {link!r}", f"moved by {end} joints of the chain", allowed)
         ends.append(end)
@@ -419,7 +418,7 @@ def _add_end_frames(
     """Add a frame where each module ends: at its link, if given, or at the next joint, or at the tip.
 
     Returns:
-        Names of the frames: "module_01" and so on, with enough underscores after "module" to be new.
+        Names of the frames: "module_01" and so on, with more underscores after "module" if those are taken.
     """
     ids = [model.getJointId(name) for name in joints]
     ends = np.cumsum(sizes)
@@ -432,7 +431,7 @@ def _add_end_frames(
             link = links[k] if links else tip
             frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
             parent, placement = frame.parentJoint, frame.placement
-            if parent != ids[end - 1]:  # the link turns about its own origin: the point is on the body before
+            if parent != ids[end - 1]:  # the link turns about its own origin: attach to the previous body
                 parent, placement = model.parents[parent], model.jointPlacements[parent] * placement
         else:
             parent, placement = model.parents[ids[end]], model.jointPlacements[ids[end]]

@@ -13,24 +13,24 @@ from pinposture.errors import InvalidValue, UnknownName
 Array = NDArray[np.float64]
 
 ControlPoints = int | str | Sequence[int | str]
-"""Control points, or a single one: their indices, 0-based or from the tip as -1, or their names."""
+"""One or several control points, by index, 0-based or negative from the tip, or by name."""
 
 SECTIONS = ("base", "previous")
-"""Where the section that moves begins: at the base, or at the previous chosen control point."""
+"""Start of the moving section: the base, or the previous chosen control point."""
 ZERO_SINGULAR_VALUE = 1e-14
-"""Fraction of the largest singular value below which another is zero."""
+"""Fraction of the largest singular value below which others are set to zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """The velocities of a control point while the joint velocities fill the unit ball, |dq/dt| <= 1.
+    """The velocities of a control point for joint velocities in the unit ball, |dq/dt| <= 1.
 
     An ellipse for a planar arm. In a singular posture it is flat: its last radii are 0.
 
     Attributes:
         point: index of the control point, 0-based.
-        base: where the section that moves begins: 0 for the base of the arm, k for the control point of
-            index k - 1. The index of the section is `ArmState.manipulability()[base, point + 1]`.
+        base: start of the moving section: 0 for the base of the arm, k for control point k - 1. The index of
+            the section is `ArmState.manipulability()[base, point + 1]`.
         center: position of the control point, (3,) [m], world frame.
         directions: unit vectors along the principal axes, one per row, (d, 3), world frame; d = 3, or d = 2
             for a planar arm. Right-handed; in the plane, about the normal of `Arm.plane`.
@@ -56,7 +56,7 @@ class Ellipsoid:
 
     @property
     def condition(self) -> float:
-        """Condition number, the largest radius over the smallest (3.4); at least 1, infinite if singular."""
+        """Condition number, the ratio of the largest to the smallest radius (3.4); infinite if singular."""
         largest, smallest = float(self.radii[0]), float(self.radii[-1])
         return largest / smallest if smallest > 0.0 else np.inf
 
@@ -74,7 +74,7 @@ class Ellipsoid:
 def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, center: Array) -> Ellipsoid:
     """Compute an ellipsoid from the position Jacobian of a section along `plane`, (d, n), n >= 1."""
     dimension, columns = jacobian.shape
-    # Columns of zeros do not change the ellipsoid, but give it as many axes as dimensions.
+    # Zero columns do not change the ellipsoid, but give it as many axes as dimensions.
     filled = np.hstack([jacobian, np.zeros((dimension, max(dimension - columns, 0)))])
     axes, radii, _ = np.linalg.svd(filled, full_matrices=False)
     if np.linalg.det(axes) < 0.0:
@@ -95,8 +95,8 @@ def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...
         points: the choice.
 
     Raises:
-        UnknownName: a name that no control point has.
-        InvalidValue: an index that no control point has, something else, or a control point chosen twice.
+        UnknownName: no such control point.
+        InvalidValue: an index out of range, another type, or a control point chosen twice.
     """
     listed: list[object] = [points]
     if isinstance(points, Iterable) and not isinstance(points, str):
@@ -108,7 +108,7 @@ def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...
 
 
 def section_bases(chosen: Sequence[int], relative_to: str) -> tuple[int, ...]:
-    """Return where the section of each chosen control point begins, see `Ellipsoid.base` and `SECTIONS`."""
+    """Return the start of the section of each chosen control point; see `Ellipsoid.base` and `SECTIONS`."""
     if relative_to not in SECTIONS:
         raise UnknownName("start of a section", relative_to, SECTIONS)
     if relative_to == "base":

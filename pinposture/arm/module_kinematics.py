@@ -1,4 +1,4 @@
-"""What a module is to the library: its kinematics FK, IK and TP (Section 4.1), and a registry of your own."""
+"""The interface of module kinematics, FK, IK and TP (Section 4.1), and a registry for custom ones."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 Chosen = TypeVar("Chosen", bound=Callable[..., object])
 
 ACROSS = 1e-3
-"""Sine of the smallest angle between a joint axis and the module at which the axis counts as across it."""
+"""Sine of the smallest angle between a joint axis and the module axis at which the joint bends the module."""
 
 FK_TOLERANCE = 1e-6
-"""How far the FK of registered kinematics may be from that of the joints, in reaches or radians."""
+"""Tolerance of the FK of registered kinematics against that of the joints, in reaches or radians."""
 
 CHECKED_POSTURES = 8
 """Number of postures in which registered kinematics are compared with the joints."""
@@ -28,15 +28,15 @@ CHECKED_POSTURES = 8
 
 @runtime_checkable
 class ModuleKinematics(Protocol):
-    """The kinematics of a module, as Algorithm 1 uses them.
+    """The kinematics of a module, as used by Algorithm 1.
 
-    Everything is in the base frame of the module: its origin is the base of the module (the control point
-    before), x points to the end of the module at its neutral configuration, y is the part across x of the
-    first joint axis that is not along x. Lengths are in metres, angles in radians. Joint positions q are
-    those of the degrees of freedom of the module from base to end, zero at the neutral configuration.
+    Everything is in the base frame of the module: its origin is the base of the module (the previous control
+    point), x points to the end of the module at its neutral configuration, and y is the component
+    perpendicular to x of the first joint axis that is not along x. Lengths are in metres, angles in radians.
+    Joint positions q are those of the module's degrees of freedom from base to end, zero when neutral.
 
-    Kinematics that only approximate the joints say so by an attribute `tolerance`: the largest error of their
-    FK, in reaches of the module or radians; 1e-6 without it.
+    Kinematics that only approximate the joints declare this with an attribute `tolerance`: the largest error
+    of their FK, in reaches of the module or radians; 1e-6 by default.
 
     Attributes:
         dof: number of degrees of freedom, k.
@@ -52,13 +52,13 @@ class ModuleKinematics(Protocol):
         """Largest distance of the end from the base [m]."""
 
     def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK: position of the end (3,) [m] and its orientation (3, 3) at joint positions q, (k,)."""
+        """FK: position (3,) [m] and orientation (3, 3) of the end at joint positions q, (k,)."""
 
     def inverse(self, p: Array) -> Sequence[Array]:
-        """IK: joint positions (k,) that put the end at p, (3,) [m]; the best first, none if out of reach."""
+        """IK: joint positions (k,) that put the end at p, (3,) [m]; best first, empty if out of reach."""
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP: the next point of a curve on which the module can put its end.
+        """TP: the next point of a curve that the end of the module can reach.
 
         Args:
             base: placement of the base frame in the frame of the curve.
@@ -66,8 +66,8 @@ class ModuleKinematics(Protocol):
             start: arc length of the base on the curve [m].
 
         Returns:
-            Arc length of the point, above `start` [m]; None if there is none. If joint limits, which the
-            library checks, rule out every posture there, it is asked again from that point on.
+            Arc length of the point, above `start` [m]; None if there is none. The library checks joint
+            limits; if they rule out every posture there, it calls this again from that point.
         """
 
 
@@ -82,7 +82,7 @@ class ModuleJoints:
         origins: a point on each axis, (n, 3) [m].
         end: the end of the module, (3,) [m].
         inputs: index of the degree of freedom that moves each joint, (n,); 0, 1, ... from the base.
-        ratios: motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled.
+        ratios: motion of each joint relative to its degree of freedom, (n,); 1 unless coupled.
         lower: smallest positions of the degrees of freedom, (k,) [rad or m].
         upper: largest ones, (k,).
         base: the base of the module in the world, (3,) [m].
@@ -107,7 +107,7 @@ class ModuleJoints:
         return len(self.lower)
 
     def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK by exponentials: position (3,) [m] and orientation (3, 3) of the end at q, (k,)."""
+        """FK by product of exponentials: position (3,) [m] and orientation (3, 3) of the end at q, (k,)."""
         turn, place = np.eye(3), np.zeros(3)
         for u, amount in enumerate(self.ratios * np.asarray(q, dtype=float)[self.inputs]):
             if not self.revolute[u]:
@@ -133,11 +133,11 @@ def joints_in_base_frame(
 
     Args:
         names: names of the joints, (n,).
-        revolute: which of them turn, (n,).
+        revolute: True for revolute joints, (n,).
         axes: unit axes, (n, 3), world frame.
         stations: the base of the module, a point on each axis, and its end, (n + 2, 3) [m], world frame.
         columns: degree of freedom of each joint, (n,).
-        ratios: motion relative to that, (n,).
+        ratios: motion relative to its degree of freedom, (n,).
         lower: smallest positions of these degrees of freedom in the order of the joints, (k,).
         upper: largest ones, (k,).
     """
@@ -160,7 +160,7 @@ def joints_in_base_frame(
 
 
 def _base_frame(span: Array, axes: Array) -> Array:
-    """Return the axes of the base frame of a module (3, 3) as columns, in the frame of the arguments."""
+    """Return the axes of the base frame of a module as columns, (3, 3), in the frame of the arguments."""
     length = float(np.linalg.norm(span))
     x = span / length if length > 0.0 else axes[0]
     across = axes - np.outer(axes @ x, x)
@@ -172,11 +172,11 @@ def _base_frame(span: Array, axes: Array) -> Array:
 
 
 Recogniser: TypeAlias = Callable[[ModuleJoints], ModuleKinematics | None]
-"""Kinematics of a module that has these joints; None if it is another kind of module."""
+"""Returns the kinematics of a module with these joints; None if it is another kind of module."""
 
 
 class _Registry:
-    """Functions that recognise modules, the last one first, and how often they have changed."""
+    """Functions that recognise modules, latest first, and the number of changes to them."""
 
     functions: tuple[Recogniser, ...] = ()
     changes: int = 0
@@ -189,12 +189,12 @@ _registry = _Registry()
 
 
 def register_module_kinematics(recognise: Chosen) -> Chosen:
-    """Have the library use kinematics of your own for modules that a function recognises.
+    """Register custom kinematics for modules that a function recognises.
 
-    Arms that are loaded from then on are cut into such modules where they fit (`Arm.load` with
-    `modules=None`), and Algorithm 1 places such modules by them in every arm. Those registered last are asked
-    first, and all of them before those of the library. Other processes, such as workers of a batch, need the
-    registration too.
+    Arms loaded afterwards are split into such modules where they fit (`Arm.load` with `modules=None`), and
+    Algorithm 1 uses these kinematics to place such modules in every arm. The latest registration takes
+    precedence, and all of them precede the library's own. Other processes, such as the workers of a batch,
+    must register them too.
 
         @register_module_kinematics
         def recognise(joints: ModuleJoints) -> ModuleKinematics | None: ...
@@ -203,7 +203,7 @@ def register_module_kinematics(recognise: Chosen) -> Chosen:
         recognise: takes `ModuleJoints` and returns the `ModuleKinematics`, or None.
 
     Returns:
-        The function, so that this can be a decorator.
+        The function, so that this can be used as a decorator.
 
     Raises:
         InvalidValue: not a function.
@@ -215,7 +215,7 @@ def register_module_kinematics(recognise: Chosen) -> Chosen:
 
 
 def unregister_module_kinematics(recognise: Recogniser) -> None:
-    """Forget a function given to `register_module_kinematics`.
+    """Remove a function given to `register_module_kinematics`.
 
     Raises:
         InvalidValue: it is not registered.
@@ -226,12 +226,12 @@ def unregister_module_kinematics(recognise: Recogniser) -> None:
 
 
 def registry_state() -> int:
-    """Return a number that changes with every registration; 0 if there never was one."""
+    """Return a number that changes with every registration; 0 before the first."""
     return _registry.changes
 
 
 def is_registry_empty() -> bool:
-    """Tell whether there are no kinematics but those of the library."""
+    """Return whether no custom kinematics are registered."""
     return not _registry.functions
 
 
@@ -239,7 +239,7 @@ def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
     """Return the registered kinematics of a module, or None.
 
     Raises:
-        InvalidValue: a function returns something else; or kinematics that contradict the joints.
+        InvalidValue: a function returns another type, or kinematics that contradict the joints.
     """
     for recognise in _registry.functions:
         found = recognise(joints)
@@ -250,7 +250,7 @@ def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
 
 
 def _check(recognise: Recogniser, found: object, joints: ModuleJoints) -> None:
-    """Compare kinematics with the joints that they are for, within their own `tolerance` if they have one."""
+    """Compare kinematics with the joints, within their own `tolerance` if they have one."""
     name = f"module kinematics of {getattr(recognise, '__qualname__', recognise)!s}"
     if not isinstance(found, ModuleKinematics):
         raise InvalidValue(name, found, "ModuleKinematics: dof, reach, forward, inverse and target_point")

@@ -1,4 +1,4 @@
-"""How the joints of an arm are grouped into modules (Section 4.1)."""
+"""Grouping of the joints of an arm into modules (Section 4.1)."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from pinposture.errors import InvalidValue
 Array = NDArray[np.float64]
 
 LINK_TOLERANCE = 0.02
-"""Largest difference of links that count as equal, relative to the mean distance between joints."""
+"""Largest difference between links that count as equal, relative to the mean distance between joints."""
 MAX_PERIOD = 12
-"""Largest number of joints after which a repetition is looked for."""
+"""Longest period of repetition to search for, in joints."""
 SAMPLED_POSTURES = 16
-"""Number of postures in which the motion of the end of a module is measured."""
+"""Number of postures in which the end motion of a module is measured."""
 MAX_SAMPLE_ANGLE = 1.2
-"""Largest excursion of a joint from its position nearest zero in those postures [rad]."""
+"""Largest deviation of a joint from its position nearest zero in those postures [rad]."""
 MIN_MOTION = 0.05
-"""How far one radian must move the end across, relative to its distance from the base of the module."""
+"""Smallest sideways motion of the end per radian, relative to its distance from the module base."""
 MIN_DISTANCE = 1e-3
-"""Distance of the end from the base of the module, relative to the mean distance between joints."""
+"""Smallest distance of the end from the module base, relative to the mean distance between joints."""
 MAX_EXTRA_JOINTS = 4
-"""How many joints more than the fewest a module may have where nothing repeats."""
+"""Number of joints by which a module may exceed the minimum where nothing repeats."""
 MAX_REGISTERED_JOINTS = 24
-"""Largest number of joints of a module with registered kinematics that is looked for."""
+"""Largest module with registered kinematics to search for, in joints."""
 MAX_IDLE_JOINTS = 1
-"""How many joints may move the end of a module beyond those that it takes to place it."""
+"""Number of joints that may move the end of a module beyond those needed to place it."""
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """How the joints of an arm were grouped into modules.
+    """A grouping of the joints of an arm into modules.
 
     Attributes:
         sizes: number of joints of each module, from base to tip.
-        reason: why, in words.
+        reason: explanation in words.
         period: number of joints after which the arm repeats; None if it does not, or was not analysed.
-        can_follow: False if the end of some module cannot be placed on every curve, for instance where axes
-            are parallel in a spatial arm; None if not analysed.
+        can_follow: False if the end of some module cannot be placed on every curve, for instance because of
+            parallel axes in a spatial arm; None if not analysed.
     """
 
     sizes: tuple[int, ...]
@@ -57,10 +57,10 @@ class Segmentation:
 
 
 class Repetition(NamedTuple):
-    """A stretch of joints that repeats a shorter one at least twice."""
+    """A run of joints that repeats a shorter one at least twice."""
 
     period: int  # number of joints after which it repeats
-    first: int  # index of the first joint of the stretch
+    first: int  # index of the first joint of the run
     stop: int  # index after its last joint
 
 
@@ -74,47 +74,41 @@ def equal_modules(joints: int, size: int) -> Segmentation:
         divisors = ", ".join(str(k) for k in range(1, joints + 1) if joints % k == 0)
         allowed = f"a divisor of {joints} joints: {divisors}"
         raise InvalidValue("modules (joints per module)", size, allowed)
-    return Segmentation((size,) * (joints // size), f"{count_joints(size)} for each module, as asked")
+    return Segmentation((size,) * (joints // size), f"{count_joints(size)} for each module, as given")
 
 
 def given_modules(joints: int, sizes: Sequence[int]) -> Segmentation:
     """Return modules with given numbers of joints.
 
     Raises:
-        InvalidValue: numbers that are not positive or do not add up to the number of joints.
+        InvalidValue: the numbers are not positive or do not add up to the number of joints.
     """
     if not sizes or min(sizes) < 1 or sum(sizes) != joints:
         allowed = f"positive whole numbers that add up to {joints} joints"
         raise InvalidValue("modules (sizes)", list(sizes), allowed)
-    return Segmentation(tuple(sizes), "sizes as asked")
+    return Segmentation(tuple(sizes), "sizes as given")
 
 
 def segment(skeleton: Skeleton) -> Segmentation:
     """Group the joints into the smallest modules whose ends can be placed on any curve.
 
-    A module ends where the next joint sits, the last one at the tip. Its end must be able to move in every
-    direction across the line from its base to its end (see `EndMobility`), which also keeps control points
-    apart. Where the arm repeats, the cuts repeat with it: they are made in the smallest number of periods
-    that allows it, at the phase that gives most modules. Where it does not, there are as many modules as
-    possible, cut so that their ends move as well as possible. Joints before and behind the repetition form
-    modules of their own if they can, and otherwise join the neighbour, as do joints that move nothing: a roll
-    about the link at the tip, a last joint with no link after it.
+    A module ends at the origin of the next joint, the last one at the tip. Its end must be able to move in
+    every direction perpendicular to the line from its base to its end (see `EndMobility`), which also keeps
+    control points apart. If the arm repeats, so do the cuts: they use the smallest number of periods that
+    works, at the phase that gives the most modules. Otherwise the arm is cut into as many modules as
+    possible, with the largest mobility of their ends. Joints before and after the repetition form their own
+    modules if they can, else join a neighbour, as do joints that move nothing: a roll about the link at the
+    tip, or a last joint without a link after it.
 
-    A module whose end is moved by more joints than that takes would leave the links between undetermined,
-    however well its end lies on the curve: consecutive parallel axes make such modules. It is cut again, into
-    pieces whose ends move in at least one direction across, as many as possible of them in both.
+    If more joints than needed move the end of a module, as with consecutive parallel axes, its intermediate
+    links are undetermined even if its end lies on the curve. Such a module is cut again, into pieces whose
+    ends move in at least one perpendicular direction, as many as possible of them in both.
 
-    Joints that registered kinematics recognise (`register_module_kinematics`) are modules of their own; all
-    of this holds for the joints between them.
-
-    Args:
-        skeleton: the joints of the arm.
-
-    Returns:
-        The sizes of the modules, and why.
+    Joints recognised by registered kinematics (`register_module_kinematics`) form their own modules; the
+    rules above apply to the joints between them.
 
     Raises:
-        InvalidValue: registered kinematics that contradict the joints.
+        InvalidValue: registered kinematics contradict the joints.
     """
     if not is_registry_empty():
         recognised = _find_registered(skeleton)
@@ -126,7 +120,7 @@ def segment(skeleton: Skeleton) -> Segmentation:
 def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
     """Find modules with registered kinematics: first joint, joint after the last, and class of each.
 
-    They cover as many joints as possible, with as many modules as possible.
+    They cover as many joints as possible; among such choices there are as many modules as possible.
     """
     n, columns = len(skeleton.names), skeleton.columns
     last = {column: u for u, column in enumerate(columns.tolist())}
@@ -137,7 +131,7 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
         for stop in range(start + 1, min(start + MAX_REGISTERED_JOINTS, n) + 1):
             own = columns[start:stop].tolist()
             if any(first[column] < start or last[column] >= stop for column in own):
-                continue  # others are coupled to them
+                continue  # coupled to joints outside
             inputs = [first[column] for column in dict.fromkeys(own)]
             part, stations = slice(start, stop), skeleton.stations[[start, *range(start, stop), stop]]
             limits = np.array([skeleton.lower[inputs], skeleton.upper[inputs]]) / skeleton.ratios[inputs]
@@ -153,7 +147,7 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
 
 
 def _around_registered(skeleton: Skeleton, recognised: Sequence[tuple[int, int, str]]) -> Segmentation:
-    """Return the modules with registered kinematics, and those of the joints between them."""
+    """Return the modules with registered kinematics, and those formed by the joints between them."""
     sizes, can_follow, at = list[int](), True, 0
     for start, stop, _ in (*recognised, (len(skeleton.names), 0, "")):
         if at < start:
@@ -194,12 +188,12 @@ def _segment_unregistered(skeleton: Skeleton) -> Segmentation:
 
 
 def find_repetitions(skeleton: Skeleton) -> list[Repetition]:
-    """Find every stretch of the arm that repeats, shortest period first.
+    """Find every run of joints that repeats, shortest period first.
 
-    Two joints are alike if both turn or both slide and the links after them are alike up to a rigid motion
-    or reflection. A link is described by quantities that no joint position and no choice of frames changes:
-    its length, how far along either joint axis it reaches, the angle between the axes and their volume with
-    the link. The link of the last joint of the stretch may differ, because what follows it may.
+    Two joints are alike if both turn or both slide and the links after them are alike up to a rigid motion or
+    reflection. A link is described by invariants of joint position and choice of frames: its length, its
+    components along both joint axes, the angle between the axes and their triple product with the link. The
+    link after the last joint of the run may differ, because the next joint may.
     """
     links, n = _link_invariants(skeleton), len(skeleton.names)
     found = []
@@ -233,23 +227,23 @@ def _link_invariants(skeleton: Skeleton) -> Array:
 
 
 class EndMotion(NamedTuple):
-    """How joints move their end across the line from their base to it, for one radian and unit distance.
+    """Motion of the end of a group of joints perpendicular to its span, per radian and unit distance.
 
-    It is the median over several postures, not the least, because any module has singular ones. It is zero if
-    the end stays at the base.
+    It is the median over several postures, not the minimum, because any module has singular ones. It is zero
+    if the end stays at the base.
     """
 
-    easiest: float  # in the direction in which they move it farthest
+    easiest: float  # in the direction of largest motion
     hardest: float  # in the last of the required directions
     movers: int  # number of joints that move it
 
 
 class EndMobility:
-    """Whether groups of joints can place their ends on any curve; results are cached.
+    """Decides whether groups of joints can place their ends on any curve; results are cached.
 
-    The end must be able to move in every direction across the line from the base of the group to its end.
-    Whether it can depends on the joints, not on the posture that the file calls zero, so it is measured in
-    several postures; a straight or folded one would give the wrong answer.
+    The end must be able to move in every direction perpendicular to the line from the base of the group to
+    its end. This is a property of the joints, not of the zero posture, so it is measured in several postures;
+    a straight or folded one would give the wrong answer.
 
     Attributes:
         needed: number of required directions: two in space, one in the plane.
@@ -264,7 +258,7 @@ class EndMobility:
         swing[skeleton.base_slides] = 0.0
         low, high = np.maximum(skeleton.lower, middle - swing), np.minimum(skeleton.upper, middle + swing)
         self._positions = np.random.default_rng(0).uniform(low, high, (SAMPLED_POSTURES, len(middle)))
-        # Coupled joints move together: the first of them within the range of the narrowest.
+        # Coupled joints move together: the first of them within the narrowest range of all.
         first, number = np.unique(skeleton.columns, return_index=True, return_inverse=True)[1:]
         self._inputs, self._ratios = number, skeleton.ratios
         self._coupled = len(first) < len(number)
@@ -278,22 +272,22 @@ class EndMobility:
             self._positions = amount[:, number] * skeleton.ratios
         last = np.zeros(len(first), dtype=np.intp)
         np.maximum.at(last, number, np.arange(len(number)))
-        # Groups may begin, and end, where no joint before is coupled to one behind.
+        # Groups may begin and end where no joint before is coupled to one after.
         opened = np.maximum.accumulate(last[number])
         self._boundaries = {0, *(k + 1 for k in np.flatnonzero(opened == np.arange(len(number))))}
         self.needed = 2 if skeleton.normal is None else 1
         self._flat_ends = _flat_ends(skeleton)
 
     def can_place(self, first: int, stop: int) -> bool:
-        """Tell whether joints first, ..., stop - 1 can place station `stop` on any curve through `first`."""
+        """Whether joints first, ..., stop - 1 can place station `stop` on any curve through `first`."""
         return stop > self._flat_ends[first] and self.motion(first, stop).hardest > MIN_MOTION
 
     def can_move(self, first: int, stop: int) -> bool:
-        """Tell whether those joints move station `stop` in at least one direction across."""
+        """Return whether those joints move station `stop` in at least one perpendicular direction."""
         return self.motion(first, stop).easiest > MIN_MOTION
 
     def motion(self, first: int, stop: int) -> EndMotion:
-        """Measure how those joints move station `stop`; not at all if others are coupled to them."""
+        """Measure how those joints move station `stop`; zero if others are coupled to them."""
         if (first, stop) not in self._known:
             apart = {first, stop} <= self._boundaries
             self._known[first, stop] = self._measure(first, stop) if apart else EndMotion(0.0, 0.0, 0)
@@ -316,11 +310,11 @@ class EndMobility:
         sizes[:, : values.shape[1]] = values
         single = np.median(np.linalg.norm(across, axis=1), axis=0)
         easiest, hardest = np.median(sizes, axis=0)[[0, -1]]
-        # Rounded, so that groups of equal motion compare equal whatever the order of summation.
+        # Rounded so that groups of equal motion compare equal in any order of summation.
         return EndMotion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > MIN_MOTION)))
 
     def _jacobians(self, first: int, stop: int) -> tuple[Array, Array]:
-        """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in every sampled posture."""
+        """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in each sampled posture."""
         arm, count = self._skeleton, SAMPLED_POSTURES
         place, turn = np.zeros((count, 3)), np.broadcast_to(np.eye(3), (count, 3, 3))
         axes, origins = [], []
@@ -347,10 +341,10 @@ class EndMobility:
 
 
 def _flat_ends(skeleton: Skeleton) -> list[int]:
-    """For each joint the end of the longest group from there with parallel axes and all links across them.
+    """For each joint, the end of the longest group from there with parallel axes perpendicular to all links.
 
-    In a spatial arm such a group moves its end in one direction across, which needs no measurement. In a
-    planar arm no group is too short.
+    In a spatial arm such a group moves its end in a single direction, which needs no measurement. In a planar
+    arm no group is too short.
     """
     n = len(skeleton.names)
     ends = list(range(1, n + 1)) if skeleton.normal is None else [0] * n
@@ -365,7 +359,7 @@ def _flat_ends(skeleton: Skeleton) -> list[int]:
 
 
 def _smallest_modules(mobility: EndMobility, first: int, stop: int) -> list[int]:
-    """Where modules end if each is as small as possible; joints may be left before `stop`."""
+    """Return the ends of the smallest possible modules; joints may be left over before `stop`."""
     bounds = [first]
     while end := next((k for k in range(bounds[-1] + 1, stop + 1) if mobility.can_place(bounds[-1], k)), 0):
         bounds.append(end)
@@ -373,16 +367,16 @@ def _smallest_modules(mobility: EndMobility, first: int, stop: int) -> list[int]
 
 
 def _exhaustive_modules(mobility: EndMobility, first: int, stop: int) -> list[int]:
-    """Where modules end if each is as small as possible; joints that are left join the last one."""
+    """Return the ends of the smallest possible modules; leftover joints join the last one."""
     return [*_smallest_modules(mobility, first, stop)[:-1], stop]
 
 
 def _best_cuts(
     mobility: EndMobility, first: int, stop: int, admissible: Callable[[int, int], bool]
 ) -> list[int]:
-    """Where admissible pieces end, by dynamic programming.
+    """Return the ends of admissible pieces, by dynamic programming.
 
-    As many as possible place their ends, then there are as many as possible, then their ends move best.
+    The pieces maximise, in this order, how many can place their ends, their number, and their mobility.
     """
     best: dict[int, tuple[int, int, float, list[int]]] = {stop: (0, 0, np.inf, [])}
     for start in range(stop - 1, first - 1, -1):
@@ -397,7 +391,7 @@ def _best_cuts(
 
 
 def _repeated_cuts(mobility: EndMobility, repetition: Repetition, head: int, n: int) -> list[int] | None:
-    """Cuts that repeat from joint `head` on, or None if they would cover less than half of the arm."""
+    """Return cuts that repeat from joint `head` on, or None if they would cover less than half of the arm."""
     period, stop = repetition.period, repetition.stop
     sizes = range(period, (stop - head) // 2 + 1, period)
     unit = next((size for size in sizes if mobility.can_place(head, head + size)), None)
@@ -413,7 +407,7 @@ def _repeated_cuts(mobility: EndMobility, repetition: Repetition, head: int, n: 
 
 
 def _merge_unplaceable(mobility: EndMobility, cuts: Sequence[int]) -> list[int]:
-    """Sizes of the modules after each one that cannot place its end has joined its neighbour."""
+    """Merge modules that cannot place their ends with a neighbour and return the sizes."""
     bounds = [0, *cuts]
     k = 0
     while k < len(bounds) - 1:
@@ -428,7 +422,7 @@ def _merge_unplaceable(mobility: EndMobility, cuts: Sequence[int]) -> list[int]:
 
 
 def _cut_redundant(mobility: EndMobility, sizes: Sequence[int]) -> list[int]:
-    """Sizes of the modules after each one that too many joints move has been cut into pieces.
+    """Cut modules moved by too many joints into pieces and return the sizes.
 
     A single piece bound to a plane stays with its neighbour, as does a single joint elsewhere.
     """

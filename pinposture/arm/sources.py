@@ -1,4 +1,4 @@
-"""Where an arm comes from: URDF, xacro, MJCF, the package robot_descriptions, or a Pinocchio model."""
+"""Sources of arms: URDF, xacro, MJCF, the package robot_descriptions, or a Pinocchio model."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from pinposture.errors import FileError, URDFError
 from pinposture.storage import read_text
 
 EXTRA = "pip install 'pinposture[descriptions]'"
-"""How to install what reads xacro and finds descriptions by name."""
+"""How to install support for xacro and for descriptions by name."""
 
 _MACROS = "http://www.ros.org/wiki/xacro"
 _SHAPES = {"FreeFlyer": "floating", "Planar": "planar"}
 
 
 class Source(NamedTuple):
-    """A URDF, and where its meshes are.
+    """A URDF and the folders of its meshes.
 
     Attributes:
         urdf: path of a file, or URDF text.
@@ -39,20 +39,20 @@ class Source(NamedTuple):
 
 
 def find_urdf(source: str | Path) -> Source:
-    """Return the URDF of an arm, made of another description if it is one.
+    """Return the URDF of an arm, converted from another format if necessary.
 
     Args:
-        source: URDF or xacro, the text or the path of a file; path of an MJCF file; or, if there is no such
-            file, the name of a description in the package robot_descriptions, such as "panda_description".
+        source: URDF or xacro, as text or file path; path of an MJCF file; or, if there is no such file, the
+            name of a description in the package robot_descriptions, such as "panda_description".
 
     Raises:
-        FileError: a file that cannot be converted; a description that is not there or cannot be fetched.
-        URDFError: an MJCF file with a joint that URDF does not know.
+        FileError: a file cannot be converted, or a description does not exist or cannot be fetched.
+        URDFError: an MJCF file has a joint that URDF cannot represent.
     """
     if is_urdf_text(source):
         return Source(_expand_text(str(source)) if _MACROS in str(source) else source)
     if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
-        return Source(source)  # refused by whoever reads it
+        return Source(source)  # rejected by the reader
     path = Path(source)
     if path.suffix.lower() == ".xacro":
         return Source(_expand_file(path), (str(path.absolute().parent),))
@@ -64,18 +64,18 @@ def find_urdf(source: str | Path) -> Source:
 
 
 def _find_by_name(name: str) -> Source:
-    """Return a description of robot_descriptions, which fetches it if it is not there yet."""
+    """Return a description from robot_descriptions, which downloads it if necessary."""
     try:
         import_module("robot_descriptions")
     except ImportError:
-        advice = f"for names of robot_descriptions: {EXTRA}"
+        advice = f"to use names from robot_descriptions: {EXTRA}"
         raise FileError(name, f"no such file; {advice}") from None
     try:
         found = import_module(f"robot_descriptions.{name}")
     except ModuleNotFoundError:
-        reason = "no such file, and robot_descriptions has none of that name (`robot_descriptions list`)"
+        reason = "no such file, and no such name in robot_descriptions (`robot_descriptions list`)"
         raise FileError(name, reason) from None
-    except Exception as error:  # of git, or of the network
+    except Exception as error:  # from git or the network
         raise FileError(name, f"robot_descriptions cannot fetch it ({_one_line(error)})") from error
     inside = [Path(each) for each in (found.PACKAGE_PATH, found.REPOSITORY_PATH)]
     folders = tuple(dict.fromkeys(str(each) for folder in inside for each in (folder, folder.parent)))
@@ -88,12 +88,12 @@ def _find_by_name(name: str) -> Source:
 
 
 def _expand_file(path: Path, arguments: Mapping[str, str] | None = None) -> str:
-    """Expand the macros of a xacro file; packages that it names are looked for in the folders above it."""
-    read_text(path)  # says what is wrong with a file that is not there
+    """Expand the macros of a xacro file; packages that it names are searched for in its parent folders."""
+    read_text(path)  # raises a clear error if the file is missing
 
     def expand() -> str:
         import xacro
-        from xacrodoc import packages  # makes xacro look for packages without ROS
+        from xacrodoc import packages  # lets xacro find packages without ROS
 
         packages.walk_up_from(path)
         return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml())
@@ -102,7 +102,7 @@ def _expand_file(path: Path, arguments: Mapping[str, str] | None = None) -> str:
 
 
 def _expand_text(text: str) -> str:
-    """Expand the macros of a xacro text."""
+    """Expand the macros of xacro text."""
 
     def expand() -> str:
         from xacrodoc import XacroDoc
@@ -116,8 +116,8 @@ def _expanded(expand: Callable[[], str], label: str | Path) -> str:
     try:
         return expand()
     except ImportError:
-        raise FileError(label, f"needs xacrodoc to be expanded: {EXTRA}") from None
-    except Exception as error:  # of the macros, or of Python code in them
+        raise FileError(label, f"cannot be expanded without xacrodoc: {EXTRA}") from None
+    except Exception as error:  # from the macros, or from Python code in them
         raise FileError(label, f"cannot be expanded ({_one_line(error)})") from error
 
 
@@ -125,26 +125,26 @@ def _convert_mjcf(path: Path) -> str:
     try:
         model = pin.buildModelFromMJCF(str(path))
     except (ValueError, RuntimeError) as error:
-        raise FileError(path, f"is refused by Pinocchio ({_one_line(error)})") from error
+        raise FileError(path, f"was rejected by Pinocchio ({_one_line(error)})") from error
     return model_to_urdf(model, path)
 
 
 def model_to_urdf(model: pin.Model, label: str | Path = "pin.Model") -> str:
-    """Write a Pinocchio model as URDF: links, joints with their limits, and masses, but no shapes.
+    """Write a Pinocchio model as URDF: links, joints with their limits, and inertias, but no shapes.
 
-    Links have the names of the body frames of the model; frames that are no bodies become links, too. Joints
-    without limits of position are continuous if they turn. A composite joint becomes a joint for each of its
-    parts, with "_1", "_2" behind its name.
+    Links take the names of the body frames of the model; other operational frames become links, too. Revolute
+    joints without position limits become continuous. A composite joint becomes one joint for each of its
+    parts, with "_1", "_2" appended to its name.
 
     Args:
         model: the model.
-        label: what to call it in messages.
+        label: name of the model in error messages.
 
     Returns:
-        URDF text. Numbers read back as the floats they were; rotations are exact to 1e-15.
+        URDF text. Floats are preserved exactly, rotations to 1e-15.
 
     Raises:
-        URDFError: a joint that URDF does not know.
+        URDFError: a joint that URDF cannot represent.
     """
     robot = ET.Element("robot", name=model.name.strip() or "robot")
     bodies = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
@@ -176,7 +176,7 @@ def model_to_urdf(model: pin.Model, label: str | Path = "pin.Model") -> str:
 def _write_joint(
     robot: ET.Element, model: pin.Model, joint: int, named: Mapping[int, str], taken: set[str], label: object
 ) -> None:
-    """Add a joint of a model, and the link that it carries."""
+    """Add a joint of a model and the link it carries."""
     name, whole = model.names[joint], model.joints[joint]
     parts, placements = [whole], [pin.SE3.Identity()]
     composite = whole.shortname() == "JointModelComposite"
@@ -188,8 +188,8 @@ def _write_joint(
         kind = part.shortname().removeprefix("JointModel")
         shape = _SHAPES.get(kind)
         if shape is None and part.nv != 1:
-            allowed = "joints that turn about an axis or slide along one, free-flyers and planar ones"
-            raise URDFError(str(label), f"joint {name!r}", f"is of kind {kind}; allowed: {allowed}")
+            allowed = "joints that turn about an axis or slide along one, free-flyers and planar joints"
+            raise URDFError(str(label), f"joint {name!r}", f"is of type {kind}; allowed: {allowed}")
         last = number == len(parts)
         child = named[joint] if last else _free_name(f"{named[joint]}_{number}", taken)
         link = ET.SubElement(robot, "link", name=child)
@@ -206,7 +206,7 @@ def _write_joint(
 def _write_follower(
     robot: ET.Element, model: pin.Model, joint: int, named: Mapping[int, str], coupling: Coupling
 ) -> None:
-    """Add a joint that follows another, and the link that it carries; the limits are those of the other."""
+    """Add a joint that follows another and the link it carries; the limits are those of the leader."""
     link = ET.SubElement(robot, "link", name=named[joint])
     _add_inertia(link, model.inertias[joint])
     (axis,), (turns,) = joint_axes(model, [joint])
@@ -220,7 +220,7 @@ def _write_follower(
 
 
 def _add_motion(element: ET.Element, model: pin.Model, part: pin.JointModel, q: int, v: int) -> None:
-    """Add the axis and the limits of a joint that turns or slides."""
+    """Add the axis and the limits of a revolute or prismatic joint."""
     alone = pin.Model()
     alone.addJoint(0, part, pin.SE3.Identity(), "joint")
     axes, revolute = joint_axes(alone, [1])

@@ -1,4 +1,4 @@
-"""What an arm is made from, as data: modules of a template, or a URDF."""
+"""Specification of an arm as plain data: modules of a template, or a URDF."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from pinposture.errors import InvalidValue
 Vector: TypeAlias = tuple[float, float, float]
 
 ANGLE_ROUNDING = 1e-15
-"""Largest error of a rotation matrix given by three angles, entry by entry."""
+"""Largest error of each entry of a rotation matrix rebuilt from three rounded angles."""
 
 
 class Specification(BaseModel):
-    """Immutable plain data in SI units; two are equal if all their values are.
+    """Immutable plain data in SI units, compared by value.
 
     Raises:
-        InvalidValue: a value that is missing, unknown or of another kind; names the first.
+        InvalidValue: a value is missing, unknown or of the wrong type; names the first such value.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -66,12 +66,12 @@ class PlacementSpec(Specification):
 
     @classmethod
     def of(cls, placement: pin.SE3) -> PlacementSpec:
-        """Describe a placement, its rotation to 1e-15."""
+        """Describe a placement; its rotation is accurate to 1e-15."""
         return cls(position=placement.translation.tolist(), rotation=roll_pitch_yaw(placement.rotation))
 
 
 def roll_pitch_yaw(rotation: NDArray[np.float64]) -> Vector:
-    """Return the angles of a rotation matrix (3, 3) [rad], with as few digits as reproduce it."""
+    """Return the angles of a rotation matrix (3, 3) [rad], with as few digits as needed to reproduce it."""
     angles = np.asarray(pin.rpy.matrixToRpy(rotation))
     for digits in range(3, 17):
         rounded = np.round(angles, digits) + 0.0  # no negative zero
@@ -83,11 +83,11 @@ def roll_pitch_yaw(rotation: NDArray[np.float64]) -> Vector:
 
 
 class FeedSpec(Specification):
-    """A slide along the axis of an arm, which pushes all of it.
+    """A slide at the base that feeds the whole arm along its axis.
 
     Attributes:
         stroke: largest position [m].
-        length: of the link that it pushes [m]; that of a module if None.
+        length: length of the link after the slide [m]; that of a module if None.
         speed: largest speed [m/s].
     """
 
@@ -101,7 +101,7 @@ OF_A_URDF = ("urdf", "base", "tip", "split", "locked", "package_dirs", "coupling
 
 
 class ArmSpec(Specification):
-    """What an arm is made from: modules of a template, or a URDF. `Arm.from_spec` makes the arm.
+    """Specification of an arm: modules of a template, or a URDF. `Arm.from_spec` builds the arm.
 
         spec = ArmSpec(template="RyRz", modules=20)
         spec = ArmSpec(urdf=Path("snake.urdf"), tip="head", split=2)
@@ -111,17 +111,16 @@ class ArmSpec(Specification):
         modules: number of modules.
         link_lengths: length of the link after each joint of a module [m]; the template's own if None.
         joint_limits: smallest and largest position of each revolute joint [rad]; the template's own if None.
-        feed: a slide below the first module, if there is one.
-        urdf: a URDF file, or the text of one.
-        base: link at which the arm begins; the root if None.
-        tip: link at which it ends, as for `Arm.load`.
-        split: how the chain is cut into modules, as `modules` of `Arm.load`.
+        feed: a slide before the first module; none if None.
+        urdf: a URDF file, or its text.
+        base: first link of the arm; the root if None.
+        tip: last link of the arm, as in `Arm.load`.
+        split: how the chain is split into modules, as `modules` in `Arm.load`.
         locked: locked joints and their positions [rad or m].
         package_dirs: folders in which viewers look for meshes.
-        couplings: joints that follow others, as for `Arm.load`.
-        placement: where the base stands in the world; at the origin if None.
-        characteristic_length: the slide that weighs as much as a turn of one radian [m]; the mean module
-            length if None.
+        couplings: joints that follow others, as in `Arm.load`.
+        placement: placement of the base in the world; the origin if None.
+        characteristic_length: sliding distance equivalent to one radian [m]; the mean module length if None.
     """
 
     template: str | None = None
@@ -156,8 +155,8 @@ class ArmSpec(Specification):
         """Return the modules of a template from base to tip, the feed first.
 
         Raises:
-            UnknownName: no such template.
-            InvalidValue: a value that makes no module; names its key.
+            UnknownName: there is no such template.
+            InvalidValue: an invalid value; names its key.
         """
         if self.template is None or self.modules is None:
             raise InvalidValue("template", self.template, "the name of a template, and a number of modules")
@@ -179,7 +178,7 @@ class ArmSpec(Specification):
 
 @contextmanager
 def _named(key: str) -> Iterator[None]:
-    """Have an invalid value name this key of the specification."""
+    """Make `InvalidValue` errors name this key of the specification."""
     try:
         yield
     except InvalidValue as error:

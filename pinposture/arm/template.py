@@ -1,12 +1,12 @@
-"""Module templates, what one module of an arm is made of, and the URDF of an arm of modules.
+"""Module templates, which describe one module of an arm, and the URDF of an arm of modules.
 
-At zero joint positions a module stretches along +x of its base. Joint i is followed by link i, which lies
-along the local x axis; the next joint sits at the end of that link. An RyRz module is thus a joint about
-y, a link l1, a joint about z and a link l2, whose end is the posture control point of the module (6.1).
+At zero joint positions a module extends along +x of its base. Joint i is followed by link i, which lies along
+the local x axis; the next joint is at the end of that link. An RyRz module is thus a joint about y, a link
+l1, a joint about z and a link l2, whose end is the posture control point of the module (6.1).
 
-In the URDF each link is a solid of one density: a sphere at the joint before it and a cylinder along its
-local x axis, both of the radius of the module. Visuals, collision geometry and inertia describe this same
-solid; where sphere and cylinder overlap, mass counts twice, as in simulators that sum over geometries.
+In the URDF each link is a solid of uniform density: a sphere at the joint before it and a cylinder along its
+local x axis, both with the radius of the module. Visuals, collision geometry and inertia describe this same
+solid; the overlap of sphere and cylinder counts twice, as in simulators that sum the mass of geometries.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class JointSpec:
         upper: largest position [rad], or [m] if prismatic; inf if continuous.
         velocity: largest speed [rad/s], or [m/s] if prismatic; the default is a placeholder.
         effort: largest torque [N m], or force [N] if prismatic; the default is a placeholder.
-        follows: index of a joint before it in the module that this one follows, 0-based; it then has no
-            degree of freedom of its own. None if it has one.
-        ratio: its motion relative to that of the joint that it follows.
+        follows: index of an earlier joint of the module that this one follows, 0-based; it then has no degree
+            of freedom of its own. None if it has one.
+        ratio: its motion relative to that of the joint it follows.
 
     Raises:
-        InvalidValue: a value other than described, or a prismatic joint without limits of its own.
+        InvalidValue: an invalid value, or a prismatic joint without explicit limits.
     """
 
     axis: str | Sequence[float]
@@ -73,7 +73,7 @@ class JointSpec:
             value = _number(name, getattr(self, name), "a finite number above 0", lowest=math.ulp(0.0))
             object.__setattr__(self, name, value)
         if self.follows is not None and (type(self.follows) is not int or self.follows < 0):
-            raise InvalidValue("follows", self.follows, "the index of a joint before it, or None")
+            raise InvalidValue("follows", self.follows, "the index of an earlier joint, or None")
         object.__setattr__(self, "ratio", _number("ratio", self.ratio, "a finite number"))
 
     def _check_limits(self) -> None:
@@ -103,7 +103,7 @@ class JointSpec:
 
 @dataclass(frozen=True)
 class ModuleTemplate:
-    """What one module is made of.
+    """Description of one module.
 
         ModuleTemplate(
             "RxRyP",
@@ -112,14 +112,14 @@ class ModuleTemplate:
         )
 
     Attributes:
-        name: what the template is called: letters, digits, "_", "-" and ".", beginning with a letter or "_".
+        name: name of the template: letters, digits, "_", "-" and ".", beginning with a letter or "_".
         joints: the joints from base to end, (n,).
-        link_lengths: length of the link that follows each joint, (n,) [m]; 0 puts two joints in one place.
+        link_lengths: length of the link after each joint, (n,) [m]; 0 makes two joints coincide.
         radius: radius of the links and of the joints between them [m].
-        lead: length of the link between the end of the module before and the first joint [m].
+        lead: length of the link between the end of the previous module and the first joint [m].
 
     Raises:
-        InvalidValue: no joints, not one length for each joint, or a value other than described.
+        InvalidValue: no joints, not one length for each joint, or another invalid value.
     """
 
     name: str
@@ -146,7 +146,7 @@ class ModuleTemplate:
         for i, joint in enumerate(joints):
             at = joint.follows
             if at is not None and (at >= i or joints[at].follows is not None):
-                allowed = "the index of a joint before it that follows no other"
+                allowed = "the index of an earlier joint that follows no other"
                 raise InvalidValue(f"joints[{i}].follows", at, allowed)
         radius = _number("radius", self.radius, "1e-6 to 1e6 m", lowest=1e-6, highest=1e6)
         lead = _number("lead", self.lead, "0 to 1e6 m", lowest=0.0, highest=1e6)
@@ -157,19 +157,19 @@ class ModuleTemplate:
 
     @property
     def length(self) -> float:
-        """Length of the module when it is straight [m]."""
+        """Length of the straight module [m]."""
         return math.fsum((self.lead, *self.link_lengths))
 
     @property
     def dof(self) -> int:
-        """Number of its degrees of freedom: joints that follow no other."""
+        """Number of degrees of freedom: joints that follow no other."""
         return sum(joint.follows is None for joint in self.joints)
 
     def with_lengths(self, link_lengths: Sequence[float]) -> ModuleTemplate:
         """Return the same module with other link lengths.
 
         Args:
-            link_lengths: length of the link that follows each joint, (n,) [m].
+            link_lengths: length of the link after each joint, (n,) [m].
 
         Raises:
             InvalidValue: not one length of 0 to 1e6 m for each joint.
@@ -177,7 +177,7 @@ class ModuleTemplate:
         return replace(self, link_lengths=link_lengths)
 
     def with_limits(self, lower: float, upper: float) -> ModuleTemplate:
-        """Return the same module with other limits on all its revolute joints; other joints keep theirs.
+        """Return the same module with other limits for its revolute joints; other joints keep theirs.
 
         Args:
             lower: smallest position [rad].
@@ -198,21 +198,21 @@ def continuum_section(
     radius: float = 0.01,
     name: str = "Continuum",
 ) -> ModuleTemplate:
-    """Make a module that bends in an arc of constant curvature, as tendons bend a flexible backbone.
+    """Create a module that bends in an arc of constant curvature, like a tendon-driven flexible backbone.
 
-    Disks with universal joints stand for the backbone. All of them turn by the same two angles, which are the
-    degrees of freedom: the bending about y and about z, each divided by the number of disks. Joints sit in
-    the middle of equal pieces of the arc, and their axes change order from disk to disk, so that the end is
-    off that of the arc by a share of its length that falls with the square of the number of disks.
+    The backbone is modelled by disks with universal joints. All of them turn by the same two angles, which
+    are the degrees of freedom: the bending about y and about z, each divided by the number of disks. The
+    joints are at the centres of equal pieces of the arc, and the order of their axes alternates from disk to
+    disk, so the error of the end position relative to the length falls with the square of the number of
+    disks.
 
     Args:
         disks: number of disks, at least 1.
         length: length of the backbone [m].
         bend: largest bending in each direction [rad].
-        stretch: largest change of the length, either way [m]; with more than 0 it is a third degree of
-            freedom.
+        stretch: largest change of length in either direction [m]; above 0 it adds a third degree of freedom.
         radius: radius of the backbone [m].
-        name: what the template is called.
+        name: name of the template.
 
     Raises:
         InvalidValue: a value out of range.
@@ -285,7 +285,7 @@ TEMPLATES: Mapping[str, ModuleTemplate] = MappingProxyType(
         "Continuum": continuum_section(),
     }
 )
-"""The shipped templates by name. Those of "Rz" alone make planar arms, the others spatial ones."""
+"""The shipped templates by name. Those with only "Rz" joints make planar arms, the others spatial ones."""
 
 
 def template(name: str) -> ModuleTemplate:
@@ -308,19 +308,19 @@ def modules_to_urdf(
     """Chain modules from base to tip and write the arm as URDF.
 
     The first link is "base". Joint j of module m is "m01_j1_y" (with the letter of its axis, if it has one),
-    the link after it "m01_l1"; numbers are padded so that names sort in order. The chain ends in the link
-    "tip", fixed to the end of the last link. At zero joint positions the arm lies along +x of its base.
+    the link after it "m01_l1"; numbers are zero-padded so that names sort in order. The chain ends in the
+    link "tip", fixed to the end of the last link. At zero joint positions the arm lies along +x of its base.
 
     Args:
         modules: the modules in order; they may differ.
         name: name of the robot.
-        command: what to name in the first comment as the origin of the text.
+        command: generator named in the first comment.
 
     Returns:
-        URDF text; the same for the same arguments. Numbers read back as the floats they were.
+        URDF text; the same for the same arguments. Floats are preserved exactly.
 
     Raises:
-        InvalidValue: no modules, something else among them, or a name or command that XML cannot hold.
+        InvalidValue: no modules, an entry of another type, or a name or command not representable in XML.
     """
     if isinstance(modules, ModuleTemplate):
         raise InvalidValue("modules", modules, "a sequence of ModuleTemplate")
@@ -408,10 +408,10 @@ class LinkInertia(NamedTuple):
 
 
 def link_inertia(length: float, radius: float) -> LinkInertia:
-    """Compute the inertia of a ball at the joint and a cylinder from there along x, of density `DENSITY`.
+    """Compute the inertia of a ball at the joint and a cylinder from there along x, with density `DENSITY`.
 
     Args:
-        length: length of the cylinder, 0 for the ball alone [m].
+        length: length of the cylinder [m]; 0 for the ball alone.
         radius: radius of both [m].
     """
     ball = DENSITY * math.pi * radius**3 * 4.0 / 3.0

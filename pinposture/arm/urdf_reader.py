@@ -1,7 +1,7 @@
-"""Reading of a robot description (URDF), with all checks that its kinematics depend on.
+"""Reading of a robot description (URDF), with checks of everything that its kinematics depend on.
 
-Pinocchio tells only *that* a description is invalid, and accepts some that make no sense: an axis of no
-length, limits that exclude every position, links that form a circle.
+Pinocchio only reports *that* a description is invalid, and accepts some that make no sense: an axis of zero
+length, limits that exclude every position, links that form a cycle.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
 JOINT_TYPES = (*CHAIN_JOINTS, "fixed", "floating", "planar")
 
 _BLANK = "\ufeff \t\r\n"
-_MAX_DEPTH = 400  # the XML parser behind Pinocchio gives up a little below 500
+_MAX_DEPTH = 400  # Pinocchio's XML parser fails slightly below 500
 _VECTOR_ATTRIBUTE = re.compile(r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<]*"|'[^'<]*')""")
 _INFINITE_ATTRIBUTE = re.compile(r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])""", re.I)
-# What Pinocchio takes for a number; Python alone would take "1_0" and "inf" as well.
+# What Pinocchio accepts as a number; Python would also accept "1_0" and "inf".
 _NUMBER = re.compile(r"[ \t\r\n]*[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _INFINITE = re.compile(r"\+?inf(inity)?", re.IGNORECASE)
-# The parts of a joint that hold numbers: required and optional attributes.
+# The numeric elements of a joint: required and optional attributes.
 _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "limit": (("effort", "velocity"), ("lower", "upper")),
     "safety_controller": (("k_velocity",), ("soft_lower_limit", "soft_upper_limit", "k_position")),
@@ -50,10 +50,10 @@ _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 
 class Follows(NamedTuple):
-    """What <mimic> says: position = multiplier * position of another joint + offset."""
+    """The content of <mimic>: position = multiplier * position of another joint + offset."""
 
     joint: str  # name of the joint that is followed
-    multiplier: float  # factor of its position; 1 if not given
+    multiplier: float  # factor on its position; 1 if not given
     offset: float  # added to it [rad or m]; 0 if not given
 
 
@@ -67,11 +67,11 @@ class JointDescription:
     child: str  # the link after it
     origin: Vector  # position of the joint in the frame of its parent link, (3,) [m]
     rpy: Vector  # orientation of its frame there: roll, pitch, yaw, (3,) [rad]
-    axis: Vector  # unit vector, (3,), in the frame of the joint; x if the description gives none
+    axis: Vector  # unit vector, (3,), in the frame of the joint; x by default
     lower: float  # smallest position [rad or m]; -inf without limits, 0 if fixed
     upper: float  # largest position [rad or m]; inf without limits, 0 if fixed
     velocity: float | None  # largest speed [rad/s or m/s], may be infinite; None without <limit>
-    follows: Follows | None  # how it follows another joint; None if it moves by itself
+    follows: Follows | None  # how it follows another joint; None if it moves independently
 
     @property
     def mimic(self) -> bool:
@@ -80,16 +80,16 @@ class JointDescription:
 
     @property
     def moves(self) -> bool:
-        """False if it is fixed, or if its limits leave it a single position."""
+        """False if it is fixed, or if its limits allow a single position."""
         return self.lower < self.upper
 
 
 @dataclass(frozen=True)
 class Description:
-    """A robot description without faults: a tree of links."""
+    """A valid robot description: a tree of links."""
 
     name: str  # name of the robot
-    text: str = field(repr=False)  # the URDF, fit for Pinocchio: vectors broken over several lines are joined
+    text: str = field(repr=False)  # the URDF, in a form that Pinocchio can read
     source: str  # the file it came from, or "URDF text"
     links: tuple[str, ...]  # names of the links, in the order of the text
     joints: tuple[JointDescription, ...]  # the joints, in the order of the text
@@ -97,7 +97,7 @@ class Description:
 
     @cached_property
     def joint_before(self) -> dict[str, JointDescription]:
-        """For each link but the root the joint that it is the child of."""
+        """The parent joint of each link except the root."""
         return {joint.child: joint for joint in self.joints}
 
     @cached_property
@@ -117,11 +117,11 @@ class Description:
         """Return the joints from one link to another.
 
         Args:
-            base: link at which the chain starts.
-            tip: link at which it ends.
+            base: first link of the chain.
+            tip: last link of the chain.
 
         Returns:
-            Every joint between them, fixed ones too, from base to tip; none if both are the same link.
+            All joints between them, fixed ones too, from base to tip; empty if both are the same link.
 
         Raises:
             UnknownName: there is no such link.
@@ -142,16 +142,16 @@ class Description:
         return tuple(reversed(path))
 
     def longest_chain(self) -> tuple[str, str]:
-        """Find the chain from the root with most moving joints.
+        """Find the chain from the root with the most moving joints.
 
-        A joint counts if it moves by itself. A gripper does not count: joints that <mimic> couples across
-        several branches open and close a tool and do not extend the arm, so the arm ends before them. Of the
-        ends that the last counted joint moves, the one farthest from that joint is taken; of those equally
-        far the deepest, and of those the first in the text. Frames of sensors beside the arm thus stay out of
-        it, however many fixed joints lead to them.
+        Only joints that move independently count. Grippers do not: joints coupled by <mimic> across several
+        branches open and close a tool and do not extend the arm, so the arm ends before them. Of the end
+        links moved by the last counted joint, the farthest from that joint is chosen; if several are equally
+        far, the deepest, and of those the first in the text. This excludes sensor frames beside the arm,
+        however many fixed joints lead to them.
 
         Returns:
-            The link at which it begins, and the one at which it ends.
+            The first and the last link of the chain.
 
         Raises:
             URDFError: several chains have equally many moving joints; names their ends.
@@ -171,7 +171,7 @@ class Description:
         tips = [_farthest(group, order) for group in ends.values()]
         if len(tips) > 1:
             named = ", ".join(map(repr, sorted(tips, key=order.__getitem__)))
-            reason = f"are reached by different joints, {most} moving ones each; pass tip= to choose"
+            reason = f"are the ends of chains with equally many moving joints ({most}); pass tip= to choose"
             wrist = self.wrist(self.root, tips[0], fingers=2)
             if wrist is not None and all(wrist == self.wrist(self.root, tip, fingers=2) for tip in tips):
                 reason += f", or tip={wrist!r}, which carries them all"
@@ -179,9 +179,9 @@ class Description:
         return self.root, tips[0]
 
     def wrist(self, base: str, tip: str, fingers: int = 3) -> str | None:
-        """Find the link of a chain that carries a hand, if one does.
+        """Find the link of a chain that carries a hand, if there is one.
 
-        A hand has so many fingers: branches that move, the chain's own among them. The chain has at least as
+        A hand has at least `fingers` moving branches, including the chain's own. The chain has at least as
         many moving joints before the hand as within it.
         """
         below = defaultdict[str, list[JointDescription]](list)
@@ -207,8 +207,8 @@ class Description:
 def read_description(source: str | Path) -> Description:
     """Read a URDF and check everything that its kinematics depend on.
 
-    Meshes, inertias, transmissions, simulator extensions and elements that URDF does not know are ignored.
-    A <limit> without lower and upper means no limits; where one of the two is missing it is 0, as in URDF.
+    Meshes, inertias, transmissions, simulator extensions and unknown elements are ignored. A <limit> without
+    lower and upper means no limits; if only one of the two is missing it is 0, as in URDF.
 
     Args:
         source: path of a file, or the URDF text itself if it begins with "<".
@@ -218,7 +218,7 @@ def read_description(source: str | Path) -> Description:
 
     Raises:
         FileError: the file is missing, not readable, not UTF-8 text, or empty.
-        URDFError: the description cannot be used; names the link or joint and the reason.
+        URDFError: unusable description; names the link or joint and the reason.
     """
     text, label = load_text(source)
     robot = parse_xml(text, label)
@@ -242,7 +242,7 @@ def read_description(source: str | Path) -> Description:
 
 
 def is_urdf_text(source: object) -> bool:
-    """Tell whether a source is the text of a URDF, not the path of a file."""
+    """Return whether a source is URDF text rather than the path of a file."""
     return isinstance(source, str) and source.lstrip(_BLANK).startswith("<")
 
 
@@ -253,12 +253,12 @@ def load_text(source: str | Path) -> tuple[str, str]:
         source: path of a file, or the text itself if it begins with "<".
 
     Returns:
-        The text, and what to call it in messages: the path or "URDF text".
+        The text, and its name in error messages: the path or "URDF text".
 
     Raises:
         InvalidValue: neither a path nor text.
         FileError: the file is missing, not readable, not UTF-8 text, or empty.
-        URDFError: text of several lines, thus not a path, that does not begin with "<".
+        URDFError: multi-line text (so not a path) that does not begin with "<".
     """
     if not isinstance(source, (str, os.PathLike)):
         raise InvalidValue("source", source, "path of a URDF file, or URDF text")
@@ -274,22 +274,21 @@ def load_text(source: str | Path) -> tuple[str, str]:
 
 
 def parse_xml(text: str, source: str) -> Element:
-    """Parse XML, refusing what could fetch files or exhaust memory.
+    """Parse XML, rejecting content that could fetch files or exhaust memory.
 
     Args:
         text: the XML; blanks may precede it.
-        source: what to call it in messages.
+        source: its name in error messages.
 
     Returns:
-        The root element. Names keep their namespace prefixes, because extensions of URDF use prefixes that
-        they never declare.
+        The root element. Names keep their namespace prefixes, because URDF extensions use undeclared ones.
 
     Raises:
-        URDFError: malformed (names the line), with a document type, or nested too deep.
+        URDFError: the XML is malformed (names the line), has a document type, or is nested too deep.
     """
     body = text.lstrip(_BLANK)
     if _declares_document_type(body):
-        raise URDFError(source, "<!DOCTYPE>", "is refused, for it can define entities; remove it")
+        raise URDFError(source, "<!DOCTYPE>", "is not allowed, because it can define entities; remove it")
     builder, parser = TreeBuilder(), expat.ParserCreate("utf-8")
     depth = 0
 
@@ -321,15 +320,15 @@ def parse_xml(text: str, source: str) -> Element:
 def text_for_pinocchio(text: str) -> str:
     """Return the same XML in a form that Pinocchio can read.
 
-    Each vector is on one line, because Pinocchio splits vectors at blanks only; an infinite speed or effort
-    is a huge number, because it reads digits only.
+    Each vector is put on one line, because Pinocchio splits vectors only at blanks; an infinite speed or
+    effort becomes a huge number, because Pinocchio reads only digits.
     """
     text = _VECTOR_ATTRIBUTE.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
     return _INFINITE_ATTRIBUTE.sub(r"\g<1>1e300", text)
 
 
 def _declares_document_type(text: str) -> bool:
-    # Not left to the parser, which expands entities even after a handler has raised.
+    # Not left to the parser, which expands entities even after a handler has raised an error.
     at = text.find("<")
     while at >= 0:
         if text.startswith("<!--", at):
@@ -343,7 +342,7 @@ def _declares_document_type(text: str) -> bool:
 
 
 def quote_names(names: Sequence[str], most: int = 8) -> str:
-    """Return the first few names in quotes, and dots for the rest."""
+    """Return the first few names in quotes, with dots for the rest."""
     return ", ".join(map(repr, names[:most])) + (", ..." if len(names) > most else "")
 
 
@@ -363,7 +362,7 @@ def _refuse_doubles(names: Sequence[str], kind: str, source: str) -> None:
 
 
 def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source: str) -> str:
-    """Return the root of the tree of links, or say why they form none."""
+    """Return the root of the tree of links, or raise if they form no tree."""
     known, before = set(links), dict[str, JointDescription]()
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
@@ -377,14 +376,14 @@ def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source:
     if len(roots) > 1:
         reason = "are not the child of any joint; allowed: one such link, the root"
         raise URDFError(source, f"links {quote_names(roots)}", reason)
-    # No link has two parents, so a link that does not lead up to the root is part of a circle.
+    # No link has two parents, so a link that does not lead up to the root is below or on a cycle.
     reached = set(roots)
     for start in links:
         link, path = start, dict[str, None]()
         while link not in reached:
             if link in path:
                 circle = [*list(path)[list(path).index(link) :], link]
-                reason = f"closes a circle, child to parent: {quote_names(circle)}"
+                reason = f"closes a cycle, child to parent: {quote_names(circle)}"
                 raise URDFError(source, f"joint {before[link].name!r}", reason)
             path[link] = None
             link = before[link].parent
@@ -399,10 +398,10 @@ def _read_joint(element: Element, source: str) -> JointDescription:
     if kind not in JOINT_TYPES:
         raise fault(f"type is {kind!r}; allowed: {', '.join(JOINT_TYPES)}")
     if name == "universe" and kind != "fixed":
-        raise fault("has the name that Pinocchio gives to the world; rename it")
+        raise fault("has the name that Pinocchio uses for the world; rename it")
     parent, child = _read_link(element, "parent", fault), _read_link(element, "child", fault)
     if parent == child:
-        raise fault(f"has link {parent!r} for its parent and for its child")
+        raise fault(f"has link {parent!r} as both parent and child")
     origin = _read_vector(element, "origin", "xyz", (0.0, 0.0, 0.0), fault)
     rpy = _read_vector(element, "origin", "rpy", (0.0, 0.0, 0.0), fault)
     axis: Vector = (1.0, 0.0, 0.0)
@@ -457,7 +456,7 @@ def _unit(vector: Vector, fault: MakeError) -> Vector:
 
 
 def _read_part(element: Element, tag: str, fault: MakeError) -> dict[str, float] | None:
-    """Return the numbers of a part of a joint by their attributes; None if there is no such part."""
+    """Return the numbers of a joint element by attribute; None if there is no such element."""
     part = element.find(tag)
     if part is None:
         return None
@@ -487,7 +486,7 @@ def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) ->
     if kind not in ("revolute", "prismatic"):
         return -math.inf, math.inf
     if limit is None:
-        free = "; a joint that turns for ever is continuous" if kind == "revolute" else ""
+        free = "; use type continuous for unlimited rotation" if kind == "revolute" else ""
         raise fault(f"is {kind} and has no <limit>{free}")
     if "lower" not in limit and "upper" not in limit:
         return -math.inf, math.inf
@@ -498,9 +497,9 @@ def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) ->
 
 
 class _Place(NamedTuple):
-    """A link as seen from the root: last moving joint before it, number of those, position, rotation, depth.
+    """A link and the last moving joint before it, the number of moving joints up to it, and its placement.
 
-    Position (3,) [m] and rotation (3, 3) are in the frame of that joint.
+    Position (3,) [m] and rotation (3, 3) are in the frame of that joint; the depth counts all joints.
     """
 
     link: str
@@ -521,7 +520,7 @@ def _place_links(
 ) -> list[_Place]:
     origin, identity = np.zeros(3), np.eye(3)
     places = [_Place(root, None, 0, origin, identity, 0)]
-    for place in places:  # grows: every link after its parent
+    for place in places:  # grows while iterating: every link after its parent
         for joint in below.get(place.link, []):
             if joint.name in excluded:
                 continue
@@ -542,7 +541,7 @@ def _farthest(group: list[_Place], order: Mapping[str, int]) -> str:
 
 
 def _gripper_joints(description: Description, below: Mapping[str, list[JointDescription]]) -> frozenset[str]:
-    """Find joints coupled by <mimic> across branches, with no joint behind them that moves by itself."""
+    """Find joints coupled by <mimic> across branches, with no independently moving joint after them."""
     named = {joint.name: joint for joint in description.joints if joint.moves}
     groups = defaultdict[str, set[str]](set)
     for joint in named.values():
@@ -561,7 +560,7 @@ def _gripper_joints(description: Description, below: Mapping[str, list[JointDesc
 
 
 def _one_behind_the_other(description: Description, group: set[str]) -> bool:
-    """Whether joints lie on one chain: going up from any of them that is farthest out meets all others."""
+    """Return whether joints lie on one chain: going up from the deepest of them meets all others."""
     depth = description.depths
     last = max((joint for joint in description.joints if joint.name in group), key=lambda j: depth[j.child])
     link, met = last.child, 0
@@ -573,7 +572,7 @@ def _one_behind_the_other(description: Description, group: set[str]) -> bool:
 
 
 def leading_joint(joint: JointDescription, named: Mapping[str, JointDescription]) -> JointDescription:
-    """Follow a series of <mimic> to its last joint, also where it is circular or breaks off."""
+    """Follow a series of <mimic> to its last joint, even if it is circular or ends in a missing joint."""
     seen = {joint.name}
     while joint.follows is not None and joint.follows.joint in named and joint.follows.joint not in seen:
         joint = named[joint.follows.joint]

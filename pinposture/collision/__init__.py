@@ -1,4 +1,4 @@
-"""Obstacles, scenes and scans, and the distances of an arm from them and from itself."""
+"""Obstacles, scenes and scans, and the distances between an arm, obstacles and itself."""
 
 from pinposture.collision.model import Closest, CollisionModel, Distances, ExcludedPair
 from pinposture.collision.obstacles import Obstacle, obstacle_from_dict

@@ -1,4 +1,4 @@
-"""The bodies of an arm: the solids that its links carry, from its collision geometry or along its links."""
+"""The bodies of an arm: solids from its collision geometry, or capsules along its links."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from pinposture.errors import FileError, InvalidValue, PostureWarning
 Array = NDArray[np.float64]
 Shape: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
 Fault: TypeAlias = tuple[str, int, str]
-"""Name of a link whose geometry is unusable, index of the joint that carries it, and the reason."""
+"""Name of a link with unusable geometry, index of the joint that carries it, and the reason."""
 
 STAND_IN_RADIUS = 0.1  # radius of the stand-in capsules, relative to the mean length of a module
 
 _MAX_LISTED_FAULTS = 12
-_SAME = 1e-9  # distance between equal points, and difference of equal radii, relative to the radius
+_SAME = 1e-9  # tolerance for equal points and equal radii, relative to the radius
 
 
 class Body(NamedTuple):
     """A solid that one joint carries.
 
     Attributes:
-        name: name of its link, or of its joint if it is a stand-in.
+        name: name of its link, or of its joint for a stand-in.
         joint: index of the joint in the model; 0 if no joint moves it.
-        shape: the solid, frame of the joint [m].
+        shape: the solid, in the joint frame [m].
     """
 
     name: str
@@ -45,16 +45,15 @@ class Body(NamedTuple):
 
 
 def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
-    """Return the bodies of an arm, from base to tip.
+    """Return the bodies of an arm, ordered from base to tip.
 
     Args:
         arm: the arm.
         arm_radius: radius of stand-in capsules for all links [m]; None: use the geometry of the description.
 
     Returns:
-        The bodies. Links whose meshes are missing, or whose geometry makes no solid, have stand-ins, and one
-        `PostureWarning` names them all. If the description gives geometry to none of the links that move, all
-        of these have stand-ins.
+        The bodies. Links with missing meshes or invalid geometry get stand-ins, and one `PostureWarning`
+        names them all. If no moving link has geometry in the description, all moving links get stand-ins.
     """
     radius = STAND_IN_RADIUS * float(arm.chain.module_lengths.mean()) if arm_radius is None else arm_radius
     stand_ins = _stand_ins(arm, radius)
@@ -77,7 +76,7 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
 
 
 def _described_bodies(arm: Arm) -> tuple[list[Body], list[Fault]]:
-    """Read the <collision> elements of the arm's links, in the order of the text."""
+    """Read the <collision> elements of the arm's links, in document order."""
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     hulls: dict[str, Array | str] = {}
     bodies, faults = [], []
@@ -123,7 +122,7 @@ def _read_shape(
 
 
 def _hull(filename: str, hulls: dict[str, Array | str], package_dirs: tuple[str, ...]) -> Array:
-    """Return the corners of a mesh's hull; `hulls` keeps them, or the reason why there are none, by file."""
+    """Return the vertices of a mesh's hull; `hulls` caches them, or the reason for failure, by file."""
     if filename not in hulls:
         try:
             vertices, _ = read_mesh(find_mesh(filename, package_dirs))
@@ -147,11 +146,11 @@ def _numbers(name: str, text: str, count: int) -> list[float]:
 
 
 def _merge_capsules(model: pin.Model, bodies: Sequence[Body]) -> list[Body]:
-    """Replace cylinders with a ball of the same radius at both ends by capsules, and drop these balls.
+    """Replace each cylinder that has a sphere of equal radius at both ends by a capsule; drop the spheres.
 
-    Snake arms are commonly described as a ball at each joint and a tube to the next; capsules halve the
-    number of solids and have closed-form distances. A ball on a joint's axis does not move when that joint
-    turns, so it may round the end of the body before as well. The union stays the same in every posture.
+    Snake arms are often described as a sphere at each joint and a tube to the next. Capsules halve the number
+    of solids and have closed-form distances. A sphere on the axis of a joint does not move when that joint
+    turns, so it can also round the end of the preceding body. The union is the same in every posture.
     """
     if not any(isinstance(body.shape, Cylinder) for body in bodies):
         return list(bodies)
@@ -184,7 +183,7 @@ def _merge_capsules(model: pin.Model, bodies: Sequence[Body]) -> list[Body]:
 def _fixed_centers(
     model: pin.Model, joint: int, ball: Sphere, postures: Sequence[list[pin.SE3]]
 ) -> list[tuple[int, Array]]:
-    """Return the centre of a ball in the frame of its joint, and of those before in which it never moves."""
+    """Return the centre of a sphere in its joint frame and in the ancestor frames in which it is fixed."""
     center = np.array(ball.center)
     centers = [(joint, center)]
     while joint > 0:
@@ -197,12 +196,12 @@ def _fixed_centers(
 
 
 def _two_postures(model: pin.Model) -> list[list[pin.SE3]]:
-    """Return the placement of each joint in its parent's frame, with all joints at zero, and all at one."""
+    """Return the placements of the joints in their parent frames, with all positions 0 and with all 1."""
     neutral = pin.neutral(model)
     postures = []
     for q in (neutral, pin.integrate(model, neutral, np.ones(model.nv))):
         placements = [pin.SE3.Identity()]
-        for joint in range(1, model.njoints):  # one by one: a pin.Data is huge for long arms
+        for joint in range(1, model.njoints):  # joint by joint: pin.Data is huge for long arms
             data = model.joints[joint].createData()
             model.joints[joint].calc(data, q)
             placements.append(model.jointPlacements[joint] * data.M)
@@ -211,9 +210,9 @@ def _two_postures(model: pin.Model) -> list[list[pin.SE3]]:
 
 
 def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
-    """Return capsules by the index of their joint, each past its control point to the next joint or the tip.
+    """Return stand-in capsules by joint index, each past its control point to the next joint or the tip.
 
-    The capsule of a sliding joint reaches back as far as the joint can slide out, so that no gap opens.
+    The capsule of a prismatic joint reaches back by the joint's upper limit, so that no gap opens.
     """
     model, chain, frames = arm.model, arm.chain, neutral_placements(arm.model)
     ends = {joints.stop - 1: k for k, joints in enumerate(chain.module_slices)}

@@ -1,4 +1,4 @@
-"""Distances of bodies from obstacles and from each other: compiled closed forms, and coal for the rest."""
+"""Distances between bodies and obstacles: compiled closed forms, and coal for the rest."""
 
 from __future__ import annotations
 
@@ -23,15 +23,13 @@ from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, JointTree, 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Where the joints of a model are.
-
 
 class Placements(NamedTuple):
-    """Where the joints of a model are at s configurations, world frame.
+    """Placements of the joints of a model at s configurations, world frame.
 
     Attributes:
         rotations: orientations of the joint frames, (s, njoints, 3, 3).
-        origins: their origins, (s, njoints, 3) [m].
+        origins: origins of the joint frames, (s, njoints, 3) [m].
     """
 
     rotations: Array
@@ -39,14 +37,14 @@ class Placements(NamedTuple):
 
 
 class TreeKinematics:
-    """Forward kinematics of all joints of a model, on or off the chain.
+    """Forward kinematics of all joints of a model, on and off the chain.
 
     Attributes:
-        tree: the joints, as kernels take them.
+        tree: the joints in the form that the kernels use.
     """
 
     def __init__(self, model: pin.Model) -> None:
-        """Read the joints out of a model."""
+        """Extract the joints of a model."""
         self._model, self._space = model, ConfigurationSpace(model)
         count = model.njoints
         kinds, columns = np.full(count, 2, dtype=np.int64), np.zeros(count, dtype=np.int64)
@@ -64,11 +62,11 @@ class TreeKinematics:
         self._others = [joint for joint in range(1, count) if kinds[joint] == 2]
 
     def place(self, q: Array, offsets: Array | None = None) -> Placements:
-        """Place the joints at a configuration, or at several near it.
+        """Compute the joint placements at one or several configurations.
 
         Args:
             q: a configuration, (nq,), as `ConfigurationSpace.checked` returns it.
-            offsets: displacements from it, (s, nv) [rad or m]; one of zero if None.
+            offsets: displacements from q, (s, nv) [rad or m]; None: q itself.
         """
         positions, others = self.positions(q, offsets)
         count, joints = len(positions), self._model.njoints
@@ -77,11 +75,11 @@ class TreeKinematics:
         return found
 
     def count_movers(self, columns: NDArray[np.intp]) -> Indices:
-        """Return how many of some joints move what each joint of the model carries; see `CollisionModel`."""
+        """Return how many of the given joints move each joint's bodies; see `CollisionModel`."""
         tree = self.tree
         own = np.isin(tree.columns, columns) & (tree.kinds < 2)
         joints = np.flatnonzero(own)
-        # Of coupled joints the middle one counts: what lies behind it moves about as the end of all of them.
+        # Of coupled joints, only the middle one counts: bodies beyond it move about as much as the last one.
         order = joints[np.argsort(tree.columns[joints], kind="stable")]
         begins = np.flatnonzero(np.diff(tree.columns[order], prepend=-1))
         middle = order[(begins + np.append(begins[1:], len(order)) - 1) // 2]
@@ -92,7 +90,7 @@ class TreeKinematics:
         return counts
 
     def positions(self, q: Array, offsets: Array | None) -> tuple[Array, Array]:
-        """Return joint positions, (s, nv), and placements of other joints, for kernels; see `place`."""
+        """Return joint positions, (s, nv), and the placements of other joints; see `place`."""
         offsets = np.zeros((1, self._model.nv)) if offsets is None else offsets
         others = np.empty((len(offsets), len(self._others), 12))
         for at in range(len(offsets) if self._others else 0):
@@ -106,12 +104,12 @@ class TreeKinematics:
     def differentiate(
         self, placements: Placements, first: Indices, second: Indices, points: Array, normals: Array
     ) -> Array:
-        """Return the derivatives of distances by the joint displacement, (k, nv) [m/rad or m/m].
+        """Return the derivatives of distances with respect to joint displacement, (k, nv) [m/rad or m/m].
 
         Args:
-            placements: where the joints are at one configuration.
+            placements: joint placements at one configuration.
             first: the joint that carries the first body of each contact, (k,).
-            second: that of the second; 0 for an obstacle, (k,).
+            second: the joint that carries the second; 0 for an obstacle, (k,).
             points: the contacts, (k, 3) [m].
             normals: unit vectors from the second body to the first, (k, 3).
         """
@@ -131,7 +129,7 @@ class TreeKinematics:
         normals: Array,
         jacobian: Array,
     ) -> None:
-        """Fill the columns of a joint that does not just turn or slide, on whatever bodies it carries."""
+        """Fill the columns of a joint that is neither revolute nor prismatic."""
         model = self._model.joints[joint]
         data = model.createData()
         model.calc(data, pin.neutral(self._model))
@@ -149,21 +147,19 @@ def _turns_or_slides(model: pin.Model, joint: int) -> bool:
     return is_coupled(model.joints[joint]) or (name.startswith(("R", "P")) and not name.startswith("Planar"))
 
 
-# The distance of two solids by coal, with a normal that can always be used.
-
 Posed: TypeAlias = tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]
 """Two solids, each with its placement."""
 _SOUND = 1e100
-"""A distance this large is none [m]."""
+"""Distances this large are failures of coal [m]."""
 
 
 class Contact(NamedTuple):
-    """How two solids stand to each other.
+    """Distance, normal and nearest point of two solids.
 
     Attributes:
-        distance: between their surfaces, negative where they overlap [m].
+        distance: between the surfaces, negative for overlap [m].
         normal: unit vector from the second solid to the first, (3,); zero where coal has none.
-        point: of the first solid, nearest to the second or deepest in it, (3,) [m].
+        point: point of the first solid nearest to the second, or deepest in it, (3,) [m].
     """
 
     distance: float
@@ -172,18 +168,18 @@ class Contact(NamedTuple):
 
 
 class Narrow(threading.local):
-    """What coal writes into, one for each thread."""
+    """Distance queries to coal; each thread has its own request and result."""
 
     def __init__(self) -> None:
         self._result = coal.DistanceResult()
-        # By default distances are wrong by up to a micrometre for a metre, which shows in a derivative. The
-        # search in penetration must not be asked for more: it then fails, and calls the distance 1.8e308.
+        # By default distances are off by up to a micrometre per metre, which shows in derivatives. The search
+        # in penetration cannot be more precise: it then fails and returns a distance of 1.8e308.
         self._requests = [coal.DistanceRequest(), coal.DistanceRequest()]
         self._requests[0].gjk_tolerance = 1e-9
         self._requests[1].epa_tolerance = 1e-4
 
     def distance(self, posed: Posed) -> float:
-        """Distance of two solids, negative where they overlap [m]; not a number if coal cannot tell."""
+        """Return the distance of two solids, negative for overlap [m]; NaN if coal fails."""
         for request in self._requests:
             self._result.clear()
             distance = float(coal.distance(*posed, request, self._result))
@@ -192,35 +188,33 @@ class Narrow(threading.local):
         return math.nan
 
     def contact(self, posed: Posed) -> Contact:
-        """Distance, normal and point of two solids; the distance is not a number if coal cannot tell."""
+        """Return distance, normal and point of two solids; the distance is NaN if coal fails."""
         distance = self.distance(posed)
         if math.isnan(distance):
             return Contact(distance, np.zeros(3), np.array(posed[1].getTranslation()))
-        away = -np.array(self._result.normal)  # coal's goes from the first to the second
+        away = -np.array(self._result.normal)  # coal's normal points from the first to the second
         size = float(np.linalg.norm(away))
         normal = away / size if abs(size - 1.0) < 1e-3 else np.zeros(3)
         return Contact(distance, normal, np.array(self._result.getNearestPoint1()))
 
 
-# The distances of pairs of solids: compiled where they have a closed form, else bounds and then coal.
-
 NO_PAIR = -1
 
-CONTACTS_PER_SAMPLE = 32  # number of near pairs for which there is room at first
-MAX_PARTS = 8  # largest number of parts into which a motion is divided at once
-OPEN_SAMPLES = 1000  # number of samples of pairs without a closed form for which there is room at first
+CONTACTS_PER_SAMPLE = 32  # initial buffer size for near pairs, per configuration
+MAX_PARTS = 8  # maximum number of parts into which a motion is divided at once
+OPEN_SAMPLES = 1000  # initial buffer size for samples of pairs without a closed form
 
 
 class NearPairs(NamedTuple):
-    """The pairs nearer than a distance, nearest first, and the nearest of all.
+    """The pairs nearer than a given distance, nearest first, and the nearest pair of all.
 
     Attributes:
         pairs: their indices, (k,).
-        distances: between their surfaces, negative where they overlap, (k,) [m].
+        distances: between the surfaces, negative for overlap, (k,) [m].
         points: point of the first body nearest to the second, or deepest in it, (k, 3) [m], world frame.
-        normals: unit vector from the second to the first, (k, 3); zero where there is none.
-        minimum: the smallest distance of all pairs, near or not [m]; infinite if there are none.
-        nearest: the index of that pair; `NO_PAIR` if there are none.
+        normals: unit vector from the second to the first, (k, 3); zero where undefined.
+        minimum: smallest distance of all pairs, near or not [m]; infinite without pairs.
+        nearest: index of that pair; `NO_PAIR` without pairs.
     """
 
     pairs: Indices
@@ -232,15 +226,15 @@ class NearPairs(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Pairs nearer than a distance at s configurations.
+    """Pairs nearer than a given distance at s configurations.
 
     Attributes:
-        samples: the configuration of each contact, by its number, (k,); increasing.
-        distances: between their surfaces, negative where they overlap, (k,) [m].
-        carrying: the joints that carry both solids, 0 for an obstacle, (k, 2).
+        samples: index of the configuration of each contact, (k,); increasing.
+        distances: between the surfaces, negative for overlap, (k,) [m].
+        carrying: the joints that carry the two solids, 0 for an obstacle, (k, 2).
         points: the contacts, (k, 3) [m], world frame.
         normals: unit vectors from the second solid to the first, (k, 3), world frame.
-        minima: the smallest distance at each configuration, or the one given if none is smaller, (s,) [m].
+        minima: smallest distance at each configuration, at most the given one, (s,) [m].
     """
 
     samples: Indices
@@ -252,13 +246,13 @@ class Contacts(NamedTuple):
 
 
 class MotionSearch(NamedTuple):
-    """What has to be found of the distances on motions.
+    """Settings of the search for the smallest distance on motions.
 
     Attributes:
-        below: distances that matter [m]: if none is smaller, none may be found.
-        enough: the search ends when it finds a smaller one than this [m].
-        tolerance: by how much the smallest distance may be missed [m].
-        open_motion: motion between two samples of pairs that only coal can measure, at first [m].
+        below: only distances below this matter [m]; if there are none, the search may find none.
+        enough: the search ends at the first distance below this [m].
+        tolerance: error allowed in the smallest distance [m].
+        open_motion: initial motion between samples of pairs that need coal [m].
     """
 
     below: float
@@ -268,16 +262,16 @@ class MotionSearch(NamedTuple):
 
 
 def _divide_samples(samples: Array, room: Array, tolerance: float, spread: float) -> Array:
-    """Return samples in parts of the motions around others.
+    """Divide the motions around samples and return samples of the parts.
 
-    A part of a motion has its share of twice the bound for the whole: the bound for the whole is half the
-    duration times the speed in the middle, plus at least half of what the speed can grow by.
+    The bound of each part is its share of twice the bound of the whole motion: that is half the duration
+    times the speed in the middle, plus at least half of the possible increase of the speed.
 
     Args:
-        samples: as `smallest_distance_on_motions` gives them, (k, 6).
-        room: by how much each is farther than it would have to be, (k,) [m].
+        samples: as returned by `smallest_distance_on_motions`, (k, 6).
+        room: excess of each distance over the smallest that matters, (k,) [m].
         tolerance: motion that need not be divided [m].
-        spread: 2, or 1 if the bounds were doubled before.
+        spread: 2, or 1 if the bounds have already been doubled.
     """
     moved = spread * samples[:, 4]
     counts = np.clip(np.ceil(moved / np.maximum(room, tolerance)), 2, MAX_PARTS).astype(np.int64)
@@ -293,11 +287,11 @@ def _divide_samples(samples: Array, room: Array, tolerance: float, spread: float
 
 
 class PairDistances:
-    """Distances of pairs of a body and another, or of a body and an obstacle.
+    """Distances between pairs of bodies, and between bodies and obstacles.
 
     Attributes:
         first: index of the body of each pair, (n,).
-        second: index of the other body, or the number of bodies plus that of the obstacle, (n,).
+        second: index of the other body, or the number of bodies plus the index of the obstacle, (n,).
     """
 
     def __init__(
@@ -307,13 +301,13 @@ class PairDistances:
         fixed: Sequence[Solid],
         pairs: Sequence[tuple[int, int]],
     ) -> None:
-        """Prepare the solids, and sort the pairs into groups.
+        """Prepare the solids and sort the pairs into groups.
 
         Args:
-            bodies: the bodies, each in the frame of its joint.
+            bodies: the bodies, each in its joint frame.
             joints: the joints that carry them.
             fixed: the obstacles, world frame.
-            pairs: body and body, or body and number of bodies plus obstacle.
+            pairs: indices as in `first` and `second`.
         """
         self._narrow, self._solids, self._joints = Narrow(), [*bodies, *fixed], list(joints)
         self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
@@ -341,7 +335,7 @@ class PairDistances:
         self._choose(pairs)
 
     def among(self, pairs: Sequence[tuple[int, int]] | Indices) -> PairDistances:
-        """Return the distances of other pairs of the same bodies and obstacles."""
+        """Return the distances for other pairs of the same bodies and obstacles."""
         other = copy(self)
         other._choose(pairs)
         return other
@@ -356,7 +350,7 @@ class PairDistances:
         begins = np.flatnonzero(np.any(np.diff(groups, axis=0, prepend=-1), axis=1))
         self.first, self.second = (np.ascontiguousarray(side) for side in listed.T)
         kinds = self._kinds[self.second]
-        # What is inside of a closed surface is so with the whole capsule around it.
+        # For a closed surface, the inside test is exact for the whole capsule.
         exact = (self._exact[self.first] & self._exact[self.second]) | (kinds == INSIDE)
         self._arrays = self._arrays._replace(
             first=self.first,
@@ -369,7 +363,7 @@ class PairDistances:
         self._open = int(np.count_nonzero(~exact))
 
     def with_obstacles(self, changes: Mapping[int, Solid]) -> PairDistances:
-        """Return the distances with some obstacles, by their number, in place of others of the same kind."""
+        """Return the distances with some obstacles, by index, replaced by others of the same kind."""
         other, bodies = copy(self), len(self._joints)
         other._solids, other._fixed = list(self._solids), list(self._fixed)
         arrays = self._arrays._replace(
@@ -384,11 +378,11 @@ class PairDistances:
         return other
 
     def near(self, placements: Placements, within: float) -> NearPairs:
-        """Find the pairs nearer than a distance, and the nearest of all.
+        """Find the pairs nearer than a distance, and the nearest pair of all.
 
         Args:
-            placements: where the joints are at one configuration.
-            within: how near [m].
+            placements: joint placements at one configuration.
+            within: the distance [m].
         """
         n, ends = len(self.first), self._ends(placements)
         whole, numbers, vectors = np.empty((2, n), dtype=np.int64), np.empty((2, n)), np.empty((2, n, 3))
@@ -419,14 +413,14 @@ class PairDistances:
         return NearPairs(near[order], distances[order], points[order], normals[order], best, pair)
 
     def minimum(self, placements: Placements, below: float = np.inf) -> tuple[float, int]:
-        """Return distance and index of the nearest pair at any of several configurations.
+        """Return distance and index of the nearest pair over several configurations.
 
         Args:
-            placements: where the joints are.
-            below: distances that matter [m]: of larger ones some is found, or none, in less time.
+            placements: the joint placements.
+            below: only distances below this matter [m]; if there are none, any larger one, or none, is found.
 
         Returns:
-            Infinity and `NO_PAIR` if there are none.
+            Infinity and `NO_PAIR` if no pair is found.
         """
         ends = self._ends(placements)
         candidates = len(ends) * self._open
@@ -438,7 +432,7 @@ class PairDistances:
                 break
             sample, candidate = (int(each) for each in open_pairs[at])
             distance = self._narrow.distance(self._posed(candidate, placements, sample, places))
-            # If coal cannot tell, on the safe side.
+            # If coal fails, the bound is on the safe side.
             distance = float(bounds[at]) if math.isnan(distance) else distance - self._point_radius(candidate)
             if distance < best:
                 best, pair = distance, candidate
@@ -450,14 +444,14 @@ class PairDistances:
         """Return distance and index of the pair that comes nearest on straight joint motions.
 
         Args:
-            kinematics: of the model that carries the bodies.
-            q: as for `TreeKinematics.place`.
-            offsets: displacements from it between which the motions are, (N + 1, nv) [rad or m].
-            drifts: how far the arm is displaced besides, (N + 1, 3) [m].
-            search: what has to be found.
+            kinematics: kinematics of the model that carries the bodies.
+            q: as in `TreeKinematics.place`.
+            offsets: displacements from q at the ends of the motions, (N + 1, nv) [rad or m].
+            drifts: additional translation of the arm at each, (N + 1, 3) [m].
+            search: settings of the search.
 
         Returns:
-            Infinity and `NO_PAIR` if none comes nearer than `search.below`.
+            Infinity and `NO_PAIR` if no pair comes nearer than `search.below`.
         """
         positions, others = kinematics.positions(q, offsets)
         given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others[0], drifts
@@ -483,7 +477,7 @@ class PairDistances:
     def _open_distances(
         self, kinematics: TreeKinematics, q: Array, offsets: Array, drifts: Array, samples: Array
     ) -> Array:
-        """Measure the distances at samples of `smallest_distance_on_motions` by coal, (k,) [m]."""
+        """Compute the distances at samples of `smallest_distance_on_motions` with coal, (k,) [m]."""
         pieces, shares, pairs = samples[:, 0].astype(np.int64), samples[:, 1, None], samples[:, 3]
         placements = kinematics.place(q, (1.0 - shares) * offsets[pieces] + shares * offsets[pieces + 1])
         drifted = (1.0 - shares) * drifts[pieces] + shares * drifts[pieces + 1]
@@ -492,21 +486,20 @@ class PairDistances:
         places: dict[tuple[int, int], coal.Transform3s] = {}
         for sample, pair in enumerate(pairs.astype(int)):
             distance = self._narrow.distance(self._posed(int(pair), placements, sample, places))
-            # If coal cannot tell, on the safe side.
-            bound = float(samples[sample, 5])
+            bound = float(samples[sample, 5])  # on the safe side if coal fails
             found[sample] = bound if math.isnan(distance) else distance - self._point_radius(int(pair))
         return found
 
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
         """Find the pairs nearer than a distance at several configurations; for gradients, not for checks.
 
-        Pairs without a closed form count by the capsules, balls and boxes around them.
+        Solids without a closed form are replaced by their bounding capsules, spheres and boxes.
 
         Args:
-            kinematics: of the model that carries the bodies.
-            q: as for `TreeKinematics.place`.
-            offsets: likewise.
-            within: how near [m].
+            kinematics: kinematics of the model that carries the bodies.
+            q: as in `TreeKinematics.place`.
+            offsets: as in `TreeKinematics.place`.
+            within: the distance [m].
         """
         positions, others = kinematics.positions(q, offsets)
         given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others, within
@@ -526,20 +519,20 @@ class PairDistances:
             room = count
 
     def axes(self, pair: int, placements: Placements, place: Array) -> tuple[Array, Array]:
-        """Return the ends of the axes of the capsules around both solids of a pair, (2, 3) each [m].
+        """Return the axis ends of the bounding capsules of both solids of a pair, (2, 3) each [m].
 
-        Of a piece of a surface it is the place (3,) where the body is nearest to it, twice.
+        For a piece of a surface, both ends are `place`, its point nearest to the body, (3,).
         """
         ends = np.concatenate([self._ends(placements)[0], self._arrays.lines])
         moving, still = ends[self.first[pair]], ends[self.second[pair]]
         return moving, np.stack([place, place]) if self._arrays.kinds[pair] in (PIECE, INSIDE) else still
 
     def _point_radius(self, pair: int) -> float:
-        """Return the radius of the points of a cloud, which coal does not know of [m]; else 0."""
+        """Return the radius of the points of a cloud, which coal ignores [m]; else 0."""
         return float(self._arrays.radii[self.second[pair]]) if self._arrays.kinds[pair] == PIECE else 0.0
 
     def _ends(self, placements: Placements) -> Array:
-        """Ends of the axes of all bodies, (s, bodies, 2, 3) [m], world frame."""
+        """Return the axis ends of all bodies, (s, bodies, 2, 3) [m], world frame."""
         ends = np.empty((len(placements.origins), *self._local.shape))
         kernels.place_axes(self._carriers, self._local, *placements, ends)
         return ends
@@ -551,7 +544,7 @@ class PairDistances:
         sample: int,
         places: dict[tuple[int, int], coal.Transform3s],
     ) -> Posed:
-        """Return both solids of a pair and where they are; `places` remembers those of bodies."""
+        """Return both solids of a pair with their placements; `places` caches those of bodies."""
         posed = []
         for index in (int(self.first[pair]), int(self.second[pair])):
             each = self._solids[index]

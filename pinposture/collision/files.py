@@ -1,4 +1,4 @@
-"""Files of meshes and scans: where they are, and the triangles or points that they hold."""
+"""Files of meshes and scans: finding and reading them."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from pinposture.arm.urdf_reader import parse_xml
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.storage import read_text
 
-MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")  # suffixes of the mesh files that can be read
+MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")  # suffixes of readable mesh files
 
 
 class Triangles(NamedTuple):
     """A triangulated surface.
 
     Attributes:
-        vertices: its corners, (n, 3) [m].
-        faces: triangles as indices of corners, (t, 3).
+        vertices: its vertices, (n, 3) [m].
+        faces: triangles as vertex indices, (t, 3).
     """
 
     vertices: NDArray[np.float64]
@@ -40,9 +40,9 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
 
     Args:
         filename: "package://name/rest", "file:///...", or a path; relative paths start at `package_dirs`.
-        package_dirs: folders to search, which hold packages, are packages, or lie in packages. Packages
-            are also searched in the folders of the environment variable ROS_PACKAGE_PATH. A package has
-            the name of its folder, or that in its package.xml.
+        package_dirs: folders to search; each may contain packages, be a package, or be inside one. Packages
+            are also searched in the folders of the environment variable ROS_PACKAGE_PATH. The name of a
+            package is that of its folder or that in its package.xml.
 
     Raises:
         FileError: there is no such file.
@@ -57,46 +57,46 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
     elif filename.startswith("file://"):
         candidates = [Path(unquote(urlsplit(filename).path))]
     else:
-        # An absolute path replaces the folder that it is joined to.
+        # Joining an absolute path to a folder drops the folder.
         candidates = [folder / filename for folder in folders] or [Path(filename)]
     for candidate in candidates:
         if _is_file(candidate):
             return candidate
-    searched = ", ".join(map(str, folders)) or "no folder, for package_dirs (--package-dir) is empty"
-    raise FileError(filename, f"is not there (looked in: {searched})")
+    searched = ", ".join(map(str, folders)) or "no folder, because package_dirs (--package-dir) is empty"
+    raise FileError(filename, f"not found (searched: {searched})")
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Read a mesh file of one of the `MESH_FORMATS`; COLLADA in the unit that it states, others in metres.
+    """Read a mesh file in one of the `MESH_FORMATS`; COLLADA in its declared unit, others in metres.
 
     Raises:
-        FileError: missing, of another format, or without valid triangles.
+        FileError: missing, in another format, or without valid triangles.
     """
     if path.suffix.lower() not in MESH_FORMATS:
         raise FileError(path, f"is of an unknown format; allowed: {', '.join(MESH_FORMATS)}")
     if not _is_file(path):
         raise FileError(path, "no such file")
     if path.suffix.lower() == ".dae" and find_spec("collada") is None:
-        raise FileError(path, "is COLLADA, which only the package pycollada reads; install it")
+        raise FileError(path, "is COLLADA, which requires the package pycollada; install it")
     try:
-        import trimesh  # slow, and most arms need no files
+        import trimesh  # slow to import, and most arms need no files
 
         scene = trimesh.load_scene(path, process=False)
         if path.suffix.lower() == ".dae" and scene.units is not None:
             scene = scene.convert_units("meters")
         surface = scene.to_mesh()
         mesh = Triangles(np.array(surface.vertices, dtype=np.float64), np.array(surface.faces, dtype=np.intp))
-    except Exception as error:  # a broken file makes a reader raise anything
+    except Exception as error:  # readers raise anything on a broken file
         raise FileError(path, f"cannot be read: {str(error) or type(error).__name__}") from error
     if not mesh.faces.size:
-        raise FileError(path, "holds no triangles")
+        raise FileError(path, "contains no triangles")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise FileError(path, "has triangles with corners that it does not hold")
+        raise FileError(path, "has triangles with vertices that do not exist")
     return mesh
 
 
 def _packages(name: str, folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield the folders that may be a package: first by their own name, then by that in their package.xml."""
+    """Yield the folders that may be a package: first by folder name, then by the name in package.xml."""
     yield from (folder / name for folder in folders)
     for folder in folders:
         yield from (at for at in (folder, *folder.parents) if at.name == name)
@@ -109,7 +109,7 @@ def _packages(name: str, folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def _package_name(folder: Path) -> str:
-    """Return the name in the package.xml of a folder; empty if there is none that can be read."""
+    """Return the name in the package.xml of a folder; empty if there is no readable one."""
     file = folder / "package.xml"
     if not _is_file(file):
         return ""
@@ -123,15 +123,15 @@ def _package_name(folder: Path) -> str:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a name that is too long or empty
+    except (OSError, ValueError):  # the name is too long or empty
         return False
 
 
 def scale_factor(path: Any, scale: Any) -> float:
-    """Check the arguments of a loader: the name of a file, and the factor of its coordinates.
+    """Check the arguments of a loader, a file name and a scale; return the scale.
 
     Raises:
-        InvalidValue: anything else.
+        InvalidValue: an invalid argument.
     """
     if not isinstance(path, (str, PathLike)):
         raise InvalidValue("path", path, "the name of a file")
@@ -141,7 +141,7 @@ def scale_factor(path: Any, scale: Any) -> float:
 
 
 def merge_corners(mesh: Triangles) -> Triangles:
-    """Return a surface with each corner that triangles have once; some formats repeat them."""
+    """Return a surface in which each vertex in use occurs once; some formats repeat vertices."""
     used = mesh.faces.reshape(-1)
     points = mesh.vertices[used]
     order = np.lexsort(points.T)
@@ -158,8 +158,8 @@ Array = NDArray[np.float64]
 _COMMENTS = ("#", "//")
 _LINES = "lines of three numbers or more, x y z first or where the line before them names x, y and z"
 _XYZ = {"x", "y", "z"}
-_GREY = 180  # colour of parts without colours in a file in which other parts have some
-_MAX_HEADER = 100_000  # largest size of the header of a PLY file [bytes]
+_GREY = 180  # colour of parts without colours, if other parts of the file have colours
+_MAX_HEADER = 100_000  # maximum size of the header of a PLY file [bytes]
 
 
 class ReadScan(NamedTuple):
@@ -167,8 +167,8 @@ class ReadScan(NamedTuple):
 
     Attributes:
         points: (n, 3), in the unit of the file, finite or not.
-        faces: triangles as indices of points, (k, 3); None for a cloud of points.
-        colors: of the points, (n, 3), 0 to 255 if they are integers, else 0 to 1; None without.
+        faces: triangles as point indices, (k, 3); None for a point cloud.
+        colors: colours of the points, (n, 3), integers 0 to 255 or floats 0 to 1; None without colours.
     """
 
     points: Array
@@ -177,10 +177,10 @@ class ReadScan(NamedTuple):
 
 
 def read_scan(path: Path) -> ReadScan:
-    """Read a scan file in a format of `SCAN_READERS`.
+    """Read a scan file in one of the formats of `SCAN_READERS`.
 
     Raises:
-        FileError: missing, of another format, or malformed; says what is wrong and what is allowed.
+        FileError: missing, in another format, or malformed; says what is wrong and what is allowed.
     """
     reader = SCAN_READERS.get(path.suffix.lower())
     if reader is None:
@@ -206,7 +206,7 @@ def _read_text(path: Path) -> ReadScan:
     text = read_text(path)
     start = _first_line(text)
     if start is None:
-        raise FileError(path, f"holds no points; allowed: {_LINES}")
+        raise FileError(path, f"contains no points; allowed: {_LINES}")
     number, first, comment = start
     mark = next((mark for mark in (";", ",") if mark in first), None)
     skipped, columns = number - 1, (0, 1, 2)
@@ -216,7 +216,7 @@ def _read_text(path: Path) -> ReadScan:
         names, skipped = _names(first, mark), number
         if not set(names) >= _XYZ:
             raise FileError(path, f"line {number} is {_short(first)}; allowed: {_LINES}")
-    # A comment that names the columns names all of them.
+    # A comment counts as column names only if it names all columns.
     if set(names) >= _XYZ and (skipped == number or len(names) == count):
         columns = (names.index("x"), names.index("y"), names.index("z"))
     try:
@@ -229,7 +229,7 @@ def _read_text(path: Path) -> ReadScan:
 
 
 def _first_line(text: str) -> tuple[int, str, str] | None:
-    """Return number and text of the first line that is not a comment, and the last comment before it."""
+    """Return number and text of the first non-comment line, and the last comment before it."""
     comment = ""
     for number, line in enumerate(io.StringIO(text), start=1):
         content = _without_comment(line)
@@ -240,7 +240,7 @@ def _first_line(text: str) -> tuple[int, str, str] | None:
 
 
 def _names(line: str, mark: str | None) -> list[str]:
-    """Return the names of columns, without their units."""
+    """Return column names without units."""
     words = line.split(mark if mark is not None and mark in line else None)
     return [word.strip(' \t"').lower().partition("[")[0].partition("(")[0].strip() for word in words]
 
@@ -272,8 +272,8 @@ def _are_numbers(words: list[str]) -> bool:
 def _read_npy(path: Path) -> ReadScan:
     try:
         values = np.load(path, allow_pickle=False)
-    except Exception as error:  # a broken header makes numpy raise anything
-        raise FileError(path, f"is no array that can be read ({error}); allowed: .npy of numbers") from error
+    except Exception as error:  # numpy raises anything on a broken header
+        raise FileError(path, f"is not a readable array ({error}); allowed: .npy of numbers") from error
     return ReadScan(_rows(path, "the array", values))
 
 
@@ -282,20 +282,20 @@ def _read_npz(path: Path) -> ReadScan:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:  # as above
-        reason = f"is no archive of arrays that can be read ({error}); allowed: .npz of numbers"
+        reason = f"is not a readable archive of arrays ({error}); allowed: .npz of numbers"
         raise FileError(path, reason) from error
     if "points" not in arrays:
         if len(arrays) != 1:
             listed = ", ".join(arrays) or "nothing"
-            allowed = "an array points, with faces and colors if need be"
-            raise FileError(path, f"holds {listed}; allowed: {allowed}")
+            allowed = "an array points, optionally with faces and colors"
+            raise FileError(path, f"contains {listed}; allowed: {allowed}")
         return ReadScan(_rows(path, *next(iter(arrays.items()))))
     points = _rows(path, "points", arrays["points"])
     return ReadScan(points, arrays.get("faces"), arrays.get("colors"))
 
 
 def _rows(path: Path, name: str, values: NDArray[Any]) -> Array:
-    """Return points from an array with x, y, z first in its last axis; depth images have two more axes."""
+    """Return points from an array with x, y, z first in its last axis; depth images have three axes."""
     if values.ndim not in (2, 3) or values.shape[-1] < 3 or values.dtype.kind not in "iuf":
         found = f"{name} is {values.dtype} {values.shape}"
         raise FileError(path, f"{found}; allowed: numbers, (n, 3) or (rows, columns, 3)")
@@ -307,27 +307,27 @@ def _short(text: str) -> str:
 
 
 def _read_model(path: Path) -> ReadScan:
-    """Read the points, triangles and colours of all parts of a file by trimesh."""
+    """Read the points, triangles and colours of all parts of a file with trimesh."""
     if path.suffix.lower() == ".ply":
         _check_ply(path)
     try:
-        import trimesh  # slow, and most arms need no files
+        import trimesh  # slow to import, and most arms need no files
 
         parts = trimesh.load_scene(path, process=False).dump()  # each part in the frame of the file
         meshes = [part for part in parts if isinstance(part, trimesh.Trimesh)]
         surfaces = [_surface(part) for part in meshes if len(part.faces)]
         clouds = [_cloud(part) for part in parts if isinstance(part, trimesh.PointCloud)]
         clouds += [_cloud(part) for part in meshes if not len(part.faces)]
-    except Exception as error:  # a broken file makes a reader raise anything
+    except Exception as error:  # readers raise anything on a broken file
         raise FileError(path, f"cannot be read: {str(error) or type(error).__name__}") from error
     clouds = [part for part in clouds if len(part.points)]
     if surfaces and clouds:
-        raise FileError(path, "holds both triangles and loose points; allowed: one of them")
+        raise FileError(path, "contains both triangles and loose points; allowed: one of them")
     if not surfaces and not clouds:
-        raise FileError(path, "holds neither triangles nor points, or is cut off")
+        raise FileError(path, "contains neither triangles nor points, or is cut off")
     for points, faces, _ in surfaces:
         if faces is not None and not 0 <= faces.min() <= faces.max() < len(points):
-            raise FileError(path, "has triangles with corners that it does not hold")
+            raise FileError(path, "has triangles with vertices that do not exist")
     return _merge_corners(_join(surfaces)) if surfaces else _join(clouds)
 
 
@@ -338,29 +338,29 @@ def _surface(part: Any) -> ReadScan:
 
 def _cloud(part: Any) -> ReadScan:
     points = np.array(part.vertices, dtype=np.float64).reshape(-1, 3)
-    # A surface without triangles has no colors.
+    # A mesh without triangles has no attribute colors.
     return ReadScan(points, None, _rgb(np.array(getattr(part, "colors", ())), len(points)))
 
 
 def _rgb(colors: NDArray[Any], count: int) -> NDArray[np.uint8] | None:
-    """Return red, green and blue of `count` points; None if there are no such colours."""
+    """Return red, green and blue of `count` points; None if the array has another shape."""
     return colors[:, :3].astype(np.uint8) if colors.shape == (count, 4) else None
 
 
 def _colors(part: Any) -> NDArray[np.uint8] | None:
-    """Return the colours of the corners of a surface, also from colours of triangles or from a texture."""
+    """Return the vertex colours of a surface, if need be from triangle colours or a texture."""
     visual = part.visual
     try:
         if visual.kind == "texture":
             visual = visual.to_color()
         colors = np.array(visual.vertex_colors) if visual.kind in ("vertex", "face") else np.zeros(0)
-    except Exception:  # a missing texture: the surface is of use without it
+    except Exception:  # a missing texture: the surface is usable without it
         return None
     return _rgb(colors, len(part.vertices))
 
 
 def _join(parts: list[ReadScan]) -> ReadScan:
-    """Join all parts; those without colours are grey if others have some."""
+    """Join all parts; parts without colours become grey if others have colours."""
     points = np.concatenate([part.points for part in parts])
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False) if part.faces is not None]
@@ -376,14 +376,14 @@ def _join(parts: list[ReadScan]) -> ReadScan:
 
 
 def _merge_corners(part: ReadScan) -> ReadScan:
-    """Merge the equal corners of a surface without colours: STL files repeat them for each triangle."""
+    """Merge equal vertices of a surface without colours: STL files repeat them for each triangle."""
     if part.faces is None or part.colors is not None or len(part.points) < 3 * len(part.faces):
         return part
     return ReadScan(*merge_corners(Triangles(part.points, part.faces)))
 
 
 def _check_ply(path: Path) -> None:
-    """Refuse an ASCII file with a wrong number of lines: trimesh would take faces for points."""
+    """Reject an ASCII file with a wrong number of lines, in which trimesh would read faces as points."""
     with path.open("rb") as file:
         header: list[list[bytes]] = []
         while file.tell() < _MAX_HEADER and header[-1:] != [[b"end_header"]]:
@@ -392,15 +392,15 @@ def _check_ply(path: Path) -> None:
                 break
             header.append(line.split())
         if header[-1:] != [[b"end_header"]]:
-            raise FileError(path, "is no PLY file: it has no header from 'ply' to 'end_header'")
+            raise FileError(path, "is not a PLY file: it has no header from 'ply' to 'end_header'")
         if [b"format", b"ascii", b"1.0"] not in header:
             return  # trimesh checks the size of binary files
         counts = [line[2] for line in header if line[:1] == [b"element"] and len(line) == 3]
         if not all(count.isdigit() for count in counts):
-            raise FileError(path, "has an element whose number is no number")
+            raise FileError(path, "has an element with an invalid count")
         expected, found = sum(map(int, counts)), sum(1 for line in file if line.strip())
     if found != expected:
-        raise FileError(path, f"says that it has {expected} lines of data, but has {found}")
+        raise FileError(path, f"declares {expected} lines of data, but has {found}")
 
 
 SCAN_READERS: Mapping[str, Callable[[Path], ReadScan]] = MappingProxyType(
@@ -417,4 +417,4 @@ SCAN_READERS: Mapping[str, Callable[[Path], ReadScan]] = MappingProxyType(
         ".glb": _read_model,
     }
 )
-"""Readers by the suffix of the file name."""
+"""Readers by file name suffix."""

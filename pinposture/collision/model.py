@@ -1,4 +1,4 @@
-"""Distances of an arm from obstacles and from itself, and the choice of the pairs to check."""
+"""Distances between an arm, obstacles and itself, and the choice of the pairs to check."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ Pair = tuple[str, str]
 IndexPair: TypeAlias = tuple[int, int]
 
 MAX_MODELS = 16
-"""Number of collision models that an arm remembers."""
+"""Maximum number of collision models cached per arm."""
 
 MAX_LISTED_PAIRS = 4
-"""Number of pairs that a warning lists."""
+"""Maximum number of pairs that a warning lists."""
 
 RANDOM_POSTURES = 40
-"""Random postures that are tried before a pair counts as one that can never keep the margin."""
+"""Number of random postures tried before a pair counts as never able to keep the margin."""
 
 MARGINS_APART = 2.0
-"""Bodies nearer than this many margins in the straight or neutral posture are left out."""
+"""Pairs of bodies nearer than this many margins in the straight or neutral posture are excluded."""
 
 ALWAYS_CLOSE = "within the margin however the arm bends"
-"""Why a pair is left out that is also warned of."""
+"""Reason for excluding a pair that also causes a warning."""
 
 IN_PLANE = 1e-3
 """In-plane share of a normal below which a planar arm gets another escape direction."""
 
 MOTION_TOLERANCE, OPEN_MOTION = 1e-4, 5e-3
-"""By how much the smallest distance on a motion may be missed, and the motion between the first samples of
-pairs that only coal can measure, in arm lengths."""
+"""Error allowed in the smallest distance on a motion, and initial motion between samples of pairs that need
+coal, both in arm lengths."""
 
 STATIONARY = 1e-9
 """Distance below which a point counts as stationary, in arm lengths."""
@@ -63,9 +63,9 @@ _NEGLIGIBLE = 1e-9
 def stationary_ends(
     arm: Arm, kinematics: TreeKinematics, bodies: Sequence[Body], solids: Sequence[Solid]
 ) -> list[tuple[int, Array]]:
-    """Return the axis ends that no joint motion moves, of bodies that joints carry.
+    """Return the axis ends of moving bodies that no joint motion moves.
 
-    Each is given by the index of its body and its world position, (3,) [m]. `solids` are the bodies' shapes.
+    Each is a body index and a world position, (3,) [m]. `solids` are the shapes of the bodies.
     """
     ends = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
     joints, rng, found = np.array([body.joint for body in bodies], dtype=int), np.random.default_rng(0), []
@@ -77,12 +77,12 @@ def stationary_ends(
 
 
 class ExcludedPair(NamedTuple):
-    """A pair whose distance is not computed, though its bodies are neither on one joint nor joined by one.
+    """A pair whose distance is not computed, although its bodies are not on the same or adjacent joints.
 
     Attributes:
         first: name of the body.
-        second: name of the other body, or of the obstacle; of a scan or a mesh it may be a part alone.
-        reason: why.
+        second: name of the other body or the obstacle; for a scan or mesh, possibly only a part is excluded.
+        reason: why the pair is excluded.
     """
 
     first: str
@@ -91,13 +91,13 @@ class ExcludedPair(NamedTuple):
 
 
 def _self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
-    """Yield the pairs of bodies that can move against each other and are not joined by one joint."""
+    """Yield the pairs of bodies that can move relative to each other and are not on adjacent joints."""
     for second, other in enumerate(bodies):
         for first, body in enumerate(bodies[:second]):
             joints = (body.joint, other.joint)
             joined = any(a == b or int(model.parents[a]) == b for a, b in (joints, joints[::-1]) if a or b)
             if not joined and joints != (0, 0):
-                # The one nearer to the tip comes first: it is the one that moves away.
+                # The body nearer to the tip comes first: it is the one that moves away.
                 yield (second, first) if other.joint >= body.joint else (first, second)
 
 
@@ -110,19 +110,19 @@ def _choose_pairs(
     scene: Scene,
     free: Collection[int],
 ) -> tuple[list[IndexPair], dict[IndexPair, str]]:
-    """Choose the pairs to check; return them and those left out with a reason.
+    """Choose the pairs to check; return them and the pairs excluded with a reason.
 
-    A pair is a body and another, or a body and the number of bodies plus that of a solid, or of a piece of a
-    scan or a mesh, among the obstacles. Left out without mention are bodies on one joint, bodies on joints
-    that follow each other, and bodies that no joint moves against obstacles. Left out with a reason are
+    A pair is the indices of two bodies, or of a body and a solid (or piece of a scan or mesh) among the
+    obstacles, counted after the bodies. Excluded without a reason are pairs of bodies on the same or adjacent
+    joints, and pairs of obstacles with bodies that no joint moves. Excluded with a reason are
 
-    * an obstacle that the arm is mounted on: one within the margin of an end of a body that no joint moves;
-    * bodies nearer to each other than twice the margin where the arm is straight or neutral, such as thick
-      or short links, telescoping tubes, and overlapping meshes: the arm could not even stand straight;
-    * pairs within the margin in every posture that is tried, such as an obstacle beside the base. If the last
-      body is among them, the arm is inside an obstacle, and they are kept.
+    * obstacles that the arm is mounted on: within the margin of a stationary end of a body;
+    * bodies nearer to each other than twice the margin in the straight or neutral posture, such as thick or
+      short links, telescoping tubes, and overlapping meshes: the arm could not even be straight;
+    * pairs within the margin in every posture tried, such as an obstacle beside the base. If the last body is
+      among them, the arm is inside the obstacle, and these pairs are kept.
 
-    Of obstacles that move, whose numbers are in `free`, no pair is left out.
+    No pair with a moving obstacle, whose indices are in `free`, is excluded.
     """
     count = len(bodies)
     mounted = _mounted_pairs(arm, kinematics, bodies, solids, fixed, scene.margin)
@@ -175,7 +175,7 @@ def _mounted_pairs(
     fixed: Sequence[Solid],
     margin: float,
 ) -> set[IndexPair]:
-    """Return the pairs of a body and an obstacle near an end of the body that no joint moves."""
+    """Return the pairs of a body and an obstacle near a stationary end of the body."""
     still = stationary_ends(arm, kinematics, bodies, solids)
     balls = []
     for body, position in still:
@@ -191,11 +191,11 @@ def _mounted_pairs(
 def escape_direction(first: Array, second: Array, plane: Array) -> Array:
     """Return the direction of the shortest translation that separates two segments.
 
-    It replaces a normal that is undefined, because the axes of two capsules meet, or that points out of the
+    It replaces a normal that is undefined because the axes of two capsules meet, or that points out of the
     plane of a planar arm. It is normal to both segments if possible.
 
     Args:
-        first: ends of the segment that is to move, (2, 3) [m].
+        first: ends of the segment to move, (2, 3) [m].
         second: ends of the other segment, (2, 3) [m].
         plane: orthonormal directions in which the first can move, (2, 3) or (3, 3).
 
@@ -225,7 +225,7 @@ def escape_direction(first: Array, second: Array, plane: Array) -> Array:
 
 
 def _shortest(moving: Array, still: Array, directions: list[Array]) -> Array:
-    """Return the one of several directions and their opposites along which the segments separate soonest."""
+    """Return the direction, of those given and their opposites, along which the segments separate soonest."""
     best, least = directions[0], np.inf
     for direction in (sign * each for each in directions for sign in (1.0, -1.0)):
         needed = float((still @ direction).max() - (moving @ direction).min())
@@ -235,10 +235,10 @@ def _shortest(moving: Array, still: Array, directions: list[Array]) -> Array:
 
 
 class Closest(NamedTuple):
-    """The nearest pair, or the one that overlaps most.
+    """The nearest pair, or the one with the deepest overlap.
 
     Attributes:
-        distance: between their surfaces, negative where they overlap [m]; infinite if there is no pair.
+        distance: between the surfaces, negative for overlap [m]; infinite if there is no pair.
         pair: names of the body and of the obstacle or the other body; None if there is no pair.
     """
 
@@ -247,21 +247,21 @@ class Closest(NamedTuple):
 
 
 class Distances(NamedTuple):
-    """The pairs that are near, nearest first, and the derivatives of their distances.
+    """The near pairs, nearest first, and the derivatives of their distances.
 
     Attributes:
-        distances: between their surfaces, negative where they overlap, (k,) [m].
-        jacobian: derivatives of the distances by the joint displacement, (k, nv) [m/rad or m/m]. Where a
-            distance has none, or only motion out of a planar arm's plane increases it, those along another
-            normal that separates the pair.
-        pairs: names of the body and of the obstacle or the other body, k of them. A body of several solids
-            may have several rows with one name.
+        distances: between the surfaces, negative for overlap, (k,) [m].
+        jacobian: derivatives of the distances with respect to joint displacement, (k, nv) [m/rad or m/m].
+            Where undefined, or where only motion out of a planar arm's plane increases the distance, the
+            derivatives along another normal that separates the pair.
+        pairs: k pairs of names: the body, and the obstacle or the other body. Names repeat for bodies of
+            several solids.
         numbers: indices of these pairs in `CollisionModel.pairs`, (k,).
         points: point of the body nearest to the other, (k, 3) [m], world frame.
-        normals: unit vector in which the body moves straight away, (k, 3), world axes.
-        rates: how fast the distances change because obstacles move, (k,) [m/s].
-        minimum: the smallest of the distances of all pairs, near or not, exactly [m]; infinite without pairs.
-        pair: the pair that has it; None if there is no pair.
+        normals: unit vector along which the body moves straight away, (k, 3), world axes.
+        rates: rates of change of the distances due to the motion of obstacles, (k,) [m/s].
+        minimum: exact smallest distance of all pairs, near or not [m]; infinite without pairs.
+        pair: the pair with this distance; None if there is no pair.
     """
 
     distances: Array
@@ -276,36 +276,36 @@ class Distances(NamedTuple):
 
 
 class CollisionModel:
-    """The distances of an arm from a scene, and from itself. May be shared between threads.
+    """Distances of an arm from a scene and from itself. May be shared between threads.
 
         model = pp.CollisionModel(arm, scene)
         model.minimum(q).distance
 
-    An arm remembers its models: the same arm and scene have the same model. Meshes of the arm that are
-    missing or cannot be used are named in a `PostureWarning`, once for each arm and scene.
+    Models are cached per arm: the same arm and scene give the same model. A `PostureWarning` names the meshes
+    of the arm that are missing or unusable, once per arm and scene.
 
-    Distances of balls and capsules, from each other and from boxes, half-spaces and cylinders, are compiled
-    closed forms, and those from scans and meshes compiled searches; coal computes all others. They are exact,
-    except where the axis of a capsule is inside of a cylinder or a mesh, or crosses a triangle: the depth may
-    differ from the shortest way out then. Bounds decide which pairs are computed.
+    Distances of spheres and capsules, from each other and from boxes, half-spaces and cylinders, are compiled
+    closed forms; those from scans and meshes are compiled searches; coal computes all others. They are exact,
+    unless the axis of a capsule is inside a cylinder or mesh, or crosses a triangle: then the depth may
+    differ from the shortest way out. Bounds decide which pairs are computed.
 
-    A scan, or a mesh that is not convex, makes pairs of each body with its pieces, all under one name.
+    A scan or a non-convex mesh is split into pieces. Each body forms a pair with each piece, under one name.
 
     Attributes:
         scene: the scene.
         bodies: names of the bodies of the arm, from base to tip.
         pairs: names of all pairs whose distance is computed.
-        excluded_pairs: pairs whose distance is not computed, because no motion could separate them, or they
-            touch where the arm is straight; bodies next to each other are not listed.
+        excluded_pairs: pairs whose distance is not computed, because no motion could separate them or because
+            they touch in the straight arm; adjacent bodies are not listed.
     """
 
     _distances: PairDistances
-    _moment: CollisionModel | None  # the model of the last moment in which obstacles were elsewhere
-    _numbers: dict[str, list[int]]  # which solids each obstacle consists of
+    _moment: CollisionModel | None  # the model of the last scene with moved obstacles
+    _numbers: dict[str, list[int]]  # indices of the solids of each obstacle
     _velocities: Array
 
     def __new__(cls, arm: Arm, scene: Scene) -> CollisionModel:
-        """Return the model of an arm and a scene, made on first use.
+        """Return the model of an arm and a scene, created on first use.
 
         Args:
             arm: the arm.
@@ -329,7 +329,7 @@ class CollisionModel:
         return models[key]._in_moment(scene)
 
     def _in_moment(self, scene: Scene) -> CollisionModel:
-        """Return the model of the same scene at another moment; the last one is kept."""
+        """Return the model of the same scene with obstacles moved; the last one is cached."""
         if scene == self.scene:
             return self
         if self._moment is None or self._moment.scene is not scene:
@@ -356,7 +356,7 @@ class CollisionModel:
         return self._distances.with_obstacles(changes)
 
     def _velocities_in(self, scene: Scene) -> Array:
-        """Return the velocities of all solids of obstacles, (o, 3) [m/s], the last row zero."""
+        """Return the velocities of all obstacle solids, (o, 3) [m/s], with a last row of zeros."""
         velocities = np.zeros((1 + sum(map(len, self._numbers.values())), 3))
         for name, velocity in scene.velocities.items():
             velocities[self._numbers[name]] = velocity
@@ -407,7 +407,7 @@ class CollisionModel:
             InvalidValue: a state of another arm, or not a distance.
         """
         if not isinstance(state, ArmState) or state.arm.model is not self._model:
-            raise InvalidValue("state", state, "a state of the arm that the collision model was made for")
+            raise InvalidValue("state", state, "a state of the arm of the collision model")
         if not (isinstance(within, (int, float, np.floating)) and within >= 0.0):
             raise InvalidValue("within", within, "a distance of at least 0 [m]")
         placements = self._kinematics.place(state.q)
@@ -434,7 +434,7 @@ class CollisionModel:
     def contacts_along(self, q0: Array, offsets: Array, within: float) -> Contacts:
         """Return the pairs nearer than a distance at several configurations.
 
-        Pairs without a closed form count by simple shapes around them, so distances may be too small.
+        Solids without a closed form are replaced by simple shapes around them, so distances may be too small.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
@@ -444,15 +444,15 @@ class CollisionModel:
         return self._distances.contacts(self._kinematics, q0, offsets, within)
 
     def count_movers(self, columns: NDArray[np.intp]) -> NDArray[np.int64]:
-        """Return how many of some joints move what each joint of the model carries, (njoints,).
+        """Return how many of the given joints move the bodies of each joint of the model, (njoints,).
 
         Args:
-            columns: the joints, by their columns of the Jacobians.
+            columns: the Jacobian columns of the given joints.
         """
         return self._kinematics.count_movers(columns)
 
     def minimum(self, q: ArrayLike) -> Closest:
-        """Return the smallest of the distances of all pairs at a configuration.
+        """Return the smallest distance of all pairs at a configuration.
 
         Args:
             q: configuration, (nq,) [rad or m].
@@ -464,16 +464,16 @@ class CollisionModel:
         return self._closest(*self._distances.minimum(placements))
 
     def minimum_between(self, q0: ArrayLike, dq: ArrayLike) -> Closest:
-        """Return the smallest distance on the straight motion from a configuration along a displacement.
+        """Return the smallest distance on the straight motion along a displacement.
 
-        It is exact to `MOTION_TOLERANCE`; see `minimum_on_motions`.
+        It is accurate to `MOTION_TOLERANCE`; see `minimum_on_motions`.
 
         Args:
             q0: start of the motion, (nq,) [rad or m].
             dq: the displacement, (nv,) [rad or m].
 
         Raises:
-            InvalidValue: a vector of the wrong size or not finite.
+            InvalidValue: a vector has the wrong size or is not finite.
         """
         start, displacement = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
         return self.minimum_on_motions(start, np.stack([np.zeros_like(displacement), displacement]))
@@ -496,18 +496,18 @@ class CollisionModel:
         enough: float = -np.inf,
         times: Array | None = None,
     ) -> Closest:
-        """Return the smallest distance on straight joint motions, between configurations as well as at them.
+        """Return the smallest distance on straight joint motions, also between their ends.
 
-        Bounds of the motion decide where to look (conservative advancement): between the configurations,
-        nothing is missed by more than `MOTION_TOLERANCE`.
+        Motion bounds decide where to look (conservative advancement): nothing is missed by more than
+        `MOTION_TOLERANCE`.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
-            offsets: displacements from it between which the motions are, (N + 1, nv) [rad or m].
-            below: distances that matter [m]: of larger ones some is returned, or none, in less time.
-            enough: the search ends when it finds a smaller one than this [m].
-            times: time from now of each displacement, (N + 1,) [s]: obstacles move by their velocities. None:
-                they stand still.
+            offsets: displacements from q0 at the ends of the motions, (N + 1, nv) [rad or m].
+            below: as in `minimum_along`.
+            enough: the search ends at the first distance below this [m].
+            times: time from now at each displacement, (N + 1,) [s]; obstacles move with their velocities.
+                None: they stand still.
         """
         size = self._arm_length
         search = MotionSearch(below, enough, MOTION_TOLERANCE * size, OPEN_MOTION * size)
@@ -518,7 +518,7 @@ class CollisionModel:
             )
         lowest = np.inf
         for velocity, distances in self._by_velocity:
-            # An obstacle that moved is as far from the arm as it is now from an arm that moved the other way.
+            # Moving an obstacle changes its distance as moving the arm in the opposite direction would.
             drifts, wanted = -times[:, None] * velocity, search._replace(below=min(below, lowest))
             found = distances.minimum_on_motions(self._kinematics, q0, offsets, drifts, wanted)[0]
             lowest = min(lowest, found)
@@ -526,7 +526,7 @@ class CollisionModel:
 
     @cached_property
     def _by_velocity(self) -> list[tuple[Array, PairDistances]]:
-        """The distances, apart for each velocity of the second body or obstacle."""
+        """The distances, grouped by the velocity of the second body or obstacle."""
         first, second = self._distances.first, self._distances.second
         numbers = np.maximum(second - len(self.bodies), -1)
         velocities, groups = np.unique(self._velocities[numbers], axis=0, return_inverse=True)
@@ -540,7 +540,7 @@ class CollisionModel:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)
 
     def _escape_normals(self, near: NearPairs, placements: Placements) -> Array:
-        """Return normals along which the arm can leave, where there is none or it leads out of the plane."""
+        """Return the normals, with an escape direction where one is undefined or points out of the plane."""
         normals = near.normals.copy()
         lost = ~normals.any(axis=1)
         if len(self._plane) == 2:

@@ -1,4 +1,4 @@
-"""Obstacles: the kinds that there are, their descriptions, and how distances take them."""
+"""Obstacles: their types, their descriptions, and the solids that distances are computed from."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ Obstacle: TypeAlias = "Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh | Sc
 OBSTACLE_TYPES: Mapping[str, type[Obstacle]] = MappingProxyType(
     {kind.type: kind for kind in (Sphere, Capsule, Cylinder, Box, HalfSpace, Mesh, Scan)}
 )
-"""Classes of obstacles by their name in scene files."""
+"""Obstacle classes by their type names in scene files."""
 
 
 def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obstacle:
-    """Make the obstacle that `to_dict` described.
+    """Create an obstacle from its description by `to_dict`.
 
     Args:
-        described: "type", and the attributes of that type under their names. A mesh has "vertices" or
-            "path", the name of a file, and with a path optionally "scale"; a scan "points" or "path".
+        described: "type", and the attributes of that type by name. A mesh has "vertices" or "path", a file
+            name, with an optional "scale"; a scan has "points" or "path".
         folder: folder to which paths are relative.
 
     Raises:
-        InvalidValue: an attribute that is missing, unknown or invalid.
-        UnknownName: there is no such type.
-        FileError: the file of a mesh or a scan is missing or holds none.
+        InvalidValue: a missing, unknown or invalid attribute.
+        UnknownName: an unknown type.
+        FileError: the file of a mesh or scan is missing or invalid.
     """
     if not isinstance(described, Mapping):
         raise InvalidValue("obstacle", described, "a table with a 'type'")
@@ -77,19 +77,19 @@ def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:
 
 
 class Solid(NamedTuple):
-    """A solid in some frame, or a piece of a surface, with its bounding volumes.
+    """A solid or a piece of a surface in some frame, with its bounding volumes.
 
     Attributes:
-        shape: the shape for coal, or a piece of a surface.
-        rotation: from the axes of that shape to the frame, (3, 3).
-        position: its origin in the frame, (3,) [m].
-        start: one end of the axis of a capsule that contains the solid, (3,) [m].
-        end: the other end, (3,) [m]; the same for a sphere.
-        radius: radius of that capsule [m]; infinite for a half-space. Of a piece, the radius of its points.
+        shape: the coal shape, or a piece of a surface.
+        rotation: from the axes of the shape to the frame, (3, 3).
+        position: origin of the shape in the frame, (3,) [m].
+        start: one axis end of a capsule that contains the solid, (3,) [m].
+        end: the other axis end, (3,) [m]; the same for a sphere.
+        radius: radius of that capsule [m]; infinite for a half-space. For a piece, the radius of its points.
         center: centre of a box with the axes of `rotation` that contains the solid, (3,) [m].
-        half: half the edges of that box, (3,) [m].
-        kind: of `kernels.arrays.Pairs`: what distances of capsules are computed from.
-        exact: whether the solid is that, rather than inside of it.
+        half: half the edge lengths of that box, (3,) [m].
+        kind: the primitive used for distances from capsules, as in `kernels.arrays.Pairs`.
+        exact: whether the solid is that primitive; otherwise the primitive contains it.
     """
 
     shape: coal.CollisionGeometry | Piece
@@ -105,17 +105,17 @@ class Solid(NamedTuple):
 
     @property
     def round(self) -> bool:
-        """Whether the solid is its capsule."""
+        """Whether the solid is identical to its bounding capsule."""
         return self.exact and self.kind == SEGMENT
 
     @property
     def geometry(self) -> coal.CollisionGeometry:
-        """The shape for coal."""
+        """The coal shape."""
         return self.shape[0].geometry(self.shape[1]) if isinstance(self.shape, tuple) else self.shape
 
 
 def solids(obstacle: Obstacle) -> list[Solid]:
-    """Return an obstacle as the solids, or the pieces of its surface, that a body keeps clear of."""
+    """Return the solids, or the pieces of the surface, of an obstacle."""
     if not isinstance(obstacle, (Mesh, Scan)) or (isinstance(obstacle, Mesh) and obstacle.convex):
         return [solid(obstacle)]
     tree = obstacle.tree
@@ -134,7 +134,7 @@ def _piece(obstacle: Mesh | Scan, node: int, kind: int) -> Solid:
 
 
 def solid(shape: Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh) -> Solid:
-    """Return a convex shape with its bounding volumes; of a mesh, its hull."""
+    """Return a convex shape, or the hull of a mesh, with its bounding volumes."""
     if isinstance(shape, Sphere):
         center = np.array(shape.center)
         half = np.full(3, shape.radius)
@@ -170,7 +170,7 @@ def solid(shape: Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh) -> Solid:
 
 
 def _z_along(axis: Array) -> Array:
-    """Return a rotation (3, 3) that turns z to a vector (3,)."""
+    """Return a rotation (3, 3) that takes z to the direction of a vector (3,)."""
     z = axis / np.linalg.norm(axis)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
@@ -187,16 +187,16 @@ def _convex(mesh: Mesh) -> coal.Convex:
 
 
 def _capsule_around(points: Array) -> tuple[Array, Array, float]:
-    """Return axis ends and radius of a capsule around points, along the direction of their largest spread."""
+    """Return axis ends and radius of a capsule around points, along their direction of largest spread."""
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     offsets = points - middle
     axis = np.linalg.svd(offsets, full_matrices=False)[2][0]
     along = offsets @ axis
     across = np.linalg.norm(offsets - np.outer(along, axis), axis=1)
     radius = float(across.max()) * (1.0 + 1e-9)
-    # A point may lie beyond an end of the axis by the extent of the ball there at its distance from the axis.
+    # Points may lie beyond the axis ends, inside the caps.
     reach = np.sqrt(radius**2 - across**2)
     first, last = float(np.min(along + reach)), float(np.max(along - reach))
-    if first > last:  # a single ball holds them all
+    if first > last:  # a single sphere contains all points
         first = last = (first + last) / 2.0
     return middle + first * axis, middle + last * axis, radius

@@ -1,4 +1,4 @@
-"""Pipes: walls of boxes around a curve, and an axis of straight runs and bends."""
+"""Pipes: box walls around a curve, and axes made of straight runs and bends."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from pinposture.errors import InvalidValue
 Array = NDArray[np.float64]
 
 WALL_TOLERANCE = 0.008
-"""Largest deviation of a wall from its radius where the pipe bends, relative to the radius."""
+"""Maximum deviation of a wall from the pipe radius in a bend, relative to that radius."""
 
-SAMPLES_PER_RADIUS = 50  # number of samples of the axis on a length of the pipe's radius
+SAMPLES_PER_RADIUS = 50  # number of samples of the axis per pipe radius
 
 MIN_SIDES = 6
-"""Fewest sides; with fewer, longer ones, the overlap of rings at their corners would narrow a bend."""
+"""Minimum number of sides; with fewer, the overlap of rings at their corners would narrow a bend."""
 
-MAX_RADIUS = 0.9  # largest radius of a pipe where it bends, relative to the radius of the bend
-POINTS_PER_BEND_RADIUS = 50  # number of points of the axis on a length of the radius of the sharpest bend
+MAX_RADIUS = 0.9  # maximum radius of a pipe in a bend, relative to the bend radius
+POINTS_PER_BEND_RADIUS = 50  # number of points of the axis per radius of the sharpest bend
 
 
 class Bend(NamedTuple):
     """A bend of a pipe.
 
     Attributes:
-        radius: of its axis [m].
-        angle: by which it turns [rad].
-        roll: direction, as an angle about the pipe from that of the bend before; the first bends towards +y
-            at 0 and towards +z at pi/2 [rad].
+        radius: bend radius of the axis [m].
+        angle: bend angle [rad].
+        roll: direction, as an angle about the axis from the direction of the previous bend [rad]. The first
+            bend goes towards +y at 0 and towards +z at pi/2.
     """
 
     radius: float
@@ -46,17 +46,17 @@ class Bend(NamedTuple):
 
 
 def pipe_axis(runs: Sequence[float], bends: Sequence[Bend | tuple[float, ...]]) -> Curve:
-    """Make the axis of a pipe: straight runs with a bend between each two.
+    """Create the axis of a pipe: straight runs connected by bends.
 
-    It begins at the origin along +x, and is a spline through closely spaced points: its error is 1e-4 of the
-    radius of a bend where that begins or ends, and smaller elsewhere.
+    The axis starts at the origin along +x. It is a spline through closely spaced points: its error is 1e-4 of
+    the bend radius where a bend starts or ends, and smaller elsewhere.
 
     Args:
-        runs: lengths of the straight runs, one more than there are bends [m]; those at the ends may be 0.
+        runs: lengths of the straight runs, one more than bends [m]; the first and the last may be 0.
         bends: the bends, or their attributes as tuples.
 
     Raises:
-        InvalidValue: lengths, radii or angles that make no pipe.
+        InvalidValue: invalid lengths, radii or angles.
     """
     if len(runs) != len(bends) + 1:
         raise InvalidValue("runs (how many)", len(runs), f"one more than bends, {len(bends) + 1}")
@@ -82,7 +82,7 @@ def pipe_axis(runs: Sequence[float], bends: Sequence[Bend | tuple[float, ...]]) 
 
 
 def _shares(size: float, step: float) -> Array:
-    """Return equal shares of a length, no larger than a step, without 0 and with 1, (n, 1)."""
+    """Return equidistant fractions of a length, 0 excluded and 1 included, at most a step apart, (n, 1)."""
     count = max(int(np.ceil(size / step)), 1)
     return (np.arange(1, count + 1) / count)[:, None]
 
@@ -96,7 +96,7 @@ def pipe(
     self_collision: bool = False,
     arm_radius: float | None = None,
 ) -> Scene:
-    """Make a scene of a pipe with open ends along a curve.
+    """Create a scene with an open-ended pipe along a curve.
 
     Args:
         path: axis of the pipe, in the world.
@@ -114,17 +114,17 @@ def pipe(
 
 
 def pipe_walls(path: Curve, radius: float, sides: int = 6, thickness: float = 0.005) -> dict[str, Box]:
-    """Make the walls of a pipe, for a scene with other obstacles.
+    """Create the walls of a pipe, for a scene with other obstacles.
 
-    They are rings of boxes: polygons whose sides are a radius away from the axis, with corners farther out.
-    Rings are as long as the bends allow, so that a straight run is a single one; where the pipe bends, walls
-    are within one percent of the radius.
+    The walls are rings of boxes: polygons whose sides are at the radius from the axis, with corners farther
+    out. Rings are as long as the bends allow, so a straight run is a single ring; in bends, walls are within
+    one percent of the radius.
 
     Args:
         path: axis of the pipe, in the world.
         radius: inner radius [m].
         sides: number of sides of a ring, at least 6.
-        thickness: of the walls [m].
+        thickness: wall thickness [m].
 
     Returns:
         Boxes by name: "pipe 1.1" (first ring, first side), "pipe 1.2", ...
@@ -152,7 +152,7 @@ def pipe_walls(path: Curve, radius: float, sides: int = 6, thickness: float = 0.
 
 
 def _side_normals(tangents: Array, sides: int) -> Array:
-    """Return unit vectors from the axis to the middle of each side, which do not twist, (n, sides, 3)."""
+    """Return twist-free unit vectors from the axis to the middle of each side, (n, sides, 3)."""
     across = np.eye(3)[np.argmin(np.abs(tangents[0]))]
     first = np.empty_like(tangents)
     for i, tangent in enumerate(tangents):  # transported from sample to sample by projection
@@ -165,14 +165,14 @@ def _side_normals(tangents: Array, sides: int) -> Array:
 
 
 def _rings(walls: Array, allowed: float) -> list[slice]:
-    """Return the samples of each ring, the ends included: the longest rings within a tolerance.
+    """Return the samples of each ring, ends included: the longest rings within a tolerance.
 
-    Walls, (n, sides, 3), are the middle of the inside of each side along the pipe. Sides lie halfway between
-    chord and arc, so that their deviation is at most half the height of the arc.
+    `walls`, (n, sides, 3), are the midpoints of the inner face of each side along the pipe. Sides lie halfway
+    between chord and arc, so their deviation is at most half the arc height.
     """
     rings, first, last = [], 0, len(walls) - 1
     while first < last:
-        low, high = first + 1, last  # bisection: the height grows with the length
+        low, high = first + 1, last  # bisection: the arc height grows with the length
         while low < high:
             middle = (low + high + 1) // 2
             if _arc_height(walls[first : middle + 1]) <= 2.0 * allowed:
@@ -185,7 +185,7 @@ def _rings(walls: Array, allowed: float) -> list[slice]:
 
 
 def _arc_height(walls: Array) -> float:
-    """Return the largest distance of lines, (n, sides, 3), from the chords between their ends [m]."""
+    """Return the maximum distance of lines, (n, sides, 3), from the chords between their ends [m]."""
     chords, gaps = walls[-1] - walls[0], walls - walls[0]
     square = np.maximum(np.einsum("ji,ji->j", chords, chords), 1e-300)
     along = np.clip(np.einsum("nji,ji->nj", gaps, chords) / square, 0.0, 1.0)
@@ -193,7 +193,7 @@ def _arc_height(walls: Array) -> float:
 
 
 def _wall(axis: Array, normals: Array, side: int, radius: float, thickness: float) -> Box:
-    """Return one side of a ring, long and wide enough for its outside to meet its neighbours'."""
+    """Return one side of a ring, long and wide enough for its outer face to meet those of its neighbours."""
     out = normals[:, side]
     inner = axis + radius * out
     along = inner[-1] - inner[0]
@@ -205,7 +205,7 @@ def _wall(axis: Array, normals: Array, side: int, radius: float, thickness: floa
     height = 0.5 * float(heights.max() + heights.min())
     corners = [axis + (radius + thickness) * corner for corner in _corners(normals, side)]
     ends = np.concatenate([inner[[0, -1]], *(corner[[0, -1]] for corner in corners)]) - inner[0]
-    extra = WALL_TOLERANCE * radius * np.array([-1.0, 1.0])  # against gaps by rounding
+    extra = WALL_TOLERANCE * radius * np.array([-1.0, 1.0])  # against gaps due to rounding error
     first, last = np.array([np.min(ends @ along), np.max(ends @ along)]) + extra
     right, left = np.array([np.min(ends @ across), np.max(ends @ across)]) + extra
     middle = 0.5 * (first + last) * along + 0.5 * (right + left) * across
@@ -216,7 +216,7 @@ def _wall(axis: Array, normals: Array, side: int, radius: float, thickness: floa
 
 
 def _corners(normals: Array, side: int) -> tuple[Array, Array]:
-    """Return the vectors from the axis to both edges of a side at a distance of 1, (n, 3) each."""
+    """Return the vectors from the axis to both edges of a side at distance 1, (n, 3) each."""
     sides = normals.shape[1]
     scale = 0.5 / np.cos(np.pi / sides) ** 2
     own, before, after = (normals[:, k % sides] for k in (side, side - 1, side + 1))

@@ -1,4 +1,4 @@
-"""Scans: point clouds and surfaces of what is around an arm."""
+"""Scans: measured point clouds and surfaces as obstacles."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
 
-MAX_SCAN_SIZE = 5_000_000  # largest number of points, and of triangles, of a scan
-MAX_PLAUSIBLE_WIDTH = 30.0  # width of a scan above which its unit is probably not the metre [m]
-_MIN_FILL = 0.8  # share of the requested points below which smaller cubes are tried
+MAX_SCAN_SIZE = 5_000_000  # maximum number of points, and of triangles, of a scan
+MAX_PLAUSIBLE_WIDTH = 30.0  # width of a scan above which its unit is probably not metres [m]
+_MIN_FILL = 0.8  # fraction of the requested points below which smaller cubes are tried
 _MAX_TRIALS = 12
-_MAX_CUBES = 2**20  # largest number of cubes along an axis, so that three indices fit into one integer
+_MAX_CUBES = 2**20  # maximum number of cubes along an axis, so that three indices fit into one integer
 
 
 def _points(values: ArrayLike) -> Array:
@@ -40,7 +40,7 @@ def _points(values: ArrayLike) -> Array:
 
 
 def _colors(values: ArrayLike, count: int) -> NDArray[np.uint8]:
-    """Return a new array of colours, (n, 3), 0 to 255, from such integers or from floats of 0 to 1."""
+    """Return a new array of colours, (n, 3), 0 to 255, from integers 0 to 255 or floats 0 to 1."""
     try:
         colors = np.array(values)
     except (TypeError, ValueError):
@@ -54,20 +54,20 @@ def _colors(values: ArrayLike, count: int) -> NDArray[np.uint8]:
 
 
 def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Choose one point in each occupied cube of a grid, with cubes as small as the number of points allows.
+    """Choose one point per occupied cube of a grid, with the smallest cubes that `count` allows.
 
     Args:
-        points: the points, more than `count` of them, (n, 3) [m].
-        count: largest number of points to choose, at least 1.
+        points: the points, more than `count`, (n, 3) [m].
+        count: maximum number of points to choose, at least 1.
 
     Returns:
-        Indices of the chosen points, (c,), and for each point the index of its cube among these, (n,).
+        Indices of the chosen points, (c,), and the cube of each point as an index of a chosen point, (n,).
     """
     low, width = points.min(axis=0), float(np.ptp(points, axis=0).max())
     best = np.zeros(1, dtype=np.intp), np.zeros(len(points), dtype=np.intp)
     if width == 0.0 or count == 1:
         return best
-    # On a surface the number of occupied cubes grows with the square of their number along an edge.
+    # On a surface, the number of occupied cubes grows with the square of the number along an edge.
     least, most, cells = 0.5, float(_MAX_CUBES), min(np.sqrt(count), _MAX_CUBES)
     for _ in range(_MAX_TRIALS):
         found = _in_cubes(points, low, width, cells)
@@ -85,10 +85,10 @@ def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArra
 
 
 def between_cubes(faces: NDArray[np.integer], cubes: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the triangles between three different cubes, each once.
+    """Return the distinct triangles whose corners are in three different cubes.
 
     Args:
-        faces: triangles as indices of points, (t, 3).
+        faces: triangles as point indices, (t, 3).
         cubes: index of the cube of each point, (n,), as from `representatives`.
     """
     moved = cubes[faces]
@@ -100,7 +100,7 @@ def between_cubes(faces: NDArray[np.integer], cubes: NDArray[np.intp]) -> NDArra
 def _in_cubes(
     points: Array, low: Array, width: float, cells: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first point in each cube of edge `width / cells`, and the cube of each point, by index."""
+    """Return the index of the first point in each cube of edge `width / cells`, and each point's cube."""
     at = np.minimum((points - low) * (cells / width), _MAX_CUBES).astype(np.int64)
     keys = (at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2]
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -109,14 +109,14 @@ def _in_cubes(
 
 @dataclass(frozen=True, eq=False)
 class Scan(Surface):
-    """A scanned surface or point cloud: an obstacle as it is, hollows and all.
+    """A scanned surface or point cloud as an obstacle, including its cavities.
 
-    It has no inside: an arm keeps clear of the points, or of the triangles from both sides. Between the
-    points of a cloud there is nothing, so that an arm that is thin fits through gaps that the thing itself
-    does not have; `point_radius` closes them.
+    It has no inside: an arm keeps clear of the points, or of both sides of the triangles. A thin arm fits
+    through the gaps between the points of a cloud, although the scanned object is solid there;
+    `point_radius` closes these gaps.
 
-    Points that are not finite, which scanners write where they saw nothing, are dropped and counted, and
-    triangles with such corners are dropped.
+    Non-finite points, which scanners write where they measured nothing, are dropped and counted; triangles
+    with such corners are dropped.
 
         scan = pp.Scan.load("workshop.ply")
         scene = pp.Scene({"workshop": scan}, margin=0.01)
@@ -125,17 +125,17 @@ class Scan(Surface):
 
     Attributes:
         points: the points, or the corners of the triangles, (n, 3) [m]; read-only.
-        faces: triangles as indices of points, (k, 3); read-only. None for a cloud of points.
+        faces: triangles as point indices, (k, 3); read-only. None for a point cloud.
         colors: red, green and blue of the points, (n, 3) uint8; read-only; None without colours. Given as
-            integers from 0 to 255, or as floats from 0 to 1.
-        name: its name.
-        path: the file that it was loaded from, if any.
-        scale: factor of the coordinates in that file.
+            integers from 0 to 255 or floats from 0 to 1.
+        name: name of the scan.
+        path: the file it was loaded from, if any.
+        scale: scale factor applied to the coordinates in that file.
         center: position of the origin of the points in the world, (3,) [m].
-        rotation: from the axes of the points to the world's, (3, 3); given as such, or as roll, pitch, yaw
-            [rad]; the identity if None.
-        point_radius: radius of the balls that the points of a cloud stand for [m].
-        dropped: number of points that were dropped.
+        rotation: from the axes of the points to the world axes, (3, 3); given as a matrix or as roll, pitch,
+            yaw [rad]; None: the identity.
+        point_radius: radius of a point of a cloud [m].
+        dropped: number of dropped points.
     """
 
     type: ClassVar[str] = "scan"
@@ -175,13 +175,11 @@ class Scan(Surface):
             raise InvalidValue("faces", "no triangle with finite corners", "at least one; None for a cloud")
         farthest = float(np.abs(points).max())
         if farthest > LARGEST_LENGTH:
-            allowed = f"at most {LARGEST_LENGTH:g} m; scale 0.001 makes metres of millimetres"
+            allowed = f"at most {LARGEST_LENGTH:g} m; scale 0.001 converts millimetres to metres"
             raise InvalidValue("points (largest coordinate)", farthest, allowed)
         width = float(np.ptp(points, axis=0).max())
         if width > MAX_PLAUSIBLE_WIDTH:
-            text = (
-                f"{self.name} is {width:.4g} m wide; if its unit is the millimetre, load it with scale=0.001"
-            )
+            text = f"{self.name} is {width:.4g} m wide; if it is in millimetres, load it with scale=0.001"
             warnings.warn(text, PostureWarning, stacklevel=3)
         for array in (points, faces, colors):
             if array is not None:
@@ -205,20 +203,20 @@ class Scan(Surface):
         """Read a scan from a file.
 
         Point clouds: .ply, .xyz, .txt and .csv (columns named x, y and z, else the first three), .npy, .npz
-        (`points`, optionally with `faces` and `colors`). Surfaces: .ply, .stl, .obj, .off, .glb. Axes stay as
-        they are in the file; in .glb files y commonly points up.
+        (`points`, optionally with `faces` and `colors`). Surfaces: .ply, .stl, .obj, .off, .glb. Axes are
+        those of the file; in .glb files y usually points up.
 
         Args:
             path: the file.
-            scale: factor of its coordinates, such as 0.001 for a file in millimetres.
+            scale: scale factor for its coordinates, such as 0.001 for a file in millimetres.
             center: as in `Scan`.
             rotation: as in `Scan`.
             point_radius: as in `Scan`.
 
         Raises:
-            FileError: missing, of another format, malformed, without any finite point, too large, or with
-                coordinates beyond reason.
-            InvalidValue: not a factor, or a value as described in `Scan`.
+            FileError: missing, in another format, malformed, without any finite point, too large, or with
+                excessive coordinates.
+            InvalidValue: an invalid argument.
         """
         factor, path = scale_factor(path, scale), Path(path)
         pose = point("center", center), _validation.rotation("rotation", rotation)
@@ -233,17 +231,17 @@ class Scan(Surface):
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scan:
-        """Make the scan that `to_dict` described, or read one from a file; see `obstacle_from_dict`."""
+        """Create a scan from its description by `to_dict`, or from a file; see `obstacle_from_dict`."""
         pose = ("center", "rotation", "point_radius")
         known_keys("a scan", described, ("points", "faces", "path", "scale", *pose))
         scan: Scan = from_points_or_path(cls, described, "points", folder)
         return scan
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
-        """Return it as data that JSON can hold; see `obstacle_from_dict`.
+        """Return the scan as JSON-compatible data; see `obstacle_from_dict`.
 
         Args:
-            embed: whether to include the points if they were loaded from a file, rather than its path.
+            embed: whether to include points that were loaded from a file, rather than its path.
         """
         radius = {"point_radius": self.point_radius} if self.point_radius else {}
         return super().to_dict(embed) | radius
@@ -254,7 +252,7 @@ class Scan(Surface):
 
     @property
     def content(self) -> tuple[Array, NDArray[np.int32] | None]:
-        """The points (n, 3) [m], in their own frame, and the triangles between them, (k, 3); None without."""
+        """The points, (n, 3) [m], in their own frame, and the triangles, (k, 3), or None."""
         return self.points, self.faces
 
     def _key(self) -> tuple[Any, ...]:
@@ -263,16 +261,16 @@ class Scan(Surface):
     def thinned(self, count: int) -> Scan:
         """Return the scan with fewer points, for display.
 
-        Of the points in each cube of a grid one is kept, and triangles within one or two cubes are dropped.
+        One point is kept per cube of a grid; triangles within one or two cubes are dropped.
 
         Args:
-            count: largest number of points to keep.
+            count: maximum number of points to keep.
 
         Returns:
-            This scan if it has no more points; else another, whose `dropped` is 0.
+            This scan if it has at most `count` points; otherwise a new one, whose `dropped` is 0.
 
         Raises:
-            InvalidValue: not a whole number of at least 1, or too few for a surface to keep triangles.
+            InvalidValue: not a whole number of at least 1, or too small for a surface to keep any triangles.
         """
         if not is_count(count):
             raise InvalidValue("count", count, "a whole number of at least 1")
@@ -283,11 +281,11 @@ class Scan(Surface):
         if self.faces is not None:
             faces = between_cubes(self.faces, cubes).astype(np.int32)
             if not len(faces):
-                allowed = "more points; with so few no triangle of the surface is left"
+                allowed = "more points; with so few, no triangle of the surface is left"
                 raise InvalidValue("count", count, allowed)
         colors = None if self.colors is None else self.colors[kept]
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PostureWarning)  # its width was warned of before
+            warnings.simplefilter("ignore", PostureWarning)  # a warning about its width was already given
             return replace(self, points=self.points[kept], faces=faces, colors=colors, path=None)
 
     def __repr__(self) -> str:

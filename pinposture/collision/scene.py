@@ -1,4 +1,4 @@
-"""Scenes: obstacles, self-collision and the margin to keep; scene files."""
+"""Scenes: obstacles, self-collision and margin; scene files."""
 
 from __future__ import annotations
 
@@ -35,31 +35,31 @@ else:
     import tomli as tomllib
 
 VERSION = 1
-MAX_LISTED_OBSTACLES = 8  # number of obstacles up to which `repr` names them all
-PROBE_RADIUS = 1e-6  # radius of the ball that stands for a point [m]
+MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
+PROBE_RADIUS = 1e-6  # radius of the sphere that represents a point [m]
 
 _KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius", "velocities")
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Obstacles, and how an arm must keep clear of them and of itself.
+    """Obstacles, and the clearance that an arm must keep from them and from itself.
 
-    A scene is immutable, can be compared and pickled, and belongs to no arm; `CollisionModel` takes both:
+    A scene is immutable, comparable and picklable, and independent of arms; `CollisionModel` takes both:
 
         scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, self_collision=True)
         scene = pp.Scene.load("scene.toml")
 
-    Where obstacles move, the scene of each moment is another one (`moved`).
+    For moving obstacles, create a new scene for each moment with `moved`.
 
     Attributes:
         obstacles: the obstacles by name.
-        self_collision: whether the arm must keep clear of itself as well.
-        margin: the distance to keep [m].
-        arm_radius: radius of stand-in capsules along the links [m], in place of the collision geometry in
-            the arm's description. If None, that geometry, or where there is none capsules with a radius of a
-            tenth of the mean module length (`pinposture.collision.bodies`).
-        velocities: velocities of the obstacles that move, by name, (3,) [m/s]; others stand still.
+        self_collision: whether the arm must also keep clear of itself.
+        margin: the clearance to keep [m].
+        arm_radius: radius of stand-in capsules along the links [m], which replace the collision geometry of
+            the description. None: use that geometry, and where there is none, capsules with a tenth of the
+            mean module length as radius (`pinposture.collision.bodies`).
+        velocities: velocities of moving obstacles by name, (3,) [m/s]; all others stand still.
     """
 
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
@@ -87,11 +87,11 @@ class Scene:
             object.__setattr__(self, "arm_radius", length("arm_radius", self.arm_radius))
         velocities = {name: point(f"velocities[{name!r}]", v) for name, v in self._known(self.velocities)}
         object.__setattr__(self, "velocities", MappingProxyType(velocities))
-        # Every control step may look up the collision model of a scene.
+        # The hash is precomputed: every control step may look up the collision model of a scene.
         object.__setattr__(self, "_hash", hash(self._key()))
 
     def _known(self, values: Mapping[str, Any]) -> ItemsView[str, Any]:
-        """Return values for obstacles; raise UnknownName for a name that no obstacle has."""
+        """Return the items of a mapping from obstacle names; raise UnknownName for an unknown obstacle."""
         if not isinstance(values, Mapping):
             raise InvalidValue("values", values, "a mapping from names of obstacles")
         for name in values:
@@ -101,12 +101,12 @@ class Scene:
 
     @property
     def first(self) -> Scene:
-        """The scene that this one was made of by `moved`; itself if it was not."""
+        """The original scene from which `moved` or `after` derived this one; otherwise the scene itself."""
         return self if self._first is None else self._first
 
     @cached_property
     def moving(self) -> frozenset[str]:
-        """Names of the obstacles that have moved or have a velocity."""
+        """Names of the obstacles that have been moved or have a velocity."""
         before = self.first.obstacles
         return frozenset(name for name, each in self.obstacles.items() if before[name] is not each) | {
             *self.velocities
@@ -117,22 +117,22 @@ class Scene:
         placements: Mapping[str, pin.SE3 | ArrayLike],
         velocities: Mapping[str, Vector] | None = None,
     ) -> Scene:
-        """Return the scene with some obstacles elsewhere.
+        """Return the scene with some obstacles moved.
 
             scene = scene.moved({"person": (0.5, y, 0.0)}, velocities={"person": (0.0, 0.2, 0.0)})
 
         Args:
-            placements: motion of obstacles from where they were in the first scene, by name: a `pin.SE3`, or
-                a translation, (3,) [m]. Where an obstacle was described in a frame of its own, this is where
-                that frame is.
+            placements: displacements relative to the first scene, by obstacle name: a `pin.SE3`, or a
+                translation, (3,) [m]. For an obstacle described in its own frame, this is the placement of
+                that frame.
             velocities: as the attribute; obstacles without one stand still.
 
         Returns:
-            A scene in which obstacles that are not named stay where they are in this one.
+            A scene in which all other obstacles stay where they are in this scene.
 
         Raises:
-            UnknownName: no obstacle has that name.
-            InvalidValue: not a placement, or not a velocity.
+            UnknownName: an unknown obstacle.
+            InvalidValue: an invalid placement or velocity.
         """
         first, obstacles = self.first, dict(self.obstacles)
         for name, placement in self._known(placements):
@@ -144,10 +144,10 @@ class Scene:
         return self._at_moment(obstacles, {} if velocities is None else velocities)
 
     def after(self, time: float) -> Scene:
-        """Return the scene after a time [s], if all obstacles keep their velocities.
+        """Return the scene after a time [s] in which obstacles keep their velocities.
 
         Raises:
-            InvalidValue: a time that is negative or not finite.
+            InvalidValue: the time is negative or not finite.
         """
         require_positive("time", time, zero=True)
         obstacles = dict(self.obstacles)
@@ -156,7 +156,7 @@ class Scene:
         return self._at_moment(obstacles, self.velocities)
 
     def without_self_collision(self) -> Scene:
-        """Return the scene in which the arm need not keep clear of itself."""
+        """Return the scene with self-collision disabled."""
         if not self.self_collision:
             return self
         other = replace(self, self_collision=False)
@@ -170,7 +170,7 @@ class Scene:
         return other
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
-        """Return the scene as data that JSON can hold.
+        """Return the scene as JSON-compatible data.
 
         Args:
             embed: whether to include the points of meshes and scans from files, rather than their paths.
@@ -188,16 +188,16 @@ class Scene:
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scene:
-        """Make the scene that `to_dict` described.
+        """Create a scene from its description by `to_dict`.
 
         Args:
-            described: the attributes under their names, and the version of the format; all may be left out.
+            described: the attributes by name, and the version of the format; all are optional.
             folder: folder to which paths of meshes and scans are relative.
 
         Raises:
-            InvalidValue: an unknown key, or an invalid value; names the obstacle.
-            UnknownName: a type of obstacle that does not exist.
-            FileError: a mesh or a scan that is missing or cannot be read.
+            InvalidValue: an unknown key or an invalid value; names the obstacle.
+            UnknownName: an unknown type of obstacle.
+            FileError: a missing or unreadable mesh or scan.
         """
         if not isinstance(described, Mapping):
             raise InvalidValue("scene", described, f"a table of: {', '.join(_KEYS)}")
@@ -239,9 +239,9 @@ class Scene:
             raise FileError(path, str(error)) from error
 
     def save(self, path: str | Path) -> Path:
-        """Write the scene to a JSON file, whole or not at all. Returns its path.
+        """Write the scene atomically to a JSON file and return its path.
 
-        Meshes and scans that were loaded from files are given by the paths of these.
+        Meshes and scans that were loaded from files are stored as paths.
 
         Raises:
             FileError: the name does not end in .json, or the file cannot be written.
@@ -295,24 +295,24 @@ def _obstacle(name: str, described: Any, folder: str) -> Obstacle:
 
 
 def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tuple[str, ...]:
-    """Return the names of the obstacles that a point lies inside.
+    """Return the names of the obstacles that contain a point.
 
     Args:
         scene: the scene.
         point: the point, (3,) [m], world frame.
-        depth: depth below the surface at which it counts as inside [m].
+        depth: depth below the surface from which it counts as inside [m].
     """
     return obstacles_near(scene, point, PROBE_RADIUS, -depth - PROBE_RADIUS)
 
 
 def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float = 0.0) -> tuple[str, ...]:
-    """Return the names of the obstacles that a ball is nearer to than a distance, or overlaps.
+    """Return the names of the obstacles within a distance of a sphere.
 
     Args:
         scene: the scene.
-        center: centre of the ball, (3,) [m], world frame.
-        radius: its radius [m].
-        within: the distance of the surfaces [m].
+        center: centre of the sphere, (3,) [m], world frame.
+        radius: radius of the sphere [m].
+        within: the distance between the surfaces [m].
     """
     x, y, z = np.array(center, dtype=np.float64)
     named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]

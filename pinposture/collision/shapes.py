@@ -1,4 +1,4 @@
-"""Shapes of obstacles and of the bodies of an arm, in metres; meshes and scans as trees of boxes."""
+"""Shapes of obstacles and of the bodies of an arm, in metres; trees of boxes for meshes and scans."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from pinposture.kernels.arrays import Trees
 
 Array = NDArray[np.float64]
 
-MAX_PIECES = 64  # largest number of pieces, a power of two: a body has one contact with each
-LEAF_SIZE = 4  # largest number of points or triangles in a node of the last level
+MAX_PIECES = 64  # maximum number of pieces, a power of two; a body has one contact with each
+LEAF_SIZE = 4  # maximum number of points or triangles in a node of the last level
 
 
 class Tree:
@@ -43,13 +43,13 @@ class Tree:
     Attributes:
         corners: the points, (n, 1, 3), or the corners of the triangles, (n, 3, 3), in the order of the tree
             [m].
-        boxes: lowest and highest corner of each node; the first is unused, (nodes, 2, 3) [m].
+        boxes: minimum and maximum corner of each node; the first is unused, (nodes, 2, 3) [m].
         levels: number of levels.
-        pieces: the nodes that count as obstacles; together they hold everything once.
+        pieces: the nodes that count as obstacles; together they contain each item once.
     """
 
     def __init__(self, corners: Array) -> None:
-        """Sort points, (n, 1, 3), or triangles, (n, 3, 3) [m]."""
+        """Build the tree of points, (n, 1, 3), or triangles, (n, 3, 3) [m]."""
         count = len(corners)
         most, wide = count.bit_length() - 1, MAX_PIECES.bit_length() - 1  # so that no node is empty
         deep = (-(-count // LEAF_SIZE) - 1).bit_length()
@@ -63,7 +63,7 @@ class Tree:
         self._lock = Lock()
 
     def geometry(self, node: int) -> coal.BVHModelOBBRSS:
-        """Return what is in a node for coal, made on first use; a point is a triangle without size."""
+        """Return the coal geometry of a node, created on first use; points are degenerate triangles."""
         with self._lock:
             if node not in self._geometries:
                 level = node.bit_length() - 1
@@ -80,11 +80,11 @@ class Tree:
 
 
 Piece: TypeAlias = tuple[Tree, int]
-"""A tree, and a node of it."""
+"""A tree and one of its nodes."""
 
 
 def join_trees(pieces: Sequence[Piece | None]) -> Trees:
-    """Return the trees of obstacles as kernels take them; None stands for an obstacle of another kind."""
+    """Return the trees of obstacles in the form that the kernels use; None: an obstacle without a tree."""
     trees = list(dict.fromkeys(piece[0] for piece in pieces if piece is not None))
     rows, boxes, lengths = {}, 0, {1: 0, 3: 0}
     for tree in trees:
@@ -107,26 +107,26 @@ def join_trees(pieces: Sequence[Piece | None]) -> Trees:
 
 
 def _joined(arrays: Sequence[Array], shape: tuple[int, ...]) -> Array:
-    """Return arrays as one that is C-contiguous; a single one is not copied."""
+    """Concatenate arrays into a C-contiguous one; a single one is not copied."""
     if len(arrays) == 1:
         return np.ascontiguousarray(arrays[0])
     return np.concatenate([np.zeros((0, *shape)), *arrays])
 
 
 def is_closed(faces: NDArray[np.integer]) -> bool:
-    """Return whether triangles, (t, 3) as indices of corners, enclose something: no edge is free."""
+    """Return whether triangles, (t, 3) vertex indices, enclose a volume: no edge is free."""
     _, counts = np.unique(_edges(faces)[0], return_counts=True)
     return bool(np.all(counts % 2 == 0))
 
 
 def is_oriented(faces: NDArray[np.integer]) -> bool:
-    """Return whether closed triangles, (t, 3), all face outwards, or all inwards: edges go to and fro."""
+    """Return whether closed triangles, (t, 3), are oriented alike: each edge runs once in each direction."""
     edges, forward = _edges(faces)
     return np.array_equal(np.sort(edges[forward]), np.sort(edges[~forward]))
 
 
 def _edges(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return each edge of each triangle as one number, and whether it leads to the corner of larger index."""
+    """Return each edge of each triangle as one number, and whether it leads to the larger vertex index."""
     starts = faces.astype(np.int64).ravel()
     ends = faces[:, [1, 2, 0]].astype(np.int64).ravel()
     edges = np.minimum(starts, ends) << 32 | np.maximum(starts, ends)
@@ -137,11 +137,11 @@ Own = TypeVar("Own", bound="Surface")
 
 UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-CONVEX = 1e-7  # difference of the volumes of a convex mesh and its hull, relative to them
+CONVEX = 1e-7  # relative tolerance of the volumes of a convex mesh and its hull
 
 
 def set_fields(frozen: object, **values: object) -> None:
-    """Set attributes of a frozen dataclass while it is made."""
+    """Set attributes of a frozen dataclass during its construction."""
     for name, value in values.items():
         object.__setattr__(frozen, name, value)
 
@@ -153,20 +153,19 @@ def _check_apart(start: Vector, end: Vector, instead: str) -> None:
 
 @dataclass(frozen=True)
 class Described:
-    """What has a description that `obstacle_from_dict` reads.
+    """Base class of shapes with a description that `obstacle_from_dict` reads.
 
     Attributes:
-        type: name of its class in scene files.
+        type: type name in scene files.
     """
 
     type: ClassVar[str]
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
-        """Return the shape as data that JSON can hold; see `obstacle_from_dict`.
+        """Return the shape as JSON-compatible data; see `obstacle_from_dict`.
 
         Args:
-            embed: whether to include the points of a mesh or a scan that was loaded from a file, rather than
-                the path of that file.
+            embed: whether to include the points of a mesh or scan from a file, rather than its path.
         """
         described: dict[str, Any] = {"type": self.type}
         for each in fields(self):
@@ -240,9 +239,9 @@ class Box(Described):
 
     Attributes:
         center: its centre, (3,) [m].
-        size: lengths of its edges along its own axes, (3,) [m].
-        rotation: from its axes to the world's, (3, 3); given as such, or as roll, pitch, yaw [rad]; the
-            identity if None.
+        size: edge lengths along its own axes, (3,) [m].
+        rotation: from its axes to the world axes, (3, 3); given as a matrix or as roll, pitch, yaw [rad];
+            None: the identity.
     """
 
     type: ClassVar[str] = "box"
@@ -263,7 +262,7 @@ class HalfSpace(Described):
 
     Attributes:
         point: a point of the plane, (3,) [m].
-        normal: unit vector to the free side, (3,); normalised if it is not.
+        normal: unit vector to the free side, (3,); normalised if necessary.
     """
 
     type: ClassVar[str] = "half_space"
@@ -275,13 +274,13 @@ class HalfSpace(Described):
 
 
 class Surface(Described):
-    """Points, or triangles between them, at a pose; compared by these alone.
+    """Points, or triangles between them, with a placement; only these are compared.
 
     Attributes:
         center: position of the origin of their frame in the world, (3,) [m].
-        rotation: from the axes of that frame to the world's, (3, 3).
-        path: the file that they were loaded from, if any.
-        scale: factor of the coordinates in that file.
+        rotation: from the axes of that frame to the world axes, (3, 3).
+        path: the file they were loaded from, if any.
+        scale: scale factor applied to the coordinates in that file.
     """
 
     center: Vector
@@ -291,23 +290,23 @@ class Surface(Described):
 
     @property
     def content(self) -> tuple[Array, NDArray[np.int32] | None]:
-        """The points (n, 3) [m], in their own frame, and the triangles between them, (k, 3); None without."""
+        """The points, (n, 3) [m], in their own frame, and the triangles, (k, 3), or None."""
         raise NotImplementedError
 
     @property
     def corners(self) -> Array:
-        """The points, (n, 1, 3), or the corners of the triangles, (k, 3, 3) [m], in their own frame."""
+        """The points, (n, 1, 3), or the triangle corners, (k, 3, 3) [m], in their own frame."""
         points, faces = self.content
         return points[:, None] if faces is None else np.asarray(points[faces])
 
     @cached_property
     def tree(self) -> Tree:
-        """The points or triangles, prepared for distances; made on first use."""
+        """The tree of the points or triangles, built on first use."""
         return Tree(self.corners)
 
     @cached_property
     def bounds(self) -> Array:
-        """Lowest and highest coordinates in their own frame, (2, 3) [m]."""
+        """Minimum and maximum coordinates in their own frame, (2, 3) [m]."""
         points, _ = self.content
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
@@ -317,10 +316,10 @@ class Surface(Described):
         return zlib.crc32(points.data) if faces is None else zlib.crc32(faces.data, zlib.crc32(points.data))
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
-        """Return it as data that JSON can hold; see `obstacle_from_dict`.
+        """Return the surface as JSON-compatible data; see `obstacle_from_dict`.
 
         Args:
-            embed: whether to include the points if they were loaded from a file, rather than its path.
+            embed: whether to include points that were loaded from a file, rather than its path.
         """
         if self.path is None or embed:
             data = self._data()
@@ -330,21 +329,21 @@ class Surface(Described):
         return {"type": self.type, **data, **pose}
 
     def _data(self) -> dict[str, Any]:
-        """Return points and triangles as plain data."""
+        """Return points and triangles as JSON-compatible data."""
         raise NotImplementedError
 
     def placed(self: Own, center: ArrayLike, turn: Any = None) -> Own:
-        """Return the same at another pose, without preparing it again.
+        """Return a copy with another placement; cached data is kept.
 
         Args:
             center: position of the origin, (3,) [m].
-            turn: the rotation: a matrix (3, 3), or roll, pitch, yaw [rad]; the identity if None.
+            turn: the rotation: a matrix (3, 3), or roll, pitch, yaw [rad]; None: the identity.
 
         Raises:
-            InvalidValue: no position, or no rotation.
+            InvalidValue: an invalid position or rotation.
         """
         other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__)  # with what is cached there
+        other.__dict__.update(self.__dict__)  # includes cached properties
         set_fields(other, center=point("center", center), rotation=rotation("rotation", turn))
         return other
 
@@ -380,17 +379,17 @@ def check_faces(values: ArrayLike, count: int) -> NDArray[np.int32]:
     """Return a new array of triangles, (k, 3), as indices of `count` points.
 
     Raises:
-        InvalidValue: values that are no triangles, or indices of no points.
+        InvalidValue: not triangles, or an index out of range.
     """
     try:
         faces = np.array(values)
     except (TypeError, ValueError):
         faces = np.zeros(0)
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or not faces.size:
-        raise InvalidValue("faces", values, "triangles, (k, 3), as whole numbers of points")
+        raise InvalidValue("faces", values, "triangles, (k, 3), as integer point indices")
     if faces.min() < 0 or faces.max() >= count:
         wrong = int(faces.min() if faces.min() < 0 else faces.max())
-        raise InvalidValue("faces", wrong, f"numbers of points, 0 to {count - 1}")
+        raise InvalidValue("faces", wrong, f"point indices, 0 to {count - 1}")
     return faces.astype(np.int32)
 
 
@@ -400,21 +399,21 @@ def _no_faces() -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Mesh(Surface):
-    """A mesh, hollows and all, or the convex hull of points.
+    """A mesh, including its cavities, or the convex hull of points.
 
-    A mesh that is closed is solid: what is inside of it is in the way. Others are surfaces without an inside.
+    A closed mesh is solid: its inside counts as occupied. Other meshes are surfaces without an inside.
 
     Attributes:
-        vertices: the corners, (n, 3) [m], in the frame of the mesh, each once, sorted; read-only. Without
-            `faces` any points may be given, and those inside their hull are dropped.
+        vertices: the vertices, (n, 3) [m], in the frame of the mesh, distinct and sorted; read-only. Without
+            `faces`, any points may be given; those inside their hull are dropped.
         center: position of the origin of the mesh in the world, (3,) [m].
-        rotation: from the axes of the mesh to the world's, (3, 3); given as such, or as roll, pitch, yaw
-            [rad]; the identity if None.
-        faces: triangles as indices of corners, (t, 3); read-only. If there are none, those of the hull,
+        rotation: from the axes of the mesh to the world axes, (3, 3); given as a matrix or as roll, pitch,
+            yaw [rad]; None: the identity.
+        faces: triangles as vertex indices, (t, 3); read-only. By default those of the hull,
             counterclockwise from outside.
-        path: the file that it was loaded from, if any.
-        scale: factor of the coordinates in that file.
-        convex: whether it is its convex hull.
+        path: the file it was loaded from, if any.
+        scale: scale factor applied to the coordinates in that file.
+        convex: whether the mesh is its convex hull.
     """
 
     type: ClassVar[str] = "mesh"
@@ -447,17 +446,17 @@ class Mesh(Surface):
     def load(
         cls, path: str | Path, scale: float = 1.0, center: ArrayLike = (0, 0, 0), rotation: Any = None
     ) -> Mesh:
-        """Read the mesh in a file (.stl, .obj, .ply, .dae).
+        """Read a mesh from a file (.stl, .obj, .ply, .dae).
 
         Args:
             path: the file.
-            scale: factor of its coordinates, such as 0.001 for a file in millimetres.
+            scale: scale factor for its coordinates, such as 0.001 for a file in millimetres.
             center: as in `Mesh`.
             rotation: as in `Mesh`.
 
         Raises:
-            FileError: missing, of another format, or without triangles.
-            InvalidValue: a value as described in `Mesh`.
+            FileError: missing, in another format, or without triangles.
+            InvalidValue: an invalid argument.
         """
         factor = scale_factor(path, scale)
         vertices, faces = read_mesh(Path(path))
@@ -466,14 +465,14 @@ class Mesh(Surface):
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Mesh:
-        """Make the mesh that `to_dict` described, or read one from a file; see `obstacle_from_dict`."""
+        """Create a mesh from its description by `to_dict`, or from a file; see `obstacle_from_dict`."""
         known_keys("a mesh", described, ("vertices", "faces", "path", "scale", "center", "rotation"))
         mesh: Mesh = from_points_or_path(cls, described, "vertices", folder)
         return mesh
 
     @property
     def content(self) -> tuple[Array, NDArray[np.int32]]:
-        """The corners (n, 3) [m], in their own frame, and the triangles between them, (t, 3)."""
+        """The vertices, (n, 3) [m], in their own frame, and the triangles, (t, 3)."""
         return self.vertices, self.faces
 
     def _data(self) -> dict[str, Any]:
@@ -482,12 +481,12 @@ class Mesh(Surface):
 
     @cached_property
     def closed(self) -> bool:
-        """Whether it encloses something."""
+        """Whether the mesh encloses a volume."""
         return is_closed(self.faces)
 
 
 def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folder: str) -> Any:
-    """Make a surface of a description that has either its points, under a key, or the path of its file."""
+    """Create a surface from a description with either its points, under a key, or a file path."""
     values = dict(described)
     if ("path" in values) == (key in values):
         given = "both" if "path" in values else None
@@ -497,7 +496,7 @@ def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folde
         if not isinstance(path, str):
             raise InvalidValue("path", path, "the name of a file")
         if "faces" in values:
-            raise InvalidValue("faces", values["faces"], "nothing: those of the file are taken")
+            raise InvalidValue("faces", values["faces"], "nothing: they are read from the file")
         return kind.load(Path(folder) / path, **values)
     if "scale" in values:
         raise InvalidValue("scale", values["scale"], f"nothing: {key} are in metres")
@@ -518,10 +517,10 @@ def _finite_points(values: ArrayLike) -> Array:
 
 
 def _hull_vertices(points: Array) -> Array:
-    """Return the corners of the convex hull of points, sorted."""
+    """Return the sorted vertices of the convex hull of points."""
     allowed = "points (n, 3) [m] that span a volume"
     points, count = np.unique(points, axis=0), 0
-    # Corners that are almost in a face may be dropped one by one: repeat until none is.
+    # Qhull may drop vertices that almost lie in a face: repeat until it keeps all.
     while len(points) != count:
         count = len(points)
         try:
@@ -535,7 +534,7 @@ def _hull_vertices(points: Array) -> Array:
 
 
 def _hull_faces(corners: Array) -> NDArray[np.intp]:
-    """Return the triangles of the hull of its corners, counterclockwise from outside, (t, 3)."""
+    """Return the triangles of a hull from its vertices, counterclockwise from outside, (t, 3)."""
     hull = ConvexHull(corners)
     faces = np.array(hull.simplices, dtype=np.intp)
     a, b, c = (hull.points[faces[:, k]] for k in range(3))
@@ -545,7 +544,7 @@ def _hull_faces(corners: Array) -> NDArray[np.intp]:
 
 
 def _is_convex(vertices: Array, faces: NDArray[np.intp]) -> bool:
-    """Return whether a mesh is closed and fills its hull, and its triangles all face outwards or inwards."""
+    """Return whether a mesh is closed, oriented consistently, and fills its hull."""
     if not is_closed(faces) or not is_oriented(faces):
         return False
     try:

@@ -1,4 +1,4 @@
-"""What the user draws: a curve in space, measured by its arc length."""
+"""Curves in space, parameterized by arc length."""
 
 from pinposture.curve.curve import CURVES, HELIX, LINE, PLANAR_LINE, Curve
 from pinposture.curve.geometry import Nearest

@@ -1,4 +1,4 @@
-"""The curve whose shape an arm takes: how to make, move, load and save one; and curves by name."""
+"""The curve whose shape an arm takes: construction, motion, files; and curves by name."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ from pinposture.storage import read_text, write_text
 class Curve(Geometry):
     """A curve in space.
 
-    Make one with `spline`, `line`, `helix`, `points`, `load` or `from_dict`; each is a B-spline. A curve is
-    immutable: methods that change it return another. It pickles, and equals another if degree, knots and
-    coefficients are equal to the last bit. Coordinates are in metres, in the frame of the points it was made
-    of. `Geometry` has the queries by arc length.
+    Create one with `spline`, `line`, `helix`, `points`, `load` or `from_dict`; each is a B-spline. A curve is
+    immutable: methods that change it return a new one. It can be pickled, and equals another if degree, knots
+    and coefficients are identical. Coordinates are in metres, in the frame of the points from which it was
+    created. `Geometry` provides the queries by arc length.
     """
 
     @classmethod
     def spline(cls, control_points: ArrayLike, degree: int = 3, through: bool = False) -> Curve:
-        """Make a spline from a few points.
+        """Create a spline from a few points.
 
         Args:
             control_points: shape (n, 3), or (n, 2) with z = 0, n > degree [m].
@@ -54,18 +54,18 @@ class Curve(Geometry):
                 the points (at chord-length parameters).
 
         Raises:
-            CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
-            InvalidValue: the degree, or `through`.
+            CurveError: the points are too few, malformed, not finite or repeated, or give a cusp.
+            InvalidValue: invalid `degree` or `through`.
         """
         return cls(*_spline(control_points, degree, through))
 
     @classmethod
     def line(cls, a: ArrayLike, b: ArrayLike) -> Curve:
-        """Make the straight line from `a` to `b`, each shape (3,), or (2,) with z = 0 [m].
+        """Create the straight line from `a` to `b`, each shape (3,), or (2,) with z = 0 [m].
 
         Raises:
-            CurveError: `a` and `b` are the same place.
-            InvalidValue: one that is not 2 or 3 finite numbers.
+            CurveError: `a` and `b` coincide.
+            InvalidValue: one of them is not 2 or 3 finite numbers.
         """
         return cls(*_line(a, b))
 
@@ -81,58 +81,57 @@ class Curve(Geometry):
         phase: float = 0.0,
         handedness: Literal["right", "left"] = "right",
     ) -> Curve:
-        """Make a helix, or with pitch 0 a circle.
+        """Create a helix, or with pitch 0 a circle.
 
-        It advances along `axis` while it turns about it, like a common screw if right-handed. Phase 0 is the
-        side of the axis that lies towards +z, or towards +x if the axis is along z. The curve (6.17),
-        x = 0.6 t, y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), is
-        `Curve.helix(0.06, 0.15, 4, handedness="left")`.
+        It advances along `axis` while turning about it, like a common screw if right-handed. Phase 0 is the
+        side of the axis towards +z, or towards +x if the axis is along z. The curve (6.17), x = 0.6 t,
+        y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), is `Curve.helix(0.06, 0.15, 4, handedness="left")`.
 
-        The helix is approximated by a quintic spline: places to 1e-10 of the radius, curvature and torsion to
+        The helix is approximated by a quintic spline: points to 1e-10 of the radius, curvature and torsion to
         1e-6.
 
         Args:
             radius: distance from the axis, at least 1e-6 [m].
-            pitch: advance in one turn, 0 or more [m].
-            turns: number of turns, above 0, at most 1000; need not be whole.
+            pitch: advance per turn, 0 or more [m].
+            turns: number of turns, above 0, at most 1000; may be fractional.
             axis: direction, shape (3,), of any length.
-            center: the point of the axis beside which the helix starts, shape (3,) [m].
-            phase: where it starts, as an angle from phase 0 in the sense in which it turns [rad].
+            center: the point of the axis next to the start of the helix, shape (3,) [m].
+            phase: start angle from phase 0, in the sense of rotation [rad].
             handedness: "right" or "left".
 
         Raises:
-            InvalidValue: naming the argument.
+            InvalidValue: an invalid argument, which is named.
         """
         return cls(*_helix(radius, pitch, turns, axis, center=center, phase=phase, handedness=handedness))
 
     @classmethod
     def points(cls, xyz: ArrayLike, smoothing: float = 0.0) -> Curve:
-        """Make a curve from sampled or measured points.
+        """Create a curve from sampled or measured points.
 
         Args:
             xyz: shape (n, 3), or (n, 2) with z = 0, n >= 2 [m].
-            smoothing: RMS distance [m] from the points that is allowed for the curve to bend evenly; about
-                the RMS length of the measurement errors. 0: through the points (a cubic; a parabola through
-                3, a line through 2), as also for 3 points or fewer, or if no smoother curve is close enough.
+            smoothing: allowed RMS distance [m] of a smoother curve from the points; use about the RMS
+                measurement error. 0: through the points (a cubic; a parabola through 3, a line through 2), as
+                also for 3 points or fewer, or if no smoother curve is close enough.
 
         Raises:
-            CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
-            InvalidValue: the smoothing.
+            CurveError: the points are too few, malformed, not finite or repeated, or give a cusp.
+            InvalidValue: invalid smoothing.
         """
         return cls(*_points(xyz, smoothing))
 
     @classmethod
     def from_dict(cls, description: Mapping[str, Any]) -> Curve:
-        """Make a curve from plain data, as `to_dict` gives it or as written by hand.
+        """Create a curve from plain data, either from `to_dict` or written by hand.
 
         Args:
             description: the name of a constructor under "type" and its arguments under their names, as in
                 {"type": "spline", "control_points": [...], "degree": 3, "through": True}. The types are
-                "spline", "line", "helix", "points" (where the points are under "points") and "bspline"
-                (knots, coefficients, degree).
+                "spline", "line", "helix", "points" (with the points under "points") and "bspline" (knots,
+                coefficients, degree).
 
         Raises:
-            UnknownName: a type or key that does not exist.
+            UnknownName: no such type or key.
             CurveError: a missing key, or as the constructor.
             InvalidValue: as the constructor.
         """
@@ -154,7 +153,7 @@ class Curve(Geometry):
         return constructors[kind](**arguments)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the curve as plain data for JSON, of which `from_dict` makes an equal curve."""
+        """Return JSON-compatible data from which `from_dict` creates an equal curve."""
         return {
             "type": "bspline",
             "degree": self.degree,
@@ -167,13 +166,13 @@ class Curve(Geometry):
         """Read a curve from a file.
 
         Args:
-            path: a .json file as `save` writes it, or with a description as in `from_dict`, or with a bare
-                list of points; or a .csv or .txt table with the columns x, y and perhaps z [m], separated by
-                commas, semicolons or spaces, with or without a line of headings, '#' beginning a comment. The
-                curve goes through listed points as in `points`.
+            path: a .json file of `save`, or with a description as in `from_dict`, or with a plain list of
+                points; or a .csv or .txt table with the columns x, y and optionally z [m], separated by
+                commas, semicolons or spaces, with or without a header line, and with comments after '#'. The
+                curve passes through listed points as in `points`.
 
         Raises:
-            FileError: naming the file, and the line, row or key that is wrong.
+            FileError: an invalid file; names the line, row or key.
         """
         path = Path(path)
         try:
@@ -182,7 +181,7 @@ class Curve(Geometry):
             raise FileError(path, str(error)) from error
 
     def save(self, path: str | Path) -> None:
-        """Write the curve to a .json file, from which `load` makes an equal curve.
+        """Write the curve to a .json file, from which `load` creates an equal curve.
 
         An existing file is replaced atomically.
 
@@ -193,57 +192,57 @@ class Curve(Geometry):
 
     @property
     def control_points(self) -> NDArray[np.float64] | None:
-        """The points that control the curve, (n, 3) [m], if it is one as `spline` makes them; else None."""
+        """The control points, (n, 3) [m], if the curve has the form of `spline`; else None."""
         return _control_points(self)
 
     def controlled(self, count: int, degree: int = 3) -> Curve:
-        """Return the curve controlled by a few points, as in `spline`, that comes nearest to this one.
+        """Approximate this curve by one controlled by a few points, as in `spline`.
 
-        It is the least-squares fit to samples of equal arc length, with the same ends. The parameter of each
-        sample is its fraction of the length or that of this curve, whichever fits better. A curve that is
-        already controlled by so many points is returned unchanged.
+        This is the least-squares fit to samples of equal arc length, with the same ends. The parameter of
+        each sample is its fraction of the length or that of this curve, whichever fits better. A curve that
+        already has this form is returned unchanged.
 
         Args:
             count: number of control points, above the degree, at most 1000.
             degree: 1 to 5.
 
         Returns:
-            The curve; its `control_points` are what controls it.
+            The curve, with its `control_points`.
 
         Raises:
-            InvalidValue: the count or the degree.
-            CurveError: the points are too few for the curve: its velocity would vanish somewhere.
+            InvalidValue: invalid count or degree.
+            CurveError: the points are too few: the curve's velocity would vanish somewhere.
         """
         return type(self)(*_controlled(self, count, degree))
 
     def controlled_within(self, tolerance: float, degree: int = 3, most: int = 50) -> Curve:
-        """Return the curve as in `controlled` with the fewest points within a distance of this one.
+        """Approximate this curve as in `controlled` with the fewest points within a tolerance.
 
         Args:
-            tolerance: largest distance between the curves, from either one to the other [m].
+            tolerance: largest distance between the curves, in both directions [m].
             degree: 1 to 5.
-            most: largest number of control points.
+            most: maximum number of control points.
 
         Raises:
-            InvalidValue: an argument, or a tolerance that so many points cannot reach; says what they can.
+            InvalidValue: an invalid argument, or a tolerance that `most` points cannot meet.
         """
         return type(self)(*_controlled_within(self, tolerance, degree, most))
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0)) -> Curve:
-        """Return the curve turned about the origin, then shifted.
+        """Return the curve rotated about the origin, then translated.
 
         Args:
             rotation: shape (3, 3), a proper rotation to within 1e-6.
             translation: shape (3,) [m].
 
         Raises:
-            InvalidValue: the rotation or the translation.
+            InvalidValue: invalid rotation or translation.
         """
         try:
             turn = np.asarray(rotation, dtype=float)
         except (TypeError, ValueError):
             turn = np.empty(0)
-        # A NaN compares false, so it is refused here too.
+        # NaN compares false and is rejected here, too.
         stretch = float(np.abs(turn @ turn.T - np.eye(3)).max()) if turn.shape == (3, 3) else np.inf
         if not (stretch < 1e-6 and np.linalg.det(turn) > 0):
             raise InvalidValue("rotation", rotation, "a (3, 3) rotation matrix: orthonormal, determinant +1")
@@ -251,7 +250,7 @@ class Curve(Geometry):
         return self._with_coefficients(shifted, stretch)
 
     def reversed(self) -> Curve:
-        """Return the same curve run from its end to its start."""
+        """Return the same curve in the opposite direction."""
         knots = (self.knots[0] + self.knots[-1]) - self.knots[::-1]
         return type(self)(knots, self.coefficients[::-1], self.degree)
 
@@ -259,7 +258,7 @@ class Curve(Geometry):
         """Return the part between two arc lengths [m], which must be more than 1e-6 of the length apart.
 
         Raises:
-            InvalidValue: `start` or `end`.
+            InvalidValue: invalid `start` or `end`.
         """
         span, length = 1e-6 * self.length, self.length
         words = f"an arc length from {{}} to {{}} m, {span:.3g} m or more from the other end"
@@ -271,17 +270,15 @@ class Curve(Geometry):
         return type(self)(*trim(self._spline, float(begin), float(stop)))
 
 
-# Curves in files.
-
 _TABLES = (".csv", ".txt")
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """Read a curve file into what `Curve.from_dict` takes.
+    """Read a curve file into a description for `Curve.from_dict`.
 
     Raises:
         FileError: missing, unreadable, of another format, or a malformed line.
-        CurveError: a line of a table that makes no curve, named by its number.
+        CurveError: invalid points in a table; names the line.
     """
     suffix = path.suffix.lower()
     if suffix not in (".json", *_TABLES):
@@ -293,19 +290,19 @@ def read_description(path: Path) -> dict[str, Any]:
         content = json.loads(text)
     except json.JSONDecodeError as error:
         raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-    except ValueError as error:  # a number of thousands of digits
+    except ValueError as error:  # a number with thousands of digits
         raise FileError(path, str(error)) from error
     except RecursionError as error:
         raise FileError(path, "lists within lists without end") from error
     if isinstance(content, list):
         return {"type": "points", "points": content}
     if not isinstance(content, dict):
-        raise FileError(path, f"holds {content!r}; allowed: an object with a 'type', or a list of points")
+        raise FileError(path, f"contains {content!r}; allowed: an object with a 'type', or a list of points")
     return content
 
 
 def _table(path: Path, text: str) -> list[list[float]]:
-    """Rows of a table of coordinates, with or without a line of headings."""
+    """Return the rows of a table of coordinates, with or without a header line."""
     lines: list[int] = []
     rows: list[list[float]] = []
     headings: list[str] | None = None
@@ -333,7 +330,7 @@ def _table(path: Path, text: str) -> list[list[float]]:
         lines.append(number)
         rows.append(row)
     if not rows:
-        raise FileError(path, "holds no points")
+        raise FileError(path, "contains no points")
 
     def name(i: int) -> str:
         return f"line {lines[i]}"
@@ -377,11 +374,11 @@ def read_call(
         constructors: by type.
 
     Returns:
-        The type, and the arguments by their names.
+        The type, and the arguments by name.
 
     Raises:
         CurveError: not a mapping, or a required key is missing.
-        UnknownName: a type or a key that does not exist.
+        UnknownName: no such type or key.
     """
     if not isinstance(description, Mapping):
         raise CurveError("description", f"{type(description).__name__}; allowed: an object with a 'type'")
@@ -403,39 +400,37 @@ def read_call(
     return kind, {key: description[key] for key in keys if key in description}
 
 
-# How curves are made: B-splines of some points.
-
 Array = NDArray[np.float64]
 
 MAX_CONTROL_POINTS = 1000
 MIN_SAMPLES = 400
-"""Least number of samples of a curve that is compared with another."""
+"""Minimum number of samples for comparing a curve with another."""
 SAMPLES_PER_POINT = 20
-"""Least number of samples per control point of the other curve."""
+"""Minimum number of samples per control point of the other curve."""
 SAMPLES_PER_SPAN = 2
-"""Least number of samples per knot span of the curve, so that none of its windings is missed."""
+"""Minimum number of samples per knot span of the curve, so that no winding is missed."""
 
-_SPANS_PER_TURN = 256  # the torsion of a quintic with this many is right to 1.2e-7
+_SPANS_PER_TURN = 256  # gives a torsion error of 1.2e-7 for a quintic
 _MAX_TURNS = 1000
-_KNOT_TOLERANCE = 1e-12  # of the whole: how far knots may be from even ones
+_KNOT_TOLERANCE = 1e-12  # deviation from uniform knots, relative to the whole range
 _FIT_DEGREE = 3
-_PENALTY_ORDER = 3  # order of the derivative that smoothing keeps small; the second would flatten the ends
+_PENALTY_ORDER = 3  # order of the penalised derivative; the second would flatten the ends
 
 
 def chord_parameters(points: Array) -> Array:
-    """Return chord-length parameters (n,) from 0 to 1 of points (n, 3)."""
+    """Return the chord-length parameters (n,), from 0 to 1, of points (n, 3)."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     return np.asarray(along / along[-1])
 
 
 def clamped_uniform_knots(n: int, degree: int) -> Array:
-    """Return even knots (n + degree + 1,) from 0 to 1, repeated at the ends to meet the end points."""
+    """Return uniform knots (n + degree + 1,) from 0 to 1, repeated at the ends to meet the end points."""
     inner = np.linspace(0, 1, n - degree + 1)
     return np.concatenate([np.zeros(degree), inner, np.ones(degree)])
 
 
 def interpolate(points: Array, degree: int) -> Parts:
-    """Interpolate points (n, 3) at chord-length parameters; for even degrees the knots lie midway."""
+    """Interpolate points (n, 3) at chord-length parameters; for even degrees the knots are at midpoints."""
     spline = make_interp_spline(chord_parameters(points), points, k=degree)
     return Parts(spline.t, spline.c, degree)
 
@@ -482,9 +477,8 @@ def _helix(
     spans = math.ceil(_SPANS_PER_TURN * n_turns)
     step = 2 * math.pi * n_turns / spans
     # The quintic spline with knots and coefficients evenly spaced in the angle has the symmetry of the helix,
-    # so its coefficients lie on a helix too, wider by a factor that follows from the values 1, 26, 66, 26, 1
-    # (of 120) of the basis at the knots. The knots go on beyond the ends; clamping them would break the
-    # symmetry.
+    # so its coefficients lie on a helix, too, wider by a factor that follows from the values 1, 26, 66, 26, 1
+    # (of 120) of the basis at the knots. The knots extend beyond the ends; clamping would break the symmetry.
     wider = r * 60 / (33 + 26 * math.cos(step) + math.cos(2 * step))
     knots = np.arange(-5, spans + 6) / spans
     fraction = np.arange(-2, spans + 3) / spans  # of the length, at each coefficient
@@ -522,28 +516,28 @@ def _points(xyz: ArrayLike, smoothing: float) -> Parts:
             if fit.rms(fit.least) <= distance:
                 return fit.smoothest(distance)
             spans *= 2
-    # The points are too few to smooth, or no smoother curve is close enough.
+    # Too few points to smooth, or no smoother curve is close enough.
     return interpolate(data, min(_FIT_DEGREE, n - 1))
 
 
 class _Fit:
-    """Cubic splines of evenly spaced knots near the points, with a penalty on the third derivative."""
+    """Cubic smoothing splines with uniform knots and a penalty on the third derivative."""
 
     def __init__(self, data: Array, spans: int) -> None:
         n_coefficients = spans + _FIT_DEGREE
         self.data = data
         self.knots = clamped_uniform_knots(n_coefficients, _FIT_DEGREE)
         self.basis = csr_array(BSpline.design_matrix(chord_parameters(data), self.knots, _FIT_DEGREE))
-        scale = spans / len(data)  # so that both matrices have entries of the order of one
+        scale = spans / len(data)  # so that the entries of both matrices are of order one
         normal = (self.basis.T @ self.basis) * scale
         difference = self._difference(spans)
         self.normal, self.penalty = _upper_bands(normal), _upper_bands(difference.T @ difference)
         self.right = (self.basis.T @ data) * scale
-        # Logarithms of the penalty's weight: enough to make a solution unique, and all but a parabola.
+        # Logarithms of the penalty weight: enough for a unique solution, and nearly a parabola.
         self.least, self.most = math.log(1e-8), math.log(1e-3 * spans ** (2 * _PENALTY_ORDER))
 
     def _difference(self, spans: int) -> csr_array:
-        """Coefficients -> coefficients of the third derivative, in units of one span."""
+        """Return the matrix from coefficients to those of the third derivative, in units of one span."""
         knots, result = self.knots, csr_array(eye_array(len(self.knots) - _FIT_DEGREE - 1))
         for degree in range(_FIT_DEGREE, _FIT_DEGREE - _PENALTY_ORDER, -1):
             widths = (knots[degree + 1 : -1] - knots[1 : -degree - 1]) / degree * spans
@@ -552,16 +546,16 @@ class _Fit:
         return result
 
     def coefficients(self, weight: float) -> Array:
-        """Coefficients (n, 3) [m] for the logarithm of the penalty's weight."""
+        """Return the coefficients (n, 3) [m] for a logarithm of the penalty weight."""
         return np.asarray(solveh_banded(self.normal + math.exp(weight) * self.penalty, self.right))
 
     def rms(self, weight: float) -> float:
-        """RMS distance [m] from the points to the fit at their parameters."""
+        """Return the RMS distance [m] from the points to the fit at their parameters."""
         rest = self.data - self.basis @ self.coefficients(weight)
         return math.sqrt(float((rest**2).sum(axis=1).mean()))
 
     def smoothest(self, distance: float) -> Parts:
-        """The fit with the largest penalty that keeps within `distance` [m]."""
+        """Return the fit with the largest penalty that stays within `distance` [m]."""
         weight = self.most
         if self.rms(weight) > distance:
             weight = brentq(lambda w: self.rms(w) - distance, self.least, self.most, xtol=1e-6)
@@ -569,7 +563,7 @@ class _Fit:
 
 
 def _upper_bands(matrix: csr_array) -> Array:
-    """Diagonals of a symmetric matrix, from the one furthest above the main, as LAPACK wants them."""
+    """Return the diagonals of a symmetric matrix in LAPACK's order, from the uppermost to the main one."""
     bands = range(max(_FIT_DEGREE, _PENALTY_ORDER), -1, -1)
     return np.stack([np.append(np.zeros(i), matrix.diagonal(i)) for i in bands])
 
@@ -590,7 +584,7 @@ def _controlled(curve: Geometry, count: int, degree: int) -> Parts:
     s = np.linspace(0.0, curve.length, _samples(curve, n))
     places, knots = curve.at(s), clamped_uniform_knots(n, k)
     # The curve's own parameter suits splines with more knots of this kind, the fraction of the length suits
-    # curves whose parameter is unrelated to even knots.
+    # curves whose parameter is unrelated to uniform knots.
     _, _, _, edges, lengths, series = curve.measured
     own = kernels.parameters_at(edges, lengths, series, s)
     begin, end = curve.knots[curve.degree], curve.knots[-curve.degree - 1]
@@ -620,7 +614,7 @@ def _controlled_within(curve: Geometry, tolerance: float, degree: int, most: int
             found = Geometry(*parts)
         except CurveError:  # its velocity vanishes, as for a closed curve with few points
             continue
-        # Few samples are enough to refuse it, which is the most frequent case.
+        # Few samples suffice to reject it, which is the most frequent case.
         apart = float(found.nearest(curve.resample(MIN_SAMPLES)).distance.max())
         if apart <= near:
             apart = deviation(curve, found)
@@ -639,13 +633,13 @@ def deviation(curve: Geometry, other: Geometry) -> float:
 
 
 def _samples(curve: Geometry, count: int) -> int:
-    """Return how many samples of a curve to compare with a curve of `count` control points."""
+    """Return the number of samples for comparing a curve with one of `count` control points."""
     spans = len(curve.coefficients) - curve.degree
     return max(MIN_SAMPLES, SAMPLES_PER_POINT * count, SAMPLES_PER_SPAN * spans) + 1
 
 
 def _fit(basis: csr_array, places: Array) -> tuple[Array, float]:
-    """Fit control points (n, 3) [m] to samples (m, 3) [m] by least squares; the end points are given.
+    """Fit control points (n, 3) [m] to samples (m, 3) [m] by least squares, with fixed end points.
 
     Args:
         basis: value of each basis function at each sample, (m, n).
@@ -673,10 +667,10 @@ LINE = Curve.line((0.0, 0.0, 0.0), (1.1, 0.0, 0.0))
 HELIX = Curve.helix(radius=0.06, pitch=0.15, turns=4, handedness="left")
 """The non-singular target posture (6.17): y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), x = 0.6 t.
 
-The thesis does not say where t ends. A helix of four turns (t = 1) is 1.62 m long; the arm covers 1 m."""
+The thesis does not give the range of t. A helix of four turns (t = 1) is 1.62 m long; the arm covers 1 m."""
 
 PLANAR_LINE = Curve.line((0.0, 0.0, 0.0), (7.425, 0.0, 0.0))
 """A straight line for the planar arm of Section 6.2, like (6.16) a tenth longer than the arm."""
 
 CURVES = {"line": LINE, "helix": HELIX}
-"""The curves by the names that the command line takes."""
+"""The curves by name, as on the command line."""

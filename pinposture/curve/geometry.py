@@ -1,4 +1,4 @@
-"""Curves as B-splines: points, directions and curvature by arc length, and the place nearest to a point."""
+"""Curves as B-splines: points, tangents and curvature by arc length, and nearest points."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ MAX_DEGREE = 5
 GAUSS_NODES = 12
 """Gauss nodes per piece of the arc length."""
 LENGTH_TOLERANCE = 1e-12
-"""Largest last terms of the series of a piece, relative to the whole length."""
-_MIN_SPAN = 1e-14  # of the whole: knots closer than this are lost in rounding
+"""Tolerance of the last terms of the series of a piece, relative to the total length."""
+_MIN_SPAN = 1e-14  # smallest distance of knots above rounding errors, relative to the whole range
 
 
 class Parts(NamedTuple):
@@ -35,17 +35,17 @@ class Parts(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """A B-spline in the arrays that kernels take; these are writeable for numba, but do not write to them."""
+    """A B-spline as arrays for kernels; they are writeable for numba, but do not write to them."""
 
     knots: Array  # shape (n + degree + 1,), not decreasing
     # coefficients of the spline (n, 3) [m], of its first derivative, and so on (see
     # `kernels.spline_coefficients`), shape (degree + 1, n, 3)
     table: Array
     degree: int  # 1 to 5
-    breaks: Array  # ends of the knot spans that the curve runs through, increasing
+    breaks: Array  # ends of the knot spans of the curve, increasing
 
     def values(self, u: Array, order: int = 0) -> Array:
-        """Evaluate the spline or a derivative by the parameter, shape (n, 3), at the parameters u (n,)."""
+        """Evaluate the spline or a parameter derivative, shape (n, 3), at the parameters u (n,)."""
         return kernels.spline_values(self.knots, self.table, self.degree, order, u)
 
     def with_coefficients(self, coefficients: Array) -> Spline:
@@ -55,7 +55,7 @@ class Spline:
 
 
 def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> Spline:
-    """Check knots, coefficients and degree, and make a B-spline of them.
+    """Create a B-spline from checked knots, coefficients and degree.
 
     Args:
         knots: not decreasing, shape (n + degree + 1,).
@@ -63,8 +63,8 @@ def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> Sp
         degree: 1 to 5.
 
     Raises:
-        InvalidValue: the degree.
-        CurveError: the knots or coefficients, or a gap in the curve.
+        InvalidValue: invalid degree.
+        CurveError: invalid knots or coefficients, or a gap in the curve.
     """
     k = as_count("degree", degree, 1, MAX_DEGREE)
     c = as_points(coefficients, k + 1, "coefficient {}".format)
@@ -110,22 +110,22 @@ def _checked_breaks(t: Array, k: int) -> Array:
 
 
 def refuse_standstill(spline: Spline, taylors: Array) -> None:
-    """Raise CurveError if the velocity, of `kernels.expand_spans`, vanishes somewhere; names the place."""
+    """Raise CurveError if the velocity, from `kernels.expand_spans`, vanishes somewhere; names the point."""
     u = kernels.find_stationary_point(taylors, spline.breaks)
     if not np.isnan(u):
         x, y, z = spline.values(np.array([u]))[0]
         raise CurveError(
             f"curve at ({x:.6g}, {y:.6g}, {z:.6g})",
-            "its speed vanishes there, a cusp or a turn on the spot without a tangent; "
-            "allowed: control points that lead through it in one direction",
+            "its speed vanishes there (a cusp or a reversal), so it has no tangent; "
+            "allowed: control points that pass through it in one direction",
         )
 
 
 def trim(whole: Spline, begin: float, end: float) -> Parts:
     """Return the part of a spline between two of its parameters.
 
-    A knot is inserted at each end and those beyond stay. Clamping the ends would divide coefficients by
-    powers of the short first span, and lose the third derivative in rounding.
+    A knot is inserted at each end, and knots beyond it are kept. Clamping the ends would divide coefficients
+    by powers of the short first span, and the third derivative would be lost to rounding errors.
     """
     spline = BSpline(whole.knots, whole.table[0], whole.degree)
     k, near = spline.k, 1e-12 * (end - begin)
@@ -144,9 +144,9 @@ def _rule() -> Array:
     """Return the integration rule of `kernels.measure_length`, (N, 1 + N + N + 1) for N Gauss nodes."""
     n = GAUSS_NODES
     nodes, weights = legendre.leggauss(n)
-    # Array at the nodes -> Legendre coefficients of their interpolant (the discrete transform is exact).
+    # Values at the nodes -> Legendre coefficients of their interpolant (the discrete transform is exact).
     modes = legendre.legvander(nodes, n - 1) * weights[:, None] * (np.arange(n) + 0.5)
-    # Those of the speed -> Legendre coefficients of its integral from -1 -> power coefficients.
+    # Legendre coefficients of the speed -> those of its integral from -1 -> power coefficients.
     integral = np.stack([legendre.legint(mode, lbnd=-1) for mode in np.eye(n)])
     powers = np.zeros((n + 1, n + 1))
     for degree in range(n + 1):
@@ -162,15 +162,14 @@ class ArcLength:
     """Arc length s as a function of the parameter u: a polynomial on each of many short pieces.
 
     The speed is sampled at Gauss nodes on pieces of the knot spans; pieces are halved until the Legendre
-    series of the speed has died out. Its integral is the arc length; Newton's method on the polynomial
-    inverts it.
+    series of the speed has converged. Its integral is the arc length, which is inverted by Newton's method.
     """
 
     edges: Array  # parameters where the pieces meet, shape (k + 1,)
     lengths: Array  # arc length at the edges, shape (k + 1,) [m]
     # power coefficients, highest first, of each piece's length in x from -1 to 1, (k, GAUSS_NODES + 1) [m]
     series: Array
-    total: float  # the whole length [m]
+    total: float  # total length [m]
 
     @classmethod
     def of(cls, spline: Spline) -> ArcLength:
@@ -188,26 +187,26 @@ class ArcLength:
 
 
 def rounding(coefficients: Array) -> float:
-    """Return the error in the length of a span that rounding of the coefficients may cause [m]."""
+    """Return the possible error in the length of a span due to rounding of the coefficients [m]."""
     return float(64 * np.finfo(float).eps * np.abs(coefficients).max())
 
 
 Made = TypeVar("Made", bound="Geometry")
 Lengths = Sequence[float] | NDArray[Any]
 
-_MIN_PIECES = 256  # into which the search for the nearest place divides a curve
-_END_TOLERANCE = 1e-9  # of the length: how far beyond the ends an arc length still counts as the end
-_PLANE_TOLERANCE = 1e-9  # of the length: how far the coefficients of a plane curve may leave its plane
-_MIN_CURVATURE = 1e-6  # over the length: curvature below which a curve counts as straight
+_MIN_PIECES = 256  # minimum number of pieces of a curve in the search for the nearest point
+_END_TOLERANCE = 1e-9  # distance beyond the ends at which arc lengths count as ends, relative to the length
+_PLANE_TOLERANCE = 1e-9  # distance of coefficients of a plane curve from its plane, relative to the length
+_MIN_CURVATURE = 1e-6  # curvature times length below which a curve counts as straight
 _MAX_SAMPLES = 10_000_000
 
 
 class Nearest(NamedTuple):
-    """Where a curve comes nearest to each of some points; single numbers for a single point.
+    """The points of a curve nearest to given points; single numbers for a single point.
 
     Attributes:
         parameter: arc length from the start of the curve, shape (n,) [m].
-        distance: from the point to there, shape (n,) [m].
+        distance: distance from the given point, shape (n,) [m].
     """
 
     parameter: Array
@@ -216,21 +215,20 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Geometry:
-    """A B-spline measured by its arc length s, which runs from 0 to `length`.
+    """A B-spline parameterized by arc length s, which ranges from 0 to `length`.
 
-    Every query takes one arc length and returns one float or shape (3,), or takes shape (n,) and returns
-    shape (n,) or (n, 3). Within 1e-9 of the length an arc length beyond the ends counts as the end; further
-    out raises InvalidValue. At a corner (degree 1, or repeated knots) a query answers for the part that
-    follows.
+    Queries take a single arc length and return a float or shape (3,), or take shape (n,) and return shape
+    (n,) or (n, 3). Arc lengths up to 1e-9 of the length beyond the ends count as the end; others raise
+    InvalidValue. At a corner (degree 1, or repeated knots) a query refers to the following part.
 
     Attributes:
         knots: shape (n + degree + 1,), not decreasing; the curve runs from knots[degree] to knots[n].
-        coefficients: of the B-spline, shape (n, 3) [m], in the frame of the points it was made of.
+        coefficients: B-spline coefficients, shape (n, 3) [m], in the frame of the original points.
         degree: 1 to 5.
 
     Raises:
-        CurveError: knots or coefficients that make no curve, or one that stands still somewhere (a cusp).
-        InvalidValue: the degree.
+        CurveError: invalid knots or coefficients, or a curve whose speed vanishes somewhere (a cusp).
+        InvalidValue: invalid degree.
     """
 
     knots: Array
@@ -252,7 +250,7 @@ class Geometry:
     def _with_coefficients(self: Made, coefficients: Array, stretch: float) -> Made:
         """Return the curve after a motion that is rigid up to a relative stretch.
 
-        The measured length is kept if the stretch and rounding change it less than its tolerance.
+        The measured length is kept if stretch and rounding change it by less than its tolerance.
         """
         change = max(stretch * self.length, rounding(coefficients))
         if not (
@@ -264,11 +262,11 @@ class Geometry:
         return moved
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Built anew, because unpickled arrays would be writeable.
+        # Rebuilt, because unpickled arrays would be writeable.
         return type(self), (self.knots, self.coefficients, self.degree)
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether degree, knots and coefficients are equal to the last bit."""
+        """Return whether degree, knots and coefficients are identical."""
         if not isinstance(other, Geometry):
             return NotImplemented
         return (
@@ -278,7 +276,7 @@ class Geometry:
         )
 
     def __hash__(self) -> int:
-        # Adding 0 turns -0 into 0, which compares equal to it.
+        # Adding 0 turns -0 into 0, which compares equal.
         return hash((self.degree, (self.knots + 0.0).tobytes(), (self.coefficients + 0.0).tobytes()))
 
     def __repr__(self) -> str:
@@ -298,7 +296,7 @@ class Geometry:
 
     @property
     def measured(self) -> tuple[Array, Array, int, Array, Array, Array]:
-        """The arrays that kernels take: knots, table, degree; edges, lengths, series. Do not write to them.
+        """Arguments for kernels: knots, table, degree; edges, lengths, series. Do not write to them.
 
         See `kernels.spline_coefficients` and `kernels.measure_length`.
         """
@@ -307,24 +305,24 @@ class Geometry:
 
     @property
     def start(self) -> Array:
-        """Where the curve begins, shape (3,) [m]."""
+        """Start point, shape (3,) [m]."""
         return self.at(0.0)
 
     @property
     def end(self) -> Array:
-        """Where the curve ends, shape (3,) [m]."""
+        """End point, shape (3,) [m]."""
         return self.at(self.length)
 
     @property
     def dimension(self) -> int:
-        """2 if all coefficients lie in one plane, of any direction, within 1e-9 of the length, else 3."""
+        """2 if all coefficients lie in one plane, to within 1e-9 of the length, else 3."""
         offsets = self.coefficients - self.coefficients.mean(axis=0)
         # The covariance would square the rounding errors.
         normal = np.linalg.svd(offsets, full_matrices=len(offsets) < 3)[2][2]
         return 2 if float(np.abs(offsets @ normal).max()) <= _PLANE_TOLERANCE * self.length else 3
 
     def at(self, s: float | Lengths) -> Array:
-        """Return places, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
+        """Return points, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
         return _shaped(self._spline.values(u), shape)
 
@@ -352,7 +350,7 @@ class Geometry:
         """Return the torsion, shape (n,) or a float [1/m], at the arc lengths `s` [m].
 
         It is positive on a right-handed helix. It is 0 on plane curves (`dimension` 2), and where the
-        curvature is below 1e-6 / length, because it has no meaning there.
+        curvature is below 1e-6 / length, because it is meaningless there.
         """
         u, shape = self._parameter(s)
         bending, v = self._bending(u)
@@ -363,20 +361,20 @@ class Geometry:
         return _scalar(torsion, shape)
 
     def resample(self, n: int) -> Array:
-        """Return places, shape (n, 3) [m], at n >= 2 equal steps of arc length from the start to the end."""
+        """Return n >= 2 points at equal steps of arc length from start to end, shape (n, 3) [m]."""
         return self.at(np.linspace(0, self.length, as_count("n", n, 2, _MAX_SAMPLES)))
 
     def nearest(self, points: ArrayLike) -> Nearest:
-        """Find where the curve comes nearest, over all of its length.
+        """Find the nearest points of the whole curve.
 
         Args:
             points: shape (n, 3), or (n, 2) with z = 0, or one point of shape (3,) or (2,) [m].
 
         Returns:
-            Arc lengths and distances; of several places equally near, one of them.
+            Arc lengths and distances; if several points are equally near, one of them.
 
         Raises:
-            CurveError: points that are malformed or not finite.
+            CurveError: points are malformed or not finite.
         """
         try:
             one = np.ndim(points) == 1 and np.size(points) > 0
@@ -388,7 +386,7 @@ class Geometry:
         return Nearest(parameter[0], distance[0]) if one else Nearest(parameter, distance)
 
     def _parameter(self, s: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        """Return the parameters (n,) of the spline at arc lengths, and the shape of these."""
+        """Return the spline parameters (n,) at arc lengths, and the shape of the latter."""
         slack = _END_TOLERANCE * self.length
         if type(s) is float and -slack <= s <= self.length + slack:
             return self._arc.parameter(np.array([min(max(s, 0.0), self.length)])), ()
@@ -410,7 +408,7 @@ class Geometry:
         return InvalidValue(name, value, allowed)
 
     def _bending(self, u: Array) -> tuple[Array, Array]:
-        """Return the first cross the second derivative (n, 3), and the speed (n,)."""
+        """Return the cross product of first and second derivative (n, 3), and the speed (n,)."""
         velocity = self._spline.values(u, 1)
         return np.cross(velocity, self._spline.values(u, 2)), np.linalg.norm(velocity, axis=1)
 

@@ -1,7 +1,7 @@
 """Compiled kernels: functions of plain arrays that run in every control cycle.
 
-They know nothing of arms and targets. Numba compiles them (`kernels.compiled`); each is imported when first
-used, because numba takes a while to start.
+They are independent of arms and targets. Numba compiles them (`kernels.compiled`); each is imported on first
+use, because numba is slow to import.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ _KERNELS = {
     ),
     "target_point": "module_ends move_frame next_target_point",
 }
-"""The kernels that other packages call, by module."""
+"""The kernels called by other packages, by module."""
 
 _HOMES = {name: module for module, names in _KERNELS.items() for name in names.split()}
 NAMES = tuple(_HOMES)
@@ -132,7 +132,7 @@ def __getattr__(name: str) -> object:
 def load() -> None:
     """Compile all kernels, or load them from the cache, so that no later call has to wait.
 
-    It takes half a second if they are cached, else about a minute.
+    This takes half a second if they are cached, else about a minute.
     """
     from pinposture.kernels.compiled import load as load_kernel
 

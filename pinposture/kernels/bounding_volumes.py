@@ -1,8 +1,8 @@
 """Trees of boxes around points and triangles, and the distance of a line from those in a part of a tree.
 
-A tree is complete: node 1 is the root, and node i has the children 2 i and 2 i + 1. Its n points or triangles
-are sorted so that node 2**level + k holds those from k n >> level up to (k + 1) n >> level. So a search needs
-no stack: bits tell at which nodes above the other child is still to be visited.
+A "line" is a segment. A tree is complete: node 1 is the root, and node i has the children 2 i and 2 i + 1.
+Its n points or triangles are sorted so that node 2**level + k holds those from k n >> level up to (k + 1) n
+>> level. A search needs no stack: bits mark the ancestors whose other child is still to be visited.
 
 The distance of a line from a triangle that it crosses is the negative length of the shorter translation along
 the normal of the triangle that separates them.
@@ -21,24 +21,24 @@ PARALLEL_SQUARED = 1e-14
 """Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
 
 LONG = 64.0
-"""Square of the length of a line from which on the box around it is too wide, in half diagonals of a box."""
+"""Squared length of a line above which its bounding box is too loose, in squared half diagonals of a box."""
 
 ON_EDGE = 1e-12
-"""Distance beyond an edge at which a place still counts as inside, relative to the height of a triangle."""
+"""Distance beyond an edge at which a point still counts as inside, relative to the height of a triangle."""
 
 Nearest = tuple[float, float, float, float, float]
-"""Distance of a line, nearest place on it, from 0 to 1, and unit vector to that; 0 where there is none."""
+"""Distance of a line, nearest place on it, from 0 to 1, and unit vector to that; 0 if undefined."""
 
 
 @compiled
 def build_tree(corners: Array3, order: Ints1, boxes: Array3) -> None:
-    """Sort points or triangles into a tree, each node halved where it is longest.
+    """Sort points or triangles into a tree, splitting each node along its longest side.
 
     Args:
         corners: corners of the triangles, or the points, (n, 3 or 1, 3).
-        order: the numbers from 0 to n - 1, which are sorted, (n,).
+        order: the indices from 0 to n - 1, sorted in place, (n,).
         boxes: filled with the lowest and the highest corner of the box around each node,
-            (2**levels, 2, 3), with at most n nodes in the last level; the first stays.
+            (2**levels, 2, 3), with at most n nodes in the last level; the first entry is unused.
     """
     n = len(corners)
     middles = np.zeros((n, 3))
@@ -65,7 +65,7 @@ def build_tree(corners: Array3, order: Ints1, boxes: Array3) -> None:
 
 @subkernel
 def _split(order: Ints1, middles: Array2, axis: int, begin: int, middle: int, end: int) -> None:
-    """Sort a part of the order so far that none after `middle` comes before one of those in front of it."""
+    """Partition a part of the order so that entries from `middle` on are not below those before it."""
     end -= 1
     while begin < end:
         pivot = middles[order[(begin + end) // 2], axis]
@@ -98,10 +98,10 @@ def nearest_in_tree(
     obstacle: int,
     below: float,
 ) -> Nearest:
-    """Find what is nearest to a line from a to b in a piece of a tree, in the frame of the tree.
+    """Find the item of a piece of a tree nearest to a line from a to b, in the frame of the tree.
 
-    Of lines that cross triangles, the one that is deepest counts. The distance is infinite where it is not
-    smaller than `below`.
+    If the line crosses triangles, the deepest crossing counts. The distance is infinite unless smaller than
+    `below`.
     """
     boxes, root, levels, items, count = _piece(trees, obstacle)
     is_cloud = trees.pieces[obstacle, 5] == 1
@@ -147,20 +147,20 @@ def nearest_in_tree(
 
 @inlined
 def _piece(trees: Trees, obstacle: int) -> tuple[int, int, int, int, int]:
-    """Where the boxes of a piece's tree begin, its node, number of levels, first item and number of items."""
+    """Return the first box of a piece's tree, its node, number of levels, first item and number of items."""
     piece = trees.pieces[obstacle]
     return piece[0], piece[1], piece[2], piece[3], piece[4]
 
 
 Line = tuple[float, float, float, float, float, float, float]
-"""Start of a line, the way to its end, and the square of its length."""
+"""Start of a line, vector to its end, and its squared length."""
 
 
 @inlined
 def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
-    """A lower bound of the distance of a line from what is in a box; `below` if that is smaller."""
+    """Return a lower bound of the distance of a line from the contents of a box, at most `below`."""
     ax, ay, az, ux, uy, uz, squares = line
-    # Numbers are read one by one: a slice of an array takes as long as all of the rest.
+    # Numbers are read one by one: slicing an array would take as long as everything else.
     low_x, low_y, low_z = boxes[box, 0, 0], boxes[box, 0, 1], boxes[box, 0, 2]
     high_x, high_y, high_z = boxes[box, 1, 0], boxes[box, 1, 1], boxes[box, 1, 2]
     gx = max(low_x - max(ax, ax + ux), min(ax, ax + ux) - high_x, 0.0)
@@ -173,7 +173,7 @@ def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
     hx, hy, hz = 0.5 * (high_x - low_x), 0.5 * (high_y - low_y), 0.5 * (high_z - low_z)
     half = hx * hx + hy * hy + hz * hz
     if squares > LONG * half:
-        # The line may be slanted: the distance of the middle of the box from it, less half the diagonal.
+        # The line may be slanted: distance of the box centre from it, less half the diagonal.
         x, y, z = low_x + hx - ax, low_y + hy - ay, low_z + hz - az
         t = min(max((x * ux + y * uy + z * uz) / squares, 0.0), 1.0)
         x, y, z = x - t * ux, y - t * uy, z - t * uz
@@ -217,7 +217,7 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
         nx, ny, nz = nx / size, ny / size, nz / size
         start, rise, end = start / size, rise / size, end / size
         first = 0.0 if abs(start) <= abs(end) else 1.0
-        # A place of the line over the triangle: where it crosses the plane, its nearer end, or the other.
+        # A point of the line over the triangle: where it crosses the plane, its nearer end, or the other.
         for number in range(3):
             t = first if number == 1 else 1.0 - first
             if number == 0:
@@ -230,14 +230,14 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
             if min(v, w) < -ON_EDGE * area or v + w > (1.0 + ON_EDGE) * area:
                 continue
             if number == 0:
-                # Up, until its lower end is in the plane, or down.
+                # Move up, until its lower end is in the plane, or down.
                 up, down = -min(start, end), max(start, end)
                 sign = 1.0 if up <= down else -1.0
                 deepest = start < end if sign > 0.0 else start > end
                 return -min(up, down), 0.0 if deepest else 1.0, sign * nx, sign * ny, sign * nz
             height = start if t == 0.0 else end
             sign = 1.0 if height >= 0.0 else -1.0
-            if number == 1 and start * end > 0.0:  # nothing of the line is nearer to the plane
+            if number == 1 and start * end > 0.0:  # no point of the line is nearer to the plane
                 return abs(height), t, sign * nx, sign * ny, sign * nz
             if abs(height) < best:
                 best, place, sx, sy, sz = abs(height), t, sign * nx, sign * ny, sign * nz
@@ -265,15 +265,15 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
 def way_to_segment(
     rx: float, ry: float, rz: float, ux: float, uy: float, uz: float, vx: float, vy: float, vz: float
 ) -> tuple[float, float, float, float]:
-    """The place on a line, from 0 to 1, that is nearest to another line, and the way from that to it.
+    """Return the place on a line, from 0 to 1, nearest to another line, and the vector from that line to it.
 
-    The first begins at r from the start of the other, and u leads to its end; v to the end of the other.
+    r is the vector from the start of the other line to that of the first; u and v lead to their ends.
     """
     uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
     ur, vr = ux * rx + uy * ry + uz * rz, vx * rx + vy * ry + vz * rz
     across = uu * vv - uv * uv
-    # On the line without ends, then on the other within its ends, then on the first again within its own.
-    # That is exact: the admissible pairs of places form a rectangle, and the distance is convex on it.
+    # Nearest place on the first line, then on the other within its ends, then again on the first.
+    # This is exact: the admissible pairs of places form a rectangle, on which the distance is convex.
     s = 0.0
     if across > PARALLEL_SQUARED * uu * vv:
         s = min(max((uv * vr - vv * ur) / across, 0.0), 1.0)
@@ -284,7 +284,7 @@ def way_to_segment(
 
 @subkernel
 def is_inside(x: float, y: float, z: float, trees: Trees, obstacle: int) -> bool:
-    """Whether a point is inside a closed surface: whether an odd number of triangles is above it along z."""
+    """Return whether a point is inside a closed surface, with an odd number of triangles above it along z."""
     boxes, _, levels, items, count = _piece(trees, obstacle)
     inside, node, level, pending = False, 1, 0, 1
     while pending > 0:
@@ -296,7 +296,7 @@ def is_inside(x: float, y: float, z: float, trees: Trees, obstacle: int) -> bool
             begin, end = (node - (1 << level)) * count >> level, (node - (1 << level) + 1) * count >> level
             for at in range(items + begin, items + end):
                 inside ^= _is_below(x, y, z, trees.triangles[at])
-        # Bits of `pending`: the other child is to be visited, below a highest one for the root.
+        # Bits of `pending` mark other children still to be visited, below a top bit for the root.
         while pending & 1 == 0:
             node, level, pending = node >> 1, level - 1, pending >> 1
         node, pending = node ^ 1, pending ^ 1
@@ -305,7 +305,7 @@ def is_inside(x: float, y: float, z: float, trees: Trees, obstacle: int) -> bool
 
 @subkernel
 def _is_below(x: float, y: float, z: float, corners: Array2) -> bool:
-    """Whether a triangle is above a point, for each point above one of triangles that share an edge."""
+    """Return whether a triangle is above a point; of triangles that share an edge, only one is."""
     a, b, c = corners[0], corners[1], corners[2]
     left = _is_left(a, b, x, y)
     if _is_left(b, c, x, y) != left or _is_left(c, a, x, y) != left:
@@ -321,9 +321,9 @@ def _is_below(x: float, y: float, z: float, corners: Array2) -> bool:
 
 @subkernel
 def _is_left(start: Array1, end: Array1, x: float, y: float) -> bool:
-    """Whether a point is left of a line seen from above; the same for a line and the opposite one.
+    """Return whether a point is left of a line seen from above, consistently for the reversed line.
 
-    What is on a line counts as left of the direction in which x, or else y, grows.
+    A point on a line counts as left of the direction in which x, or else y, grows.
     """
     if start[0] < end[0] or (start[0] == end[0] and start[1] < end[1]):
         return (end[0] - start[0]) * (y - start[1]) >= (end[1] - start[1]) * (x - start[0])

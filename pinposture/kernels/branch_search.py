@@ -18,26 +18,26 @@ from pinposture.kernels.chain_solver import find_screws, measure_point_errors, m
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 
-# The chain is given as screws in its neutral posture (a product of exponentials): the point that joints 0 to
-# u carry is exp(q_0) exp(q_1) ... exp(q_u) c. Seen from the base of a module, its joints solve the same
-# problem with a few joints.
+# The chain is given as screws in its neutral posture (a product of exponentials): the point carried by joints
+# 0 to u is exp(q_0) exp(q_1) ... exp(q_u) c. In the frame of a module's base, its joints solve the same
+# problem with only a few joints.
 #
 # The last two hinges of a module are solved in closed form. A hinge b moves the point c on a circle, and a
-# hinge a before it keeps the height of a point along its own axis and its distance from any point of the
+# hinge a before it preserves the height of a point along its axis and its distance from any point of the
 # axis: both are linear in the cosine and the sine of b. Joints before those two are sampled, and each result
-# is corrected by a few steps of least squares within the limits.
+# is corrected by a few least-squares steps within the limits.
 
-MAX_SOLUTIONS = 24  # largest number of solutions of a module that are kept
+MAX_SOLUTIONS = 24  # maximum number of solutions kept per module
 MAX_SAMPLES_OF_THREE = 16  # number of samples for a module of three joints
 MIN_DIFFERENCE = 1e-3  # smallest difference of two solutions [rad, or units of length]
 
 MAX_CORRECTIONS, NO_DISTANCE = 15, 1e-12
-"""Largest number of correction steps, and the distance at which they end, relative to the arm length."""
+"""Maximum number of correction steps, and their tolerance relative to the arm length."""
 
 MAX_CORRECTED = 3
-"""Number of inexact solutions of a module that are corrected together with the modules before."""
+"""Number of inexact solutions of a module that are corrected together with the previous modules."""
 
-MAX_WINDOW = 8  # largest number of modules that are corrected together
+MAX_WINDOW = 8  # maximum number of modules that are corrected together
 
 FULL_TURN = 2.0 * np.pi
 
@@ -78,7 +78,7 @@ def copy_frame(turn: Array2, place: Array1, to_turn: Array2, to_place: Array1) -
 
 @subkernel
 def sort_indices(values: Array1, count: int, order: Ints1) -> None:
-    """Sort the indices of the first values by value, into order."""
+    """Fill `order` with the indices of the first `count` values, sorted by value."""
     for i in range(count):
         at = i
         while at > 0 and values[order[at - 1]] > values[i]:
@@ -89,7 +89,7 @@ def sort_indices(values: Array1, count: int, order: Ints1) -> None:
 
 @subkernel
 def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
-    """Return the equivalent position of a joint, up to whole turns, nearest to its preferred position.
+    """Return the position of a joint, modulo full turns, nearest to its preferred position.
 
     If none is within the limits, return the nearest limit.
     """
@@ -110,7 +110,7 @@ def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
 
 @subkernel
 def solve_last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> float:
-    """Return the position of joint u that brings the point x nearest to a goal."""
+    """Return the position of joint u that moves the point x nearest to a goal."""
     a, o = chain.axes[u], chain.origins[u]
     if chain.slides[u]:
         return a[0] * (goal[0] - x[0]) + a[1] * (goal[1] - x[1]) + a[2] * (goal[2] - x[2])
@@ -125,10 +125,10 @@ def solve_last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> floa
 def solve_last_two(
     chain: ScrewChain, u: int, near: float, c: Array1, goal: Array1, alone: bool, out: Array2
 ) -> int:
-    """Find positions of the hinges u and u + 1 that may bring the point c to a goal, into out (4, 2).
+    """Find candidate positions of hinges u and u + 1 that move the point c to a goal, into out (4, 2).
 
     The goal is in the frame at the base of the first. If `alone`, only the solution of both equations is
-    returned where it is unique. The second hinge is put at `near` if it does not move the point. Returns the
+    returned if it is unique. The second hinge is set to `near` if it does not move the point. Returns the
     number of solutions.
     """
     a, oa, b, ob = chain.axes[u], chain.origins[u], chain.axes[u + 1], chain.origins[u + 1]
@@ -141,7 +141,7 @@ def solve_last_two(
     g2 = ob[2] + along * b[2] - oa[2]
     t0, t1, t2 = goal[0] - oa[0], goal[1] - oa[1], goal[2] - oa[2]
     radius, gg = w0 * w0 + w1 * w1 + w2 * w2, g0 * g0 + g1 * g1 + g2 * g2
-    # Cosine, sine and constant: of the height along a, and of the square of the distance from its origin.
+    # Cosine, sine, constant and scale: of the height along a, and of the squared distance from its origin.
     equations = (
         (
             a[0] * w0 + a[1] * w1 + a[2] * w2,
@@ -172,7 +172,7 @@ def solve_last_two(
                 middle, half = np.arctan2(sine, cosine), np.arccos(min(max(constant / size, -1.0), 1.0))
                 out[count, 1], out[count + 1, 1] = middle - half, middle + half
                 count += 2
-        if count == 0:  # the last one does not move the point
+        if count == 0:  # the last hinge does not move the point
             out[0, 1] = near
             count = 1
     for i in range(count):
@@ -278,7 +278,7 @@ def correct(
     size: float,
     q: Array1,
 ) -> float:
-    """Bring the ends of modules first to last to their points, by Levenberg-Marquardt steps within limits.
+    """Move the ends of modules first to last to their points, by Levenberg-Marquardt steps within limits.
 
     Changes q of these modules, fills in the bases after the first, and returns the largest distance left.
     """
@@ -337,7 +337,7 @@ def correct(
             q[u] = tried[u]
         fallen = cost - found
         cost = found
-        if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # it has converged to a distance
+        if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # converged to a nonzero distance
             break
     measure_errors(chain, first, last, turns, places, points, q, e)
     worst = 0.0
@@ -350,7 +350,7 @@ def correct(
 def keep_solution(
     residual: float, q: Array1, first: int, stop: int, residuals: Array1, found: Array2, count: int
 ) -> int:
-    """Keep a solution unless it is known or worse than all for which there is room; return their number."""
+    """Keep a solution unless it is known, or worse than all if the list is full; return their number."""
     at = count
     for i in range(count):
         apart = 0.0
@@ -387,7 +387,7 @@ def solve_module(
     residuals: Array1,
     found: Array2,
 ) -> int:
-    """Find positions of the joints of module k that bring its end to its point, or as near as possible.
+    """Find joint positions of module k that move its end to its point, or as near as possible.
 
     Fills `residuals` (MAX_SOLUTIONS,) and `found` (MAX_SOLUTIONS, n) with distances and solutions; uses q of
     this module as scratch. Returns the number of solutions. Other arguments are as in `search_branches`.
@@ -396,7 +396,7 @@ def solve_module(
     n = stop - first
     c, local, pair = chain.points[k], np.empty(3), np.empty((4, 2))
     closed = 0
-    if end - joint > n:  # coupled joints, for which nothing is solved in closed form
+    if end - joint > n:  # coupled joints have no closed form
         closed = 0
     elif n >= 2 and not chain.slides[end - 2] and not chain.slides[end - 1]:
         closed = 2
@@ -404,7 +404,7 @@ def solve_module(
         closed = 1
     turn, place, start, e = np.empty((3, 3)), np.empty(3), np.empty(n), np.empty((1, 3))
     count = 0
-    if n > closed:  # the solution nearest to the preferred positions
+    if n > closed:  # solution nearest to the preferred positions
         for u in range(first, stop):
             q[u] = chain.near[u]
         residual = correct(chain, k, k, turns, places, points, size, q)
@@ -462,7 +462,7 @@ def solve_module(
 def first_corrected(chain: ScrewChain, k: int, window: int) -> int:
     """Return the first of the modules that are corrected together with module k.
 
-    The window is extended if that gives its modules as many joints as their points have coordinates.
+    The window is extended if its modules then have as many joints as their points have coordinates.
     """
     low = max(k - window + 1, 0)
     for first in range(low, max(k - MAX_WINDOW, -1), -1):
@@ -484,21 +484,21 @@ def search_branches(
 ) -> int:
     """Find joint positions that put the end of every module at its point.
 
-    Depth first: the solutions of a module that are nearest to `chain.near` are tried first. If none reaches
-    its point, the best are corrected together with the modules before, which have freedom left if they have
+    Depth-first search: the solutions of a module nearest to `chain.near` are tried first. If none reaches its
+    point, the best are corrected together with the previous modules, which have freedom left if they have
     more than three joints or their points are on a joint axis.
 
     Args:
         chain: the chain.
         points: goals of the ends of the modules, (m, 3).
         size: length of the arm.
-        accepted: distance from its point at which the end of a module reaches it.
-        window: number of modules that are corrected together; with 1, q is only of use if all points are
+        accepted: distance at which a point counts as reached.
+        window: number of modules that are corrected together; with 1, q is only valid if all points are
             reached.
-        visits: number of modules to visit before giving up.
-        samples: shares of the range of each joint to try, (S, n); instead of the first, `near` is used.
+        visits: number of module visits before giving up.
+        samples: fractions of the range of each joint to try, (S, n); the first is replaced by `near`.
         q: filled with the positions of the joints of the chain; if not all points were reached, with those
-            that reached most, and the nearest for the others.
+            that reached most, and the nearest for the other modules.
 
     Returns:
         Number of points that were reached, from the base on.
@@ -556,7 +556,7 @@ def search_branches(
             number[k], next_choice[k] = count, 0
             if visits <= 0:
                 break
-        if next_choice[k] == number[k]:  # no solution is left: try the next one of the module before
+        if next_choice[k] == number[k]:  # no solution left: backtrack to the previous module
             if k == 0:
                 break
             k -= 1
@@ -579,7 +579,7 @@ def search_branches(
         descending = True
     if window == 1:
         return deepest
-    # The deepest result, and from there on the nearest solution of each module.
+    # The deepest result, then the nearest solution of each later module.
     for u in range(len(q)):
         q[u] = best[u]
     for i in range(m):
@@ -600,15 +600,15 @@ def search_branches(
 def minimise_posture_errors(
     problem: PostureProblem, settings: SearchSettings, positions: Array1
 ) -> tuple[float, float]:
-    """Search for a minimum of the squared errors of points and chords, step by step.
+    """Minimise the squared errors of points and chords by damped least squares.
 
     Args:
-        problem: where the control points should be.
+        problem: the problem.
         settings: settings of the search.
-        positions: joint positions to begin with, (nv,); filled with those at the end.
+        positions: initial joint positions, (nv,); filled with the final ones.
 
     Returns:
-        The sum of squares and the mean error there.
+        The sum of squares and the mean error at the end.
     """
     chain, joints, units, edges, indices, ends, targets, weights, chords, normal = problem
     n, p, m, columns = len(joints), len(indices), len(chain.ends), chain.inputs

@@ -1,4 +1,4 @@
-"""Least squares along a chain in O(n), by one pass to the base and one back; also within a box."""
+"""Least squares along a chain in O(n), by one pass to the base and one back; also with box constraints."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from pinposture.kernels.arrays import (
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import difference
 
-# The unknowns are the motions x of the joints. Point k moves by v_k, its body turns by w_k. Minimised is
+# The unknowns are the motions x of the joints. Point k moves by v_k, its body turns by w_k. The objective is
 #
 # sum over k of W_k |v_k - e_k|^2 + C_k |v_k - v_{k-1} - (e_k - e_{k-1})|^2 + sum over u of D_u (x_u - z_u)^2
 #
-# A chain makes this an optimal control problem with the joint index for time: the state is (v, w) at a
-# point, and joint u adds (a x (p - o), a) x_u to it. The minimum over all farther joints is a quadratic
-# function of the state, found from the tip to the base (a Riccati recursion on the state before a module, the
+# On a chain this is an optimal control problem with the joint index as time: the state is (v, w) at a point,
+# and joint u adds (a x (p - o), a) x_u to it. The minimum over all farther joints is a quadratic function of
+# the state, computed from the tip to the base (a Riccati recursion on the state before a module, the
 # displacement since then and the rotation, because chords depend on the displacement). The motions then
-# follow from the base to the tip. Velocities are taken at the points themselves: at a common origin far away
-# they would cancel. Joints may be held at their x, and the others are optimal given those.
+# follow from the base to the tip. Velocities are taken at the points themselves: at a distant common origin
+# they would suffer cancellation. Joints may be held at their x; the others are optimal given those.
 
-MAX_CORRECTIONS_OF_SET = 6  # largest number of corrections of the active set
-MAX_ITERATIONS = 40  # largest number of iterations of the interior point method
+MAX_CORRECTIONS_OF_SET = 6  # maximum number of corrections of the active set
+MAX_ITERATIONS = 40  # maximum number of iterations of the interior point method
 
 RELATIVE_GAP = 1e-11
 """Complementarity gap at which the interior point method ends, relative to the initial one."""
 
-NEGLIGIBLE_MOTION = 1e-12  # joint motion that counts as rounding, in units of a joint
-STEP_TO_BOUNDARY = 0.995  # share of the distance to the boundary that one iteration goes
+NEGLIGIBLE_MOTION = 1e-12  # joint motion that counts as rounding error, in units of a joint
+STEP_TO_BOUNDARY = 0.995  # fraction of the distance to the boundary taken by one iteration
 
 
 @subkernel
@@ -45,7 +45,7 @@ def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Arr
     Args:
         objective: points and chords.
         damping: D, (n,), positive.
-        held: which joints are held, (n,).
+        held: True for joints that are held, (n,).
         bodies: cost of the motion of the body that each joint carries, (n, 6, 6): of the velocity of the
             first point that it carries, and of its angular velocity. Empty if there is none.
         gains: filled with the gains for `solve_factored`, (n, 11).
@@ -54,7 +54,7 @@ def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Arr
     m = len(ends)
     for u in range(ends[m - 1], len(b)):  # joints beyond the last point only have damping
         gains[u, 10] = 1.0 / damping[u]
-    P = np.zeros((9, 9))  # of (v before, displacement since, w)
+    P = np.zeros((9, 9))  # cost of (v before, displacement since, w)
     turned = np.empty((9, 3))
     for k in range(m - 1, -1, -1):
         first = ends[k - 1] if k else 0
@@ -130,7 +130,7 @@ def _add_body(P: Array2, body: Array2) -> None:
 
 @subkernel
 def _shift_to_previous(P: Array2, turned: Array2, point: Array1, previous: Array1) -> None:
-    """Turn the cost of (v, displacement, w) into that of (v, w) at the point before: displacement = w x r."""
+    """Convert the cost of (v, displacement, w) to (v, w) at the previous point: displacement = w x r."""
     r0, r1, r2 = point[0] - previous[0], point[1] - previous[1], point[2] - previous[2]
     for i in range(9):  # P (w x r) for the three units of w
         turned[i, 0] = P[i, 5] * r1 - P[i, 4] * r2
@@ -165,9 +165,9 @@ def solve_factored(
         errors: e, (m, 3).
         damping: D, (n,).
         centre: z, (n,).
-        held: which joints are held, (n,).
+        held: True for joints that are held, (n,).
         gains: from `factor`; its column 9 is scratch.
-        x: motions of the joints that are held; filled with those of the others, (n,).
+        x: motions of the held joints; filled with those of the others, (n,).
     """
     b, ends, points, weights, chords = objective
     n, m = len(b), len(ends)
@@ -259,7 +259,7 @@ def evaluate_gradient(
         total += w * (f0 * f0 + f1 * f1 + f2 * f2) + c * (h0 * h0 + h1 * h1 + h2 * h2)
         missed[k, 0], missed[k, 1], missed[k, 2] = w * f0, w * f1, w * f2
         missed[k, 3], missed[k, 4], missed[k, 5] = c * h0, c * h1, c * h2
-    # Forces at the points, and their moments, summed up from the tip.
+    # Forces at the points, and their moments, summed from the tip.
     f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(m - 1, -1, -1):
         first = ends[k - 1] if k else 0
@@ -269,7 +269,7 @@ def evaluate_gradient(
             slope[u] += (
                 b[u, 0] * g0 + b[u, 1] * g1 + b[u, 2] * g2 + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
             )
-        if k:  # moments about the point before
+        if k:  # moments about the previous point
             r0, r1, r2 = difference(points, k, k - 1)
             t0, t1, t2 = t0 + r1 * g2 - r2 * g1, t1 + r2 * g0 - r0 * g2, t2 + r0 * g1 - r1 * g0
     return 0.5 * total
@@ -290,7 +290,7 @@ def find_screws(
 
     Args:
         chain: the chain.
-        which: the joints, by their index among its degrees of freedom, (n,); increasing.
+        which: the joints, by index among its degrees of freedom, (n,); increasing.
         units: unit of motion of each of them, (n,).
         axes: axes of all joints of the chain, (k, 3).
         origins: their origins, (k, 3).
@@ -322,7 +322,7 @@ def find_screws(
 
 @compiled
 def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array2) -> None:
-    """Compute the motions v of the points, (m, 3), by motions x of the joints."""
+    """Compute the motions v of the points, (m, 3), for motions x of the joints."""
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(ends)):
         if k:
@@ -336,7 +336,7 @@ def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array
 
 @subkernel
 def pull_points(b: Array2, ends: Ints1, points: Array2, forces: Array2, filled: Array1) -> None:
-    """Add the efforts of the joints, (n,), that forces at the points, (m, 3), cause."""
+    """Add the joint efforts, (n,), caused by forces at the points, (m, 3)."""
     f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(ends) - 1, -1, -1):
         f0, f1, f2 = f0 + forces[k, 0], f1 + forces[k, 1], f2 + forces[k, 2]
@@ -350,7 +350,7 @@ def pull_points(b: Array2, ends: Ints1, points: Array2, forces: Array2, filled: 
 
 @subkernel
 def move_bodies(b: Array2, ends: Ints1, points: Array2, x: Array1, twists: Array2) -> None:
-    """Fill in how motions of the joints move the body behind each, (n + 1, 6); the first stands still.
+    """Fill in the motion of the body after each joint, (n + 1, 6); the first one is the fixed base.
 
     Velocities are those of the first point that the body carries, or of the last point.
     """
@@ -370,7 +370,7 @@ def move_bodies(b: Array2, ends: Ints1, points: Array2, x: Array1, twists: Array
 
 @subkernel
 def pull_bodies(b: Array2, ends: Ints1, points: Array2, wrenches: Array2, filled: Array1) -> None:
-    """Add the efforts of the joints, (n,), that forces and moments on bodies cause; see `move_bodies`."""
+    """Add the joint efforts, (n,), caused by forces and moments on bodies; see `move_bodies`."""
     k = len(ends) - 1
     f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for u in range(len(b) - 1, -1, -1):
@@ -388,14 +388,14 @@ def pull_bodies(b: Array2, ends: Ints1, points: Array2, wrenches: Array2, filled
 def measure_point_errors(
     points: Array2, targets: Array2, weights: Array1, chords: Array1, normal: Array1, errors: Array2
 ) -> float:
-    """Compute errors of points; return the weighted sum of their squares and of those of their chords.
+    """Compute errors of points; return the weighted sum of squares of these and of their chords' errors.
 
     Args:
         points: the points, (m, 3).
         targets: their targets, (m, 3).
         weights: W, (m,).
         chords: C, (m,).
-        normal: direction in which errors do not count, such as the normal of a plane, (3,); zero for none.
+        normal: direction in which errors are ignored, such as the normal of a plane, (3,); zero for none.
         errors: filled with e, (m, 3).
     """
     total = 0.0
@@ -413,7 +413,7 @@ def measure_point_errors(
 
 @compiled
 def stiffness(objective: PointObjective) -> float:
-    """Return the mean over the joints of the cost of points and chords for one unit of their motion alone."""
+    """Return the cost of points and chords per unit of motion of a single joint, averaged over joints."""
     b, ends, points, weights, chords = objective
     m = len(ends)
     total, whole = 0.0, 0.0
@@ -453,7 +453,7 @@ def stiffness(objective: PointObjective) -> float:
 
 
 # Without chords, held joints and loads on bodies, the cost before each joint is a function of (v, w) alone,
-# and its 21 numbers stay in registers. Factor and solution then are one pass to the base and one back.
+# whose 21 coefficients stay in registers. Factor and solution then take one pass to the base and one back.
 
 
 @compiled
@@ -519,7 +519,7 @@ def minimise_points(
             q20, q21, q22 = q20 - h2 * g3, q21 - h2 * g4, q22 - h2 * g5
             r00, r01, r02 = r00 - h3 * g3, r01 - h3 * g4, r02 - h3 * g5
             r11, r12, r22 = r11 - h4 * g4, r12 - h4 * g5, r22 - h5 * g5
-        if k:  # at the point before, v is smaller by w x r = C w: add P C to Q, C Q + Q C + C P C to R
+        if k:  # at the previous point, v is smaller by w x r = C w: add P C to Q, C Q + Q C + C P C to R
             d0, d1, d2 = difference(points, k, k - 1)
             a00, a01, a02 = p02 * d1 - p01 * d2, p00 * d2 - p02 * d0, p01 * d0 - p00 * d1
             a10, a11, a12 = p12 * d1 - p11 * d2, p01 * d2 - p12 * d0, p11 * d0 - p01 * d1
@@ -551,11 +551,11 @@ def minimise_points(
             x[u] = y
 
 
-# Within a box, the set of joints at a bound is guessed and corrected: joints that would leave the box are
-# held at its side, those that are held and pushed inwards are released, all at once, until nothing changes (a
-# primal-dual active set method, which is Newton's on the optimality conditions). Mostly two to five
-# corrections are enough. If they cycle, an interior point method (Mehrotra's predictor and corrector) comes
-# close in some ten iterations, and the active set that it suggests is corrected as before.
+# With box constraints, the set of joints at a bound is guessed and corrected: joints that would leave the box
+# are held at its side and held joints pushed inwards are released, all at once, until nothing changes (a
+# primal-dual active set method, which is Newton's method on the optimality conditions). Two to five
+# corrections usually suffice. If they cycle, an interior point method (Mehrotra's predictor-corrector) gets
+# close in about ten iterations, and the active set that it suggests is corrected in the same way.
 
 
 @compiled
@@ -583,7 +583,7 @@ def minimise_in_box(
         x: filled with the minimum, (n,).
 
     Returns:
-        Number of systems that were solved.
+        Number of systems solved.
     """
     n, m = len(objective.screws), len(objective.ends)
     gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
@@ -608,7 +608,7 @@ def minimise_in_box(
                 if _is_fixed(lower[u], upper[u]):
                     continue
                 side, inverse = 0, gains[u, 10]
-                if held[u]:  # it stays held unless it would move inwards by more than rounding
+                if held[u]:  # stays held unless it would move inwards by more than rounding error
                     if -slope[u] * inverse * sides[u] >= -NEGLIGIBLE_MOTION:
                         side = sides[u]
                 elif x[u] < lower[u] - NEGLIGIBLE_MOTION:
@@ -624,7 +624,7 @@ def minimise_in_box(
             solved += _interior_point(objective, errors, damping, centre, lower, upper, sides, x, gains)
             for u in range(n):
                 interior[u] = x[u]
-    # It cycled again: take the better of both results.
+    # It cycled again: take the better result.
     _clip(x, lower, upper)
     _clip(interior, lower, upper)
     last = evaluate_gradient(objective, errors, damping, centre, x, slope, missed)
@@ -637,7 +637,7 @@ def minimise_in_box(
 
 @subkernel
 def _is_fixed(lower: float, upper: float) -> bool:
-    """Whether two bounds leave no room to move."""
+    """Return whether two bounds leave no room to move."""
     return upper - lower <= NEGLIGIBLE_MOTION
 
 
@@ -662,7 +662,7 @@ def _interior_point(
     x: Array1,
     gains: Array2,
 ) -> int:
-    """Fill x with a point near the minimum, by an interior point method, and `sides` with an active set."""
+    """Fill x with a point near the minimum by an interior point method, and `sides` with an active set."""
     n, m = len(objective.screws), len(objective.ends)
     slope, missed, held = np.empty(n), np.empty((m, 6)), np.zeros(n, dtype=np.bool_)
     no_bodies = np.empty((0, 6, 6))
@@ -695,7 +695,7 @@ def _interior_point(
         if not held[u]:
             low[u] = start / (x[u] - lower[u])
             high[u] = start / (upper[u] - x[u])
-    iterations, mismatch = 0, 1.0  # share of the initial mismatch of multipliers and gradient
+    iterations, mismatch = 0, 1.0  # fraction of the initial mismatch of multipliers and gradient
     while iterations < MAX_ITERATIONS:
         gap = 0.0
         for u in range(n):
@@ -714,7 +714,7 @@ def _interior_point(
                 a, c = x[u] - lower[u], upper[u] - x[u]
                 p, r = low[u] / a, high[u] / c
                 push = aim / a - aim / c
-                if corrector:  # what the predictor left out: products of changes
+                if corrector:  # second-order terms neglected by the predictor
                     move = moves[u]
                     push += (low[u] + p * move) * move / a + (high[u] - r * move) * move / c
                 stiff[u] = damping[u] + p + r

@@ -1,11 +1,11 @@
 """Distances of the bodies of an arm from obstacles and from each other.
 
-A body is a capsule, or lies in one: an axis between two ends, and a radius. Distances of capsules from
-spheres, capsules, boxes, half-spaces and cylinders are closed forms; those from scans and meshes are searched
-for in trees. Where solids overlap, the distance is the negative length of a translation that separates them:
-the shortest one, except for cylinders, where only translations along and across their axes count; so it is
-never larger than the true one. From a surface, an axis on either side of it is at the same distance, and one
-that crosses it leaves along the normal of a triangle, to the nearer side.
+A body is a capsule, or enclosed in one: an axis between two ends, and a radius. Distances of capsules from
+spheres, capsules, boxes, half-spaces and cylinders have closed forms; those from scans and meshes are found
+by search in trees. If solids overlap, the distance is the negative length of a translation that separates
+them: the shortest one, except for cylinders, where only translations along and across their axes are
+considered, so the distance is never larger than the true one. Distances from a surface are the same on both
+sides; an axis that crosses it is separated along the normal of a triangle, to the nearer side.
 
 Pairs are sorted into groups of a block of bodies and another block, or an obstacle. Bounding spheres of
 blocks decide which groups are evaluated.
@@ -35,10 +35,10 @@ from pinposture.kernels.bounding_volumes import TINY, is_inside, nearest_in_tree
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 FLAT = 1e-13
-"""Slope that counts as none, relative to the numbers that it is computed from."""
+"""Slope that counts as zero, relative to the numbers it is computed from."""
 
 MAX_ITERATIONS = 60
-"""Largest number of iterations in the search for the nearest place to a cylinder."""
+"""Maximum number of iterations in the search for the point nearest to a cylinder."""
 
 Contact = tuple[float, float, float, float, float, float, float]
 
@@ -52,8 +52,7 @@ def place_joints(
     Args:
         tree: the joints; the first is the world.
         positions: joint positions, (s, nv).
-        others: placements of the joints of another kind by their positions, rotation and translation,
-            (s, number of them, 12).
+        others: displacements of the joints of other kinds, rotation and translation, (s, number of them, 12).
         rotations: filled with the orientations of the joint frames, (s, njoints, 3, 3), world frame.
         origins: filled with their origins, (s, njoints, 3).
     """
@@ -106,7 +105,7 @@ def place_joints_once(
 
 @subkernel
 def _rotate(axis: Array1, angle: float, rotation: Array2) -> None:
-    """Fill a rotation about a unit axis, by the formula of Rodrigues."""
+    """Fill in the rotation about a unit axis, by Rodrigues' formula."""
     x, y, z = axis[0], axis[1], axis[2]
     c, s = np.cos(angle), np.sin(angle)
     v = 1.0 - c
@@ -152,7 +151,7 @@ def differentiate_distances(
     normals: Array2,
     jacobian: Array2,
 ) -> None:
-    """Derivatives of distances by the joint positions: d/dt of n . p for each joint that moves p.
+    """Compute the derivatives of distances by joint positions: d/dq of n . p for each joint that moves p.
 
     Args:
         tree: the joints.
@@ -162,7 +161,7 @@ def differentiate_distances(
         second: that of the second; 0 for an obstacle, (k,).
         points: the contacts, (k, 3).
         normals: unit vectors from the second body to the first, (k, 3).
-        jacobian: zeros, filled with the derivatives, (k, nv); columns of joints of another kind stay.
+        jacobian: zeros, filled with the derivatives, (k, nv); columns of joints of other kinds stay zero.
     """
     for k in range(len(first)):
         nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
@@ -185,14 +184,14 @@ def differentiate_distances(
                 joint = tree.parents[joint]
 
 
-# One pair: distance of the surfaces, place on the axis of the first solid, normal from the second.
+# One pair: distance of the surfaces, point on the axis of the first solid, normal from the second.
 
 
 @inlined
 def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact:
-    """Distance, point of the first axis and normal of a pair; the normal is 0 where there is none.
+    """Compute distance, point on the first axis and normal of a pair; the normal is 0 if undefined.
 
-    The distance from a tree may be infinite where it is not smaller than `below`.
+    The distance from a tree may be infinite if it is not smaller than `below`.
     """
     body, other = pairs.first[pair], pairs.second[pair] - len(ends)
     line, kind = ends[body], pairs.kinds[pair]
@@ -247,7 +246,7 @@ def _turned(frame: Array2, x: float, y: float, z: float) -> tuple[float, float, 
 
 @subkernel
 def _to_frame(line: Array2, center: Array1, frame: Array2, start: Array1, way: Array1) -> None:
-    """Fill the start of a line and the way to its end, in a frame."""
+    """Fill in the start of a line and the vector to its end, in a frame."""
     for axis in range(3):
         start[axis], way[axis] = 0.0, 0.0
         for i in range(3):
@@ -257,7 +256,7 @@ def _to_frame(line: Array2, center: Array1, frame: Array2, start: Array1, way: A
 
 @subkernel
 def _box_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
-    """Half the derivative of the squared distance of a place on a line from a box; it never falls."""
+    """Return half the derivative of the squared distance from a box along a line; it never decreases."""
     slope, rounding = 0.0, 0.0
     for axis in range(3):
         at = start[axis] + t * way[axis]
@@ -271,7 +270,7 @@ def _box_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
 
 @subkernel
 def _nearest_to_box(start: Array1, way: Array1, half: Array1) -> float:
-    """The place in [0, 1] on a line that is nearest to a box; the middle of them where there are many.
+    """Return the place in [0, 1] on a line nearest to a box; the middle of the range if not unique.
 
     Between places where a coordinate enters or leaves the box, the slope is linear.
     """
@@ -330,10 +329,10 @@ def _box_contact(line: Array2, center: Array1, frame: Array2, half: Array1) -> C
 def _leave_box(
     start: Array1, way: Array1, half: Array1, inside: float, normal: Array1
 ) -> tuple[float, float]:
-    """The shortest translation of a line out of a box: negative length, and the place that is deepest.
+    """Find the shortest translation of a line out of a box: its negative length, and the deepest place.
 
-    The line and the box span a polytope whose faces are normal to faces of the box, or to an edge of the box
-    and the line. Fills the normal.
+    The Minkowski sum of line and box is a polytope, whose face normals are normals of the box, or
+    perpendicular to an edge of the box and the line. Fills in the normal.
     """
     deepest, place = -np.inf, inside
     for axis in range(3):
@@ -364,7 +363,7 @@ def _leave_box(
 
 @inlined
 def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below: float) -> Contact:
-    """Contact of a line with a piece of a tree, or with a closed surface that it is inside of."""
+    """Compute the contact of a line with a piece of a tree, or with a closed surface that contains it."""
     frame, center, trees = pairs.frames[obstacle], pairs.centers[obstacle], pairs.trees
     piece = trees.boxes[trees.pieces[obstacle, 0] + trees.pieces[obstacle, 1]]
     x, y, z = line[0, 0] - center[0], line[0, 1] - center[1], line[0, 2] - center[2]
@@ -379,7 +378,7 @@ def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below
         if not is_inside(ax, ay, az, trees, obstacle):
             return np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         distance, t, nx, ny, nz = nearest_in_tree(ax, ay, az, bx, by, bz, trees, obstacle, np.inf)
-        if distance <= 0.0:  # it crosses the surface, and so is in contact with pieces of it
+        if distance <= 0.0:  # it crosses the surface, so pieces of the surface report the contact
             return np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         distance, nx, ny, nz = -distance, -nx, -ny, -nz
     else:
@@ -390,7 +389,7 @@ def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below
 
 @subkernel
 def _cylinder_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
-    """Half the derivative of the squared distance of a place on a line from a cylinder along z."""
+    """Return half the derivative of the squared distance from a cylinder along z, along a line."""
     x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
     slope, across = 0.0, np.sqrt(x * x + y * y)
     if across > half[0]:
@@ -444,10 +443,10 @@ def _cylinder_contact(line: Array2, center: Array1, frame: Array2, half: Array1)
 def _leave_cylinder(
     start: Array1, way: Array1, half: Array1, inside: float
 ) -> tuple[float, float, float, float, float]:
-    """The shortest translation of a line out of a cylinder along or across its axis.
+    """Find the shortest translation of a line out of a cylinder along or across its axis.
 
     Returns:
-        Negative length, the place that is deepest, and the direction.
+        Negative length, the deepest place, and the direction.
     """
     a, b = start[2], start[2] + way[2]
     up, down = min(a, b) - half[2], -max(a, b) - half[2]
@@ -455,14 +454,14 @@ def _leave_cylinder(
     nz = 1.0 if up >= down else -1.0
     place = inside if a == b else (0.0 if (a < b) == (nz > 0.0) else 1.0)
     nx, ny = 0.0, 0.0
-    # Across: the direction of the place of the line that is nearest to the axis.
+    # Across: the direction of the point of the line nearest to the axis.
     squares = way[0] * way[0] + way[1] * way[1]
     t = 0.5
     if squares > 0.0:
         t = min(max(-(start[0] * way[0] + start[1] * way[1]) / squares, 0.0), 1.0)
     x, y = start[0] + t * way[0], start[1] + t * way[1]
     across = np.sqrt(x * x + y * y)
-    if across - half[0] > depth - 1e-9 * half[0]:  # of equals, the one that a stretched arm can do
+    if across - half[0] > depth - 1e-9 * half[0]:  # if equal, prefer the one that a stretched arm can do
         depth, place, nz = across - half[0], t, 0.0
         if across > 1e-12 * half[0]:
             nx, ny = x / across, y / across
@@ -478,7 +477,7 @@ def _leave_cylinder(
 
 @subkernel
 def bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
-    """Fill centre and radius of a sphere around each block of bodies, (blocks, 4)."""
+    """Fill in centre and radius of a sphere around each block of bodies, (blocks, 4)."""
     low, high = np.empty(3), np.empty(3)
     for block in range(len(blocks)):
         begin, stop = block * BLOCK, min(block * BLOCK + BLOCK, len(ends))
@@ -501,8 +500,8 @@ def bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
 
 @inlined
 def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -> float:
-    """A lower bound of the distance of a point; less its radius, one for a ball around the point."""
-    # Numbers are read one by one here and below: a slice of an array takes as long as all of the rest.
+    """Return a lower bound of the distance of a point; minus its radius, one for a ball around it."""
+    # Numbers are read one by one here and below: slicing an array would take as long as everything else.
     kind = pairs.shapes[obstacle]
     if kind == SEGMENT:
         lines = pairs.lines
@@ -532,7 +531,7 @@ def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -
 
 @inlined
 def group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
-    """A lower bound of the distances in a group."""
+    """Return a lower bound of the distances in a group."""
     block, other = pairs.groups[group, 0], pairs.groups[group, 1] - len(blocks)
     x, y, z = blocks[block, 0], blocks[block, 1], blocks[block, 2]
     if other >= 0:
@@ -544,7 +543,7 @@ def group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
 
 @inlined
 def _body_sphere(ends: Array3, radii: Array1, body: int) -> tuple[float, float, float, float]:
-    """Middle and radius of a sphere around the capsule of a body."""
+    """Return centre and radius of a sphere around the capsule of a body."""
     ux, uy = 0.5 * (ends[body, 1, 0] - ends[body, 0, 0]), 0.5 * (ends[body, 1, 1] - ends[body, 0, 1])
     uz = 0.5 * (ends[body, 1, 2] - ends[body, 0, 2])
     reach = np.sqrt(ux * ux + uy * uy + uz * uz) + radii[body]
@@ -553,7 +552,7 @@ def _body_sphere(ends: Array3, radii: Array1, body: int) -> tuple[float, float, 
 
 @inlined
 def pair_bound(ends: Array3, pairs: Pairs, pair: int) -> float:
-    """A lower bound of a distance, by spheres around bodies."""
+    """Return a lower bound of a distance, from spheres around bodies."""
     other = pairs.second[pair] - len(ends)
     x, y, z, reach = _body_sphere(ends, pairs.radii, pairs.first[pair])
     if other >= 0:
@@ -580,16 +579,16 @@ def near_pairs(
         ends: ends of the axes of the bodies, (b, 2, 3).
         pairs: the pairs, n.
         within: the distance.
-        near: filled with the pairs that are near, (n,).
+        near: filled with the near pairs, (n,).
         distances: filled with their distances, (n,).
-        points: filled with the nearest places on the axes of their first bodies, (n, 3).
-        normals: filled with unit vectors from their second solids; 0 where there are none, (n, 3).
-        open_pairs: filled with pairs of which only a lower bound is known, which may be near, or the nearest.
-        bounds: filled with these bounds, (n,).
+        points: filled with the nearest points on the axes of their first bodies, (n, 3).
+        normals: filled with unit vectors from their second solids; 0 if undefined, (n, 3).
+        open_pairs: filled with inexact pairs that may be near or nearest, (n,).
+        bounds: filled with lower bounds of their distances, (n,).
 
     Returns:
-        How many pairs are near, how many are open; the smallest distance of the others, and their pair: inf
-        and -1 if there is none.
+        Number of near pairs, number of open pairs, and the smallest distance of the exact pairs with its
+        pair: inf and -1 if there is none.
     """
     blocks = np.empty(((len(ends) + BLOCK - 1) // BLOCK, 4))
     bound_blocks(ends, pairs, blocks)
@@ -601,7 +600,7 @@ def near_pairs(
             nearest = group
     count, opened, best, best_pair = 0, 0, np.inf, -1
     for turn in range(groups):
-        # The nearest group comes first, so that most of the others are left out.
+        # The nearest group comes first, so that most of the others can be skipped.
         group = nearest if turn == 0 else (0 if turn == nearest else turn)
         if lower[group] >= max(within, best):
             continue
@@ -642,7 +641,7 @@ def contacts_along(
 ) -> int:
     """Find the pairs nearer than a distance at several configurations.
 
-    Pairs that are not exact count by the shapes around them.
+    Inexact pairs are measured by their enclosing shapes.
 
     Args:
         tree: the joints.
@@ -650,17 +649,17 @@ def contacts_along(
         local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
         pairs: the pairs.
         positions: joint positions, (s, nv).
-        others: as for `place_joints`.
+        others: as in `place_joints`.
         within: the distance.
         samples: filled with the configuration of each contact, (k,); increasing.
         distances: filled with the distances, (k,).
-        carrying: filled with the joints that carry both solids, 0 for an obstacle, (k, 2).
+        carrying: filled with the joints that carry the two solids, 0 for an obstacle, (k, 2).
         points: filled with the contacts, (k, 3).
         normals: filled with unit vectors from the second solid to the first, (k, 3).
-        minima: filled with the smallest distance at each configuration, `within` if none is smaller, (s,).
+        minima: filled with the smallest distance at each configuration, at most `within`, (s,).
 
     Returns:
-        How many contacts there are; those beyond k were not stored.
+        Number of contacts; those beyond k were not stored.
     """
     count, bodies, room = len(tree.parents), len(carriers), len(samples)
     rotations, origins, ends = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty(local.shape)
@@ -701,14 +700,14 @@ def smallest_distance(
     Args:
         ends: ends of the axes of the bodies, (s, b, 2, 3).
         pairs: the pairs.
-        below: distances that matter: if none is smaller, none may be found.
-        open_pairs: filled with configuration and pair where only a lower bound is known that may be smaller,
-            (s times the number of pairs that are not exact, 2).
-        bounds: filled with these bounds.
+        below: bound of relevant distances; pairs that are not nearer may be skipped.
+        open_pairs: filled with configuration and pair of inexact pairs that may be nearer, (s times the
+            number of inexact pairs, 2).
+        bounds: filled with lower bounds of their distances.
 
     Returns:
-        The smallest distance of the other pairs and its pair: inf and -1 if there is none; and how many pairs
-        are open.
+        The smallest distance of the exact pairs and its pair: inf and -1 if there is none; and the number of
+        open pairs.
     """
     blocks = np.empty(((ends.shape[1] + BLOCK - 1) // BLOCK, 4))
     best, best_pair, opened = np.inf, -1, 0

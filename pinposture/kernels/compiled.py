@@ -1,9 +1,9 @@
 """Compilation of kernels by numba, and its cache.
 
-A kernel is compiled once for an installation and user, for the argument types in its annotations: when it is
-first called, or ahead of that by `load` and by `pinposture compile`. Numba keeps the machine code beside the
-source, or in the user's cache if it may not write there, or in NUMBA_CACHE_DIR. If several processes need a
-kernel at the same time, one compiles it and the others wait and load the result.
+A kernel is compiled once per installation and user, for the argument types in its annotations: on the first
+call, or in advance by `load` or `pinposture compile`. Numba stores the machine code beside the source, or in
+the user's cache if that is not writable, or in NUMBA_CACHE_DIR. If several processes need a kernel at the
+same time, one compiles it while the others wait and load the result.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from numba.core.sigutils import normalize_signature
 
 try:
     import fcntl
-except ImportError:  # not a POSIX system: processes may compile the same kernel, which costs time only
+except ImportError:  # not a POSIX system: processes may compile the same kernel, which only costs time
     fcntl = None  # type: ignore[assignment]
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -38,9 +38,9 @@ logger = logging.getLogger(__name__)
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Options of numba: kernels are called from Python and by each other, never from C."""
 
-_NOTICE = "compiling kernels, once for an installation and user; `pinposture compile` does all of it now"
+_NOTICE = "compiling kernels, once per installation and user; `pinposture compile` compiles all of them now"
 
-_NOTICE_INTERVAL = 3600.0  # time after a notice in which other processes do not repeat it [s]
+_NOTICE_INTERVAL = 3600.0  # time before another process repeats the notice [s]
 
 _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 
@@ -48,19 +48,19 @@ _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 def compiled(function: Function) -> Function:
     """Compile a function of arrays and numbers; it runs without holding the GIL.
 
-    Divisions by zero give inf or NaN, as in NumPy. Arrays must be C-contiguous and writable, and have the
-    type and number of dimensions of the annotations: any other type leads to another compilation.
+    Divisions by zero give inf or NaN, as in NumPy. Arrays must be C-contiguous and writable, with the type
+    and number of dimensions of the annotations: any other type triggers another compilation.
     """
     return _compile(function, {})
 
 
 def subkernel(function: Function) -> Function:
-    """Compile a function that only other kernels call."""
+    """Compile a function that is only called by other kernels."""
     return _compile(function, {"no_cpython_wrapper": True})
 
 
 def inlined(function: Function) -> Function:
-    """Compile a short function into the kernels that call it: to pass many arrays would take longer."""
+    """Inline a short function into the kernels that call it, because passing many arrays would be slow."""
     return _compile(function, {"no_cpython_wrapper": True, "forceinline": True})
 
 
@@ -71,7 +71,7 @@ def _compile(function: Function, options: dict[str, Any]) -> Function:
     except RuntimeError:
         _warn_without_cache()
     if (cached := _cache_file(kernel)) is not None:
-        # Machine code includes the kernels that it calls, but numba only checks the file of the caller.
+        # Machine code includes the called kernels, but numba only checks the file of the caller.
         cached._source_stamp = source_stamp(Path(function.__code__.co_filename))
         cached._load_index = _empty_if_unreadable(cached._load_index)
         lock = Path(kernel._cache.cache_path) / f"{function.__name__}.lock"
@@ -80,19 +80,19 @@ def _compile(function: Function, options: dict[str, Any]) -> Function:
 
 
 def load(kernel: Any) -> None:
-    """Compile a kernel for the arguments that it is annotated with, or load it from the cache."""
+    """Compile a kernel for its annotated argument types, or load it from the cache."""
     if not kernel.signatures:
         kernel.compile(arguments_of(kernel))
 
 
 def arguments_of(kernel: Any) -> tuple[types.Type, ...]:
-    """Return numba's types of the arguments that a kernel is annotated with."""
+    """Return numba's types of the annotated arguments of a kernel."""
     hints = get_type_hints(kernel.py_func, include_extras=True)
     return tuple(_type_of(hints[name]) for name in signature(kernel.py_func).parameters)
 
 
 def _type_of(hint: Any) -> types.Type:
-    """Return numba's type of an annotation."""
+    """Return the numba type of an annotation."""
     if hint in _SCALARS:
         return _SCALARS[hint]
     if get_origin(hint) is Annotated:  # an array of `kernels.arrays`
@@ -113,13 +113,13 @@ _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[..., Any]:
     """Let one process compile a kernel while the others wait and then load it from the cache.
 
-    A kernel is locked after its caller, and numba's own lock comes first: neither processes nor threads can
-    deadlock.
+    A kernel is locked after its caller, and numba's own lock comes first, so neither processes nor threads
+    can deadlock.
     """
 
     def compile_once(signature: Any) -> Any:
         arguments, _ = normalize_signature(signature)  # type: ignore[no-untyped-call]
-        # A literal argument must not become a type of its own.
+        # A literal argument must not become a separate type.
         arguments = tuple(types.unliteral(each) for each in arguments)  # type: ignore[no-untyped-call]
         with global_compiler_lock, _locked(lock):
             return compile_kernel(arguments)
@@ -129,7 +129,7 @@ def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[.
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold a lock on a file, if files can be locked; it ends with the process."""
+    """Hold a lock on a file, if files can be locked; it is released when the process ends."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("w")
@@ -144,7 +144,7 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 def _empty_if_unreadable(load_index: Callable[[], Any]) -> Callable[[], Any]:
-    """Treat an unreadable index as empty: it may name classes of another version of the library."""
+    """Treat an unreadable index as empty; it may refer to classes of another version of the library."""
 
     def load_or_empty() -> Any:
         try:
@@ -156,7 +156,7 @@ def _empty_if_unreadable(load_index: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def is_ready(kernel: Any) -> bool:
-    """Whether a kernel is compiled, in this process or in the cache."""
+    """Return whether a kernel is compiled, in this process or in the cache."""
     cached = _cache_file(kernel)
     return bool(kernel.signatures) or (cached is not None and bool(cached._load_index()))
 
@@ -170,14 +170,14 @@ def _cache_file(kernel: Any) -> Any:
 @cache
 def _warn_without_cache() -> None:
     logger.warning(
-        "there is no folder to keep compiled kernels in, so that every process compiles its own; "
-        "set NUMBA_CACHE_DIR to one that can be written to"
+        "no folder to store compiled kernels, so every process compiles its own; "
+        "set NUMBA_CACHE_DIR to a writable folder"
     )
 
 
 @cache
 def source_stamp(file: Path) -> str:
-    """Return a hash of a file of kernels and of all kernels that it imports, directly or not."""
+    """Return a hash of a file of kernels and of all kernel files it imports, directly or not."""
     digest = hashlib.sha256()
     for path in sorted(_sources(file)):
         digest.update(path.read_bytes())
@@ -186,7 +186,7 @@ def source_stamp(file: Path) -> str:
 
 @cache
 def _sources(file: Path) -> frozenset[Path]:
-    """Return a file of kernels and all files of kernels that it imports, directly or not."""
+    """Return a file of kernels and all kernel files it imports, directly or not."""
     found = {file}
     for name in _IMPORT.findall(file.read_text(encoding="utf-8")):
         found |= _sources(file.with_name(f"{name}.py"))
@@ -194,13 +194,13 @@ def _sources(file: Path) -> frozenset[Path]:
 
 
 class _Notice(event.Listener):
-    """Log that kernels are being compiled: once, for all processes of a user that wait for it."""
+    """Log that kernels are being compiled, once for all waiting processes of a user."""
 
     def __init__(self) -> None:
         self._given = False
 
     def on_start(self, event: event.Event) -> None:
-        """Handle a kernel that was not found in the cache and is about to be compiled."""
+        """Log the notice when a kernel was not found in the cache and is about to be compiled."""
         dispatcher: Any = (event.data or {}).get("dispatcher")
         ours = getattr(getattr(dispatcher, "py_func", None), "__module__", "").startswith("pinposture.")
         if ours and not self._given:
@@ -213,7 +213,7 @@ class _Notice(event.Listener):
 
 
 def _is_due(folder: Path) -> bool:
-    """Whether no process has given the notice lately, by a file beside the kernels, which is touched."""
+    """Return whether no process has logged the notice lately; touches a marker file beside the kernels."""
     note = folder / "compiling.note"
     with suppress(OSError):  # there is none yet
         if time.time() - note.stat().st_mtime < _NOTICE_INTERVAL:

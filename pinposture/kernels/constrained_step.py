@@ -1,4 +1,4 @@
-"""Least squares along a chain within a box and subject to rows, in time linear in the number of joints."""
+"""Least squares along a chain with box and row constraints, in time linear in the number of joints."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, Poi
 from pinposture.kernels.chain_solver import evaluate_gradient, factor, minimise_in_box, solve_factored
 from pinposture.kernels.compiled import compiled, subkernel
 
-# The rows have multipliers: forces that push as far as it takes. With these given, what is left is a minimum
-# within a box. That minimum is a concave and piecewise quadratic function of the multipliers, and largest at
-# the solution. Newton steps with a line search find it: for each row that counts, the chain is solved once
-# more, and a small dense system, their Schur complement, gives the step.
+# Each row has a Lagrange multiplier, a force that enforces it. For given multipliers, the objective is
+# minimised within the box. The minimum is a concave, piecewise quadratic function of the multipliers (the
+# dual function), maximal at the solution. Newton steps with a line search find it: the chain is solved once
+# more for each relevant row, and a small dense system, the Schur complement, gives the step.
 
-MAX_STEPS, MAX_HALVINGS = 60, 4  # largest number of Newton steps, and of halvings of each
+MAX_STEPS, MAX_HALVINGS = 60, 4  # maximum number of Newton steps, and of halvings of each
 
-MIN_SHARE_OF_GAIN = 1e-4  # share of the expected gain with which a step is taken
+MIN_SHARE_OF_GAIN = 1e-4  # fraction of the expected gain at which a step is accepted
 
 SOFTNESSES = (1e-11, 1e-4, 1e-2, 1.0, 1e3)
-"""How far rows give way to a unit force beyond what the free joints do, relative to what they would if joints
-moved one by one. More is tried where a step gains too little: where more rows count than joints are free."""
+"""Regularisation of the Schur complement: compliance of rows relative to that of joints that move one by one.
+Larger values are tried if a step gains too little, because more rows are relevant than joints are free."""
 
 GIVE = 1e-6
-"""How far rows that may be violated give way to a unit force, relative to joints that move one by one."""
+"""Compliance of rows that may be violated, relative to that of joints that move one by one."""
 
 ROW_ROUNDING = 1e-10
-"""Violation of a row of length 1 that counts as rounding, in units of a joint."""
+"""Violation of a row of length 1 that counts as rounding error, in units of a joint."""
 
 ChainProblem = tuple[PointObjective, Array2, Array1, Array1]
-"""Points and chords, their errors, damping and centre, as for `chain_solver.minimise_in_box`."""
+"""Points and chords, their errors, damping and centre, as in `chain_solver.minimise_in_box`."""
 
 
 @compiled
@@ -42,7 +42,7 @@ def minimise_with_rows(
     active: Flags1,
     x: Array1,
 ) -> bool:
-    """Minimise an objective along a chain within a box, with least <= rows x.
+    """Minimise an objective along a chain within a box, subject to least <= rows x.
 
     Args:
         problem: the objective.
@@ -50,8 +50,8 @@ def minimise_with_rows(
         upper: largest x, (n,).
         rows: rows of length 1, (r, n).
         least: smallest value of each, (r,).
-        violable: whether rows may be violated, as little as possible by the sum of squares.
-        active: filled with the rows that push, (r,).
+        violable: whether rows may be violated, with the smallest sum of squares.
+        active: filled with True for rows with a positive multiplier, (r,).
         x: filled with the minimum, (n,).
 
     Returns:
@@ -117,7 +117,7 @@ def _minimise_given(
     x: Array1,
     missing: Array1,
 ) -> float:
-    """Minimise with multipliers given; fill in what each row misses, and return the value."""
+    """Minimise for given multipliers; fill in the violation of each row and return the dual value."""
     objective, errors, damping, centre = problem
     pushed, n = centre.copy(), len(centre)
     for row in range(len(rows)):
@@ -136,7 +136,7 @@ def _minimise_given(
 
 @subkernel
 def _find_alone(problem: ChainProblem, box: tuple[Array1, Array1], rows: Array2) -> float:
-    """Return how far rows give way to a unit force if joints move one by one, on average."""
+    """Return the mean compliance of rows if joints move one by one."""
     objective, _, damping, _ = problem
     n, total = len(damping), 0.0
     gains, held = np.empty((n, 11)), np.empty(n, dtype=np.bool_)
@@ -158,7 +158,7 @@ def _find_schur(
     sides: Bytes1,
     yielding: Array2,
 ) -> tuple[Array2, Array1]:
-    """Return how rows give way to each other as forces, (c, c), and to themselves if joints move alone, (c,).
+    """Return the Schur complement of rows, (c, c), and their compliance if joints move one by one, (c,).
 
     `yielding`, (r, n), is scratch.
     """
@@ -187,7 +187,7 @@ def _find_schur(
 def _step_multipliers(
     schur: Array2, soft: Array1, which: Ints1, missing: Array1, multipliers: Array1, change: Array1
 ) -> float:
-    """Fill in the change of multipliers after which no row misses anything, but none is negative.
+    """Fill in the change of multipliers that removes all violations without making a multiplier negative.
 
     Returns:
         The expected gain; -1 if it cannot be computed.
@@ -221,7 +221,7 @@ def _step_multipliers(
 
 @subkernel
 def _solve_positive(matrix: Array2, right: Array1) -> bool:
-    """Solve by Cholesky, in place; False if the matrix is not positive definite."""
+    """Solve in place by Cholesky factorisation; return False if the matrix is not positive definite."""
     count = len(right)
     for j in range(count):
         for k in range(j):

@@ -1,13 +1,13 @@
 """Smallest distances on straight joint motions, between configurations as well as at them.
 
-A motion is looked at in its middle: the distance of a pair there, less what both can move until either end,
-is a bound for the whole motion. Where that does not decide, the halves are looked at, for the pairs that are
-left (conservative advancement by halves).
+A motion is evaluated at its midpoint: the distance of a pair there, minus the motion of both solids until
+either end, bounds the distance on the whole motion. If that is not decisive, both halves are examined for the
+remaining pairs (conservative advancement by bisection).
 
-A body moves by its speed in the middle times half the duration, plus half the square of that times a bound of
-its acceleration. Speeds and accelerations are carried from joint to joint: the link behind joint j turns at w
-= sum of a_i dq_i, which changes no faster than sum of |w_{i-1}| |dq_i|, and a link of length r, turning at w,
-accelerates its far end by at most r (|w'| + |w|^2).
+A body moves by at most its speed at the midpoint times half the duration, plus half the square of that times
+a bound of its acceleration. Speeds and accelerations are propagated from joint to joint: the link after joint
+j turns at w = sum of a_i dq_i, whose rate of change is at most the sum of |w_{i-1}| |dq_i|, and the far end
+of a link of length r that turns at w accelerates by at most r (|w'| + |w|^2).
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from pinposture.kernels.collision import (
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
-MAX_DEPTH = 60  # largest number of halvings of a motion
+MAX_DEPTH = 60  # maximum number of halvings of a motion
 
 Frames = tuple[Array3, Array2]
-"""Orientations of joint frames, and their origins."""
+"""Orientations and origins of joint frames."""
 
 
 @compiled
@@ -53,19 +53,19 @@ def smallest_distance_on_motions(
         carriers: the joint that carries each body, (b,).
         local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
         pairs: the pairs.
-        positions: joint positions between which the motions are, (N + 1, nv).
-        others: placements of the joints of another kind, which stand still, as for `place_joints`.
-        drifts: how far the arm is displaced besides, (N + 1, 3).
-        below: distances that matter: if none is smaller, none may be found.
-        enough: distance at which the search ends when it finds a smaller one.
-        tolerance: by how much the smallest distance may be missed between the configurations.
-        open_motion: motion of a pair that is not exact below which its distance is left open.
-        open_samples: filled with where that is: number and share of the motion, half the share around it that
-            is open, the pair, by how much it moves there, and a lower bound of its distance there, (k, 6).
+        positions: joint positions at the ends of the motions, (N + 1, nv).
+        others: displacements of the joints of other kinds, which do not move, as in `place_joints`.
+        drifts: additional translation of the arm, (N + 1, 3).
+        below: bound of relevant distances; pairs that are not nearer may be skipped.
+        enough: the search ends at the first distance smaller than this.
+        tolerance: error allowed in the smallest distance between the configurations.
+        open_motion: motion of an inexact pair below which its distance is left open.
+        open_samples: filled with the open places: index of the motion, fraction along it, half the open range
+            around that, the pair, its motion there, and a lower bound of its distance there, (k, 6).
 
     Returns:
-        The smallest distance of the exact pairs that was found, and its pair: inf and -1 if there is none
-        below; and how many samples are open: those beyond k were not stored.
+        The smallest distance found for exact pairs, and its pair: inf and -1 if there is none below; and the
+        number of open samples, of which those beyond k were not stored.
     """
     count, bodies = len(tree.parents), len(carriers)
     frames = np.empty((count, 3, 3)), np.empty((count, 3))
@@ -109,7 +109,7 @@ def smallest_distance_on_motions(
                     begin, stop = begins[depth - 1], begins[depth]
                 for entry in range(begin, stop):
                     pair = entry if depth == 0 else stack[entry]
-                    # At the ends of a motion nothing may be missed: pairs that are left are measured there.
+                    # The ends of a motion must be exact: remaining pairs are measured there.
                     aim = min(below, best) - (tolerance if depth > 0 else 0.0)
                     moved = bounds[1][pairs.first[pair]]
                     other = pairs.second[pair]
@@ -160,7 +160,7 @@ def smallest_distance_on_motions(
                             return best, best_pair, opened
                     else:
                         opened = _leave_open(open_samples, opened, piece, 1.0, 0.0, pair, 0.0, distance)
-            if last > first and depth < MAX_DEPTH:  # the first half, for the pairs that are left
+            if last > first and depth < MAX_DEPTH:  # the first half, for the remaining pairs
                 depth += 1
                 begins[depth], right[depth], width = last, False, half
                 continue
@@ -184,7 +184,7 @@ def _leave_open(
     moved: float,
     bound: float,
 ) -> int:
-    """Note a sample, if there is room for it; return how many there are."""
+    """Store a sample if there is room for it; return the number of samples."""
     if count < len(samples):
         own = samples[count]
         own[0], own[1], own[2], own[3], own[4], own[5] = piece, share, half, pair, moved, bound
@@ -202,7 +202,7 @@ def _place_bodies(
     frames: Frames,
     ends: Array3,
 ) -> None:
-    """Place joints and bodies at a configuration of an arm that is displaced besides."""
+    """Place joints and bodies at a configuration of an arm with an additional translation."""
     place_joints_once(tree, positions, others, frames[0], frames[1])
     for joint in range(len(tree.parents)):
         for i in range(3):
@@ -212,7 +212,7 @@ def _place_bodies(
 
 @subkernel
 def _spread(count: int) -> int:
-    """Return a stride at which all of so many places are visited, far apart at first."""
+    """Return a stride that visits all of `count` places, far apart at first."""
     stride = max(int(0.618 * count), 1)
     while True:
         a, b = count, stride
@@ -225,7 +225,7 @@ def _spread(count: int) -> int:
 
 Motions = tuple[Array2, Array1, Array1]
 """Motion of joints: velocity of the origin, angular velocity, bounds of the acceleration of the origin and of
-angular speed and acceleration; and how far bodies, and blocks of them, can move."""
+angular speed and acceleration; and bounds of the motion of bodies and of blocks."""
 
 
 @subkernel
@@ -239,7 +239,7 @@ def _bound_motions(
     half: float,
     bounds: Motions,
 ) -> None:
-    """Fill in how joints move on a motion, and how far bodies do until either end of it."""
+    """Fill in the motion of joints, and bounds of how far bodies move until either end."""
     joints, turned = bounds[0], np.empty(len(tree.parents))  # sums of |dq|
     for i in range(9):
         joints[0, i] = drift[i] if i < 3 else 0.0
@@ -288,7 +288,7 @@ def _bound_motions(
 
 @subkernel
 def _bound_block_motions(bodies: Array1, blocks: Array1) -> None:
-    """Fill in how far the bodies of each block can move."""
+    """Fill in the largest motion bound of the bodies of each block."""
     for block in range(len(blocks)):
         blocks[block] = 0.0
         for body in range(block * BLOCK, min(block * BLOCK + BLOCK, len(bodies))):
@@ -306,9 +306,9 @@ def _relative_motion(
     one: int,
     other: int,
 ) -> float:
-    """Bound how far a body moves, seen from another one nearer to the base, until either end of a motion.
+    """Bound the motion of a body relative to another one nearer to the base until either end of a motion.
 
-    Infinite where the other does not carry it, or joints slide between them.
+    Infinite if the other does not carry it, or if joints slide between them.
     """
     base, joint = carriers[other], carriers[one]
     far = frames[1][joint]

@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobians of a serial chain, and products with its posture control matrices."""
+"""Forward kinematics and Jacobians of a serial chain, and products with posture control matrices."""
 
 from __future__ import annotations
 
@@ -49,8 +49,7 @@ def placements(
     r10, r11, r12 = 0.0, 1.0, 0.0
     r20, r21, r22 = 0.0, 0.0, 1.0
     px, py, pz = 0.0, 0.0, 0.0
-    # Sines and cosines first, since the loop below would wait for each of them; they are kept where the axes
-    # will be.
+    # Sines and cosines first, because the loop below would wait for each; they are stored in `joint_axes`.
     for u in range(len(slides)):
         q = ratios[u] * positions[columns[u]]
         if slides[u]:
@@ -193,12 +192,12 @@ def carry_screws(
 
 # The rows of a posture control matrix are motions of some points, the stations, along some directions. The
 # matrix is never formed: its product with a vector is a pass along the chain, whose state is the velocity v
-# of a point and the angular velocity w of its body, to which each joint adds its screw. From point to point
-# the state becomes v + w x r: velocities at a common origin far away would cancel. The coupling says how rows
-# depend on the joints before their section, those up to the station before:
+# of a point and the angular velocity w of its body, to which each joint adds its screw. From point to point v
+# becomes v + w x r: velocities at a distant common origin would suffer cancellation. The coupling defines how
+# rows depend on the joints before their section, those up to the previous station:
 #
 # * FULL: completely. Rows are those of the position Jacobians.
-# * RELATIVE: by the motion of the point relative to the station before.
+# * RELATIVE: by the motion of the point relative to the previous station.
 # * LOCAL: not at all.
 
 
@@ -210,7 +209,7 @@ def motions_along(screws: Screws, rows: Rows, x: Array1, values: Array2) -> None
         screws: the screws of the joints.
         rows: the rows of the matrix.
         x: motions of the joints, (n,).
-        values: filled with one value for each direction that has a row, (p, 3).
+        values: filled with one value per row, (p, 3).
     """
     b, ends, points = screws
     stations, ranks, directions, coupling = rows
@@ -242,7 +241,7 @@ def joints_along(screws: Screws, rows: Rows, values: Array2, x: Array1) -> None:
     Args:
         screws: the screws of the joints.
         rows: the rows of the matrix.
-        values: one value for each direction that has a row, (p, 3).
+        values: one value per row, (p, 3).
         x: filled with one value for each joint, (n,).
     """
     b, ends, points = screws

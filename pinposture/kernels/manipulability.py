@@ -1,4 +1,4 @@
-"""Manipulability of the sections of a chain, and the control set with the best indices."""
+"""Manipulability of the sections of a chain, and the best control set."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import difference
 
 # The Jacobian of point i relative to point s has the columns of the joints between them. Its Gram matrix is
-# a sum of outer products over these joints, from i downwards, so that nothing cancels. Its eigenvalues have
+# a sum of outer products over these joints, from i downwards, without cancellation. Its eigenvalues have
 # closed forms.
 
 Gram = tuple[float, float, float, float, float, float]
@@ -18,7 +18,7 @@ RECOMPUTED_DIFFERENCE = 1e-7
 """Difference of the squares of an index and a threshold below which the index is recomputed accurately."""
 
 DETERMINANT_ERROR = 1e-14  # largest rounding error of the determinant of a Gram matrix of trace 1
-MAX_SWEEPS = 40  # largest number of sweeps of Jacobi rotations; three vectors take about five
+MAX_SWEEPS = 40  # maximum number of sweeps of Jacobi rotations; three vectors take about five
 ORTHOGONAL = 1e-15  # cosine of the angle between two vectors at which they count as orthogonal
 
 
@@ -51,7 +51,7 @@ def _determinant(gram: Gram) -> float:
 
 @subkernel
 def _index(gram: Gram, dimension: int) -> float:
-    """Return the product of the singular values over the power of the largest, (4.3) and (4.4)."""
+    """Return the product of the singular values over that power of the largest, (4.3) and (4.4)."""
     xx, xy, xz, yy, yz, zz = gram
     mean = (xx + yy + zz) / dimension
     if mean <= 0.0:
@@ -74,7 +74,7 @@ def _index(gram: Gram, dimension: int) -> float:
 
 @subkernel
 def _exceeds(gram: Gram, dimension: int, threshold: float) -> bool:
-    """Whether the index exceeds a threshold; the largest eigenvalue is only computed if it decides."""
+    """Return whether the index exceeds a threshold, computing the largest eigenvalue only if needed."""
     trace = gram[0] + gram[3] + gram[5]
     if dimension == 3 and trace > 0.0:
         share = _determinant(gram) / (trace * trace * trace)
@@ -119,9 +119,8 @@ def base_indices(
 ) -> None:
     """Compute the indices of all points relative to the base, in one pass, into `filled` (m,).
 
-    The Gram matrix of linear and angular velocity is updated from point to point. Where the rounding errors
-    could decide whether an index exceeds the threshold, it is recomputed. Other arguments are as for
-    `all_indices`.
+    The Gram matrix of linear and angular velocity is updated from point to point. An index is recomputed if
+    rounding errors could decide whether it exceeds the threshold. Other arguments are as in `all_indices`.
     """
     vv, vw, ww = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     X, P = np.zeros((3, 3)), plane
@@ -164,10 +163,10 @@ def base_indices(
 def stride_indices(
     b: Array2, ends: Ints1, points: Array2, plane: Array2, strides: Ints1, filled: Array2
 ) -> None:
-    """Compute the indices of the sections of some numbers of modules, `strides` (S,).
+    """Compute the indices of the sections with given numbers of modules, `strides` (S,).
 
-    `filled` (S, m + 1), zeros, gets the index of the section to each node from so many modules before; node k
-    + 1 is point k. Other arguments are as for `all_indices`.
+    `filled` (S, m + 1), initially zeros, is filled with the index of the section that ends at each node; node
+    k + 1 is point k. Other arguments are as in `all_indices`.
     """
     for j in range(len(strides)):
         for end in range(strides[j], len(ends) + 1):
@@ -187,16 +186,16 @@ def best_path(
 ) -> int:
     """Find the control set with the largest sum of errors: the longest path whose edges meet a condition.
 
-    The best path to a point goes through the best of its possible predecessors. These are tried from the best
-    downwards, so that the first whose section meets the condition is the one; it is usually near, and few of
-    all sections are evaluated. Of equally good ones the first along the chain is taken.
+    The best path to a point goes through the best of its possible predecessors. These are tried in descending
+    order, so the first whose section meets the condition is optimal; it is usually near, so few sections are
+    evaluated. Of equally good ones the first along the chain is chosen.
 
-    `usable` (m,) says which points may be in the set, `errors` (m,), not negative, what each contributes,
-    `relative` is the threshold of the index of each point relative to the one before it in the set. `path`
-    (m,) is filled with the points of the set. Other arguments are as for `all_indices`.
+    `usable` (m,) marks the points that may be in the set, `errors` (m,) is the nonnegative contribution of
+    each, `relative` is the threshold of the index of each point relative to the previous one in the set.
+    `path` (m,) is filled with the points of the set. Other arguments are as in `all_indices`.
 
     Returns:
-        Its number of points.
+        Number of points in the set.
     """
     m, d, known = len(ends), len(plane), 0
     score, before = np.zeros(m), np.full(m, -1)
@@ -240,10 +239,10 @@ def best_path(
 def weakest_index(
     b: Array2, ends: Ints1, points: Array2, plane: Array2, active: Ints1, base: Array1
 ) -> float:
-    """Return the smallest index of the points of a control set, relative to the base and to the point before.
+    """Return the smallest index of the points of a control set, relative to the base or the previous point.
 
     `active` holds the points of the set, increasing, `base` (m,) the indices of all points relative to the
-    base. Other arguments are as for `all_indices`.
+    base. Other arguments are as in `all_indices`.
     """
     last = active[0]
     for i in active:
@@ -266,23 +265,23 @@ def module_spaces(
     directions: Array3,
     ranks: Ints1,
 ) -> float:
-    """Compute the left singular vectors, above a threshold, of each section's Jacobian by its own joints.
+    """Compute the left singular vectors above a threshold of each section's Jacobian for its own joints.
 
-    One-sided Jacobi rotations (Hestenes) on the shorter side of the Jacobian: small singular values are as
-    accurate as large ones, and two joints take a single rotation.
+    Uses one-sided Jacobi rotations (Hestenes) on the shorter side of the Jacobian: small singular values are
+    as accurate as large ones, and two joints take a single rotation.
 
     Args:
-        b: as for `all_indices`.
-        ends: as for `all_indices`.
-        points: as for `all_indices`.
-        plane: as for `all_indices`.
+        b: as in `all_indices`.
+        ends: as in `all_indices`.
+        points: as in `all_indices`.
+        plane: as in `all_indices`.
         stations: the points at which the sections end, (p,); increasing.
-        thresholds: thresholds of the singular values of each of them, (p,).
-        directions: filled with orthonormal directions, the singular vectors that are kept first, (p, 3, 3).
-        ranks: filled with their number, (p,).
+        thresholds: threshold of the singular values of each section, (p,).
+        directions: filled with orthonormal directions, the retained singular vectors first, (p, 3, 3).
+        ranks: filled with the number of retained ones, (p,).
 
     Returns:
-        The smallest ratio of a singular value that is kept to the largest of its section; 1 if none is kept.
+        The smallest ratio of a retained singular value to the largest of its section; 1 if there is none.
     """
     widest, u = 0, 0
     for station in stations:
@@ -340,7 +339,7 @@ def _product(vectors: Array2, i: int, j: int, length: int) -> float:
 
 @subkernel
 def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> None:
-    """Rotate up to three vectors into each other until they are orthogonal; `turns` gets the rotation."""
+    """Rotate up to three vectors into each other until orthogonal; fill `turns` with the rotation."""
     for i in range(size):
         for j in range(size):
             turns[i, j] = 1.0 if i == j else 0.0
@@ -370,7 +369,7 @@ def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> No
 
 @subkernel
 def _complete_basis(directions: Array2, rank: int) -> None:
-    """Orthonormalise the first directions, and add others orthogonal to them."""
+    """Orthonormalise the first directions and complete them to a basis."""
     for i in range(3):
         e = directions[i]
         for attempt in range(1 if i < rank else 3):
@@ -392,10 +391,10 @@ def _complete_basis(directions: Array2, rank: int) -> None:
 def best_branch(
     root: int, leaf: int, strides: Ints1, stable: Flags2, logs: Array2, bonus: Array1, mean: bool, path: Ints1
 ) -> tuple[int, float]:
-    """Find the branch of a tree of sections with the largest score: by stable edges and their indices.
+    """Find the branch of a tree of sections with the largest score, from its stable edges and their indices.
 
-    Of all paths to a node with equally many stable edges, only that with the largest product of indices can
-    be part of it. Of equally good ones the first is taken, by its end, its edges and its strides.
+    Of all paths to a node with equally many stable edges, only the one with the largest product of indices
+    can be part of it. Of equally good ones the first by end, edges and strides is chosen.
 
     Args:
         root: the node at which all branches begin.
@@ -404,9 +403,9 @@ def best_branch(
         stable: which edges are stable, by stride and by the node they lead to, (S, N).
         logs: logarithms of their indices, (S, N).
         bonus: added to the logarithm of the score for each number of stable edges, (C,); minus infinity for
-            a number that is not allowed.
+            numbers that are not allowed.
         mean: True for the geometric mean of the indices, False for their product.
-        path: filled with the nodes that the stable edges lead to, from the last to the first, (N,).
+        path: filled with the end nodes of the stable edges, from last to first, (N,).
 
     Returns:
         Number of stable edges, and the logarithm of the score; minus infinity if there is no branch.

@@ -8,18 +8,18 @@ from pinposture.kernels.arrays import Array1, Array2, Array3, Four, Ints1, Ints2
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import parameter_at, span_at, value
 
-# All closed forms are in the frame at the base of a module, x along it and y its first hinge across.
+# All closed forms are in the base frame of a module, with x along it and y along its first transverse hinge.
 # Signs and branches are explained in `pinposture.placement.module_kinematics`.
 
 CIRCLE, TORUS, ROLL_PITCH = 1, 2, 3
-"""The closed forms, by number: one hinge; two across the module; a roll along it and a hinge across."""
+"""Numbers of the closed forms: one hinge; two transverse hinges; a roll and a transverse hinge."""
 
 FIRST_CROSSING, LAST_CROSSING = 1e-9, 1.0 + 1e-9
-"""Range of a crossing on a segment from 0 to 1: after its start, and with rounding at its end."""
+"""Range of a crossing on a segment from 0 to 1: excluding its start, with tolerance at its end."""
 
 TOUCHING = 0.5e-14
-"""Value that counts as zero at an extremum of a polynomial, over its second derivative: a pair of complex
-roots within 1e-7 of the segment."""
+"""Value that counts as zero at an extremum of a polynomial, relative to its second derivative: a pair of
+complex roots within 1e-7 of the segment."""
 
 REACH_TOLERANCE = 1e-9  # tolerance of positions, relative to the reach of a module, and of joint limits [rad]
 
@@ -56,10 +56,10 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
     Args:
         l1: distance between the hinges.
         l2: distance from the second hinge to the end.
-        sense: of the second hinge, +1 or -1.
-        x: of the point.
-        y: of the point.
-        z: of the point.
+        sense: sense of the second hinge, +1 or -1.
+        x: x of the point.
+        y: y of the point.
+        z: z of the point.
         out: filled with the pairs of angles, (2, 2).
 
     Returns:
@@ -83,9 +83,9 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
 
 @compiled
 def roll_pitch_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2) -> int:
-    """Find the angles that put the end at a point, into out (2, 2), that with the smaller roll first.
+    """Find the angles that put the end at a point, into out (2, 2), the pair with the smaller roll first.
 
-    Returns the number of pairs. The roll is zero where it does not move the end.
+    Returns the number of pairs. The roll is zero if it does not move the end.
     """
     rho, reach = np.hypot(y, z), l1 + l2
     if abs(np.hypot(x - l1, rho) - l2) > 1e-7 * reach:
@@ -110,7 +110,7 @@ def circle_inverse(link: float, x: float, y: float, z: float, out: Array2) -> in
 
 @compiled
 def torus_faces(l1: float, l2: float, x: float, y: float, z: float) -> bool:
-    """Whether a point is on the outer part of the torus."""
+    """Return whether a point is on the outer part of the torus."""
     return x * x + y * y + z * z > (l1 * l1 + l2 * l2) * (1.0 - 1e-12)
 
 
@@ -123,7 +123,7 @@ def torus_distance(l1: float, l2: float, x: float, y: float, z: float) -> float:
 
 @subkernel
 def quartic(c: Four, c4: float, t: float) -> float:
-    """Return the value at t of the polynomial of coefficients c, constant first, and c4."""
+    """Return the value at t of the polynomial with coefficients c, constant first, and c4."""
     return (((c4 * t + c[3]) * t + c[2]) * t + c[1]) * t + c[0]
 
 
@@ -151,11 +151,11 @@ def root_between(c: Four, c4: float, low: float, high: float) -> float:
 
 @subkernel
 def roots_between(c: Four, c4: float, places: Array1, count: int, out: Array1) -> int:
-    """Find the roots of a quartic that has one or none between neighbouring places.
+    """Find the roots of a quartic that has at most one between neighbouring places.
 
-    Coefficients are c, constant first, and c4; the `count` places increase. A place between the first and the
-    last where the quartic is zero up to rounding is a root too. Fills out with the roots, increasing, and
-    returns their number.
+    Coefficients are c, constant first, and c4; the `count` places increase. An inner place where the quartic
+    is zero up to rounding error is a root, too. Fills out with the roots, increasing, and returns their
+    number.
     """
     found = 0
     before = quartic(c, c4, places[0])
@@ -176,7 +176,7 @@ def roots_between(c: Four, c4: float, places: Array1, count: int, out: Array1) -
 def quartic_roots(c: Four, c4: float, out: Array1) -> int:
     """Find the roots from `FIRST_CROSSING` to `LAST_CROSSING`, into out (4,); return their number.
 
-    Between its extrema a polynomial has one root or none; they are roots of its derivative, found alike.
+    A polynomial has at most one root between its extrema, which are roots of its derivative, found likewise.
     """
     places, extrema = np.empty(5), np.empty(4)
     places[0] = FIRST_CROSSING
@@ -186,7 +186,7 @@ def quartic_roots(c: Four, c4: float, out: Array1) -> int:
         half = -0.5 * (3.0 * c[3] + np.copysign(np.sqrt(square), c[3]))
         a, b = half / (6.0 * c4), c[2] / half
         for t in (a, b) if a < b else (b, a):
-            if places[count - 1] < t < LAST_CROSSING:  # not so if NaN
+            if places[count - 1] < t < LAST_CROSSING:  # False if NaN
                 places[count] = t
                 count += 1
     places[count] = LAST_CROSSING
@@ -211,7 +211,7 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
     Returns:
         Number of crossings.
     """
-    if l1 == 0.0:  # a sphere, on which the quartic below has double roots
+    if l1 == 0.0:  # a sphere, for which the quartic below has double roots
         return circle_crossings(l2, a, b, out)
     ax, ay, az = a
     dx, dy, dz = b[0] - ax, b[1] - ay, b[2] - az
@@ -279,7 +279,7 @@ def crossings(form: int, shape: Array1, a: Three, b: Three, out: Array1) -> int:
 
 @subkernel
 def faces(form: int, shape: Array1, x: float, y: float, z: float) -> bool:
-    """Whether a point is where the last hinge of a form bends by less than 90 degrees."""
+    """Return whether the last hinge of a form bends by less than 90 degrees at a point."""
     if form == ROLL_PITCH:
         return x >= shape[0] * (1.0 - 1e-12)
     return form == CIRCLE or torus_faces(shape[0], shape[1], x, y, z)
@@ -297,7 +297,7 @@ def inverse(form: int, shape: Array1, x: float, y: float, z: float, out: Array2)
 
 @subkernel
 def clip_to_limits(dof: int, q: Array1, first: int, lower: Array1, upper: Array1) -> bool:
-    """Whether joint positions q are within the limits, up to rounding; if so, clip them."""
+    """Return whether joint positions q are within the limits, up to rounding error; if so, clip them."""
     for j in range(dof):
         if not lower[first + j] - REACH_TOLERANCE <= q[j] <= upper[first + j] + REACH_TOLERANCE:
             return False
@@ -308,7 +308,7 @@ def clip_to_limits(dof: int, q: Array1, first: int, lower: Array1, upper: Array1
 
 @subkernel
 def end_frame(form: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2) -> None:
-    """Fill next_turn (3, 3) with the rotation of the next module, from the base frame (3, 3) of this one."""
+    """Fill next_turn (3, 3) with the rotation of the next module, given the base frame (3, 3) of this one."""
     if form == CIRCLE:
         e = circle_forward(shape[0], q[0])
     elif form == ROLL_PITCH:
@@ -326,7 +326,7 @@ def end_frame(form: int, shape: Array1, q: Array1, frame: Array2, next_turn: Arr
 
 @subkernel
 def base_frame(turn: Array2, shape: Array1, frame: Array2) -> None:
-    """Fill frame (3, 3) with the axes of the base of a module in the world."""
+    """Fill frame (3, 3) with the axes of the base frame of a module in the world."""
     for i in range(3):
         for j in range(3):
             frame[i, j] = turn[i, 0] * shape[3 + j] + turn[i, 1] * shape[6 + j] + turn[i, 2] * shape[9 + j]
@@ -334,7 +334,7 @@ def base_frame(turn: Array2, shape: Array1, frame: Array2) -> None:
 
 @subkernel
 def in_frame(frame: Array2, x: float, y: float, z: float) -> Three:
-    """Return a vector of the world in a frame (3, 3)."""
+    """Transform a world vector to a frame (3, 3)."""
     return (
         frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z,
         frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z,
@@ -344,7 +344,7 @@ def in_frame(frame: Array2, x: float, y: float, z: float) -> Three:
 
 @subkernel
 def free_distance(form: int, shape: Array1, a: Three) -> float:
-    """Return the radius around a point of the base frame that is in reach and off the reachable set."""
+    """Return the radius of a ball around a point that is within reach and free of reachable points."""
     away = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     if form == CIRCLE:
         return float(abs(shape[0] - away))
@@ -367,11 +367,11 @@ def search_segment(
     qs: Array2,
     choice: Array1,
 ) -> tuple[int, int]:
-    """Find where the end of a module can be on the segment from a to b of its base frame.
+    """Find where the end of a module can be on the segment from a to b in its base frame.
 
     Fills `choice` (6,) with the place on the segment from 0 to 1, the point (3,) and the joint positions (2,)
     of the first solution that faces the module, or else, if it was NaN, of the first one. `roots` (4,) and
-    `qs` (2, 2) are scratch; the other arguments are as in `place_modules`.
+    `qs` (2, 2) are scratch; other arguments are as in `place_modules`.
 
     Returns:
         Number of crossings regardless of joint limits, and whether the choice faces the module.
@@ -411,28 +411,28 @@ def place_modules(
     positions: Array1,
     parameters: Array1,
 ) -> int:
-    """Place modules on a curve one after the other, each where it first crosses the curve ahead.
+    """Place modules on a curve one by one, each where its reachable set first crosses the curve ahead.
 
     The curve is a polyline of samples at equal arc length. If a sample is at a distance d from the reachable
     set of the module's end, the samples less than d ahead along the curve are skipped.
 
     Args:
         t: knots of the curve.
-        table: of `spline_coefficients`.
-        degree: of the spline.
-        edges: of `measure_length`.
-        lengths: of `measure_length`.
-        series: of `measure_length`.
+        table: from `spline_coefficients`.
+        degree: degree of the spline.
+        edges: from `measure_length`.
+        lengths: from `measure_length`.
+        series: from `measure_length`.
         samples: number of samples, at least 2.
         units: closed form (`CIRCLE`, `TORUS` or `ROLL_PITCH`), first joint and module of each unit, (n, 3).
-        shapes: l1, l2 and sense of each unit (a circle has its link for l1), and the axes of its base frame
-            in the neutral posture, row by row, (n, 12).
+        shapes: l1, l2 and sense of each unit (the link of a circle as l1), and the axes of its base frame in
+            the neutral posture, row by row, (n, 12).
         lower: lower limits of the joints of the chain.
         upper: upper limits.
-        state: arc length of the base, its position (3,), and the point of the curve there (3,), (7,); on
-            return, for the unit that cannot be placed: arc length of its base; then, in its base frame, the
-            point of the curve there (3,) and the last one examined (3,); whether that is out of reach; the
-            number of crossings regardless of joint limits, (9,).
+        state: (9,); initially arc length of the base, its position (3,), and the curve point there (3,). On
+            return, for a unit that cannot be placed: arc length of its base; in its base frame, the curve
+            point there (3,) and the last one examined (3,); whether that is out of reach; and the number of
+            crossings regardless of joint limits.
         positions: filled with the positions of the joints of the chain.
         parameters: filled with the arc length of each module's end, (m,).
 
@@ -462,7 +462,7 @@ def place_modules(
         choice[0] = np.nan
         while following < samples and not beyond and not facing:
             # Jump to the last sample that cannot be across the reachable set or out of reach, if any. The
-            # thousandth of a step is for errors of the arc length.
+            # margin of a thousandth of a step covers errors of the arc length.
             clear = free_distance(form, shape, a) - REACH_TOLERANCE * reach
             ahead = int(min((s + clear) / step - 1e-3, samples - 1.0))
             jump = ahead >= following
@@ -497,14 +497,14 @@ def place_modules(
 
 @compiled
 def neighbours(q: Array1, starts: Ints1) -> tuple[float, float]:
-    """Compare the joint positions of neighbouring modules with equally many joints.
+    """Compare the joint positions of neighbouring modules with the same number of joints.
 
     Args:
         q: positions of the joints of the chain, (n,).
         starts: first joint of each module, and n, (m + 1,).
 
     Returns:
-        Sums over the pairs of the scalar products of their joint positions, and of the products of the norms.
+        Sums over the pairs of the dot products of their joint positions, and of the products of their norms.
     """
     products, norms, before = 0.0, 0.0, 0.0
     for k in range(len(starts) - 1):

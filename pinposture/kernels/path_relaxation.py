@@ -1,4 +1,4 @@
-"""Relaxation of paths through joint space to the shortest motion of the control points."""
+"""Relaxation of joint-space paths to the shortest motion of the control points."""
 
 from __future__ import annotations
 
@@ -34,28 +34,27 @@ from pinposture.kernels.kinematics import placements
 MAX_RELAXATION = 1.85  # largest over-relaxation of a waypoint; 1 moves it to its own minimum
 
 WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
-"""Factors of a waypoint's damping after a move that lowered the energy, and after one that did not."""
+"""Factors of a waypoint's damping after successful and failed moves."""
 
 MIN_WAYPOINT_DAMPING = 3e-6
 """Smallest damping, relative to the mean squared distance of the control points from the base."""
 
 FEWEST_SAMPLES, SAMPLES_PER_PIECE = 24, 4
-"""Number of places at which the length of a path is sampled: at least, and for each piece."""
+"""Number of samples for the length of a path: minimum, and per piece."""
 
 MAX_WAYPOINT_TRIALS = 6  # number of failed moves after which a waypoint waits for the next pass
 
-MAX_SET_CHANGES = 3  # how often the set of rows that count is corrected in a step of all waypoints
+MAX_SET_CHANGES = 3  # number of corrections of the active set in a step of all waypoints
 
 MAX_CONJUGATE_STEPS, CONJUGATE_RESIDUAL = 60, 1e-2
-"""Largest number of conjugate gradient iterations for a step of all waypoints, and the relative residual at
-which they end."""
+"""Maximum number of conjugate gradient iterations for a step of all waypoints, and relative tolerance."""
 
 
-# The energy of a path (see `trajectory_optimization`) couples each waypoint with its two neighbours only.
-# With those fixed, it is smallest where the control points come nearest to the middle between the
-# neighbours', and the joints to the middle of theirs, by weight: least squares along the chain. Solving this
-# for one waypoint after the other, each time going somewhat beyond (successive over-relaxation), the energy
-# never rises, and one pass over all waypoints costs one pass along the arm for each.
+# The energy of a path (see `trajectory_optimization`) couples each waypoint only with its two neighbours.
+# With those fixed, its minimum is a weighted least-squares problem along the chain: move the control points
+# to the midpoints between the neighbours', and the joints to the midpoints of theirs. Solving this for one
+# waypoint after another with some over-relaxation, the energy never rises, and a pass over all waypoints
+# costs one pass along the arm for each.
 
 
 @compiled
@@ -67,17 +66,17 @@ def find_direct_waypoints(
     min_decrease: float,
     kept: float,
 ) -> Array2:
-    """Find the waypoints of the most direct path, with as many pieces as it needs.
+    """Find the waypoints of the most direct path, with as many pieces as needed.
 
     Args:
         problem: the joints.
-        guess: waypoints to start with, (N + 1, n), ends included.
-        stages: number of pieces as a multiple of N, least weight of joint motion relative to `stiffness`,
-            largest number of passes, path length ratio that is good enough to end with (0: not measured),
-            and whether to start again from the guess (1) or not (0), (s, 5).
-        stiffness: mean of the diagonal of J^T J for a typical configuration [m^2].
+        guess: initial waypoints, (N + 1, n), ends included.
+        stages: number of pieces as a multiple of N, minimum weight of joint motion relative to `stiffness`,
+            maximum number of passes, path length ratio at which to stop (0: not measured), and whether to
+            restart from the guess (1) or not (0), (s, 5).
+        stiffness: mean diagonal entry of J^T J for a typical configuration [m^2].
         min_decrease: relative decrease of the energy in one pass at which a stage ends.
-        kept: path length ratio up to which joint interpolation is kept.
+        kept: path length ratio up to which joint interpolation is used.
 
     Returns:
         Waypoints, (K + 1, n); two for joint interpolation.
@@ -118,8 +117,8 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
 
     Args:
         problem: the joints.
-        rounds: largest number of passes over all waypoints.
-        min_decrease: relative decrease of the energy in one pass at which to end.
+        rounds: maximum number of passes over all waypoints.
+        min_decrease: relative decrease of the energy in one pass at which to stop.
         x: displacements of waypoints, (N + 1, n); all but the ends are moved.
 
     Returns:
@@ -127,7 +126,7 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
     """
     chain, which, own_ends, units, start, lower, upper, weight = problem
     n, m, last = len(which), len(chain.ends), len(x) - 1
-    # Joint axes and origins of all waypoints, and of the trial waypoint, which is the last.
+    # Joint axes and origins of all waypoints, and last those of the trial waypoint.
     lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
     points, errors, rotations = np.empty((last + 2, m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
     trial, b, gains = points[last + 1], np.empty((n, 6)), np.empty((n, 8))
@@ -223,11 +222,11 @@ def spline_slopes(x: Array2, slopes: Array2) -> None:
 
 @compiled
 def refine_waypoints(x: Array2, finer: Array2) -> None:
-    """Fill in more waypoints on natural cubic splines through others, for each joint.
+    """Refine waypoints with a natural cubic spline for each joint.
 
     Args:
         x: waypoints, (N + 1, n).
-        finer: more of them, (k N + 1, n); every k-th is one of the others.
+        finer: filled with the refined waypoints, (k N + 1, n); every k-th is one of x.
     """
     last, n = len(x) - 1, x.shape[1]
     factor, bends = (len(finer) - 1) // last, _spline_bends(x)
@@ -243,7 +242,7 @@ def refine_waypoints(x: Array2, finer: Array2) -> None:
 
 @subkernel
 def _refined(x: Array2, pieces: int, lower: Array1, upper: Array1) -> Array2:
-    """Return more waypoints on natural cubic splines, (pieces + 1, n), within limits (n,)."""
+    """Return refined waypoints on natural cubic splines, (pieces + 1, n), clipped to limits (n,)."""
     finer = np.empty((pieces + 1, x.shape[1]))
     refine_waypoints(x, finer)
     for i in range(len(finer)):
@@ -254,7 +253,7 @@ def _refined(x: Array2, pieces: int, lower: Array1, upper: Array1) -> Array2:
 
 @subkernel
 def _length_ratio(problem: PathProblem, x: Array2) -> float:
-    """Return the length of the paths of all control points relative to straight lines from end to end."""
+    """Return the path length of all control points relative to straight lines."""
     chain, which, start, units = problem.chain, problem.which, problem.start, problem.units
     m, last = len(chain.ends), len(x) - 1
     frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))
@@ -274,7 +273,7 @@ def _length_ratio(problem: PathProblem, x: Array2) -> float:
 def _set_positions(
     start: Array1, columns: Ints1, which: Ints1, units: Array1, x: Array1, positions: Array1
 ) -> None:
-    """Write the joint positions after a displacement."""
+    """Write the joint positions for a displacement."""
     for u in range(len(which)):
         j = columns[which[u]]
         positions[j] = start[j] + x[u] * units[u]
@@ -302,13 +301,13 @@ def _sum_distances(one: Array2, other: Array2) -> float:
     return total
 
 
-# With further rows, all waypoints move together by damped Gauss-Newton steps. Their normal equations couple
-# neighbours only. Conjugate gradients solve them with products by J and J^T, which are passes along the arm.
-# The preconditioner is a block Cholesky factor, which solves for one waypoint after the other and back: for
-# each, it is least squares along the chain, in which a contact is one more cost of the motion of a body. If
-# J did not change along the path and there were no contacts, the blocks on the diagonal of the factor would
-# be multiples of M = J^T J + mu^2 I, and these are taken. Of two bodies in contact, each counts as if the
-# other stood still.
+# With additional rows, all waypoints move together by damped Gauss-Newton steps, whose normal equations only
+# couple neighbours. Conjugate gradients solve them with products by J and J^T, which are passes along the
+# arm. The preconditioner is a block Cholesky factor, which solves for one waypoint after another and back:
+# each solve is least squares along the chain, in which a contact adds to the cost of the motion of a body.
+# The diagonal blocks of the factor are approximated by multiples of M = J^T J + mu^2 I, which is exact if J
+# is constant along the path and there are no contacts. Of two bodies in contact, each is treated as if the
+# other were fixed.
 
 
 @compiled
@@ -317,15 +316,15 @@ def step_waypoints(
 ) -> int:
     """Compute a damped Gauss-Newton step of the waypoints between two ends.
 
-    Joints at a limit that the descent would push past it stay there. Contacts count where the solids are too
-    close, before or after the step.
+    Joints at a limit that the descent would push beyond it are held there. Contacts count if the solids are
+    too close before or after the step.
 
     Args:
         problem: the joints.
-        damping: relative to the mean diagonal of J^T J.
+        damping: damping relative to the mean diagonal of J^T J.
         x: displacements of waypoints, (N + 1, n).
-        rows: what else should hold on the path.
-        contacts: what should not touch.
+        rows: additional equations on the path.
+        contacts: contacts to avoid.
         steps: filled with the step of each waypoint, (N + 1, n); zero at the ends.
 
     Returns:
@@ -402,18 +401,18 @@ def step_waypoints(
 
 
 Chain = tuple[Array2, Ints1, Array2]
-"""Screws of a waypoint, number of joints that carry each point, and the points."""
+"""Screws of a waypoint, number of joints that carry each point, and its points."""
 
 Chains = tuple[Array3, Ints1, Array3]
 """The same of all waypoints."""
 
 Parts = tuple[PathRows, PathContacts, Array3, Flags1]
-"""Rows, contacts, the wrenches of these, and which of them count."""
+"""Rows, contacts, their wrenches, and flags of the active contacts."""
 
 
 @subkernel
 def _find_wrenches(contacts: PathContacts, i: int, ends: Ints1, points: Array2, wrenches: Array3) -> None:
-    """Fill in the contacts of a waypoint as forces on both solids, and their moments, (k, 2, 6)."""
+    """Fill in the forces and moments of a waypoint's contacts on both solids, (k, 2, 6)."""
     for row in range(contacts.begins[i], contacts.begins[i + 1]):
         for side in range(2):
             carried = contacts.carried[row, side]
@@ -444,7 +443,7 @@ def _move_contacts(
     twists: Array2,
     values: Array1,
 ) -> None:
-    """Fill in by how much a step of a waypoint parts its contacts."""
+    """Fill in by how much a step of a waypoint increases the distances of its contacts."""
     begin, end = contacts.begins[i], contacts.begins[i + 1]
     if begin == end:
         return
@@ -468,7 +467,7 @@ def _pull_contacts(
     forces: Array2,
     filled: Array1,
 ) -> None:
-    """Add the contacts of a waypoint that count, as forces times factors, to what belongs to its joints."""
+    """Add the joint efforts of a waypoint's active contacts, as forces times factors."""
     begin, end = contacts.begins[i], contacts.begins[i + 1]
     any_active = False
     forces[:] = 0.0
@@ -487,7 +486,7 @@ def _pull_contacts(
 def _collect_contacts(
     contacts: PathContacts, i: int, wrenches: Array3, active: Flags1, ends: Ints1, bodies: Array3
 ) -> None:
-    """Fill in what the contacts of a waypoint cost when bodies move, (n, 6, 6)."""
+    """Fill in the cost of body motions due to the contacts of a waypoint, (n, 6, 6)."""
     last = ends[len(ends) - 1]
     bodies[:] = 0.0
     for row in range(contacts.begins[i], contacts.begins[i + 1]):
@@ -513,7 +512,7 @@ def _solve_by_conjugate_gradients(
     right: Array2,
     steps: Array2,
 ) -> int:
-    """Improve the steps of waypoints, (N + 1, n), until they nearly solve H steps = right."""
+    """Improve the steps of waypoints, (N + 1, n), until they approximately solve H steps = right."""
     last, n = len(right) - 1, right.shape[1]
     residual, product, solved = np.zeros((last + 1, n)), np.zeros((last + 1, n)), np.zeros((last + 1, n))
     motions, factors = np.zeros((last + 1, len(given[1]), 3)), np.empty(len(parts[3]))
@@ -563,7 +562,7 @@ def _multiply(
     factors: Array1,
     product: Array2,
 ) -> None:
-    """Fill in H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
+    """Compute H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
     screws, ends, points = given
     last, n, force = len(steps) - 1, steps.shape[1], np.empty((len(ends), 3))
     scratch = np.empty((n + 1, 6))
@@ -606,7 +605,7 @@ def _precondition(
     right: Array2,
     solved: Array2,
 ) -> None:
-    """Solve with the factor for each waypoint after those before it, and then after those behind it."""
+    """Apply the preconditioner: solve with the factor for the waypoints in order, then in reverse."""
     screws, ends, points = given
     last, n, m = len(right) - 1, right.shape[1], len(ends)
     moved, errors, chords = np.zeros((m, 3)), np.empty((m, 3)), np.zeros(m)

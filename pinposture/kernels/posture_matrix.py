@@ -10,10 +10,10 @@ from pinposture.kernels.kinematics import difference, joints_along, motions_alon
 
 # A posture control matrix is decomposed as J = L Q: L block lower triangular, the rows of Q orthonormal.
 #
-# No array of size rows times joints is formed. The motions that joints up to a station still have, given the
+# No array of size rows times joints is formed. The remaining motions of the joints up to a station, given the
 # values of all rows so far, are a linear and angular velocity (v, w) spanned by at most six orthonormal
-# combinations of the joints. Those, and the joints of the next section, go through Householder reflections:
-# first the rows of the station become triangular, then the rest is reduced to six columns. It is the array
+# combinations of the joints. Householder reflections are applied to those and the joints of the next section:
+# first the rows of the station become triangular, then the rest is reduced to six columns. This is the array
 # form of a Kalman filter with exact measurements. Nothing is squared, so the result is as accurate as a QR
 # decomposition of the matrix.
 #
@@ -21,10 +21,10 @@ from pinposture.kernels.kinematics import difference, joints_along, motions_alon
 # With them, products with L, its transpose and their inverses are passes along the stations.
 
 ZERO_PIVOT = 1e-60
-"""Value in place of a zero on the diagonal of L, so that it has an inverse; its square does not underflow."""
+"""Replaces zeros on the diagonal of L, so that it has an inverse; its square does not underflow."""
 
 LARGEST_BASIS = 400  # number of Lanczos vectors after which the search restarts from the best result
-MAX_RESTARTS, BISECTIONS = 20, 60  # largest number of restarts, and number of bisections of an eigenvalue
+MAX_RESTARTS, BISECTIONS = 20, 60  # maximum number of restarts, and number of bisections of an eigenvalue
 
 
 @compiled
@@ -34,7 +34,7 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
     Args:
         screws: the screws of the joints.
         rows: the rows of the matrix.
-        factors: filled with L; `ZERO_PIVOT` stands for zero on a diagonal.
+        factors: filled with L; zeros on the diagonal are replaced by `ZERO_PIVOT`.
     """
     b, ends, points = screws
     stations, ranks, directions, coupling = rows
@@ -70,7 +70,7 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
             _read_column(A, j, E, K, j, j < width)
         if coupling == LOCAL:
             continue
-        # What is left of the columns does not change the rows of this station.
+        # The remaining columns do not change the rows of this station.
         kept = width - rank
         first = 3 if coupling == RELATIVE else rank
         if kept > 6 - first:
@@ -101,7 +101,7 @@ def _write(
     to: Array1,
     since: Array1,
 ) -> None:
-    """Write (v, w), taken to another point and projected onto the directions, to a column."""
+    """Write (v, w), moved to another point and projected onto the directions, to a column."""
     r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
     v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
     for i in range(3):
@@ -121,11 +121,11 @@ def _read_column(A: Array2, column: int, E: Array2, to: Array2, place: int, exis
 
 @subkernel
 def _reflect(A: Array2, row: int, pivot: int, width: int) -> None:
-    """Reflect the columns from the pivot on (Householder), so that the row is zero after the pivot."""
+    """Apply a Householder reflection to the columns from the pivot on that zeros the row after it."""
     head, tail = A[row, pivot], 0.0
     for c in range(pivot + 1, width):
         tail += A[row, c] * A[row, c]
-    if tail < ZERO_PIVOT:  # as good as zero; its inverse may be infinite
+    if tail < ZERO_PIVOT:  # practically zero; its inverse may be infinite
         return
     norm = np.sqrt(head * head + tail)
     A[row, pivot] = head + norm if head > 0.0 else head - norm
@@ -212,7 +212,7 @@ def multiply_up(points: Array2, rows: Rows, factors: Factors, solve: bool, value
 
 @compiled
 def least_change(screws: Screws, rows: Rows, factors: Factors, values: Array2, x: Array1) -> None:
-    """Change the motions of the joints as little as possible so that each row has its value.
+    """Apply the smallest change of the joint motions that gives each row its value.
 
     With J = L Q, that is x + J^T L^-T L^-1 (values - J x): as accurate as with Q itself, which is not stored.
 
@@ -239,15 +239,15 @@ def least_change(screws: Screws, rows: Rows, factors: Factors, values: Array2, x
 def well_conditioned(screws: Screws, rows: Rows, least: float, kept: Flags1) -> None:
     """Choose stations, from the base on, so that their FULL rows have no singular value below a bound.
 
-    All are chosen if that suffices. Otherwise stations are left out whose rows nearly depend on those of the
-    stations before: one that took up all there is to spare would leave nothing for those after it. How much
-    a station may take up is tried, until nine in ten are chosen; the choice of most stations counts.
+    All are chosen if possible. Otherwise stations whose rows nearly depend on those of earlier stations are
+    skipped, because one that used up all the slack would leave none for later ones. Several bounds on the
+    slack used by a station are tried until nine in ten are chosen; the choice with the most stations wins.
 
     Args:
         screws: the screws of the joints.
         rows: the rows of all stations.
         least: the bound [m/rad].
-        kept: filled with whether each station is chosen, (p,).
+        kept: filled with True for chosen stations, (p,).
     """
     tried, most = np.empty_like(kept), -1
     for spare in (0.0, 1.0, 3.0):
@@ -261,11 +261,11 @@ def well_conditioned(screws: Screws, rows: Rows, least: float, kept: Flags1) -> 
 
 @subkernel
 def _choose_stations(screws: Screws, rows: Rows, least: float, spare: float, kept: Flags1) -> int:
-    """Choose stations whose blocks on the diagonal have pivots above `spare`; return their number.
+    """Choose stations whose diagonal blocks have pivots above `spare`; return their number.
 
-    No singular value of J is below the bound if J J^T less the square of the bound is positive definite: if
-    its Cholesky decomposition succeeds. As J J^T is the covariance of the rows' motions if joints move at
-    random, it is made like a Kalman filter's, station by station; the state is the covariance of (v, w).
+    No singular value of J is below the bound if J J^T minus the square of the bound has a Cholesky
+    decomposition. J J^T is the covariance of the rows for random joint motions, so it is computed station by
+    station as in a Kalman filter; the state is the covariance of (v, w).
     """
     b, ends, points = screws
     stations, ranks, directions, _ = rows
@@ -348,7 +348,7 @@ def extreme_value(points: Array2, rows: Rows, factors: Factors, smallest: bool, 
         points: the points, (m, 3).
         rows: the rows of the matrix.
         factors: L, from `eliminated`.
-        smallest: whether to compute the smallest.
+        smallest: True for the smallest, False for the largest.
         tolerance: residual at which the search ends, relative to the square of the singular value.
     """
     ranks, p = rows.ranks, len(rows.stations)
@@ -357,7 +357,7 @@ def extreme_value(points: Array2, rows: Rows, factors: Factors, smallest: bool, 
     V, y = np.empty((largest_basis + 1, count)), np.empty((p, 3))
     diagonal, off, ritz = np.empty(largest_basis), np.empty(largest_basis), np.empty(largest_basis)
     start = np.empty(count)
-    for i in range(count):  # not orthogonal to any singular vector
+    for i in range(count):  # generic, so not orthogonal to a singular vector
         start[i] = 1.0 + np.sin(12.9898 * (i + 1.0) * (i + 1.0))
     best = 0.0
     for _ in range(MAX_RESTARTS):

@@ -1,4 +1,4 @@
-"""B-splines in space: values, arc length and the nearest point."""
+"""B-splines in space: values, arc length and nearest points."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from pinposture.kernels.arrays import Array1, Array2, Array3
 from pinposture.kernels.compiled import compiled, subkernel
 
-MAX_HALVINGS = 48  # largest number of halvings of a span, enough for a speed that nearly vanishes
+MAX_HALVINGS = 48  # maximum number of halvings of a span, enough for a speed that nearly vanishes
 
 MAX_PIECES_PER_SPAN = 64
-"""Largest number of pieces per span that are halved at a time; more means that the rest is rounding."""
+"""Maximum number of pieces per span that are halved at a time; more indicates rounding errors."""
 
 MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 60, 1e-10
-"""Largest number of Newton steps, and the step at which they end, relative to the bracket."""
+"""Maximum number of Newton steps, and their tolerance relative to the bracket."""
 
 SPEED_SAMPLES = 9  # number of samples of the speed in a knot span
 STATIONARY_SPEED = 1e-6  # speed that counts as zero, relative to the largest in its span
@@ -21,7 +21,7 @@ STATIONARY_SPEED = 1e-6  # speed that counts as zero, relative to the largest in
 
 @compiled
 def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
-    """Compute the coefficients of a B-spline and of its derivatives, which are B-splines on the same knots.
+    """Compute the coefficients of the derivatives of a B-spline, which are B-splines on the same knots.
 
     Args:
         t: knots, (n + degree + 1,).
@@ -29,7 +29,7 @@ def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
         degree: 1 to 5.
 
     Returns:
-        Those of the derivative of order p in the first n - p rows of [p], (degree + 1, n, 3).
+        Coefficients of the derivative of order p in the first n - p rows of [p], (degree + 1, n, 3).
     """
     n = len(c)
     table = np.zeros((degree + 1, n, 3))
@@ -38,7 +38,7 @@ def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
     for p in range(1, degree + 1):
         for i in range(n - p):
             width = t[i + degree + 1] - t[i + p]
-            if width > 0.0:  # else it belongs to no span
+            if width > 0.0:  # else it affects no span
                 for axis in range(3):
                     rise = table[p - 1, i + 1, axis] - table[p - 1, i, axis]
                     table[p, i, axis] = (degree + 1 - p) / width * rise
@@ -47,7 +47,7 @@ def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
 
 @subkernel
 def span_at(t: Array1, degree: int, u: float) -> int:
-    """Return the knot span that contains u; at a knot the one that follows, at the end the last one."""
+    """Return the knot span that contains u; the following one at a knot, the last one at the end."""
     low, high = degree, len(t) - degree - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -66,7 +66,7 @@ def value(
 ) -> tuple[float, float, float]:
     """Return x, y and z of a derivative of the spline at u in a span, by de Boor's recursion.
 
-    `table` is that of `spline_coefficients`; `order` is 0 to `degree`; `work` (6, 3) is scratch.
+    `table` is from `spline_coefficients`; `order` is 0 to `degree`; `work` (6, 3) is scratch.
     """
     d = degree - order
     c = table[order]
@@ -104,7 +104,7 @@ def spline_values(t: Array1, table: Array3, degree: int, order: int, u: Array1) 
 def expand(
     t: Array1, table: Array3, degree: int, low: float, high: float, work: Array2, taylor: Array2
 ) -> None:
-    """Expand the velocity about the middle of the piece from low to high of one knot span.
+    """Expand the velocity about the midpoint of the piece from low to high of one knot span.
 
     Fills `taylor` (degree, 3) with the coefficients of 1, x, x^2 ... on x from -1 to 1; `work` (6, 3) is
     scratch.
@@ -121,7 +121,7 @@ def expand(
 
 @subkernel
 def speed(taylor: Array2, degree: int, x: float) -> float:
-    """Return the speed at x of an expanded velocity."""
+    """Return the speed at x, given an expanded velocity."""
     a, b, c = taylor[degree - 1, 0], taylor[degree - 1, 1], taylor[degree - 1, 2]
     for p in range(degree - 2, -1, -1):
         a, b, c = a * x + taylor[p, 0], b * x + taylor[p, 1], c * x + taylor[p, 2]
@@ -130,7 +130,7 @@ def speed(taylor: Array2, degree: int, x: float) -> float:
 
 @compiled
 def expand_spans(t: Array1, table: Array3, degree: int, breaks: Array1) -> Array3:
-    """Expand the velocity about the middle of every knot span, see `expand`, (k, degree, 3)."""
+    """Expand the velocity about the midpoint of each knot span, see `expand`, (k, degree, 3)."""
     work, taylors = np.empty((6, 3)), np.empty((len(breaks) - 1, degree, 3))
     for i in range(len(taylors)):
         expand(t, table, degree, breaks[i], breaks[i + 1], work, taylors[i])
@@ -141,9 +141,9 @@ def expand_spans(t: Array1, table: Array3, degree: int, breaks: Array1) -> Array
 def expand_speed(taylor: Array2, degree: int, rule: Array2, speeds: Array1, piece: Array1) -> None:
     """Expand the speed on a piece in Legendre polynomials.
 
-    `taylor` is the velocity there, `rule` that of `measure_length`, `speeds` (N,) scratch. `piece` (3 + N,)
-    has its start and end; from [2] on it is filled with the size of the last two coefficients, and with all
-    of them, times half the width.
+    `taylor` is the velocity there, `rule` as in `measure_length`, `speeds` (N,) is scratch. `piece` (3 + N,)
+    holds its start and end; from [2] on it is filled with the size of the last two coefficients, and with all
+    coefficients, times half the width.
     """
     nodes = len(rule)
     half = 0.5 * (piece[1] - piece[0])
@@ -171,20 +171,20 @@ def measure_length(
     tail: float,
     rounding: float,
 ) -> tuple[Array1, Array1, Array2]:
-    """Integrate the speed: a polynomial on each of many short pieces of the knot spans.
+    """Integrate the speed, approximated by a polynomial on each of many short pieces of the knot spans.
 
     Pieces are halved until the Legendre series of the speed, sampled at Gauss nodes, has converged.
 
     Args:
         t: knots.
-        table: of `spline_coefficients`.
-        degree: of the spline.
+        table: from `spline_coefficients`.
+        degree: degree of the spline.
         breaks: ends of the knot spans, increasing, (k + 1,).
-        taylors: of `expand_spans`.
-        rule: Gauss nodes; the matrix from values there to Legendre coefficients; that from these to power
-            coefficients of the integral from -1, highest first; (N, 1 + N + N + 1).
-        tail: largest last terms of a piece's series, relative to the whole length.
-        rounding: rounding error in the length of a span, at which halving ends.
+        taylors: from `expand_spans`.
+        rule: Gauss nodes; the matrix from values there to Legendre coefficients; the matrix from those to
+            power coefficients of the integral from -1, highest first; (N, 1 + N + N + 1).
+        tail: tolerance for the last terms of a piece's series, relative to the total length.
+        rounding: rounding error of the length of a span, at which halving ends.
 
     Returns:
         Parameters where the pieces meet (n + 1,), arc lengths there (n + 1,), and power coefficients of each
@@ -242,7 +242,7 @@ def measure_length(
 
 @subkernel
 def piece_at(table: Array1, x: float) -> int:
-    """Return the interval of an increasing table that contains x; the first or last one if it is outside."""
+    """Return the interval of an increasing table that contains x; the first or last one if outside."""
     low, high = 0, len(table) - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -311,7 +311,7 @@ def distance_at(t: Array1, table: Array3, degree: int, u: float, p: Array1, work
 
 @subkernel
 def slopes(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> tuple[float, float]:
-    """Return half the first and second derivatives by u of the squared distance from p (3,)."""
+    """Return half the first and second derivatives of the squared distance from p (3,) by u."""
     span = span_at(t, degree, u)
     x, y, z = value(t, table, degree, 0, span, u, work)
     x, y, z = x - p[0], y - p[1], z - p[2]
@@ -365,20 +365,20 @@ def nearest_places(
     pieces: int,
     points: Array2,
 ) -> Array2:
-    """Find the points of the curve nearest to given points; of several equally near, one of them.
+    """Find the points of the curve nearest to given points; one of them if several are equally near.
 
-    The curve is cut into pieces. If the middle of a piece is at a distance d, and its ends at most r away
-    from there along the curve, no part of it is nearer than d - r; all pieces that may contain the nearest
-    point are searched.
+    The curve is cut into pieces. If the midpoint of a piece is at a distance d, and its ends at most r away
+    from it along the curve, no part of it is nearer than d - r; all pieces that may contain the nearest point
+    are searched.
 
     Args:
         t: knots.
-        table: of `spline_coefficients`.
-        degree: of the spline.
-        edges: of `measure_length`.
-        lengths: of `measure_length`.
-        series: of `measure_length`.
-        pieces: smallest number of pieces.
+        table: from `spline_coefficients`.
+        degree: degree of the spline.
+        edges: from `measure_length`.
+        lengths: from `measure_length`.
+        series: from `measure_length`.
+        pieces: minimum number of pieces.
         points: the points, (n, 3).
 
     Returns:
@@ -422,7 +422,7 @@ def nearest_places(
 
 @subkernel
 def half_square_slope(taylor: Array2, degree: int, x: float) -> tuple[float, float]:
-    """Return the first and second derivatives by x of half the squared speed of an expanded velocity."""
+    """Return the first and second derivatives by x of half the squared speed, given an expanded velocity."""
     value, slope = 0.0, 0.0
     for axis in range(3):
         v, dv, ddv = taylor[degree - 1, axis], 0.0, 0.0
@@ -437,7 +437,7 @@ def half_square_slope(taylor: Array2, degree: int, x: float) -> tuple[float, flo
 
 @subkernel
 def slowest_point(taylor: Array2, degree: int, low: float, high: float) -> float:
-    """Return the x of the smallest speed between two others, if its slope changes sign there; else NaN."""
+    """Return the x of the smallest speed between two bounds; NaN unless its slope changes sign between."""
     falls, rises = half_square_slope(taylor, degree, low)[0], half_square_slope(taylor, degree, high)[0]
     if not (falls < 0.0 and rises > 0.0):
         return np.nan
@@ -460,7 +460,7 @@ def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
     """Find a parameter at which the speed vanishes.
 
     Args:
-        taylors: of `expand_spans`, (k, degree, 3).
+        taylors: from `expand_spans`, (k, degree, 3).
         breaks: ends of the knot spans, increasing, (k + 1,).
 
     Returns:
@@ -476,14 +476,14 @@ def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
     for i in range(spans):
         if fastest[i] <= 1e-9 * overall:
             return float(breaks[i])
-    # The smallest speed lies beside a sample that is slower than its neighbours. Next to a cusp one is far
-    # slower than the fastest; on a circle they are equal up to rounding, and not worth a search.
+    # The smallest speed is near a sample that is slower than its neighbours. Near a cusp that sample is much
+    # slower than the fastest; on a circle all are equal up to rounding, and no search is needed.
     for i in range(spans):
         for j in range(SPEED_SAMPLES):
             before, after = max(j - 1, 0), min(j + 1, last)
             if v[i, j] <= min(v[i, before], v[i, after]) and v[i, j] < 0.9 * fastest[i]:
                 x = slowest_point(taylors[i], degree, 2.0 * before / last - 1.0, 2.0 * after / last - 1.0)
-                if speed(taylors[i], degree, x) <= STATIONARY_SPEED * fastest[i]:  # not so if NaN
+                if speed(taylors[i], degree, x) <= STATIONARY_SPEED * fastest[i]:  # False if NaN
                     return float(0.5 * ((1.0 - x) * breaks[i] + (1.0 + x) * breaks[i + 1]))
     for i in range(spans):
         if v[i, 0] <= STATIONARY_SPEED * fastest[i]:

@@ -1,4 +1,4 @@
-"""The next point of a curve on which a module of any joints can put its end, found numerically."""
+"""Numeric search for the next point of a curve that the end of a module with any joints can reach."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ from pinposture.kernels.branch_search import apply_joint, solve_cholesky
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import parameter_at, span_at, value
 
-# Unknowns are the joint positions and the arc length of the point. The end of the module is to be on the
-# curve: three equations. Two joints solve them in isolated places; with more, the motion from the preferred
-# positions is to be as small as possible. Both are found by Gauss-Newton steps from several postures whose
-# ends are near the curve.
+# Unknowns are the joint positions and the arc length of the point. The end of the module must be on the
+# curve: three equations. With two joints the solutions are isolated; with more, the motion from the preferred
+# positions is minimised. Both cases use Gauss-Newton steps from several postures whose ends are near the
+# curve.
 
-CURVE_SAMPLES = 48  # number of samples of the curve in the length of the reach
-MAX_CURVE_SAMPLES = 400  # largest number of samples ahead
+CURVE_SAMPLES = 48  # number of curve samples per reach
+MAX_CURVE_SAMPLES = 400  # maximum number of samples ahead
 STARTS, STARTS_OF_MANY, ENOUGH = 8, 16, 4
-"""Number of postures from which the search starts, for up to two degrees of freedom and for more; of the
-latter, how many that reach the curve are enough."""
+"""Number of start postures for up to two degrees of freedom and for more; in the latter case, number of
+postures that reach the curve at which to stop."""
 
-START_DISTANCE = 0.3  # smallest difference of two of them, in units of the joints
+START_DISTANCE = 0.3  # smallest difference between start postures, in units of the joints
 COST_OF_DISTANCE = 25.0  # weight of the squared distance from the curve, in reaches, against joint motion
 
 STEPS, POLISHING_STEPS = 40, 8
-"""Largest number of steps to the curve, and of those along it towards the preferred posture; and of those to
-the curve after that."""
+"""Maximum number of steps to the curve, and along it towards the preferred posture; then back to it."""
 
 LARGEST_STEP = 0.5  # in units of the joints, and in reaches along the curve
-COST_ALONG = 0.01  # cost of moving along the curve by one reach, against one unit of a joint
-STILL = 1e-7  # largest change of the unknowns that ends the search
+COST_ALONG = 0.01  # cost of one reach along the curve, relative to one unit of a joint
+STILL = 1e-7  # change of the unknowns below which the search ends
 ON_TARGET = 1e-11  # distance from the curve that counts as zero, relative to the reach
 AHEAD = 1e-6  # smallest distance ahead, relative to the reach
 FACING = 0.5 * np.pi  # motion of a hinge up to which a posture counts as facing the curve [rad]
@@ -39,7 +38,7 @@ FACING = 0.5 * np.pi  # motion of a hinge up to which a posture counts as facing
 def move_frame(
     slides: Flags1, axes: Array2, origins: Array2, amounts: Array1, turn: Array2, place: Array1
 ) -> None:
-    """Carry a frame, turn (3, 3) and place (3,), along joints that move by given amounts, (n,)."""
+    """Move a frame, turn (3, 3) and place (3,), along joints that move by given amounts, (n,)."""
     for u in range(len(amounts)):
         apply_joint(slides[u], axes[u], origins[u], amounts[u], turn, place)
 
@@ -118,9 +117,9 @@ def curve_point(
 def least_solution(
     rows: Array2, wanted: Array1, costs: Array1, share: float, held: Flags1, matrix: Array2, x: Array1
 ) -> None:
-    """Find the x (k + 1,) of least cost with rows (3, k + 1) x = wanted (3,), but for entries that are held.
+    """Find the x (k + 1,) of least cost with rows (3, k + 1) x = wanted (3,); held entries stay fixed.
 
-    `share` is that of the trace by which the equations are softened; matrix (3, 3) is scratch.
+    `share` is the regularisation relative to the trace; matrix (3, 3) is scratch.
     """
     trace, right = 0.0, wanted.copy()
     for i in range(3):
@@ -146,19 +145,19 @@ def least_solution(
 def nearest_starts(
     candidates: Array2, ends: Array2, points: Array2, count: int, reach: float, starts: Ints1, at: Ints1
 ) -> int:
-    """Choose postures whose ends are near a curve and whose joints have moved little, the best first.
+    """Choose postures with ends near a curve and little joint motion, the best first.
 
     Args:
         candidates: postures in units of the joints, relative to the preferred one, (s, k).
-        ends: where they put the end, (s, 3).
-        points: samples of the curve, of which `count` matter.
+        ends: their end positions, (s, 3).
+        points: samples of the curve, of which the first `count` are used.
         count: number of samples.
-        reach: of the module.
-        starts: filled with the indices of the postures chosen.
+        reach: reach of the module.
+        starts: filled with the indices of the chosen postures.
         at: filled with the sample nearest to each.
 
     Returns:
-        Their number.
+        Number of chosen postures.
     """
     n, nearest, scores = len(candidates), np.empty(len(candidates), np.int64), np.empty(len(candidates))
     for i in range(n):
@@ -206,30 +205,31 @@ def next_target_point(
     ends: Array2,
     found: Array1,
 ) -> float:
-    """Find the next point of a curve on which a module can put its end within its limits.
+    """Find the next point of a curve that the end of a module can reach within its limits.
 
     With up to two degrees of freedom it is the first one at which every hinge is within 90 degrees of its
     preferred position; if there is none, or with more degrees of freedom, the one with the least motion.
 
     Args:
-        module: its joints.
+        module: joints of the module.
         t: knots of the curve.
-        table: of `spline_coefficients`.
-        degree: of the spline.
-        edges: of `measure_length`.
-        lengths: of `measure_length`.
-        series: of `measure_length`.
+        table: from `spline_coefficients`.
+        degree: degree of the spline.
+        edges: from `measure_length`.
+        lengths: from `measure_length`.
+        series: from `measure_length`.
         base: axes of the base frame as columns, and its origin, in the frame of the curve, (3, 4).
         start: arc length of the base on the curve.
         lower: smallest positions, (k,).
         upper: largest ones, (k,).
         preferred: positions to stay near, (k,).
-        samples: postures to start from, (s, k).
-        ends: of `module_ends` at these, (s, 3).
+        samples: start postures, (s, k).
+        ends: from `module_ends` for these, (s, 3).
         found: filled with the positions, (k,).
 
     Returns:
-        The arc length of the point; NaN if there is none; -1 if there is none and the curve ends in reach.
+        The arc length of the point; NaN if there is none; -1 if there is none and the curve ends within
+        reach.
     """
     k, n, reach, total = len(preferred), len(module.slides), module.reach[0], lengths[-1]
     work, points = np.empty((6, 3)), np.empty((MAX_CURVE_SAMPLES, 3))
@@ -268,8 +268,8 @@ def next_target_point(
             break
         z[:k] = candidates[begins[each]]
         z[k] = max(min(start + (at[each] + 1) * step, last) / reach, low[k])
-        # First straight to the curve; with joints to spare then along it towards the preferred positions, and
-        # to the curve again, if that works.
+        # First straight to the curve; with redundant joints then along it towards the preferred positions,
+        # and to the curve again, if that works.
         pulled, left, reached, arrived = False, STEPS, False, False
         while left > 0:
             left -= 1
@@ -290,7 +290,7 @@ def next_target_point(
                     break
                 arrived, pulled, left = True, True, STEPS
                 kept[:] = z
-            # Unknowns x: by how much the joints move, or, when pulled, where they are to be; s moves.
+            # Unknowns x: joint motions, or joint positions when pulled; and the motion of s.
             for j in range(k):
                 offset[j] = z[j] if pulled else 0.0
             for i in range(3):
@@ -309,7 +309,7 @@ def next_target_point(
                         worst, which, edge = over, j, low[j] if to < low[j] else high[j]
                 if which < 0:
                     break
-                held[which] = True  # it goes to its limit, and the others do what is left
+                held[which] = True  # it goes to its limit, and the others compensate
                 x[which] = edge - z[which] + offset[which]
             largest = 0.0
             for j in range(k + 1):

@@ -16,26 +16,26 @@ from pinposture.placement.module_kinematics import AHEAD, curve_crossings
 Array = NDArray[np.float64]
 
 ON_SURFACE = 1e-7
-"""How far a point may be from the surface on which the end can be, relative to the length."""
+"""Largest distance of a point from the surface reachable by the end, relative to the length."""
 
 STRETCH_SAMPLES = 400
-"""Number of samples of a curve among which a section that stretches chooses where none needs no stretch."""
+"""Number of curve samples in the search for the least stretch where the section must stretch."""
 
 
 @dataclass(frozen=True)
 class ConstantCurvature:
     """FK, IK and TP of an arc, in the frame at its base (x along the straight section).
 
-    Joint positions are the bending about y and about z [rad], and by how much the section is longer than its
-    length [m] if it can stretch. The end turns by the vector (0, q0, q1). Bending by a full turn or more has
-    no IK.
+    Joint positions are the bending about y and about z [rad] and, if the section can stretch, its elongation
+    [m]. The end turns by the rotation vector (0, q0, q1). The IK does not cover bending by a full turn or
+    more.
 
     Attributes:
         length: length of the section [m].
-        stretch: largest change of the length, either way [m]; 0 if it cannot.
+        stretch: largest change of length in either direction [m]; 0 if it cannot stretch.
 
     Raises:
-        InvalidValue: a length that is not positive, or a stretch that is negative or not below the length.
+        InvalidValue: the length is not positive, or the stretch is negative or not below the length.
     """
 
     length: float
@@ -70,7 +70,7 @@ class ConstantCurvature:
     def inverse(self, p: Array) -> list[Array]:
         """IK: the positions that put the end at p, (3,) [m], base frame; empty if there are none.
 
-        The chord makes half the angle of the bend with x.
+        The angle between the chord and x is half the bending angle.
         """
         x, y, z = map(float, p)
         across, half = np.hypot(y, z), float(np.arctan2(np.hypot(y, z), x))
@@ -85,7 +85,7 @@ class ConstantCurvature:
         return [np.append(bends, np.clip(length - self.length, -self.stretch, self.stretch))]
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP, as `ModuleKinematics.target_point`, with the least stretch; bends up to half a turn first."""
+        """TP, as `ModuleKinematics.target_point`, with the least stretch; prefers bends up to half a turn."""
         first = None
         for s, p in curve_crossings(curve, base, start, self._level, self.reach):
             if p[0] >= 0.0:
@@ -103,7 +103,7 @@ class ConstantCurvature:
         return float(ahead[np.argmin(needed)])
 
     def _lengths(self, p: Array) -> Array:
-        """Return the lengths of the arcs from the base, along x there, to points (n, 3), (n,) [m]."""
+        """Return the lengths of the arcs that leave the base along x and end at points (n, 3), (n,) [m]."""
         half = np.arctan2(np.hypot(p[:, 1], p[:, 2]), p[:, 0])
         return np.asarray(np.linalg.norm(p, axis=1) / np.maximum(np.sinc(half / np.pi), 1e-300))
 

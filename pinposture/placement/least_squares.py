@@ -13,36 +13,36 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 
 # The squared distances of all control points from their points on the curve are minimised over the joint
-# positions and the arc lengths of these points. Least squares alone may wind the wrong way round: the fit
-# therefore starts with the straight arm on a straight curve and bends both into the shape in stages.
+# positions and the arc lengths of these points. Least squares alone may wind in the wrong direction, so the
+# fit starts with the straight arm on a straight curve and bends both into shape in stages.
 
 Array = NDArray[np.float64]
 
-TURN_PER_STAGE = 2.0  # largest turn of the curve's tip from one stage of bending to the next [rad]
+TURN_PER_STAGE = 2.0  # largest turn of the curve's tip between stages of bending [rad]
 
 RESTARTS_OF_FIT, RESTART_NOISE = 4, 0.3
-"""Number of restarts from perturbed joint positions, and their standard deviation [rad, or arm lengths]."""
+"""Number of restarts, and standard deviation of their perturbations [rad, or arm lengths]."""
 
 EXACT_FIT = 1e-6  # root mean square distance from the curve below which there are no restarts, in arm lengths
 ROUGH_EVALUATIONS = 6  # number of evaluations at the final curve for a rough fit
 
 SAMPLES_PER_MODULE = 12
-"""Number of samples of the curve per module, in all stages but the last, which uses the curve itself."""
+"""Curve samples per module in all stages but the last, which uses the curve itself."""
 
 MIN_SPACING, MAX_SPACING = 0.05, 3.0
-"""Bounds of the arc length between neighbouring control points, relative to the module's length."""
+"""Bounds on the arc length between neighbouring control points, in module lengths."""
 
 REFINE_STEPS, REFINE_MAX_STEP = 12, 0.2
-"""Maximum number of steps of `refined`, and the largest of them [rad, or arm lengths]."""
+"""Maximum number and size of steps of `refined` [rad, or arm lengths]."""
 
 REFINE_MIN_STEP, REFINE_MIN_COST = 1e-7, 1e-24
 """Step [rad, or arm lengths] and cost at which `refined` has converged."""
 
 REFINE_DAMPING, REFINE_DAMPING_DOWN, REFINE_DAMPING_UP = 1e-11, 0.1, 10.0
-"""Smallest damping of `refined`, relative to `stiffness`, and its factors after a better and a worse step."""
+"""Smallest damping of `refined`, relative to `stiffness`, and its factors after better and worse steps."""
 
 LOOK_AHEAD, LOOK_AHEAD_SAMPLES = 2.0, 64
-"""Distance along the curve in which the next control point is sought, in module lengths, and its samples."""
+"""Search range for the next control point along the curve, in module lengths, and number of samples."""
 
 
 class Samples:
@@ -74,21 +74,21 @@ class Samples:
 def fit_curve(
     arm: Arm, curve: Curve, start: float, bending: float, rough: bool = False
 ) -> tuple[Array, Array]:
-    """Fit an arm to a curve in the world, beginning with the straight arm.
+    """Fit an arm to a curve in the world, starting from the straight arm.
 
     Args:
         arm: the arm.
         curve: the curve.
-        start: arc length of the point for the base of the arm [m].
-        bending: weight of the joint positions, counted from the straight arm, against the distances, above
-            0 [m/rad].
+        start: arc length of the curve point for the base of the arm [m].
+        bending: weight of the joint positions, relative to the straight arm, against the distances, above 0
+            [m/rad].
         rough: stop after a few evaluations, once the arm winds in the right direction.
 
     Returns:
         Joint positions, (nv,) [rad or m], and the arc length of each control point, (m,) [m], which may
         exceed the curve's length.
     """
-    # As much of the curve as the arm can cover, and a little more.
+    # Slightly more of the curve than the arm can cover.
     end = min(curve.length, start + 1.2 * arm.length)
     s = np.linspace(start, end, SAMPLES_PER_MODULE * arm.n_modules + 1)
     tangents = curve.tangent(s)
@@ -100,7 +100,7 @@ def fit_curve(
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
         unknowns = problem.solve(partial, unknowns, evaluations=4)
     best = problem.solve(curve, unknowns, evaluations=ROUGH_EVALUATIONS if rough else 60)
-    # Off the curve it may be a local minimum: restart, always from the same perturbations.
+    # If off the curve, this may be a local minimum: restart, with reproducible perturbations.
     rng = np.random.default_rng(0)
     for _ in range(RESTARTS_OF_FIT if not rough and problem.distance(curve, best) > EXACT_FIT else 0):
         other = problem.solve(curve, problem.perturb(best, rng), evaluations=60)
@@ -111,15 +111,15 @@ def fit_curve(
 def fit_near(
     arm: Arm, curve: Curve, start: float, bending: float, q: Array, parameters: Array | None
 ) -> tuple[Array, Array]:
-    """Fit an arm to a curve as `fit_curve` does, beginning with a configuration that nearly takes it.
+    """Fit an arm to a curve as `fit_curve` does, starting from a configuration close to the curve.
 
     Args:
-        arm: as for `fit_curve`.
-        curve: as for `fit_curve`.
-        start: as for `fit_curve`.
-        bending: as for `fit_curve`.
+        arm: as in `fit_curve`.
+        curve: as in `fit_curve`.
+        start: as in `fit_curve`.
+        bending: as in `fit_curve`.
         q: the configuration, (nq,).
-        parameters: arc lengths of its control points, (m,) [m]; None: those of the nearest points.
+        parameters: arc lengths of its control points, (m,) [m]; those of the nearest points if None.
     """
     problem = FitProblem(arm, start, bending, base_positions(arm, curve, start))
     if parameters is None:
@@ -131,8 +131,8 @@ def fit_near(
 def transported_turns(tangents: Array) -> Array:
     """Return the rotation vectors (n - 1, 3) from each unit tangent (n, 3) to the next [rad].
 
-    Their frame is the world's at the first tangent and is parallel-transported: it does not twist about the
-    curve.
+    They are expressed in a frame that equals the world frame at the first tangent and is
+    parallel-transported, so that it does not twist about the curve.
     """
     normals = np.cross(tangents[:-1], tangents[1:])
     sine = np.linalg.norm(normals, axis=1)
@@ -146,7 +146,7 @@ def transported_turns(tangents: Array) -> Array:
 
 
 def _bent_curve(s: Array, origin: Array, tangent: Array, turns: Array) -> Samples:
-    """Integrate a curve from its origin, first tangent and turns from sample to sample."""
+    """Integrate a curve from its origin, first tangent and the turns between samples."""
     tangents = np.empty((len(s), 3))
     tangents[0], frame = tangent, np.eye(3)
     for i, matrix in enumerate(Rotation.from_rotvec(turns).as_matrix(), start=1):
@@ -157,9 +157,9 @@ def _bent_curve(s: Array, origin: Array, tangent: Array, turns: Array) -> Sample
 
 
 def base_positions(arm: Arm, curve: Curve, start: float) -> Array:
-    """Return positions (nv,) of the base's unlimited slides that bring it nearest to its point on the curve.
+    """Return the positions of slides that carry the base (`Arm.roaming`) to its point on the curve, (nv,).
 
-    All other entries are zero (`Arm.roaming`).
+    All other entries are zero.
     """
     positions, on_chain = np.zeros(arm.nv), arm.roaming[arm.columns]
     if np.any(on_chain):
@@ -171,7 +171,7 @@ def base_positions(arm: Arm, curve: Curve, start: float) -> Array:
 def _nearest_parameters(arm: Arm, curve: Curve, start: float, q: Array) -> Array:
     """Return the arc lengths of the points of a curve nearest to the control points at q, (m,) [m].
 
-    Each is sought within reach of the one before: the curve may pass by a second time.
+    Each is searched for only within reach of the previous one, because the curve may pass a second time.
     """
     points, lengths = arm.chain.flattened(arm.at(q).compiled.points), arm.chain.module_lengths
     reach = LOOK_AHEAD * np.maximum(lengths, lengths.mean())
@@ -186,9 +186,9 @@ def _nearest_parameters(arm: Arm, curve: Curve, start: float, q: Array) -> Array
 class FitProblem:
     """Distances of the control points from their points on a curve, as a function of the unknowns.
 
-    The unknowns are the positions of the joints (n,) and the arc lengths between neighbouring control points
-    (m,). All lengths are in arm lengths. A planar arm is projected onto the plane of its base. The base's
-    slides without limits are held.
+    The unknowns are the joint positions (n,) and the arc lengths between neighbouring control points (m,).
+    All lengths are in arm lengths. A planar arm is projected onto the plane of its base. Unlimited slides
+    that carry the base are fixed.
 
     Attributes:
         lower: smallest unknowns, (n + m,).
@@ -207,9 +207,9 @@ class FitProblem:
         sliding = np.where(arm.slides[columns], arm.length, 1.0)
         self._units = np.concatenate([sliding, np.full(arm.n_modules, arm.length)])
         lengths = arm.chain.module_lengths
-        # A module may have no length of its own, or gain some by sliding.
+        # A module may have zero length, or get longer by sliding.
         longest = MAX_SPACING * np.maximum(lengths, lengths.mean())
-        # Solvers scale by the distance to finite bounds, and lose accuracy if that is huge.
+        # Solvers scale by the distance to finite bounds and lose accuracy if it is huge.
         unlimited = arm.unlimited[columns]
         lower = np.where(unlimited, -np.inf, arm.limits.lower[columns])
         upper = np.where(unlimited, np.inf, arm.limits.upper[columns])
@@ -228,7 +228,7 @@ class FitProblem:
         return np.asarray(self._straight)
 
     def perturb(self, unknowns: Array, rng: np.random.Generator) -> Array:
-        """Return the unknowns with normally distributed changes of the joint positions."""
+        """Add normally distributed noise to the joint positions."""
         moved = unknowns.copy()
         moved[: self._joints] += RESTART_NOISE * rng.normal(size=self._joints)
         return np.asarray(np.clip(moved, self.lower, self.upper))
@@ -251,9 +251,9 @@ class FitProblem:
         return np.asarray(np.concatenate([positions[self.columns], gaps]) / self._units)
 
     def solve(self, curve: Samples | Curve, guess: Array, evaluations: int) -> Array:
-        """Minimise from a guess, with a limited number of evaluations."""
+        """Minimise from an initial guess, with a limited number of evaluations."""
 
-        @lru_cache(maxsize=1)  # the solver asks for the residual and the Jacobian one after the other
+        @lru_cache(maxsize=1)  # the solver requests the residual and the Jacobian in turn
         def evaluate(unknowns: bytes) -> tuple[Array, Array]:
             return self.evaluate(curve, np.frombuffer(unknowns))
 
@@ -276,7 +276,7 @@ class FitProblem:
         state = arm.at(arm.configuration(positions)).compiled
         inside = np.clip(s, 0.0, curve.length)
         tangents = curve.tangent(inside)
-        goals = curve.at(inside) + (s - inside)[:, None] * tangents  # straight on beyond the end
+        goals = curve.at(inside) + (s - inside)[:, None] * tangents  # continue straight beyond the end
         jacobian = np.zeros((3 * m + n, n + m))
         rows = jacobian[: 3 * m].reshape(m, 3, n + m)
         rows[:, :, :n] = state.jacobians[:, :, self.columns]
@@ -296,15 +296,15 @@ def refined(
     weight: float = 0.0,
     reach: float = np.inf,
 ) -> Array:
-    """Return the unknowns at the minimum near a guess, by Levenberg-Marquardt steps within the bounds.
+    """Find the minimum near an initial guess, by Levenberg-Marquardt steps within the bounds.
 
     Args:
-        problem: what to minimise.
+        problem: the problem to minimise.
         curve: the curve.
         guess: initial unknowns, (n + m,).
         before: unknowns to stay near, (n + m,); the guess if None.
-        weight: cost of the squared distance from those.
-        reach: largest distance of joints from them [rad, or arm lengths].
+        weight: weight of the squared distance from `before`.
+        reach: largest deviation of joints from `before` [rad, or arm lengths].
     """
     anchor, margin = guess if before is None else before, np.full(len(guess), np.inf)
     margin[: len(problem.columns)] = reach
@@ -338,5 +338,5 @@ def refined(
 
 
 def stiffness(problem: FitProblem, hessian: Array) -> float:
-    """Return the mean diagonal entry of J^T J, (n + m, n + m), that belongs to a joint."""
+    """Return the mean of the diagonal entries of J^T J, (n + m, n + m), that belong to joints."""
     return max(float(np.diag(hessian)[: len(problem.columns)].mean()), 1e-300)

@@ -1,4 +1,4 @@
-"""Kinematics of modules (Section 6.1.1): closed forms, a numeric one, and which applies to which joints."""
+"""Kinematics of modules (Section 6.1.1): closed forms, a numeric one, and the choice between them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from pinposture.errors import UnsupportedModule
 from pinposture.kernels.arrays import ModuleArrays, ScrewChain
 from pinposture.kernels.modules import CIRCLE, ROLL_PITCH, TORUS
 
-# The RyRz module of the thesis turns by q0 about its y axis, goes l1 along x, turns by q1 about its z axis
-# and goes l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any other
-# pair of perpendicular hinges across the arm, is the same module in another frame. If l1 = 0 it is a
-# universal joint, and the torus a sphere. The roll-pitch module turns by q0 about its x axis, goes l1 along
-# x, turns by q1 about its y axis and goes l2 along x: its end lies on a sphere around the second hinge.
+# The RyRz module of the thesis rotates by q0 about y, translates by l1 along x, rotates by q1 about z and
+# translates by l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any
+# other pair of perpendicular hinges across the arm, is the same module in another frame. If l1 = 0 it is a
+# universal joint and the torus a sphere. The roll-pitch module rotates by q0 about x, translates by l1 along
+# x, rotates by q1 about y and translates by l2 along x: its end lies on a sphere around the hinge.
 
 Array = NDArray[np.float64]
 Level = Callable[[Array], Array]
@@ -41,21 +41,21 @@ SHAPE_TOLERANCE = 1e-9
 """Largest deviation from a module with a closed form, relative to its length or to one radian."""
 
 
-CROSSING_SAMPLES = 200  # number of samples of a curve in the length of the reach, in the search for crossings
+CROSSING_SAMPLES = 200  # number of curve samples per reach in the search for crossings
 
-AHEAD = 1e-6  # smallest distance of a crossing ahead of the base, relative to the reach
+AHEAD = 1e-6  # smallest arc length from the base to a crossing, relative to the reach
 
 GRID, MANY_SAMPLES = 21, 512
-"""Postures from which the numeric search starts: per degree of freedom, and for more than two of them."""
+"""Number of start postures of the numeric search: per degree of freedom, and in total for more than two."""
 
 IK_VISITS, EXACT = 40, 1e-10
-"""Number of tries of the numeric IK, and the distance that it accepts, relative to the reach."""
+"""Number of attempts of the numeric IK, and its tolerance relative to the reach."""
 
 
 def curve_crossings(
     curve: Curve, base: pin.SE3, start: float, level: Level, reach: float
 ) -> Iterator[tuple[float, Array]]:
-    """Find where a curve crosses the surface on which a module can put its end: TP of any such module.
+    """Find where a curve crosses the surface reachable by the end of a module: TP of any such module.
 
     Args:
         curve: the curve.
@@ -66,8 +66,8 @@ def curve_crossings(
         reach: largest distance of the end from the base [m].
 
     Yields:
-        Arc length of each crossing [m], increasing, and its point in the base frame (3,) [m]. They end where
-        the curve leaves the reach. A surface that is touched, not crossed, counts as missed.
+        Arc length of each crossing [m], increasing, and its point in the base frame (3,) [m]. Stops where
+        the curve leaves the reach. Points where the curve only touches the surface are not found.
     """
 
     def inside(s: float) -> Array:
@@ -92,7 +92,7 @@ def curve_crossings(
 
 
 def _first_facing(crossings: Iterator[tuple[float, Array]], faces: Callable[[Array], bool]) -> float | None:
-    """Return the first crossing that faces a module, else the first, else None."""
+    """Return the first crossing that faces the module, else the first one, else None."""
     first = None
     for s, point in crossings:
         if faces(point):
@@ -128,16 +128,16 @@ class Torus:
             q: hinge angles (2,) [rad].
 
         Returns:
-            Position of the end (3,) [m] and its orientation (3, 3), both in the base frame.
+            Position (3,) [m] and orientation (3, 3) of the end, both in the base frame.
         """
         end = kernels.torus_forward(self.l1, self.l2, self.sense, float(q[0]), float(q[1]))
         return np.array(end[:3]), np.array(end[3:]).reshape(3, 3)
 
     def inverse(self, p: Array) -> list[Array]:
-        """IK, (6.2) for the whole torus: every pair of angles that puts the end at p.
+        """IK, (6.2) for the whole torus: all pairs of angles that put the end at p.
 
         Args:
-            p: a point of the torus, (3,) [m], base frame.
+            p: a point on the torus, (3,) [m], base frame.
 
         Returns:
             Hinge angles (2,) [rad], the branch that faces p first. Empty if p is not on the torus.
@@ -170,8 +170,7 @@ class Torus:
 
         Yields:
             Segment index i and t in (0, 1] of each crossing points[i] + t (points[i + 1] - points[i]),
-            in order along the polyline. The base itself, where the torus touches itself if l1 = l2, is
-            not a crossing.
+            in order along the polyline. The base, where the torus touches itself if l1 = l2, is excluded.
         """
         out = np.empty(4)
         for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
@@ -207,7 +206,7 @@ class Circle:
         return list(out[: kernels.circle_inverse(self.link, x, y, z, out), :1])
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP, as `ModuleKinematics.target_point`, where the curve is in the plane of the module."""
+        """TP, as `ModuleKinematics.target_point`; the point must be in the plane of the module."""
 
         def level(p: Array) -> Array:
             return np.asarray(np.linalg.norm(p, axis=1) - self.link)
@@ -218,7 +217,7 @@ class Circle:
     def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
         """TP: where a polyline (n + 1, 3) [m] crosses the sphere around the base, as `Torus.crossings`.
 
-        The crossing is on the circle if the polyline lies in the plane of the module; `inverse` tells.
+        The crossing is on the circle only if it lies in the plane of the module; check with `inverse`.
         """
         out = np.empty(4)
         for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
@@ -254,7 +253,7 @@ class RollPitch:
     def inverse(self, p: Array) -> list[Array]:
         """IK: both pairs of angles (2,) [rad] that put the end at p, (3,) [m], the smaller roll first.
 
-        Empty if p is not on the sphere. The roll is 0 where it does not move the end.
+        Empty if p is not on the sphere. The roll is 0 if it does not move the end.
         """
         out = np.empty((2, 2))
         x, y, z = map(float, p)
@@ -282,12 +281,12 @@ class RollPitch:
 
 @dataclass(frozen=True, eq=False)
 class NumericModule:
-    """FK, IK and TP of a module of any joints, found by search; the means where there is no closed form.
+    """FK, IK and TP of a module with any joints, by numeric search; used where there is no closed form.
 
-    Where its joints leave a choice, they stay near the preferred positions.
+    Redundant joints stay near the preferred positions.
 
     Attributes:
-        joints: its joints, in its base frame.
+        joints: joints of the module, in its base frame.
         preferred: positions to stay near, (k,) [rad or m].
     """
 
@@ -301,7 +300,7 @@ class NumericModule:
 
     @cached_property
     def reach(self) -> float:
-        """Length of the links and the slides at their longest: the end is never farther from the base [m]."""
+        """Upper bound of the distance of the end from the base: lengths of links and extended slides [m]."""
         joints = self.joints
         line = np.vstack([np.zeros(3), joints.origins, joints.end])
         farthest = np.maximum(np.abs(self._low), np.abs(self._high))[joints.inputs]
@@ -310,7 +309,7 @@ class NumericModule:
 
     @property
     def _turning(self) -> NDArray[np.bool_]:
-        """Which degrees of freedom turn joints, (k,)."""
+        """True for degrees of freedom that turn joints, (k,)."""
         return np.bincount(self.joints.inputs, self.joints.revolute, minlength=self.dof) > 0.0
 
     @cached_property
@@ -322,7 +321,7 @@ class NumericModule:
         return self._bounds(self.joints.upper, 1.0)
 
     def _bounds(self, limits: Array, side: float) -> Array:
-        """Return the limits, or where there are none half a turn or one length of the module, (k,)."""
+        """Return the limits; for unlimited joints half a turn or one module length from preferred, (k,)."""
         far = np.where(self._turning, np.pi, max(float(np.linalg.norm(self.joints.end)), 1e-9))
         none = self.preferred + side * far
         wide = (self.joints.upper - self.joints.lower) > np.where(self._turning, 100.0, 200.0 * far)
@@ -349,7 +348,7 @@ class NumericModule:
 
     @cached_property
     def _samples(self) -> tuple[Array, Array]:
-        """Postures to start from, (s, k), the preferred one first, and where they put the end, (s, 3) [m]."""
+        """Start postures, (s, k), the preferred one first, and their end positions, (s, 3) [m]."""
         k, low, high = self.dof, self._low, self._high
         if k <= 2:
             shares = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * k), axis=-1).reshape(-1, k)
@@ -366,7 +365,7 @@ class NumericModule:
         return self.joints.forward(q)
 
     def inverse(self, p: Array) -> list[Array]:
-        """IK: positions (k,) within the limits that put the end at p, (3,) [m]; one, or none."""
+        """IK: positions (k,) within the limits that put the end at p, (3,) [m]; one or none."""
         joints, k, found = self.joints, self.dof, np.clip(self.preferred, self._low, self._high)
         chain = ScrewChain(
             slides=~joints.revolute,
@@ -397,14 +396,14 @@ class NumericModule:
         """Find the next point of a curve and the posture that puts the end there.
 
         Args:
-            base: as for `target_point`.
-            curve: as for `target_point`.
-            start: as for `target_point`.
+            base: as in `target_point`.
+            curve: as in `target_point`.
+            start: as in `target_point`.
             near: positions to stay near, (k,); the preferred ones if None.
 
         Returns:
-            Its arc length [m] and the joint positions (k,). The arc length is NaN if there is none before the
-            curve leaves the reach, -1 if the curve ends before.
+            Its arc length [m] and the joint positions (k,). The arc length is NaN if the curve leaves the
+            reach without such a point, -1 if it ends without one.
         """
         placed = np.ascontiguousarray(np.column_stack([base.rotation, base.translation]))
         wanted = self.preferred if near is None else near
@@ -421,7 +420,7 @@ class NumericModule:
 ClosedForm = Torus | Circle | RollPitch
 
 FORMS: dict[type, int] = {Circle: CIRCLE, Torus: TORUS, RollPitch: ROLL_PITCH}
-"""The closed forms by which `kernels.place_modules` places modules, and their numbers there."""
+"""The closed forms known to `kernels.place_modules`, and their numbers there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -429,12 +428,12 @@ class Unit:
     """Consecutive joints of an arm that are placed together.
 
     Attributes:
-        module: index of the module at whose end theirs is, 0-based.
+        module: index of the module they belong to, 0-based.
         joints: indices into the chain.
         first: index into `Arm.columns` of their first degree of freedom.
-        base: where they begin at the neutral configuration, (3,) [m], world frame.
-        frame: axes of the base frame there as columns, (3, 3), world frame.
-        kinematics: their kinematics.
+        base: base of the unit at the neutral configuration, (3,) [m], world frame.
+        frame: axes of its base frame as columns, (3, 3), world frame.
+        kinematics: its kinematics.
         reason: why these are numeric; empty if they are not.
     """
 
@@ -448,28 +447,28 @@ class Unit:
 
     @property
     def inputs(self) -> slice:
-        """Their degrees of freedom as a range into `Arm.columns`."""
+        """Degrees of freedom as a range into `Arm.columns`."""
         return slice(self.first, self.first + self.kinematics.dof)
 
 
 def arm_units(arm: Arm) -> tuple[Unit, ...]:
     """Return the kinematics that place the modules of an arm one by one, from base to tip.
 
-    Registered kinematics come first. A module with two perpendicular hinges is a `Torus`, one with a roll and
-    a hinge a `RollPitch`; parallel hinges are placed one by one as `Circle`s; others are `NumericModule`s.
-    Joints at the end of a module that do not move its end belong to the next module if that needs them, and
-    stay where they are otherwise. Slides without limits that carry the base (`Arm.roaming`) belong to none.
+    Registered kinematics take precedence. A module with two perpendicular hinges is a `Torus`, one with a
+    roll and a hinge a `RollPitch`; parallel hinges are placed one by one as `Circle`s; others are
+    `NumericModule`s. Trailing joints that do not move the end of their module belong to the next one if it
+    needs them, else they are not moved. Unlimited slides that carry the base (`Arm.roaming`) are excluded.
 
     Raises:
-        UnsupportedModule: none of its joints moves the end of a module.
+        UnsupportedModule: no joint of a module moves its end.
     """
     return _units(arm).units
 
 
 class _Units(NamedTuple):
-    """The units of an arm, and what is derived from them."""
+    """The units of an arm, and data derived from them."""
 
-    registry: int  # state of the registry for which it holds
+    registry: int  # state of the registry for which they are valid
     units: tuple[Unit, ...]
     names: tuple[str, ...]  # kinematics of each module
     arrays: tuple[NDArray[np.int64], Array] | None  # of `unit_arrays`; None if a unit has no closed form
@@ -500,22 +499,22 @@ def kinematics_names(arm: Arm) -> tuple[str, ...]:
 
 
 def unit_arrays(arm: Arm) -> tuple[NDArray[np.int64], Array]:
-    """Return the units of an arm as `kernels.place_modules` takes them, `units` (n, 3) and `shapes` (n, 12).
+    """Return the `units` (n, 3) and `shapes` (n, 12) arguments of `kernels.place_modules` for an arm.
 
     Raises:
-        UnsupportedModule: a module that is not placed by a closed form of the library.
+        UnsupportedModule: a module has no closed form in the library.
     """
     known = _units(arm)
     if known.arrays is not None:
         return known.arrays
     unit = next(unit for unit in known.units if not isinstance(unit.kinematics, ClosedForm))
     name = type(unit.kinematics).__name__
-    reason = unit.reason or f"it is placed by kinematics of your own ({name})"
+    reason = unit.reason or f"it is placed by custom kinematics ({name})"
     raise UnsupportedModule(unit.module + 1, arm.module_joints[unit.module], reason)
 
 
 def unit_row(unit: Unit, frame: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return `unit_arrays` of one unit with a closed form, at its base frame (3, 3) in a posture."""
+    """Return `unit_arrays` of a single closed-form unit, with its base frame (3, 3) in a posture."""
     form = cast(ClosedForm, unit.kinematics)
     return np.array([[FORMS[type(form)], 0, 0]], dtype=np.int64), np.array([_shape(form, frame)])
 
@@ -526,14 +525,14 @@ def _shape(form: ClosedForm, frame: Array) -> list[float]:
 
 
 def is_compiled(arm: Arm) -> bool:
-    """Return whether closed forms of the library place all modules, so that one kernel does all of it."""
+    """Return whether the library's closed forms place all modules, so that a single kernel call suffices."""
     return _units(arm).arrays is not None
 
 
 def _find_units(arm: Arm) -> tuple[Unit, ...]:
     chain, units = arm.chain, list[Unit]()
     own = [_registered(arm, k) for k in range(arm.n_modules)]
-    waiting = int(np.count_nonzero(arm.roaming[chain.columns]))  # the first joint that is free
+    waiting = int(np.count_nonzero(arm.roaming[chain.columns]))  # the first free joint
     base = chain.base
     for k, (joints, end) in enumerate(zip(chain.module_slices, chain.points, strict=True)):
         claimed = own[k]
@@ -603,7 +602,7 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
     """Return the units with closed forms that place the end of a module.
 
     Raises:
-        UnsupportedModule: there are none; says why.
+        UnsupportedModule: there are none; gives the reason.
     """
     chain = arm.chain
     axes, origins = chain.axes[joints], chain.origins[joints]

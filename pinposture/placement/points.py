@@ -1,4 +1,4 @@
-"""The configuration that puts the control points at given points, or as near as possible."""
+"""Fit of the control points to given points, exactly or as closely as possible."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 VISITS_PER_MODULE, MIN_VISITS = 20, 200
-"""Limit on the number of modules that a search visits: per module, and at least."""
+"""Limit on the number of module visits of a search: per module, and its minimum."""
 
-WINDOW = 3  # number of modules corrected together where a point cannot be reached by its own joints
+WINDOW = 3  # number of modules corrected together if a point cannot be reached by its own joints
 
 JOINT_SAMPLES = 16
-"""Number of samples of joints without a closed form; twice as many for two such joints or more."""
+"""Number of samples of a joint without a closed form; twice as many for two or more such joints."""
 
 ROUGH_DISTANCE, EXACT_DISTANCE = 1e-3, 1e-9
 """Distances accepted by a rough search, in mean module lengths, and by an exact one, in arm lengths."""
@@ -36,33 +36,31 @@ ROUGH_DISTANCE, EXACT_DISTANCE = 1e-3, 1e-9
 ON_AXIS_DISTANCE = 1e-9  # distance from a joint axis within which a point counts as on it, in arm lengths
 
 REGULARISATION = 1e-8
-"""Weight of the joint positions against distances in arm lengths [1/rad]; decides what these leave open."""
+"""Weight of joint positions against distances in arm lengths [1/rad]; resolves redundancy."""
 
 TAKEN, NO_ERROR = 1e-6, 1e-9
-"""Distances at which a point counts as reached, and at which the search for a closer posture ends, in arm
-lengths."""
+"""Distances at which a point counts as reached, and at which the search stops, in arm lengths."""
 
 POINT_FIT_RESTARTS, POINT_FIT_NOISE = 8, 0.3
-"""Number of restarts from perturbed joint positions, and their standard deviation in `Arm.joint_units`."""
+"""Number of restarts, and standard deviation of their perturbations in `Arm.joint_units`."""
 
 POINT_FIT_STEPS, POINT_FIT_MAX_STEP = 300, 0.5
-"""Maximum number of steps of a fit, and the largest of them in `Arm.joint_units`."""
+"""Maximum number of steps of a fit, and largest step in `Arm.joint_units`."""
 
 MIN_DECREASE, MAX_SLOW_STEPS = 1e-9, 3
-"""Relative decrease of the cost that counts as progress, and how many steps in a row may do without."""
+"""Relative decrease of the cost that counts as progress, and number of successive steps without it."""
 
 MIN_POINT_DAMPING, MAX_POINT_DAMPING = 1e-12, 1e6
-"""Bounds of the damping of a fit, relative to its mean stiffness."""
+"""Bounds on the damping of a fit, relative to its mean stiffness."""
 
-POINT_DAMPING_DOWN, POINT_DAMPING_UP = 0.2, 5.0  # factors of the damping after a better and a worse step
+POINT_DAMPING_DOWN, POINT_DAMPING_UP = 0.2, 5.0  # damping factors after better and worse steps
 
 WEAK_MOTION = 0.3
-"""Joint motion of the size of the noise of the points, in `Arm.joint_units`, along which a measurement counts
-half: along directions in which joints hardly move the points, noise would tell them to move by more."""
+"""Noise-induced joint motion, in `Arm.joint_units`, at which a measurement gets half its weight. Along
+directions in which joints hardly move the points, noise would otherwise cause large joint motions."""
 
 MAX_SURPRISE = 0.5
-"""Mean distance of points from where they are foreseen, in mean module lengths, from which a filter begins
-anew."""
+"""Mean distance of points from their prediction, in mean module lengths, at which a filter is reset."""
 
 
 def place_sequentially(
@@ -70,19 +68,19 @@ def place_sequentially(
 ) -> tuple[Array, bool]:
     """Find joint positions that put the control points at given points, module by module.
 
-    The point at the end of a module leaves a few solutions for its joints. A wrong one shows at a later
-    module, whose point it puts out of reach: the search then goes back and takes another, those nearest to
-    `near` first. Where points cannot be reached exactly, a small distance is accepted.
+    The end point of a module leaves a few solutions for its joints. A wrong choice becomes apparent at a
+    later module, whose point is then out of reach: the search backtracks and tries another solution, those
+    nearest to `near` first. If points cannot be reached exactly, a small distance is accepted.
 
     Args:
         arm: the arm.
         points: a position for every control point, (m, 3) [m], world frame.
-        has_target: which of them count, (m,).
+        has_target: True for points to reach, (m,).
         near: preferred joint positions, (nv,) [rad or m].
 
     Returns:
         Joint positions (nv,) [rad or m] within the limits, and whether they reach the points. If not, they
-        reach as many as was possible from the base on, and the others as nearly as each module can.
+        reach as many points as possible from the base on, and the others as closely as each module can.
     """
     chain, goals = _screw_chain(arm, points, has_target, near)
     bounded = np.isfinite(chain.lower) & np.isfinite(chain.upper)
@@ -91,7 +89,7 @@ def place_sequentially(
     visits, positions = max(VISITS_PER_MODULE * len(goals), MIN_VISITS), near.copy()
     exact, rough = EXACT_DISTANCE * arm.length, ROUGH_DISTANCE * arm.length / len(goals)
     samples = _joint_samples(len(center))
-    # Positions far from the limits leave more freedom to the modules that follow.
+    # Positions far from the limits leave more freedom for later modules.
     for start, accepted, first in (
         (chain.near, exact, 0),
         (center, exact, JOINT_SAMPLES),
@@ -107,9 +105,9 @@ def place_sequentially(
 
 
 def with_configuration(arm: Arm, target: Target, near: Array | None = None) -> Target:
-    """Return the target with a configuration that takes it exactly, if `taken_exactly` finds one.
+    """Add a configuration that reaches the target exactly, if `taken_exactly` finds one.
 
-    It is near a configuration (nq,), or the straight one if that is None.
+    It stays near the configuration `near`, (nq,), or the straight arm if None.
     """
     if target.q is not None or not np.all(target.has_target):
         return target
@@ -118,7 +116,7 @@ def with_configuration(arm: Arm, target: Target, near: Array | None = None) -> T
 
 
 def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
-    """Find joint positions that put all control points at given points, without going back; microseconds.
+    """Find joint positions that reach all points without backtracking; takes microseconds.
 
     Args:
         arm: the arm.
@@ -126,7 +124,7 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
         near: preferred joint positions, (nv,) [rad or m].
 
     Returns:
-        Joint positions (nv,) [rad or m] within the limits; None if there are none, as for measured points, or
+        Joint positions (nv,) [rad or m] within the limits; None if none are found, as for measured points, or
         if a module has more than two joints.
     """
     chain, goals = _screw_chain(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
@@ -144,7 +142,7 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
 def _screw_chain(
     arm: Arm, points: Array, has_target: NDArray[np.bool_], near: Array
 ) -> tuple[ScrewChain, Array]:
-    """Return the chain as kernels take it, and the points that count, (p, 3) [m]."""
+    """Return the chain as arrays for kernels, and the points to reach, (p, 3) [m]."""
     chain, columns = arm.chain, arm.columns
     lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
     indices, joints, begins = _first_joints(chain, tuple(np.flatnonzero(has_target).tolist()))
@@ -171,10 +169,10 @@ def _screw_chain(
 
 @lru_cache(maxsize=64)
 def _first_joints(chain: Chain, indices: tuple[int, ...]) -> tuple[Whole, Whole, Whole]:
-    """Return the control points that count, (p,), and the first joint of each and the end, (p + 1,).
+    """Return the control points to reach, (p,), and the first joint of each and the end, (p + 1,).
 
-    The first degree of freedom of each, and their number, come last. A joint belongs to the first point that
-    it can move: joints whose axes pass through a point belong to the next, unless they are coupled.
+    Also returns the first degree of freedom of each and their number, (p + 1,). A joint belongs to the first
+    point it can move: joints whose axes pass through a point belong to the next, unless they are coupled.
     """
     alone = np.bincount(chain.columns)[chain.columns] == 1
     ends = [*chain.module_starts[1:].tolist(), len(chain.joints)]
@@ -193,7 +191,7 @@ def _first_joints(chain: Chain, indices: tuple[int, ...]) -> tuple[Whole, Whole,
 
 @lru_cache(maxsize=64)
 def _joint_samples(n: int) -> Array:
-    """Return shares of the range of each joint, (2 S, n): two even spreads, shuffled for each joint."""
+    """Return fractions of the range of each joint, (2 S, n): two even grids, shuffled for each joint."""
     rng = np.random.default_rng(0)
     sets = [(np.arange(JOINT_SAMPLES) + middle) / JOINT_SAMPLES for middle in (0.25, 0.75)]
     columns = [np.concatenate([rng.permutation(shares) for shares in sets]) for _ in range(n)]
@@ -201,12 +199,12 @@ def _joint_samples(n: int) -> Array:
 
 
 def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
-    """Find the configuration that takes given points, or comes closest to them within the limits.
+    """Find the configuration that reaches given points, or comes closest to them within the limits.
 
-    Points within reach are found module by module, by a search that backtracks; the default controller uses
-    the same search. Other points, such as measured ones, are fitted by least squares. These start from the
-    result of that search, from the fit of the whole arm to a curve through the points, which winds the right
-    way round, and from the straight arm. The result may be a local minimum.
+    Reachable points are placed module by module with a backtracking search, which the default controller also
+    uses. Other points, such as measured ones, are fitted by least squares, starting from the result of that
+    search, from a fit of the whole arm to a curve through the points, which winds in the right direction, and
+    from the straight arm. The result may be a local minimum.
 
     Args:
         arm: the arm.
@@ -214,8 +212,8 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         weights: 1 to control a point, 0 to leave it free, (m,); all 1 if None.
 
     Returns:
-        The target at those points, with the closest configuration `q` and the distance of its control points
-        from them as `residual`. If one of them is not reached, `approximate` says so.
+        The target at those points, with the closest configuration `q` and the distances of its control points
+        as `residual`. `approximate` reports points that are not reached.
 
     Raises:
         InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
@@ -227,15 +225,15 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     approximate = ""
     if residual[farthest] > TAKEN * arm.length:
         approximate = (
-            f"the closest posture that was found leaves control point {farthest} {residual[farthest]:.3g} m "
-            "from its point; it may be a local minimum"
+            f"in the closest posture found, control point {farthest} is {residual[farthest]:.3g} m from its "
+            "point; it may be a local minimum"
         )
     q = arm.nearest_turns(arm.configuration(best))
     return replace(target, q=q, residual=residual, method="closest", approximate=approximate)
 
 
 def _closest_positions(arm: Arm, target: Target) -> Array:
-    """Return the joint positions (nv,) that come closest to a target, of those that a few starts lead to."""
+    """Return the joint positions (nv,) that come closest to a target, from several starts."""
     straight = arm.positions(arm.straight())
     rng, noise = np.random.default_rng(0), np.where(arm.moved > 0.0, POINT_FIT_NOISE * arm.joint_units, 0.0)
     best, least = straight, np.inf
@@ -255,11 +253,11 @@ def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
 
     Args:
         arm: the arm.
-        target: positions of its control points; it fits the arm.
+        target: positions of its control points; must fit the arm.
         near: preferred joint positions, (nv,) [rad or m].
 
     Yields:
-        Joint positions (nv,) [rad or m] within the limits, the most promising first; only one if it takes all
+        Joint positions (nv,) [rad or m] within the limits, most promising first; only one if it reaches all
         points.
     """
     positions, complete = place_sequentially(arm, target.points, target.has_target, near)
@@ -269,7 +267,7 @@ def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
     try:
         curve = Curve.points(np.vstack([arm.chain.base, target.points[target.has_target]]))
         yield fit_curve(arm, curve, 0.0, REGULARISATION * arm.length, rough=True)[0]
-    except PostureError:  # points that make no curve, such as two in one place
+    except PostureError:  # the points form no curve, for instance because two coincide
         return
 
 
@@ -279,7 +277,7 @@ def _gaps(arm: Arm, target: Target, positions: Array) -> Array:
 
 
 def _fit(arm: Arm, target: Target, start: Array) -> Array:
-    """Minimise the squared distances near a start, (nv,), by Levenberg-Marquardt steps within the limits."""
+    """Minimise the squared distances from a start, (nv,), by Levenberg-Marquardt steps within the limits."""
     columns, indices, chain = arm.columns, np.flatnonzero(target.has_target), arm.kinematics.constants
     ends, weights, no_chords = arm.kinematics.ends[indices], target.weights[indices], np.zeros(len(indices))
     n, units, goals = len(columns), arm.joint_units[columns], target.points[indices]
@@ -321,26 +319,27 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
 
 
 class PointFilter:
-    """Turns noisy measured points, one set in each cycle, into targets for the arm to follow without jitter.
+    """Filter that turns noisy measured points, one set per cycle, into targets that the arm follows smoothly.
 
         smooth = pp.PointFilter(arm, dt=0.01, noise=1e-3)
         tracker.update(smooth.update(points))  # in every cycle
 
-    Noise on the points asks for joint motions that are larger the less joints move the points: 1 mm on links
-    of 25 mm for 0.08 rad. So joint positions and velocities are estimated: foreseen from the last cycle, and
-    corrected by what is measured. Along each right singular vector of the Jacobian of the points the gains
-    are those of the stationary Kalman filter for a random acceleration and the noise that the joint motion
-    sees there (Kalata's alpha-beta filter). A motion at constant joint speed is followed without delay.
+    Noise of the points causes joint motions, which are larger the less the joints move the points: 0.08 rad
+    for 1 mm on links of 25 mm. The filter therefore estimates joint positions and velocities: it predicts
+    them from the last cycle and corrects them with the measurement. Along each right singular vector of the
+    points' Jacobian, the gains are those of the stationary Kalman filter for random acceleration and the
+    noise of the joint motion in that direction (Kalata's alpha-beta filter). Motion at constant joint speed
+    is followed without lag.
 
     Args:
         arm: the arm.
         dt: duration of a cycle [s].
         noise: standard deviation of a coordinate of a point [m].
-        acceleration: standard deviation of the acceleration of joints, in `Arm.joint_units` per s^2: how
-            quickly the posture may change its course. Less is smoother, more is faster.
+        acceleration: standard deviation of the joint acceleration, in `Arm.joint_units` per s^2. Lower values
+            give smoother motion, higher values a faster response.
 
     Raises:
-        InvalidValue: a number that is not positive.
+        InvalidValue: a number is not positive.
     """
 
     def __init__(self, arm: Arm, dt: float, noise: float, acceleration: float = 3.0) -> None:
@@ -350,25 +349,25 @@ class PointFilter:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was measured."""
+        """Discard all measurements."""
         self._positions: Array | None = None
         self._velocity = np.zeros(self.arm.nv)
 
     def update(self, points: ArrayLike) -> Target:
         """Return the target of a cycle.
 
-        Points that jump are fitted anew (`fit_points`), which can take longer than a cycle.
+        Points that jump are fitted from scratch (`fit_points`), which can take longer than a cycle.
 
         Args:
             points: measured positions of the control points, (m, 3) [m], world frame; rows that are not
-                finite were not seen, and their points are free if that is so from the beginning.
+                finite mark points not seen. A point not seen in the first measurement is free in that fit.
 
         Returns:
-            The target at the estimated posture, with its configuration and velocity; at rest where the last
-            one was if no point was seen.
+            The target at the estimated posture, with its configuration and velocity; at rest at the previous
+            posture if no point was seen.
 
         Raises:
-            InvalidValue: a wrong shape, or no point that was seen, ever.
+            InvalidValue: wrong shape, or no point has been seen yet.
         """
         arm = self.arm
         measured = float_array("points", points, (arm.n_modules, 3))
@@ -381,7 +380,7 @@ class PointFilter:
         return replace(target, velocity=self._velocity)
 
     def _correct(self, positions: Array, measured: Array, seen: NDArray[np.bool_]) -> bool:
-        """Go on by a cycle; return whether the points are about where they are foreseen."""
+        """Advance by a cycle; return whether the points are close to their prediction."""
         arm, columns, units = self.arm, self.arm.columns, self.arm.joint_units[self.arm.columns]
         lower, upper = arm.limits.lower, arm.limits.upper
         if not seen.any():
@@ -396,7 +395,7 @@ class PointFilter:
         squares, directions = np.linalg.eigh(jacobian.T @ jacobian)
         motions = directions.T @ (jacobian.T @ errors.ravel())
         motions /= np.maximum(squares, 0.0) + (self.noise / WEAK_MOTION) ** 2
-        # Noise of the joint motion along a direction is that of the points, divided by its singular value.
+        # Noise of the joint motion along a direction is that of the points divided by its singular value.
         ratios = self.acceleration * self.dt**2 / self.noise * np.sqrt(np.maximum(squares, 0.0))
         alpha, beta = stationary_gains(ratios)
         corrected, self._velocity = foreseen.copy(), self._velocity.copy()
@@ -408,10 +407,10 @@ class PointFilter:
 
 
 def stationary_gains(ratio: Array) -> tuple[Array, Array]:
-    """Return the gains of position and of velocity times the cycle, of a stationary Kalman filter.
+    """Return the gains for position, and for velocity times the cycle, of a stationary Kalman filter.
 
     Args:
-        ratio: change of position in a cycle by a random acceleration, a dt^2, relative to the noise of the
+        ratio: change of position in a cycle due to random acceleration, a dt^2, relative to the noise of the
             measured position (the tracking index of Kalata, 1984).
     """
     root = (4.0 + ratio - np.sqrt(ratio * (8.0 + ratio))) / 4.0

@@ -61,22 +61,21 @@ METHODS = ("auto", "sequential", "smooth", "closest")
 STIFFNESS = {"smooth": 0.02, "closest": 1e-8}
 """Weight of one radian of bending against distance from the curve, in module lengths [1/rad].
 
-It is not zero for "closest", because some joints move no control point.
+It is not zero for "closest" because some joints move no control point.
 """
 
 FAR = 0.1
-"""How far the start of a curve may be moved, and the farthest link be from the curve, without a warning, in
-arm lengths."""
+"""Largest shift of a curve's start and link distance from the curve without a warning, in arm lengths."""
 
-OWN_TOLERANCE = 1e-7  # how far kinematics of your own may be off, in reaches of the module or radians
+OWN_TOLERANCE = 1e-7  # tolerance of custom kinematics, in reaches of the module or radians
 
-MAX_ASKED = 1000  # how often kinematics of your own are asked for the next target point of a module
+MAX_ASKED = 1000  # number of queries to custom kinematics for the next target point of a module
 
 AT_LIMIT = 1e-6  # distance from a position limit at which a joint counts as at it, in `Arm.joint_units`
 
 OFF_CURVE = 0.1
-"""Distance from the curve at which a control point counts as not placed, in lengths of its module, or of a
-row of modules that are bound to one plane together (`Chain.spans`)."""
+"""Distance from the curve at which a control point counts as not placed, in lengths of its module, or of the
+neighbouring modules bound to one plane (`Chain.spans`)."""
 
 
 def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = None) -> Placement:
@@ -85,15 +84,15 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
     Args:
         arm: the arm.
         curve: the curve, placed in the world.
-        samples: number of points at equal arc length that stand for the curve for closed forms.
-        near: a target with the configuration near which redundant modules stay; the straight arm if None.
+        samples: number of points at equal arc length by which closed forms approximate the curve.
+        near: target with a configuration that redundant modules stay near; the straight arm if None.
 
     Returns:
         The placement, with a failure if a module could not be placed.
 
     Raises:
-        UnsupportedModule: none of its joints moves the end of a module.
-        InvalidValue: kinematics of your own contradict themselves.
+        UnsupportedModule: no joint of a module moves its end.
+        InvalidValue: custom kinematics are inconsistent.
     """
     units, names = arm_units(arm), kinematics_names(arm)
     if is_compiled(arm):
@@ -114,7 +113,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
 
 
 def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...]) -> Placement:
-    """Place modules that all have closed forms of the library."""
+    """Place modules that all have a closed form in the library."""
     numbers, shapes = unit_arrays(arm)
     parameter, on_curve = beginning(arm, curve)
     base = np.array(arm.chain.base)
@@ -135,11 +134,11 @@ def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...
 
 
 class Walk:
-    """Algorithm 1 along an arm whose modules have kinematics of several kinds.
+    """Algorithm 1 for an arm with different kinds of module kinematics.
 
     Attributes:
-        parameter: arc length of the end of the last module that was placed [m].
-        positions: joint positions (nv,) [rad or m]; the preferred ones where nothing is placed yet.
+        parameter: arc length of the end of the last placed module [m].
+        positions: joint positions (nv,) [rad or m]; the preferred ones for modules not placed yet.
     """
 
     def __init__(self, arm: Arm, curve: Curve, samples: int, preferred: Array) -> None:
@@ -150,7 +149,7 @@ class Walk:
         self._from_base = on_curve or bool(np.any(arm.roaming))
 
     def place(self, unit: Unit) -> TargetError | None:
-        """Place the next unit; return why that cannot be."""
+        """Place the next unit; return the error if that fails."""
         self._carry(unit.joints.start)
         columns = self._arm.columns[unit.inputs]
         base = pin.SE3(self._turn @ unit.frame, self._turn @ unit.base + self._place)
@@ -167,7 +166,7 @@ class Walk:
         return None
 
     def _carry(self, stop: int) -> None:
-        """Move the frame along the joints before an index."""
+        """Advance the frame along the joints before an index."""
         chain, own = self._arm.chain, slice(self._carried, stop)
         amounts = chain.ratios[own] * self.positions[chain.columns[own]]
         screws = ~chain.revolute[own], chain.axes[own], chain.origins[own]
@@ -236,7 +235,7 @@ class Walk:
 
 
 def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
-    """Explain why a unit could not be placed, from what `kernels.place_modules` left in the state."""
+    """Explain why a unit could not be placed, from the state after `kernels.place_modules`."""
     first, last, beyond, found = state[1:4], state[4:7], bool(state[7]), int(state[8])
     module, at, slack = unit.module + 1, float(state[0]), ON_CURVE * arm.length
     reach = unit.kinematics.reach
@@ -278,51 +277,49 @@ def resolve_targets(
 ) -> Target:
     """Find the point of a curve for each control point, and the configuration that puts it there.
 
-    Modules are placed "sequential"ly as in Algorithm 1 (exact, from base to tip, each by its own kinematics:
-    a closed form, a numeric search, or yours, see `register_module_kinematics`), or all at once by least
-    squares within the joint limits: "closest" to the curve, or "smooth", which accepts some distance for
-    less bending. `Target.placed_by` tells which. Sequential placement multiplies the
-    angle between a module and the curve by -l1 / l2 from module to module, and can zigzag along a curve that
-    leaves the base at an angle; smooth placement does not.
+    The "sequential" method places modules one by one as in Algorithm 1 (exact, from base to tip, each by its
+    own kinematics: a closed form, a numeric search, or custom, see `register_module_kinematics`). The other
+    methods place all modules at once by least squares within the joint limits: "closest" minimises the
+    distance from the curve, "smooth" accepts some distance for less bending. `Target.placed_by` records the
+    choice. Sequential placement multiplies the angle between a module and the curve by -l1 / l2 from module
+    to module, and can zigzag along a curve that leaves the base at an angle; smooth placement does not.
 
     Args:
         arm: the arm.
         curve: the shape to take.
-        samples: number of points at equal arc length that stand for the curve in sequential placement.
-        placement: "as_is" uses the curve where it is; "translate" moves its start to the base of the
-            arm; "align" also turns its first tangent to the arm's axis by the smallest rotation, and a plane
+        samples: number of points at equal arc length by which sequential placement approximates the curve.
+        placement: "as_is" uses the curve in place; "translate" moves its start to the base of the arm;
+            "align" also rotates its first tangent onto the arm's axis by the smallest angle, and a plane
             curve into the plane of a planar arm. None aligns, with a `PostureWarning` if that moves the start
-            by more than a tenth of the arm's length. A base that slides without limits (`Arm.roaming`) stays
-            where it is, unless a curve used "as_is" does not pass through it: then it drives to its start.
-        roll: further turn of an aligned curve about the arm's axis [rad].
-        incomplete: what to do if a module cannot be placed: "raise" an error, or return a "partial"
-            target that gives the reason in `incomplete` and weight 0 to the points from there on.
-        method: as above; "auto" is sequential where that works and does not zigzag, else smooth, or
-            closest where a module has no closed-form kinematics. `Target.fallback` then says why, and so does
-            the log.
-        near: the target on a slightly different curve, or of a configuration that nearly takes this one
-            (`Target.from_configuration`). Least squares then start there and search no farther, which is
-            fast; None: they start with the straight arm, and take tenths of a second for 20 modules and
-            seconds for 100.
+            by more than a tenth of the arm length. A base on unlimited slides (`Arm.roaming`) stays in place,
+            unless a curve used "as_is" does not pass through it: then the base moves to the curve's start.
+        roll: additional rotation of an aligned curve about the arm's axis [rad].
+        incomplete: what to do if a module cannot be placed: "raise" an error, or return a "partial" target
+            with the reason in `incomplete` and weight 0 for the points from there on.
+        method: as above; "auto" is sequential if that works and does not zigzag, else smooth, or closest if a
+            module has no closed-form kinematics. The reason is then in `Target.fallback` and in the log.
+        near: target on a slightly different curve, or of a configuration close to this one
+            (`Target.from_configuration`). Least squares then only search near it, which is fast. If None,
+            they start from the straight arm and take tenths of a second for 20 modules, seconds for 100.
 
     Returns:
-        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. If the links are more
-        than a tenth of the arm length from the curve (`Target.distance_from_curve`) and no `near` was given,
-        a `PostureWarning` says why (`Arm.can_follow`). Joints that can turn without limit are within half a
-        turn of `near`, or of the straight arm.
+        The target, with `q`, `parameters`, `residual`, `method` and `moved`. If the links are more than a
+        tenth of the arm length from the curve (`Target.distance_from_curve`) and `near` is None, a
+        `PostureWarning` gives the reason (`Arm.can_follow`). Joints that can turn without limit are within
+        half a turn of `near`, or of the straight arm.
 
     Raises:
         CurveEndsEarly: the curve ends before the last module does.
-        CurveLeavesTooSharply: the first module cannot turn to where the curve goes, or the curve passes the
-            base at a distance.
+        CurveLeavesTooSharply: the first module cannot bend enough to follow the curve, or the curve passes
+            the base at a distance.
         CurveOutOfReach: the curve is beyond the range of the prismatic joints.
-        CurveBendsTooMuch: a later module cannot turn to where the curve goes, the curve leaves the plane of a
-            planar module, or a control point stays farther from the curve than a tenth of its module's
-            length, or of the length of neighbouring modules that are bound to one plane together.
-        UnsupportedModule: sequential placement of a module whose end none of its joints moves.
-        InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, or a `near` of
-            another arm or without configuration.
-        UnknownName: a `placement`, `incomplete` or `method` that does not exist.
+        CurveBendsTooMuch: a later module cannot bend enough to follow the curve, the curve leaves the plane
+            of a planar module, or a control point is farther from the curve than a tenth of the length of its
+            module, or of neighbouring modules bound to one plane.
+        UnsupportedModule: sequential placement of a module whose joints do not move its end.
+        InvalidValue: not an arm or a curve, fewer than 2 samples, a roll that is not finite, or a `near` for
+            another arm or without a configuration.
+        UnknownName: no such `placement`, `incomplete` or `method`.
     """
     _check_arguments(arm, curve, samples, placement, roll, incomplete, method, near)
     placed, moved = place_curve(arm, curve, placement, roll)
@@ -377,7 +374,7 @@ def _check_arguments(
 
 
 def far_moved(arm: Arm, what: str, moved: Moved) -> str:
-    """Return the warning about a curve that was moved far without a `placement` that says so."""
+    """Return the warning about a curve that was moved far without an explicit `placement`."""
     share = f"{moved.distance / arm.length:.2g} of the arm length"
     advice = 'placement="as_is" keeps it in place, "align" moves it without this warning'
     return f"{what} was {moved} to the base of the arm ({share}); {advice}"
@@ -387,7 +384,7 @@ def _choose(arm: Arm, curve: Curve, samples: int, near: Target | None) -> tuple[
     """Place modules one by one if that works, else all at once.
 
     Returns:
-        The placement, its method, and why that is least squares; empty if it is not.
+        The placement, its method, and the reason for least squares; empty if sequential.
     """
     try:
         in_turn, compiled = place_in_turn(arm, curve, samples, near), is_compiled(arm)
@@ -410,7 +407,7 @@ def _choose(arm: Arm, curve: Curve, samples: int, near: Target | None) -> tuple[
 
 
 def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
-    """Say that links are far from a curve although the control points are on it; empty if they are not."""
+    """Return a message if links are far from a curve although the control points are on it, else ""."""
     q = arm.configuration(placed.positions)
     if max(_link_lengths(arm, q)) / 2.0 <= FAR * arm.length:
         return ""
@@ -419,7 +416,7 @@ def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
-    """Return whether most modules bend in the opposite direction to the one before."""
+    """Return whether most modules bend in the opposite direction to the previous one."""
     if {Torus.__name__, Circle.__name__}.issuperset(kinematics_names(arm)):
         starts = np.append(arm.module_starts, len(arm.columns))
         products, norms = kernels.neighbours(positions[arm.columns], starts)
@@ -431,7 +428,7 @@ def _zigzags(arm: Arm, positions: Array) -> bool:
 
 
 def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
-    """Return by how much each module turns its axis, as vectors in the frames before and after it, (m, 3)."""
+    """Return the bend of each module as vectors in the frames before and after it, (m, 3) each."""
     chain, before, after = arm.chain, np.empty((arm.n_modules, 3)), np.empty((arm.n_modules, 3))
     spans = np.diff(np.vstack([chain.base, chain.points]), axis=0)
     axes = spans / np.maximum(np.linalg.norm(spans, axis=1), 1e-300)[:, None]
@@ -446,7 +443,7 @@ def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
 
 
 def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) -> Placement:
-    """Fit the whole arm by least squares; fail where a control point ends up too far from the curve."""
+    """Fit the whole arm by least squares; fail if a control point ends up too far from the curve."""
     start, _ = beginning(arm, curve)
     lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
     bending = STIFFNESS[method] * float(np.median(lengths))
@@ -527,7 +524,7 @@ def _distances(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> A
 def _obstruction(
     arm: Arm, curve: Curve, positions: Array, module: int, start: float
 ) -> tuple[type[TargetError], str]:
-    """Say what keeps the end of a module off the curve at the fitted joint positions (nv,)."""
+    """Explain what keeps the end of a module off the curve at the fitted joint positions (nv,)."""
     own = arm.columns[: arm.chain.input_ends[module]]
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
     names = dict(zip(arm.columns.tolist(), arm.chain.input_names, strict=True))

@@ -1,4 +1,4 @@
-"""The target posture: target positions of the control points, and how its curve is laid at an arm."""
+"""The target posture: target positions of the control points, and the placement of a curve at an arm."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Target:
 
     Attributes:
         points: target positions, (m, 3) [m], world frame.
-        weights: 1 for a control point that has a target, 0 for one that is free, (m,). `fit_points` and
+        weights: 1 for a control point with a target, 0 for a free one, (m,). `fit_points` and
             `LevenbergMarquardt` weight errors by them; other controllers only test whether they are above 0.
         q: a configuration of the target posture, (nq,); None if unknown.
         curve: the curve as placed in the world, or None.
@@ -35,15 +35,15 @@ class Target:
         method: the placement method: "sequential", "smooth" or "closest"; or empty.
         moved: how the curve was moved from its position as drawn; None without a curve, or if unknown.
         incomplete: why some control points could not be placed on the curve; empty if all are. Those
-            have weight 0, and their `points` continue straight on from the last that was placed.
-        velocity: joint velocities of `q` if the target moves, (nv,) [rad/s or m/s]; None if unknown.
+            have weight 0, and their `points` continue straight from the last placed one.
+        velocity: joint velocities at `q` if the target moves, (nv,) [rad/s or m/s]; None if unknown.
         placed_by: what placed each control point on the curve, (m,): the kinematics of its module,
-            "Torus", "Circle", "RollPitch", "NumericModule" or your own class; or "least squares" over the
+            "Torus", "Circle", "RollPitch", "NumericModule" or a custom class; or "least squares" over the
             whole arm. Empty without a curve.
-        fallback: why least squares placed the whole arm with `method="auto"`, which places modules one by one
-            if possible; empty otherwise.
+        fallback: why `method="auto"` placed the whole arm by least squares instead of module by module; empty
+            otherwise.
         approximate: by how much the posture at `q` misses given points (`fit_points`), which may be a local
-            minimum; empty if it takes them, or if `q` is unknown.
+            minimum; empty if it reaches them, or if `q` is unknown.
     """
 
     points: Array
@@ -70,17 +70,17 @@ class Target:
 
     @property
     def has_target(self) -> NDArray[np.bool_]:
-        """Which control points have a target, (m,)."""
+        """True for control points with a target, (m,)."""
         return np.asarray(self.weights > 0.0)
 
     def distance_from_curve(self, arm: Arm) -> float | None:
-        """Return the distance of the point of the links farthest from the curve at `q` [m].
+        """Return the largest distance of the links from the curve at `q` [m].
 
         Args:
-            arm: the arm that the target is for.
+            arm: the arm of the target.
 
         Returns:
-            The distance, in the plane of a planar arm; None without a curve or configuration.
+            The distance, within the plane for a planar arm; None without a curve or configuration.
         """
         if self.q is None or self.curve is None:
             return None
@@ -109,7 +109,7 @@ class Target:
     def region(self, first: int, last: int) -> Target:
         """Return the same target for control points `first` to `last` only; the others are free.
 
-        Weights within the region stay as they are. So does `q`, which still takes the whole posture.
+        Weights within the region are kept, and so is `q`, which still takes the whole posture.
 
         Args:
             first: first control point of the region, 0-based.
@@ -133,7 +133,7 @@ class Target:
 
     @classmethod
     def from_points(cls, arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
-        """Make a target of given positions, for instance measured ones.
+        """Create a target from given positions, for instance measured ones.
 
         Args:
             arm: the arm.
@@ -152,7 +152,7 @@ class Target:
 
     @classmethod
     def from_configuration(cls, arm: Arm, q: ArrayLike) -> Target:
-        """Make a target of the posture at a configuration q, (nq,).
+        """Create a target from the posture at a configuration q, (nq,).
 
         Raises:
             InvalidValue: as `Arm.checked_start`.
@@ -169,21 +169,19 @@ def _finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array
     return array
 
 
-# How a curve is laid at an arm, and how far an arm is from it.
-
 ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
-MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] that count as having moved a curve
+MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] of a curve that count as a change
 
 SAMPLES_PER_LINK, REFINEMENTS = 4, 5
-"""Number of parts of a link in the search for its farthest point, and number of rounds of that search."""
+"""Number of parts of a link in the search for its farthest point, and number of search rounds."""
 
 
 class Moved(NamedTuple):
     """How a curve was moved to the arm from its position as drawn.
 
     Attributes:
-        translation: of its start, (3,) [m], world frame.
-        rotation: about its start, as a rotation vector, (3,) [rad], world frame.
+        translation: translation of its start, (3,) [m], world frame.
+        rotation: rotation vector about its start, (3,) [rad], world frame.
     """
 
     translation: tuple[float, float, float]
@@ -213,9 +211,9 @@ class Placement(NamedTuple):
 
     Attributes:
         positions: joint positions, (nv,) [rad or m]; zero for modules that could not be placed.
-        parameters: arc length of each control point, (m,) [m]; the curve's end where it could not be placed.
-        failure: why a module, and all after it, could not be placed; None if all are placed.
-        placed_by: for each module the kinematics that placed it, by name; or "least squares"; (m,).
+        parameters: arc length of each control point, (m,) [m]; the curve's end if it could not be placed.
+        failure: why a module and all later ones could not be placed; None if all are placed.
+        placed_by: name of the kinematics that placed each module, or "least squares", (m,).
     """
 
     positions: Array
@@ -225,7 +223,7 @@ class Placement(NamedTuple):
 
 
 def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> tuple[Curve, Moved]:
-    """Move a curve to an arm as `resolve_targets` describes; return it and how it was moved.
+    """Move a curve to an arm as described in `resolve_targets`; return it and how it was moved.
 
     A plane curve for a planar arm is also rolled into the arm's plane, by the smaller angle.
     """
@@ -247,7 +245,7 @@ def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> t
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
     """Return the arc length of the point of a curve nearest to the base [m], and whether the base is on it.
 
-    A base that slides without limits (`Arm.roaming`) drives to the start of a curve that it is not on.
+    A base on unlimited slides (`Arm.roaming`) that is not on the curve moves to the curve's start.
     """
     tolerance = ON_CURVE * arm.length
     if math.dist(curve.start, arm.chain.base) <= tolerance:
@@ -259,11 +257,11 @@ def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
 
 
 def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
-    """Return the distance of the point of the arm farthest from a curve [m].
+    """Return the largest distance of a point of the arm from a curve [m].
 
     Links are straight between joint centres, control points and the tip (`ArmState.links`). A planar arm is
-    projected onto the plane of its base. Each point is measured to the nearest point of the curve, so a curve
-    that goes on beyond the tip adds nothing.
+    projected onto the plane of its base. Distances are measured to the nearest point of the curve, so the
+    part of a curve beyond the tip adds nothing.
 
     Args:
         arm: the arm.
@@ -271,7 +269,7 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
         curve: the curve, placed in the world.
 
     Returns:
-        The distance, found by sampling ever more finely around the farthest point; a peak narrower than a
+        The distance, found by successively finer sampling around the farthest point; a peak narrower than a
         quarter of a link may be missed.
     """
     ends = arm.chain.flattened(arm.at(q).compiled.links)
@@ -293,7 +291,7 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
 
 
 def arm_axis(arm: Arm) -> Array:
-    """Return the direction from the base to the tip of the straight arm, unit vector (3,), world frame."""
+    """Return the unit vector from the base to the tip of the straight arm, (3,), world frame."""
     if arm_axis not in arm.cache:
         reach = arm.chain.flattened(arm.at(arm.straight()).compiled.points[-1]) - arm.chain.base
         direction = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
@@ -319,7 +317,7 @@ def _least_rotation(a: Array, b: Array) -> Array:
 
 
 def _roll_into_plane(arm: Arm, curve: Curve, aligned: Array, axis: Array) -> Array:
-    """Return the rotation (3, 3) about the arm's axis that brings a plane curve into a planar arm's plane."""
+    """Return the rotation (3, 3) about the arm's axis that moves a plane curve into a planar arm's plane."""
     points = (curve.resample(200) - curve.start) @ aligned.T
     off_axis = points - (points @ axis)[:, None] * axis
     widest = off_axis[np.argmax(np.einsum("ij,ij->i", off_axis, off_axis))]

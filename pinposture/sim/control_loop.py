@@ -1,4 +1,4 @@
-"""Run the plant in open loop, sent a motion, or in closed loop, driven by a controller that measures it."""
+"""Run the plant in open loop with a given motion, or in closed loop with a feedback controller."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ AnyMotion: TypeAlias = "Trajectory | Motion | JointTrajectory | ArrayLike"
 """A run, a motion in time, a joint trajectory, or configurations (N, nq)."""
 
 Progress = Callable[[int, int], object]
-"""Called with the number of completed cycles and the number of all cycles."""
+"""Called with the number of completed cycles and the total number of cycles."""
 
 UNIFORM = 1e-6  # relative variation up to which sampling periods count as equal
 
-# Mean distance of the control points from where they should be at the end that counts as arrived, in arm
-# lengths. Servos without integral action sag under gravity by some thousandths.
+# Final mean distance of the control points from their goals that counts as arrived, in arm lengths. Servos
+# without integral action sag under gravity by a few thousandths.
 END_TOLERANCE = 0.01
 
 
@@ -37,7 +37,7 @@ class SetPoints(NamedTuple):
     """Set points of the servos of an arm, sampled at a fixed period.
 
     Attributes:
-        positions: joint positions, (N, nv) [rad or m]; a continuous joint counts its turns.
+        positions: joint positions, (N, nv) [rad or m]; those of continuous joints include full turns.
         dt: sampling period [s].
     """
 
@@ -45,7 +45,7 @@ class SetPoints(NamedTuple):
     dt: float
 
     def targets(self, arm: Arm) -> Callable[[float], Target]:
-        """Return the posture of the motion as a function of time [s]; after the end it is the last one."""
+        """Return the posture of the motion as a function of time [s]; the last one after the end."""
 
         def at(time: float) -> Target:
             row = min(round(time / self.dt), len(self.positions) - 1)
@@ -60,8 +60,8 @@ def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoint
     Args:
         arm: the arm to move.
         motion: the motion; joints of another arm are matched by name.
-        dt: sampling period [s]. Needed for configurations and for a run without one in its limits; other runs
-            accept only their own. A joint trajectory is resampled by cubic polynomials, also where its rows
+        dt: sampling period [s]. Required for configurations and for runs whose limits define none; other runs
+            accept only their own. A joint trajectory is resampled with cubic polynomials, even if its rows
             are not equally spaced.
 
     Raises:
@@ -93,7 +93,7 @@ class StreamingController(Protocol):
         """Replace the target."""
 
     def step(self, q_measured: ArrayLike | None, dt: float | None = None) -> Array:
-        """Return the joint step of a cycle, (nv,); `q_measured` is None if no measurement arrived."""
+        """Return the joint step of a cycle, (nv,); `q_measured` is None without a measurement."""
 
     @property
     def command(self) -> Array:
@@ -117,20 +117,20 @@ def simulate(
     interpolate the rows of the motion smoothly, half a cycle late; see `pinposture.sim.plant`.
 
     Args:
-        arm: the arm, made from a URDF or from modules.
+        arm: the arm, created from a URDF or from modules.
         motion: a run, a motion in time, a joint trajectory, or configurations (N, nq).
-        servos: the servos; `Servos()` if None.
-        gravity: whether there is gravity, or its acceleration (3,) [m/s^2] in the world.
+        servos: the servos; None: `Servos()`.
+        gravity: whether there is gravity, or its acceleration, (3,) [m/s^2], world frame.
         dt: duration of a control cycle [s], if the motion has none.
-        hold: shortest time for which the last set point is held [s].
+        hold: minimum time for which the last set point is held [s].
         progress: called after each cycle.
-        scene: obstacles for the clearance of the arm; those of a run or a motion if None.
-        tolerance: mean distance of the control points from the last posture of the motion that counts as
-            arrived [m]; 1 % of the arm length if None.
+        scene: obstacles for the clearance of the arm; None: those of the run or motion.
+        tolerance: mean distance of the control points from the last posture that counts as arrived [m];
+            None: 1 % of the arm length.
 
     Returns:
-        The recorded motion. Its status is "converged" if the arm is within the tolerance at the end and
-        "missed" if not. The simulation ends early with "unstable" if a joint exceeds the speed `RUNAWAY`.
+        The recorded motion. Its status is "converged" if the arm is within the tolerance at the end,
+        otherwise "missed". The simulation ends early with "unstable" if a joint exceeds the speed `RUNAWAY`.
 
     Raises:
         InvalidValue: the arm cannot be simulated, or the motion does not fit it.
@@ -168,31 +168,31 @@ def simulate_closed(
     scene: Scene | None = None,
     tolerance: float | None = None,
 ) -> Simulation:
-    """Drive an arm by a controller with position feedback (closed loop).
+    """Drive an arm with a controller that uses position feedback (closed loop).
 
     In each cycle the controller receives the current target and the measured configuration. The set points
     interpolate its commands smoothly, half a cycle late; see `pinposture.sim.plant`.
 
     Args:
-        arm: the arm, made from a URDF or from modules.
+        arm: the arm, created from a URDF or from modules.
         tracker: the controller.
-        targets: one target, or the target at a time [s].
+        targets: one target, or a function of time [s] that returns it.
         q0: initial configuration, at rest, (nq,).
         duration: simulated time [s].
         dt: duration of a control cycle [s].
-        servos: the servos; `Servos()` if None.
-        gravity: whether there is gravity, or its acceleration (3,) [m/s^2] in the world.
-        sensing: the sensors of the joint positions; ideal if None.
+        servos: the servos; None: `Servos()`.
+        gravity: whether there is gravity, or its acceleration, (3,) [m/s^2], world frame.
+        sensing: the joint position sensors; None: ideal ones.
         progress: called after each cycle.
-        scene: obstacles for the clearance of the arm; none if None.
-        tolerance: mean distance of the control points from the last target that counts as arrived [m]; 1 % of
-            the arm length if None.
+        scene: obstacles for the clearance of the arm; None: no obstacles.
+        tolerance: mean distance of the control points from the last target that counts as arrived [m]; None:
+            1 % of the arm length.
 
     Returns:
-        The recorded motion, with the status as for `simulate`.
+        The recorded motion, with a status as in `simulate`.
 
     Raises:
-        InvalidValue: the arm cannot be simulated, or an invalid start, duration or command.
+        InvalidValue: the arm cannot be simulated, or a start, duration or command is invalid.
         MujocoMissing: MuJoCo is not installed.
         URDFError: the description of the arm cannot be simulated.
     """
@@ -203,7 +203,7 @@ def simulate_closed(
     start = arm.checked_start(q0, "q0")
     at = (lambda _: targets) if isinstance(targets, Target) else targets
     if not callable(at):
-        raise InvalidValue("targets", targets, "a Target, or a function of the time [s] that gives one")
+        raise InvalidValue("targets", targets, "a Target, or a function of time [s] that returns one")
     positions = arm.positions(start)
     recording = Recording(Plant(build_plant_model(arm, servos, gravity), positions, dt), at(0.0))
     sensors = Sensors(Sensing() if sensing is None else sensing)
@@ -226,7 +226,7 @@ def simulate_closed(
 
 
 class Recording:
-    """Advances a plant and records its state, and the target, after each cycle."""
+    """Advances a plant and records its state and the target after each cycle."""
 
     def __init__(self, plant: Plant, target: Target | None = None) -> None:
         self.plant = plant
@@ -240,11 +240,11 @@ class Recording:
             self._targets.append(target)
 
     def advance(self, command: Array, target: Target | None = None) -> bool:
-        """Simulate a cycle; return False, and record nothing of it, if the arm runs away.
+        """Simulate and record a cycle; if the arm runs away, record nothing and return False.
 
         Args:
             command: joint positions sent to the servos, (nv,) [rad or m].
-            target: where the control points should be at the end of the cycle.
+            target: target of the control points at the end of the cycle.
         """
         if not self.plant.advance(command):
             return False
@@ -254,7 +254,7 @@ class Recording:
     def simulation(
         self, loop: str, scene: Scene | None, tolerance: float | None, measured: float = 1.0
     ) -> Simulation:
-        """Return the recorded motion; the arguments are those of `simulate` and fields of `Simulation`."""
+        """Return the recorded motion; for the arguments see `simulate` and `Simulation`."""
         plant, model, arm = self.plant, self.plant.model, self.plant.model.arm
         set_points, positions, torques = (np.array(column) for column in zip(*self._rows, strict=True))
         commanded = np.array([arm.configuration(row) for row in set_points])
@@ -276,7 +276,7 @@ class Recording:
         targets = weights = None
         if self._targets:
             weights = np.array([each.weights for each in self._targets], dtype=np.float64)
-            # The points of a target may be NaN where their weight is 0.
+            # Target points with weight 0 may be NaN.
             targets = np.where(weights[..., None] > 0.0, [each.points for each in self._targets], 0.0)
         return Simulation(
             arm=arm,
@@ -304,7 +304,7 @@ class Recording:
 
 
 def _final_error(error: float, tolerance: float, time: float, saturated: Array) -> str:
-    """Say how far the arm is from where it should be at the end, and whether servos were saturated."""
+    """Describe the error at the end, and whether servos were saturated."""
     off = f"mean point error {error:.3g} m after {time:.6g} s"
     if error <= tolerance:
         return f"{off}, within the tolerance of {tolerance:.3g} m"

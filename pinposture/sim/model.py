@@ -1,9 +1,9 @@
 """The MuJoCo model of an arm: bodies, joints, inertias and servos, built from its Pinocchio model.
 
-The model of the arm has the joints of its chain only. The simulation also needs the joints that servos hold,
-so Pinocchio reads the whole description again. Each joint of that model becomes a MuJoCo body with one hinge
-or slide. There are no shapes and no contacts. Servos control positions with velocity feedback; their gains
-follow from the inertias, and actuators saturate.
+The model of the arm contains only the joints of its chain. The simulation also needs the joints that servos
+hold in place, so Pinocchio reads the whole description again. Each joint of that model becomes a MuJoCo body
+with one hinge or slide. There are no shapes and no contacts. Servos control positions with velocity feedback;
+their gains follow from the inertias, and actuators saturate.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pinposture.errors import InvalidValue, PostureError, PostureWarning, URDFEr
 
 Array = NDArray[np.float64]
 
-UNBOUNDED = 1e30  # bound of the quadratic program that stands for none
+UNBOUNDED = 1e30  # represents an infinite bound in the quadratic program
 
 
 class Gains(NamedTuple):
@@ -49,25 +49,25 @@ class Gains(NamedTuple):
 class Servos:
     """Position servos: torque = stiffness (set point - position) - damping (velocity - its reference).
 
-    Stiffnesses are proportional to the inertias that the joints carry, and so large that no vibration of the
-    whole arm on its servos is slower than `frequency`. Servos tuned joint by joint to that frequency would
-    leave a long arm compliant: joints are springs in series, and the slowest vibration of 40 joints has a
-    quarter of that frequency, that of 200 joints a ninth.
+    Stiffnesses are proportional to the inertias at the joints, and so large that no vibration mode of the
+    whole arm is slower than `frequency`. If each joint were tuned to that frequency on its own, a long arm
+    would be compliant: joints are springs in series, and the slowest mode of 40 joints has a quarter of that
+    frequency, that of 200 joints a ninth.
 
     Attributes:
-        frequency: natural frequency of the slowest vibration of the arm on its servos [Hz]. Under gravity the
-            tip sags by about 9.81 / (2 pi frequency)^2 [m], whatever the arm: 2.5 mm at 10 Hz.
-        damping: damping ratio of that vibration; 1 is critical. Faster ones are damped more.
+        frequency: natural frequency of the slowest vibration mode of the arm [Hz]. Under gravity, the tip of
+            any arm sags by about 9.81 / (2 pi frequency)^2 [m]: 2.5 mm at 10 Hz.
+        damping: damping ratio of that mode; 1 is critical. Faster modes are damped more.
         torque_limits: True for the effort limits of the description, False for none, or one limit for all
             joints [N m or N]. Arms from templates have a placeholder of 100.
-        gravity_compensation: whether the torques that balance gravity are added, from the model of the arm.
+        gravity_compensation: whether to add the torques that balance gravity, from the model of the arm.
         speed_reference: whether damping acts on the velocity relative to that of the set point, as in drives
-            that receive positions and velocities; else it acts on the velocity itself, and the arm lags.
+            that receive positions and velocities; otherwise it acts on the velocity itself, and the arm lags.
         armature: reflected rotor inertia, added to each joint [kg m^2 or kg].
-        timestep: longest step of the physics [s].
+        timestep: maximum physics step [s].
 
     Raises:
-        InvalidValue: a value that is not positive (armature: negative).
+        InvalidValue: a value is not positive (armature: negative).
     """
 
     frequency: float = 10.0
@@ -89,10 +89,10 @@ class Servos:
                 raise InvalidValue(name, getattr(self, name), "True or False")
 
     def limits(self, effort: Array) -> Array:
-        """Return the largest torque of each servo, (n,) [N m or N]; infinite without a limit.
+        """Return the torque limit of each servo, (n,) [N m or N]; infinite without a limit.
 
         Args:
-            effort: effort limits of the description, (n,), likewise.
+            effort: effort limits of the description, (n,) [N m or N].
         """
         if self.torque_limits is True:
             return np.array(effort)
@@ -103,13 +103,13 @@ class Servos:
         """Return the gains for an arm.
 
         Args:
-            mass_matrices: its mass matrix in several configurations, armature included, (n, n) each.
-            least: smallest stiffness of each joint, (n,) [N m/rad or N/m].
+            mass_matrices: its mass matrices in several configurations, including armature, (n, n) each.
+            least: minimum stiffness of each joint, (n,) [N m/rad or N/m].
         """
         matrices = np.array([np.asarray(matrix, dtype=np.float64) for matrix in mass_matrices])
         carried = np.diagonal(matrices, axis1=1, axis2=2).max(axis=0)
         scale = 1.0 / np.sqrt(carried)
-        # The squared frequencies of M x'' = -c diag(carried) x are c over the eigenvalues of this.
+        # The squared frequencies of M x'' = -c diag(carried) x are c over the eigenvalues of `relative`.
         relative = matrices * scale[:, None] * scale[None, :]
         slowest = float(np.linalg.eigvalsh(relative)[:, -1].max())
         turning = 2.0 * np.pi * self.frequency
@@ -122,17 +122,17 @@ def torques_within_limits(
 ) -> Array:
     """Return the saturated torques of the servos over a physics step, (n,) [N m or N].
 
-    Torques u give the joint velocities v = v0 + W u at the end of the step. Servos ask for u = s - D v and
-    saturate at their limits: u minimises u^T (1/D + W) u / 2 - (s / D - v0)^T u in the box of the limits. The
+    Torques u give the joint velocities v = v0 + W u at the end of the step. Servos request u = s - D v and
+    saturate at their limits: u minimises u^T (1/D + W) u / 2 - (s / D - v0)^T u within the limits. The
     problem is strictly convex, so the solution is unique.
 
     Args:
-        mobility: W, velocity at the end of the step per unit of torque, (n, n), symmetric.
-        unmoved: v0, velocities at the end of the step without torques, (n,) [rad/s or m/s].
-        spring: s, torques that the servos ask for at velocity 0, (n,) [N m or N].
+        mobility: W, final velocity per unit of torque, (n, n), symmetric.
+        unmoved: v0, final velocities without torques, (n,) [rad/s or m/s].
+        spring: s, torques requested at velocity 0, (n,) [N m or N].
         damping: D, damping of the servos, (n,) [N m s/rad or N s/m], positive.
-        lower: smallest torques, (n,); -inf without a limit.
-        upper: largest torques, (n,); inf without a limit.
+        lower: lower torque limits, (n,); -inf without a limit.
+        upper: upper torque limits, (n,); inf without a limit.
     """
     hessian = mobility + np.diag(1.0 / damping)
     scale = 1.0 / np.sqrt(np.diag(hessian))
@@ -148,18 +148,18 @@ def torques_within_limits(
 
 COMMAND = "pip install 'pinposture[sim]'"
 GRAVITY = (0.0, 0.0, -9.81)  # for `gravity=True`, world frame [m/s^2]
-POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length or 1 m
-MAX_DEFLECTION = 0.01  # of a servo by friction and damping of its joint at speed 1, in joint units
-N_RANDOM_POSTURES = 8  # to compare forward kinematics and evaluate mass matrices
-MAX_LISTED = 6  # links with the same fault in a warning
+POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length, at least 1 m
+MAX_DEFLECTION = 0.01  # of a servo due to joint friction and damping at speed 1, in joint units
+N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass matrices
+MAX_LISTED = 6  # maximum number of links with the same fault in a warning
 
-# The solid ball that replaces a moving link without mass, centred at its joint [kg], [m].
+# Solid ball at the joint that replaces a moving link without mass [kg], [m].
 DEFAULT_MASS, DEFAULT_RADIUS = 1e-3, 1e-2
 MIN_RADIUS = 1e-4  # moments of inertia are at least those of a ball of the same mass with this radius [m]
-INERTIA_ROUNDING = 1e-3  # relative violation of physical consistency that draws no warning
+INERTIA_ROUNDING = 1e-3  # relative violation of physical consistency that is corrected without a warning
 
 
-# Attributes of the elements of <inertial>: how many numbers each has, the least, and both in words.
+# Attributes of the elements of <inertial>: number of values, their minimum, and a description.
 _INERTIAL = {
     "mass": (("value",), 1, 0.0, "a finite number, 0 or more [kg]"),
     "inertia": (("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, -np.finfo(np.float64).max, "a finite number"),
@@ -168,7 +168,7 @@ _INERTIAL = {
 
 
 class MujocoMissing(PostureError, ImportError):
-    """MuJoCo is not installed, or cannot be loaded here.
+    """MuJoCo is not installed or cannot be loaded.
 
     Attributes:
         reason: the message of the failed import.
@@ -183,7 +183,7 @@ def load_mujoco() -> Any:
     """Import MuJoCo, an optional dependency.
 
     Raises:
-        MujocoMissing: it is not installed.
+        MujocoMissing: MuJoCo is not installed.
     """
     try:
         return import_module("mujoco")
@@ -193,7 +193,7 @@ def load_mujoco() -> Any:
 
 @contextmanager
 def no_log_file(mujoco: Any) -> Iterator[None]:
-    """Keep MuJoCo from writing MUJOCO_LOG.TXT to the working directory; divergence is reported otherwise."""
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT to the working directory; divergence is reported elsewhere."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
@@ -217,7 +217,7 @@ class RigidBody(NamedTuple):
 
 
 def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:
-    """Return the nearest inertial parameters that a solid can have, and the fault that was corrected, or "".
+    """Return the nearest physically consistent inertial parameters, and the corrected fault, or "".
 
     An inertia tensor I is physically consistent if the second moment of mass, trace(I) / 2 - I, is positive
     semidefinite: then no principal moment exceeds the sum of the other two.
@@ -226,7 +226,7 @@ def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:
         ball = 0.4 * DEFAULT_MASS * DEFAULT_RADIUS**2 * np.eye(3)
         return RigidBody(DEFAULT_MASS, np.zeros(3), ball), "no mass"
     moments, axes = np.linalg.eigh(np.trace(body.inertia) / 2.0 * np.eye(3) - body.inertia)
-    # A moment below 1e-12 of the largest could become negative by rounding.
+    # A moment below 1e-12 of the largest could become negative due to rounding error.
     least = max(body.mass * MIN_RADIUS**2 / 5.0, 1e-12 * float(moments[2]))
     if moments[0] >= least:
         return body, ""
@@ -238,22 +238,22 @@ def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:
 
 @dataclass(frozen=True, eq=False)
 class PlantModel:
-    """The MuJoCo model of an arm with its servos. Each joint has one position and one velocity there.
+    """The MuJoCo model of an arm with its servos; each joint has one position and one velocity.
 
     Attributes:
         arm: the arm.
         servos: its servos.
-        gravity: acceleration of free fall, (3,) [m/s^2], world frame.
-        model: the `mujoco.MjModel`, with the joints of the arm and those that servos hold, n in all; they
-            have the names of the description.
+        gravity: gravitational acceleration, (3,) [m/s^2], world frame.
+        model: the `mujoco.MjModel`, with the joints of the arm and those that servos hold, n in total, named
+            as in the description.
         columns: index of each degree of freedom of the arm among the n joints, (nv,).
-        coupling: motions of all joints by those of the i joints that do not follow others, (n, i).
-        of_arm: its columns that belong to the arm, (n, nv).
-        rest: joint positions with the arm at zero and the other joints where they are held, (n,) [rad or m].
+        coupling: maps the motion of the i independent joints to that of all joints, (n, i).
+        of_arm: columns of `coupling` that belong to the arm, (n, nv).
+        rest: joint positions with the arm at zero and the other joints as held, (n,) [rad or m].
         gains: stiffness and damping of the servos, (n,) each.
-        torque_limits: largest torque or force of each servo, (n,) [N m or N]; infinite without a limit.
+        torque_limits: torque or force limit of each servo, (n,) [N m or N]; infinite without a limit.
         sites: index of the site at each control point, (m,).
-        warnings: what was corrected or left out, in words.
+        warnings: messages about what was corrected or left out.
     """
 
     arm: Arm
@@ -270,26 +270,26 @@ class PlantModel:
     warnings: tuple[str, ...]
 
     def positions(self, of_arm: Array) -> Array:
-        """Return positions of all joints, (n,), for joint positions of the arm, (nv,) [rad or m]."""
+        """Return the positions of all joints, (n,), for joint positions of the arm, (nv,) [rad or m]."""
         return np.asarray(self.rest + self.of_arm @ of_arm)
 
 
 def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | ArrayLike = True) -> PlantModel:
     """Build the MuJoCo model of an arm.
 
-    There are no contacts, neither between links nor with obstacles. Joint limits, damping and friction are
-    those of the description.
+    There are no contacts between links or with obstacles. Joint limits, damping and friction are those of the
+    description.
 
     Args:
-        arm: the arm, made from a URDF or from modules.
-        servos: its servos; `Servos()` if None.
-        gravity: whether there is gravity, or its acceleration (3,) [m/s^2] in the world.
+        arm: the arm, created from a URDF or from modules.
+        servos: its servos; None: `Servos()`.
+        gravity: whether there is gravity, or its acceleration, (3,) [m/s^2], world frame.
 
     Raises:
-        InvalidValue: an arm from `Arm.from_model`, or an invalid gravity.
+        InvalidValue: an arm from `Arm.from_model`, or invalid gravity.
         MujocoMissing: MuJoCo is not installed.
-        URDFError: an inertia in the description is not a number, MuJoCo refuses the model, or its control
-            points are not where the arm has them.
+        URDFError: an inertia in the description is not a number, MuJoCo rejects the model, or its control
+            points differ from those of the arm.
     """
     mujoco = load_mujoco()
     servos = Servos() if servos is None else servos
@@ -300,14 +300,14 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     complete, source = _complete_model(arm)
     bodies, corrections = _rigid_bodies(complete)
     if arm.couplings and np.any(complete.upperDryFrictionLimit > 0.0):
-        corrections = (*corrections, "dry friction of joints is left out, because joints are coupled")
+        corrections = (*corrections, "dry friction of joints is ignored, because joints are coupled")
     for message in corrections:
         warnings.warn(message, PostureWarning, stacklevel=3)
     spec = _specification(mujoco, arm, complete, bodies, servos, acceleration)
     try:
         model = spec.compile()
     except ValueError as error:
-        raise URDFError(source, "<robot>", f"is refused by MuJoCo: {error}") from None
+        raise URDFError(source, "<robot>", f"was rejected by MuJoCo: {error}") from None
     dofs = {name: int(model.joint(name).dofadr[0]) for name in list(complete.names)[1:]}
     rest, effort = np.zeros(model.nv), np.zeros(model.nv)
     for name, position in _held_positions(arm, complete, source).items():
@@ -315,7 +315,7 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     for joint in list(complete.joints)[1:]:
         dof, limit = dofs[complete.names[joint.id]], float(complete.upperEffortLimit[joint.idx_v])
         effort[dof] = limit if 0.0 < limit < NO_LIMIT else math.inf  # 0 stands for an unknown limit
-        # Set here, because the type of these fields of the specification depends on the version of MuJoCo.
+        # Set here, because the type of these fields of MjSpec depends on the version of MuJoCo.
         model.dof_damping[dof] = complete.damping[joint.idx_v]
         model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]
     columns = np.array([dofs[name] for name in arm.joint_names], dtype=np.intp)
@@ -364,9 +364,9 @@ def mass_matrix(plant: PlantModel, positions: Array) -> Array:
 
 
 def full_mass_matrix(model: Any, data: Any) -> Array:
-    """Return the mass matrix that MuJoCo computed last, (n, n).
+    """Return the most recent mass matrix of MuJoCo, (n, n).
 
-    It is read column by column, because the signature of `mj_fullM` differs between versions of MuJoCo.
+    It is read column by column, because the signature of `mj_fullM` depends on the version of MuJoCo.
     """
     mujoco = load_mujoco()
     matrix = np.zeros((model.nv, model.nv))
@@ -376,21 +376,21 @@ def full_mass_matrix(model: Any, data: Any) -> Array:
 
 
 def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
-    """Read every joint of the description of an arm; floating and planar joints are fixed at zero.
+    """Read all joints of the description of an arm; floating and planar joints are fixed at zero.
 
     Returns:
-        The model, with the base link at the origin, and the name of the description in messages. Mimic joints
-        are independent.
+        The model, with the base link at the origin and independent mimic joints, and the name of the
+        description for messages.
     """
     if arm.urdf is None:
-        allowed = "an arm from a URDF or from modules; Arm.from_model gives no description to simulate"
+        allowed = "an arm from a URDF or from modules; Arm.from_model provides no description to simulate"
         raise InvalidValue("arm", arm, allowed)
     text, source = load_text(arm.urdf)
     _check_inertials(text, source)
     try:
         model = pin.buildModelFromXML(text_for_pinocchio(text))
     except (ValueError, RuntimeError) as error:
-        raise URDFError(source, "<robot>", f"is refused by Pinocchio: {error}") from None
+        raise URDFError(source, "<robot>", f"was rejected by Pinocchio: {error}") from None
     fixed = [joint.id for joint in list(model.joints)[1:] if joint.nv != 1]
     if fixed:
         model = pin.buildReducedModel(model, fixed, pin.neutral(model))
@@ -401,7 +401,7 @@ def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
 
 
 def _check_inertials(text: str, source: str) -> None:
-    """Raise URDFError for an invalid number in <inertial>; Pinocchio takes NaN and negative masses."""
+    """Raise URDFError for an invalid number in <inertial>; Pinocchio accepts NaN and negative masses."""
     for link in parse_xml(text, source).findall("link"):
         inertial, name = link.find("inertial"), f"link {link.get('name')!r}"
         if inertial is None:
@@ -423,7 +423,7 @@ def _check_inertials(text: str, source: str) -> None:
 
 
 def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
-    """Return the rigid body that each joint moves, and a warning for each kind of corrected fault."""
+    """Return the rigid body moved by each joint, and a warning for each kind of corrected fault."""
     links = _links_after(model)
     bodies: list[RigidBody] = []
     faults: dict[str, list[str]] = {}
@@ -448,7 +448,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
 
 
 def _links_after(model: pin.Model) -> dict[str, pin.Frame]:
-    """Return the frame of the link after each joint, by the name of the joint."""
+    """Return the frame of the link after each joint, by joint name."""
     frames = list(model.frames)
     return {frames[frame.parentFrame].name: frame for frame in frames if frame.type == pin.FrameType.BODY}
 
@@ -502,23 +502,23 @@ def _specification(
 
 
 def _spread(values: Array, where: NDArray[np.bool_]) -> Array:
-    """Return values at the places marked, and zeros elsewhere."""
+    """Return values where the mask is True, and zeros elsewhere."""
     spread = np.zeros(len(where))
     spread[where] = values
     return spread
 
 
 def _placement(placement: pin.SE3) -> dict[str, Array]:
-    """Return a placement as arguments of MuJoCo, whose quaternions begin with w."""
+    """Return a placement as MuJoCo arguments, with w first in the quaternion."""
     quaternion = np.roll(pin.Quaternion(placement.rotation).coeffs(), 1)
     return {"pos": np.array(placement.translation), "quat": quaternion}
 
 
 def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]:
-    """Return the position of each joint that is not one of the arm, by its name [rad or m].
+    """Return the positions of joints that the arm does not move, by joint name [rad or m].
 
-    These are joints off the chain and locked joints. In the model of the arm the links before
-    and after such a joint are fixed to each other, which tells its position.
+    These are joints off the chain and locked joints. In the model of the arm, the links before and after such
+    a joint are fixed to each other, which determines its position.
     """
     frames, children = list(model.frames), _links_after(model)
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
@@ -539,7 +539,7 @@ def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]
 
 
 def _sample_positions(arm: Arm) -> list[Array]:
-    """Return joint positions (nv,) to evaluate the model at: straight, nearly straight, and random ones."""
+    """Return joint positions, (nv,), for evaluating the model: straight, nearly straight, and random."""
     rng = np.random.default_rng(0)
     straight = arm.positions(arm.straight())
     return [
@@ -550,7 +550,7 @@ def _sample_positions(arm: Arm) -> list[Array]:
 
 
 def _check_control_points(arm: Arm, positions: Array, points: Array, source: str) -> None:
-    """Raise URDFError unless the control points in MuJoCo, (m, 3) [m], are where the arm has them."""
+    """Raise URDFError if the control points in MuJoCo, (m, 3) [m], differ from those of the arm."""
     off = np.linalg.norm(points - arm.at(arm.configuration(positions)).points, axis=1)
     worst = int(off.argmax())
     if not off[worst] <= POSITION_TOLERANCE * max(1.0, arm.length):

@@ -1,14 +1,14 @@
-"""The plant: the simulated arm with servos and position sensors, advanced by one control cycle at a time.
+"""The plant: the simulated arm with servos and position sensors, advanced one control cycle at a time.
 
-**Set points.** In each cycle the servos are sent a configuration. Their set points follow the quadratic
-B-spline of these: at the edges of a cycle they are half-way between two configurations, with the velocity of
-the step in between; within a cycle their acceleration is constant, the second difference. So velocity is
-continuous, and velocity and acceleration keep the limits of the steps, with a delay of half a cycle.
+**Set points.** In each cycle a configuration is sent to the servos. The set points follow the quadratic
+B-spline of these configurations: at the ends of a cycle they are halfway between two configurations, with the
+velocity of the step in between; within a cycle their acceleration is constant, the second difference. So
+velocity is continuous, and velocity and acceleration keep the limits of the steps, half a cycle late.
 
-**Actuator saturation.** A stiff servo on a light link requests a large torque at the beginning of a physics
-step, which its damping removes within microseconds. Clipping that would make the servo chatter. The limit
+**Actuator saturation.** A stiff servo on a light link requests a large torque at the start of a physics step,
+which its damping removes within microseconds. Clipping this torque would make the servo chatter. The limit
 therefore applies to the torque at the velocity at the end of the step. The set of saturated servos is found
-by iteration; if that cycles, by a quadratic program.
+by iteration or, if that cycles, by a quadratic program.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from pinposture.sim.model import (
 Array = NDArray[np.float64]
 
 RUNAWAY = 1e3  # joint speed at which a simulation ends as unstable [rad/s or m/s]
-TRIALS = 6  # iterations on the set of saturated servos before the quadratic program is solved
+TRIALS = 6  # maximum number of iterations on the set of saturated servos before the quadratic program
 
 
 class Plant:
     """A simulated arm with servos.
 
     Attributes:
-        model: its model.
+        model: the model of the arm.
         dt: duration of a control cycle [s].
-        substeps: physics steps in each cycle.
+        substeps: number of physics steps per cycle.
         cycles: number of cycles since the start.
-        failure: why the simulation cannot continue, in words; "" if it can.
+        failure: why the simulation cannot continue; "" if it can.
     """
 
     def __init__(self, model: PlantModel, start: Array, dt: float) -> None:
@@ -64,7 +64,7 @@ class Plant:
         self._driven = self._model.jnt_dofadr[self._model.actuator_trnid[:, 0]]
         self._coupled = len(model.coupling) > len(model.coupling.T)
         self._at_limit = np.zeros(self._model.nv)  # 1 or -1 where a servo is saturated
-        self._saturated = np.zeros(self._model.nv, dtype=np.intp)  # physics steps in which it was
+        self._saturated = np.zeros(self._model.nv, dtype=np.intp)  # number of saturated physics steps
         self._sent = model.positions(start)
         self._set_points = self._sent.copy()
         self._speed = np.zeros(len(self._sent))  # of the set points
@@ -90,7 +90,7 @@ class Plant:
 
     @property
     def saturated(self) -> Array:
-        """Share of the physics steps in which each servo of the arm was saturated, (nv,)."""
+        """Fraction of physics steps in which each servo of the arm was saturated, (nv,)."""
         return self._saturated[self.model.columns] / max(self.cycles * self.substeps, 1)
 
     def advance(self, command: Array) -> bool:
@@ -109,7 +109,7 @@ class Plant:
                 before = np.array(self._data.qpos)
                 self._step(at, follows * (first + midst * (last - first)))
                 self._saturated += self._at_limit != 0.0
-                # Not (a > b), which would be False for NaN.
+                # Not written as (a > b), which is False for NaN.
                 if not np.abs(self._data.qvel).max() < RUNAWAY:
                     self.failure = self._runaway((number + 1) * self._model.opt.timestep)
                     self._data.qpos[:] = before
@@ -123,7 +123,7 @@ class Plant:
         """Take a physics step in which no servo exceeds its limit."""
         data, damping, limits = self._data, self.model.gains.damping, self.model.torque_limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
-        compensation = np.array(data.qfrc_gravcomp)  # of gravity; it counts towards the limits
+        compensation = np.array(data.qfrc_gravcomp)  # gravity compensation; it counts towards the limits
         spring = self.model.gains.stiffness * (set_point - state[0]) + damping * speed
         for trial in range(TRIALS):
             free = self._at_limit == 0.0
@@ -152,7 +152,7 @@ class Plant:
         self._at_limit = np.sign(self._torques) * (np.abs(self._torques) >= limits * (1.0 - 1e-9))
 
     def _integrate(self, state: list[Array] | None, torques: Array, damping: Array) -> None:
-        """Take a physics step with these torques minus damping times the velocity at its end."""
+        """Take a physics step with these torques minus damping times the final velocity."""
         data = self._data
         if state is not None:
             data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = state
@@ -164,10 +164,10 @@ class Plant:
         self._mujoco.mj_step(self._model, data)
 
     def _integrate_coupled(self, torques: Array, damping: Array) -> None:
-        """Take a physics step of the joints that do not follow others; those that do move with them.
+        """Take a physics step of the independent joints; coupled joints follow.
 
-        As positions are q = rest + A u, the motion of u obeys A^T (M A u'' + bias) = A^T torques exactly.
-        Damping is taken at the end of the step, as `mj_step` does. A joint stops dead at its limit.
+        With positions q = rest + A u, the motion of u obeys A^T (M A u'' + bias) = A^T torques exactly.
+        Damping is evaluated at the end of the step, as in `mj_step`. Joints stop instantly at their limits.
         """
         data, coupling, step = self._data, self.model.coupling, self._model.opt.timestep
         self._mujoco.mj_forward(self._model, data)
@@ -179,7 +179,7 @@ class Plant:
         lower, upper = self._model.jnt_range.T
         stopped = (self._model.jnt_limited != 0) & ((reached < lower) | (reached > upper))
         if np.any(stopped):
-            # Only joints that lead have limits in the model: what follows them stops, too.
+            # Only leading joints have limits in the model; the joints that follow them stop, too.
             keeps = ~np.any(coupling[stopped] != 0.0, axis=0)
             speeds = coupling[:, keeps] @ np.linalg.lstsq(coupling[:, keeps], speeds, rcond=None)[0]
             reached = data.qpos + step * speeds
@@ -187,7 +187,7 @@ class Plant:
         data.time += step
 
     def _mobility(self) -> Array:
-        """Return the joint velocity at the end of a physics step per unit of torque during it, (n, n)."""
+        """Return the final joint velocity of a physics step per unit of torque, (n, n)."""
         step = self._model.opt.timestep
         matrix, coupling = full_mass_matrix(self._model, self._data), self.model.coupling
         moving = coupling.T @ (matrix + step * np.diag(self._model.dof_damping)) @ coupling
@@ -195,7 +195,7 @@ class Plant:
         return np.asarray(step * (inverse + inverse.T) / 2.0)
 
     def _runaway(self, after: float) -> str:
-        """Return in words which joint is fastest, at a time after the beginning of the cycle [s]."""
+        """Describe which joint is fastest, at a time after the start of the cycle [s]."""
         speeds = np.abs(np.array(self._data.qvel))
         worst = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
         name = self._model.joint(int(self._model.dof_jntid[worst])).name
@@ -207,7 +207,7 @@ class Plant:
 
 
 def _too_coarse(servos: Servos, timestep: float) -> str:
-    """Return why servos are unstable with a physics step, in words; "" if they are stable.
+    """Return why servos are unstable with a physics step; "" if they are stable.
 
     Damping is integrated implicitly, stiffness explicitly. A mode that is fast relative to the step h follows
     x' = (1 - h omega / (2 zeta)) x, which is stable for h < 4 zeta / omega.
@@ -220,14 +220,14 @@ def _too_coarse(servos: Servos, timestep: float) -> str:
 
 @dataclass(frozen=True)
 class Sensing:
-    """Sensors of the joint positions; ideal by default.
+    """Joint position sensors; ideal by default.
 
     Attributes:
         noise: standard deviation of a measurement [rad or m].
         resolution: quantisation step of a measurement [rad or m]; 0 for none.
-        dropped: share of the cycles in which no measurement arrives.
+        dropped: probability that no measurement arrives in a cycle.
         latency: age of a measurement [cycles].
-        seed: seed of noise and losses.
+        seed: random seed for noise and dropped measurements.
     """
 
     noise: float = 0.0
@@ -253,7 +253,7 @@ class Sensors:
         self._kept: deque[Array] = deque(maxlen=sensing.latency + 1)
 
     def measure(self, positions: Array) -> Array | None:
-        """Return the measurement that arrives in this cycle, (nv,) [rad or m]; None if none does.
+        """Return the measurement that arrives in this cycle, (nv,) [rad or m], or None.
 
         Args:
             positions: true joint positions, (nv,) [rad or m].
@@ -263,5 +263,5 @@ class Sensors:
         if sensing.resolution > 0.0:
             measured = sensing.resolution * np.round(measured / sensing.resolution)
         self._kept.append(measured)
-        # During the first cycles of latency this is the measurement at the start, where the arm is at rest.
+        # During the initial latency this is the first measurement, taken with the arm at rest.
         return None if self._rng.random() < sensing.dropped else self._kept[0]

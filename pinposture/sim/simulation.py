@@ -1,4 +1,4 @@
-"""The recorded motion of a simulated arm: errors, torques, a summary, and its file."""
+"""The recorded motion of a simulated arm: errors, torques, summary, and file format."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """The motion of a simulated arm. Rows are the ends of control cycles; the first one is the start.
+    """The motion of a simulated arm. The first row is the start, the others are the ends of control cycles.
 
     Attributes:
         arm: the arm.
-        loop: "open" if the servos were sent a motion, "closed" if a controller with feedback drove them.
+        loop: "open" if the servos were sent a motion, "closed" if a feedback controller drove them.
         servos: the servos.
-        gravity: acceleration of free fall, (3,) [m/s^2], world frame.
+        gravity: gravitational acceleration, (3,) [m/s^2], world frame.
         dt: duration of a control cycle [s].
         timestep: physics step [s].
-        status: "converged" if the arm is where it should be at the end, "missed" if not, "unstable" if a
-            joint ran away; the rows end before that. See `pinposture.motion.trajectory`.
-        reason: why, in words.
+        status: "converged" if the arm is at its goal at the end, "missed" if not, "unstable" if a joint ran
+            away; the rows end before that. See `pinposture.motion.trajectory`.
+        reason: explanation of the status.
         commanded: configurations of the set points of the servos, (N, nq).
         q: configurations of the arm, (N, nq).
         commanded_points: control points at `commanded`, (N, m, 3) [m], world frame.
         points: control points at `q`, (N, m, 3) [m], world frame.
         torques: torques of the servos, (N, nv) [N m or N].
-        torque_limits: largest torque of each servo, (nv,) [N m or N]; infinite without a limit.
-        saturated: share of the physics steps in which each servo was saturated, (nv,).
-        clearance: smallest distance of the arm to an obstacle, or between its parts, (N,) [m]; negative in
+        torque_limits: torque limit of each servo, (nv,) [N m or N]; infinite without a limit.
+        saturated: fraction of physics steps in which each servo was saturated, (nv,).
+        clearance: smallest distance of the arm to an obstacle, or between its parts, (N,) [m]; negative for
             penetration, infinite without a scene. The simulation has no contacts.
-        targets: where the control points should be, (N, m, 3) [m]; None in open loop.
-        weights: 1 for each control point that has a target, else 0, (N, m); None in open loop.
-        measured: share of the cycles in which a measurement arrived; 1 in open loop.
-        warnings: the inertias of the description that were corrected, in words.
-        scene: the obstacles of `clearance`; None without.
+        targets: targets of the control points, (N, m, 3) [m], world frame; None in open loop.
+        weights: 1 for each control point with a target, otherwise 0, (N, m); None in open loop.
+        measured: fraction of cycles in which a measurement arrived; 1 in open loop.
+        warnings: messages about corrected inertias of the description.
+        scene: the obstacles for `clearance`, or None.
     """
 
     arm: Arm
@@ -78,22 +78,22 @@ class Simulation:
 
     @property
     def finished(self) -> bool:
-        """True if the simulation ran to its end, wherever the arm is then."""
+        """True if the simulation ran to its end, whether or not the arm arrived."""
         return self.status != "unstable"
 
     @property
     def converged(self) -> bool:
-        """True if the arm is where it should be at the end."""
+        """True if the arm is at its goal at the end."""
         return self.status == "converged"
 
     @cached_property
     def faults(self) -> tuple[str, ...]:
-        """Why the motion should not be executed, in words; empty if nothing speaks against it."""
+        """Reasons why the motion should not be executed; empty if there are none."""
         return find_faults(self)
 
     @property
     def excess(self) -> None:
-        """None: a simulation is not held to the limits of its motion, which servos overshoot a little."""
+        """None: the limits of the motion are not checked, because servos slightly overshoot them."""
 
     @property
     def verdict(self) -> str:
@@ -113,28 +113,28 @@ class Simulation:
 
     @cached_property
     def point_errors(self) -> Array:
-        """Distance of each control point from its place at the set points, (N, m) [m]."""
+        """Distance of each control point from its position at the set points, (N, m) [m]."""
         return np.asarray(np.linalg.norm(self.points - self.commanded_points, axis=2))
 
     @cached_property
     def posture_error(self) -> Array:
-        """Sum of those distances, (N,) [m]."""
+        """Sum of `point_errors` over the control points, (N,) [m]."""
         return np.asarray(self.point_errors.sum(axis=1))
 
     @cached_property
     def target_errors(self) -> Array | None:
-        """Distance of each control point from its target, (N, m) [m]; 0 if it has none. None in open loop."""
+        """Distance of each control point from its target, (N, m) [m]; 0 without one. None in open loop."""
         if self.targets is None or self.weights is None:
             return None
         return np.where(self.weights > 0.0, np.linalg.norm(self.points - self.targets, axis=2), 0.0)
 
     @cached_property
     def torque_share(self) -> Array:
-        """Largest ratio of torque to torque limit of all servos, (N,); 0 without limits."""
+        """Maximum ratio of torque to torque limit over all servos, (N,); 0 without limits."""
         return np.asarray((np.abs(self.torques) / self.torque_limits).max(axis=1))
 
     def summary(self) -> dict[str, Any]:
-        """Return the results as data that JSON can hold [rad, m, s, N m]."""
+        """Return the results as JSON-compatible data [rad, m, s, N m]."""
         m = self.arm.n_modules
         mean = self.posture_error / m
         largest = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
@@ -190,7 +190,7 @@ class Simulation:
         }
 
     def _torque_summary(self) -> dict[str, Any]:
-        """Return the torque that is largest relative to its limit; the largest of all without limits."""
+        """Return the torque that is largest relative to its limit, or the largest torque without limits."""
         shares = np.abs(self.torques) / self.torque_limits
         sizes = shares if np.any(shares) else np.abs(self.torques)
         row, column = np.unravel_index(int(sizes.argmax()), sizes.shape)
@@ -212,14 +212,14 @@ def _statistics(values: Array) -> dict[str, float]:
 
 
 _ADVICE_BY_FORMAT = {
-    "pinposture-run": "holds a run, not a simulation of it; simulate it with: pinposture simulate FILE",
-    "pinposture-motion": "holds a motion, not a simulation of it; simulate it with: pinposture simulate FILE",
+    "pinposture-run": "contains a run, not a simulation of it; simulate it with: pinposture simulate FILE",
+    "pinposture-motion": "contains a motion, not a simulation; simulate it with: pinposture simulate FILE",
 }
 _VALUES = ("loop", "timestep", "status", "reason", "measured")
 
 
 def _pack(simulation: Simulation) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return what a file holds of a simulation: data for JSON, and arrays."""
+    """Return the file contents for a simulation: JSON-compatible data, and arrays."""
     stored = {each.name: getattr(simulation, each.name) for each in fields(simulation)}
     arrays = {name: value for name, value in stored.items() if isinstance(value, np.ndarray)}
     about = {name: stored[name] for name in _VALUES}

@@ -1,4 +1,4 @@
-"""Many starts, targets and arms at once."""
+"""Studies over many starts, targets and arms."""
 
 from pinposture.study.arms import (
     ArmSurvey,

@@ -1,4 +1,4 @@
-"""Random arms and their survey; arms and families of cases that studies draw from."""
+"""Survey of foreign and awkward arms; arms and families of cases for the studies."""
 
 from __future__ import annotations
 
@@ -24,39 +24,38 @@ from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.scenarios import NEARLY, PLANAR, SPATIAL, TARGET_CURVES, arbitrary_configuration
 
-# Does it work on arms that nobody here made? Load every file of a directory, place it on a curve, track.
-#
-# And on arms of the shapes that gave trouble, which are made here (`awkward_arms`).
+# The survey loads every file of a directory, or arms of shapes that once caused problems (`awkward_arms`),
+# places each on a curve and tracks it.
 
 Array = NDArray[np.float64]
 
 
 class ArmSurvey(NamedTuple):
-    """What came of one file. Distances are relative to the arm length, None where there is none.
+    """Result of the survey for one file. Distances are relative to the arm length; None if not available.
 
     Attributes:
-        file: its name.
-        refused: why it was refused, or empty.
+        file: file name.
+        refused: why the file was rejected, or empty.
         joints: number of moving joints of the chain.
         modules: number of joints of each module.
         dimension: 2 if planar, 3 if spatial.
-        length: arc length from the first joint to the tip [m].
+        length: length from the first joint to the tip [m].
         method: how its modules were placed on the gentle curve.
         residual: root mean square distance of its control points from the curve.
-        farthest: distance of the farthest place on the links of the whole arm from the curve, where the
-            placement has it (`Target.distance_from_curve`).
-        reference: the same, of the best of several independent bounded least-squares fits.
+        farthest: largest distance of the links from the curve in the placement
+            (`Target.distance_from_curve`).
+        reference: residual of the best of several independent bounded least-squares fits.
         reached: mean point error after tracking from a random start by joint interpolation.
         steps: steps of that run.
         switching: mean point error after at most 300 steps of Switching from the same start.
-        switching_steps: steps that Switching took.
+        switching_steps: steps of that run.
         geodesic: mean point error after at most 300 steps of Geodesic, the default, from the same start.
-        geodesic_steps: steps that it took.
-        qp_status: how that run ended, as `Trajectory.status`.
-        path_length_ratio: length of the paths of all its control points relative to the direct distances.
-        qp_within_limits: whether every configuration on its way was within the joint limits.
-        within_limits: whether every configuration of all three runs was.
-        notes: what loading warned of.
+        geodesic_steps: steps of that run.
+        qp_status: how the Geodesic run ended, as `Trajectory.status`.
+        path_length_ratio: its path length of all control points relative to straight lines.
+        qp_within_limits: whether all its configurations were within the joint limits.
+        within_limits: whether all configurations of all three runs were.
+        notes: warnings from loading.
     """
 
     file: str
@@ -83,19 +82,18 @@ class ArmSurvey(NamedTuple):
 
 
 def gentle_curve(arm: Arm) -> Curve:
-    """A curve that an arm of that length should be able to follow: two slight bends, flat if it is planar."""
+    """Return a curve that such an arm should be able to follow: two slight bends, flat if planar."""
     points = np.array([(0, 0, 0), (0.3, 0, 0), (0.6, 0.04, 0.03), (0.9, 0.12, 0.03), (1.3, 0.15, 0)])
     return Curve.spline(arm.length * points * ((1, 1, 0) if arm.dimension == 2 else 1))
 
 
 def awkward_arms() -> dict[str, str]:
-    """Arms of the shapes that gave trouble, as URDF by their names; lengths in metres.
+    """Return arms with shapes that once caused problems, as URDF by name; lengths in metres.
 
-    Joints that do not repeat: yaw and roll, then parallel axes with different limits ("unrepeating21"),
-    parallel axes behind a joint that turns their plane, which were one module once ("long_module7",
-    "bucket4") or three ("long_modules36"), a planar arm whose tip lies beside its plane
-    ("tip_out_of_plane8"), joints without limits ("no_limits10"), a base that slides within limits of 1e6 m
-    ("huge_slides10").
+    Joints that do not repeat: yaw and roll, then parallel axes with different limits ("unrepeating21");
+    parallel axes after a joint that turns their plane, formerly one module ("long_module7", "bucket4") or
+    three ("long_modules36"); a planar arm whose tip is off its plane ("tip_out_of_plane8"); joints without
+    limits ("no_limits10"); a base that slides within limits of 1e6 m ("huge_slides10").
     """
     yaw, half_pi = JointSpec("z", lower=-2.8, upper=2.8), math.pi / 2
     pitches = [JointSpec("y", lower=-0.5 - 0.05 * k, upper=0.6 + 0.03 * k) for k in range(19)]
@@ -132,17 +130,17 @@ def survey_arms(
     jobs: int = 1,
     progress: Callable[[ArmSurvey], object] | None = None,
 ) -> list[ArmSurvey]:
-    """Try every URDF file below a directory, or the arms of awkward shapes that are made here.
+    """Survey every URDF file below a directory, or the `awkward_arms`.
 
     Args:
-        directory: where to look for files that end in ".urdf"; None for `awkward_arms`.
-        least_joints: arms with fewer moving joints are left out, unless they are made here.
-        seed: draws the starts of the runs.
+        directory: where to search for files that end in ".urdf"; None for `awkward_arms`.
+        least_joints: files with fewer moving joints are skipped.
+        seed: seed of the starts.
         jobs: number of processes.
         progress: called with each result as it arrives.
 
     Returns:
-        One result for each file, in the order of their paths.
+        One result for each file, in order of path.
 
     Raises:
         FileError: no such directory, or no URDF file in it.
@@ -152,10 +150,10 @@ def survey_arms(
     else:
         directory = Path(directory)
         if not directory.is_dir():
-            raise FileError(directory, "is no directory")
+            raise FileError(directory, "is not a directory")
         files = sorted(directory.rglob("*.urdf"))
         if not files:
-            raise FileError(directory, "holds no file that ends in .urdf")
+            raise FileError(directory, "contains no file that ends in .urdf")
         tasks = [delayed(_survey)(path.name, path, least_joints, seed) for path in files]
     results = []
     for result in in_order(tasks, jobs):
@@ -169,7 +167,7 @@ def survey_arms(
 def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmSurvey | None:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they are kept on the arm
+            warnings.simplefilter("ignore")  # they are stored on the arm
             arm = Arm.load(source)
     except PostureError as error:
         return ArmSurvey(name, refused=str(error).replace(str(source), name))
@@ -184,7 +182,7 @@ def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmS
         notes=arm.warnings,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # it is in the table
+        warnings.simplefilter("ignore", PostureWarning)  # the table reports it
         target = resolve_targets(arm, gentle_curve(arm), placement="align", incomplete="partial")
     curve = target.curve or gentle_curve(arm)
     distance = curve.nearest(arm.chain.flattened(target.points))[1]
@@ -196,7 +194,7 @@ def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmS
         reference=_reference(arm, curve) / arm.length,
     )
     start = arm.random(np.random.default_rng(seed))
-    # All points are to be reached, also those that lie off the curve: the arm can take that posture.
+    # All points must be reached, even those off the curve: the arm can take that posture.
     posture = Target(target.points, np.ones(arm.n_modules), q=target.q)
     direct = track(arm, posture, start, "joint", max_steps=1000)
     switched, constrained = (
@@ -218,10 +216,10 @@ def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmS
 
 
 def _reference(arm: Arm, curve: Curve, starts: int = 6) -> float:
-    """Root mean square distance [m] of the best of several fits with free places on the curve."""
+    """Return the root mean square distance [m] of the best of several fits with free arc lengths."""
     rng, n, m = np.random.default_rng(0), arm.nv, arm.n_modules
     straight = arm.positions(arm.straight())
-    still = 1e-6 * arm.joint_units  # bounds that are one have no inside
+    still = 1e-6 * arm.joint_units  # equal bounds would have no interior
     low, high = (
         np.where(arm.roaming, straight + side * still, bound)
         for side, bound in zip((-1.0, 1.0), arm.usual_positions, strict=True)
@@ -249,29 +247,29 @@ def _reference(arm: Arm, curve: Curve, starts: int = 6) -> float:
     return float(np.sqrt(2.0 * min(costs) / m)) * arm.length
 
 
-# Families of cases: a kind of start and a kind of target, drawn from a seed and nothing else.
+# Families of cases: a kind of start and a kind of target, determined by a seed alone.
 
 StartKind = Literal["smooth", "uniform-0.6", "uniform-1.5", "noise", "straight"]
 TargetKind = Literal["helix", "line", "folded", "random", "gentle"]
 
 START_KINDS: tuple[StartKind, ...] = get_args(StartKind)
 UNIFORM = {"uniform-0.6": 0.6, "uniform-1.5": 1.5}
-"""Largest joint position of the starts whose joints know nothing of each other [rad or sliding unit]."""
+"""Largest joint position of starts with independent joints [rad or sliding unit]."""
 
 BUILT: dict[str, tuple[TargetKind, ...]] = {
     "ryrz20": ("helix", "line", "folded", "random"),
     "planar45": ("line", "folded", "random"),
 }
-"""The arms that are built here, and the kinds of target that each can take."""
+"""The built-in arms, and the kinds of target that each can take."""
 
 
 class Subject(NamedTuple):
     """An arm under study.
 
     Attributes:
-        name: what to call it.
+        name: name of the arm.
         arm: the arm.
-        targets: the kinds of target that it can take.
+        targets: the kinds of target it can take.
     """
 
     name: str
@@ -280,21 +278,21 @@ class Subject(NamedTuple):
 
     @property
     def families(self) -> tuple[Family, ...]:
-        """Every kind of start with every kind of target, but from straight to a line, where nothing moves."""
+        """All combinations of starts and targets except straight to a line, where nothing moves."""
         pairs = (Family(start, target) for start in START_KINDS for target in self.targets)
         return tuple(family for family in pairs if family != ("straight", "line"))
 
 
 class Family(NamedTuple):
-    """Where an arm starts, and what it should become.
+    """A kind of start and a kind of target.
 
     Attributes:
-        start: "smooth" for a posture as a relaxed arm would lie (`arbitrary_configuration`); "uniform-0.6"
-            and "uniform-1.5" for independent joints within that of the straight posture, cut at the limits
-            [rad or sliding unit]; "noise" for the same within 1e-3; "straight".
-        target: "helix" (6.17) and "line" (6.16) of the thesis; "folded" for the straight arm folded back on
-            itself by a half turn of one joint; "random" for another smooth posture; "gentle" for
-            `gentle_curve`. Curves are rolled about a spatial arm by any angle.
+        start: "smooth" for a posture like that of an arm at rest (`arbitrary_configuration`); "uniform-0.6"
+            and "uniform-1.5" for independent joints within that distance of the straight posture, clipped to
+            the limits [rad or sliding unit]; "noise" for the same within 1e-3; "straight".
+        target: "helix" (6.17) and "line" (6.16) of the thesis; "folded" for the straight arm folded back by a
+            half turn of one joint; "random" for another smooth posture; "gentle" for `gentle_curve`. For a
+            spatial arm, curves are rolled by a random angle.
     """
 
     start: StartKind
@@ -302,11 +300,11 @@ class Family(NamedTuple):
 
 
 def built_subject(name: str) -> Subject:
-    """One of the arms that are built here, by name.
+    """Return a built-in arm by name.
 
     "ryrz20" is the spatial arm of Section 6.1, 20 modules of two joints. "planar45" is the planar one of
-    Section 6.2 with a control point at every second joint and one at the tip, 23 of them: the arm may bend
-    either way between two of its points.
+    Section 6.2 with 23 control points, at every second joint and at the tip: the arm may bend either way
+    between two of its points.
 
     Raises:
         UnknownName: there is no such arm.
@@ -321,24 +319,24 @@ def built_subject(name: str) -> Subject:
 
 
 def loaded_subject(arm: Arm) -> Subject:
-    """Any other arm: nobody knows which curves it can take, but slight bends and its own postures it can."""
+    """Return the subject of any other arm, which can take slight bends and its own postures."""
     return Subject(arm.model.name, arm, ("gentle", "random"))
 
 
 def draw_case(subject: Subject, family: Family, seed: int) -> tuple[Array, Target]:
-    """Start configuration and target of one seed.
+    """Return the start configuration and the target of a seed.
 
-    Starts and targets are drawn from streams of their own, so that one seed has the same start for every
-    kind of target, and the same target for every kind of start. Each target knows its configuration.
+    Starts and targets are drawn from separate streams, so that a seed has the same start for every kind of
+    target, and the same target for every kind of start. Each target includes its configuration.
 
     Args:
         subject: the arm.
-        family: what kind of case.
+        family: kind of case.
         seed: a whole number >= 0.
 
     Raises:
         UnknownName: no such kind of start, or a kind of target that this arm cannot take.
-        InvalidValue: a target folded back, and an arm that cannot do so.
+        InvalidValue: a "folded" target for an arm that cannot fold back.
     """
     for kind, name, allowed in (
         ("start", family.start, START_KINDS),
@@ -351,7 +349,7 @@ def draw_case(subject: Subject, family: Family, seed: int) -> tuple[Array, Targe
 
 
 def _stream(seed: int, *names: str) -> np.random.Generator:
-    """Random numbers for one purpose; those for another, from the same seed, have nothing to do with them."""
+    """Return a random generator for one purpose, independent of those for others with the same seed."""
     return np.random.default_rng([seed, *" ".join(names).encode()])
 
 
@@ -376,18 +374,18 @@ def _target(subject: Subject, kind: TargetKind, rng: np.random.Generator) -> Tar
     if kind == "random":
         return Target.from_configuration(arm, arbitrary_configuration(arm, rng))
     if kind == "gentle":
-        # The posture counts, not the curve: an arm of few joints stays a little off it.
+        # Use the posture, not the curve: an arm with few joints stays slightly off it.
         placed = resolve_targets(arm, gentle_curve(arm), placement="align", roll=roll, incomplete="partial")
         return Target.from_configuration(arm, arm.neutral() if placed.q is None else placed.q)
     return resolve_targets(arm, TARGET_CURVES[subject.name, kind], placement="align", roll=roll)
 
 
 def _folded(arm: Arm, rng: np.random.Generator) -> Target:
-    """The straight arm with a half turn of one joint, either way.
+    """Return the straight arm with a half turn of one joint, in either direction.
 
-    In half of the cases that is the first joint, so that the whole arm lies on the other side of its base;
-    else it is any of those in the first half of the arm. The points lie exactly on the line of the straight
-    arm: seen from there, no joint brings any of them closer, whereas the rounding of a sine would.
+    In half of the cases this is the first joint, so that the whole arm lies on the other side of its base;
+    else it is any joint in the first half of the arm. The points lie exactly on the line of the straight arm,
+    from which no joint reduces an error to first order; rounding errors of a sine would break this.
     """
     half = range(max(len(arm.columns) // 2, 1))
     ways = [(joint, turn) for joint in half for turn in (-np.pi, np.pi) if _can_fold(arm, joint, turn)]
@@ -405,7 +403,7 @@ def _folded(arm: Arm, rng: np.random.Generator) -> Target:
 
 
 def _can_fold(arm: Arm, joint: int, turn: float) -> bool:
-    """Whether a joint of the chain can turn that far, about an axis across the arm."""
+    """Return whether a joint of the chain can turn that far, about an axis perpendicular to the arm."""
     column, axis = arm.columns[joint], arm.chain.axes[joint]
     across = abs(axis @ (arm.chain.points[-1] - arm.chain.base)) < 1e-9 * arm.length
     inside = arm.limits.lower[column] <= turn <= arm.limits.upper[column]

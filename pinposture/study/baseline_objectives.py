@@ -1,4 +1,4 @@
-"""Objectives for the null space (2.7), (2.8), and the derivatives that they need."""
+"""Null-space objectives (2.7), (2.8) and their derivatives."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pinposture.errors import UnknownName
 
 # Second and third derivatives of the position of a control point, in closed form.
 #
-# Let w_u be the axis of joint u in the world (zero if it slides) and J_u the column of the position
-# Jacobian. Joint u turns everything after it, and with it every column that belongs to a later joint; moving
-# the point changes the columns of the joints before. For joints in the order of the chain, a <= b <= c,
+# Let w_u be the axis of joint u in the world (zero if it slides) and J_u the column of the position Jacobian.
+# Joint u turns everything after it, including the columns of later joints; moving the point changes the
+# columns of earlier joints. For joints in the order of the chain, a <= b <= c,
 #
 # d2 p / dq_a dq_b = w_a x J_b, d3 p / dq_a dq_b dq_c = w_a x (w_b x J_c).
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 def joint_axes(state: ArmState) -> Array:
-    """Axes of the joints of the chain in the world, from base to tip, (n, 3); zero for joints that slide."""
+    """Return the world axes of the joints of the chain from base to tip, (n, 3); zero for slides."""
     chain = state.arm.chain
     angles = state.arm.positions(state.q)[chain.columns] * chain.revolute
     turns = Rotation.from_rotvec(angles[:, None] * chain.axes).as_matrix()
@@ -41,9 +41,9 @@ class PositionDerivatives:
 
     Attributes:
         columns: tangent space indices of those joints, (n,).
-        axes: their axes in the world, (n, 3); zero for joints that slide.
+        axes: their axes in the world, (n, 3); zero for slides.
         jacobian: position Jacobian, (3, n) [m per unit], world axes.
-        plane: directions of the task, (d, 3), orthonormal: see `Arm.plane`.
+        plane: orthonormal task directions, (d, 3); see `Arm.plane`.
     """
 
     def __init__(self, state: ArmState, point: int) -> None:
@@ -55,15 +55,15 @@ class PositionDerivatives:
         self.plane = arm.plane
 
     def second(self) -> Array:
-        """Second derivatives of the position along the task directions, (n, n, d) [m]."""
+        """Return the second derivatives of the position along the task directions, (n, n, d) [m]."""
         crossed = np.cross(self.axes[:, None], self.jacobian.T[None])  # (n, n, 3): w_u x J_v
         return np.asarray(_symmetric(crossed) @ self.plane.T)
 
     def third(self, weights: Array) -> Array:
-        """Third derivatives, summed over one of the joints with weights.
+        """Return the third derivatives, summed over one of the joints with weights.
 
-        The triple product a x (b x c) = b (a . c) - c (a . b) splits every term into factors of one joint
-        each, so that running sums over the chain replace the sum.
+        The triple product a x (b x c) = b (a . c) - c (a . b) splits each term into factors of one joint
+        each, so that the sum can be computed by running sums over the chain.
 
         Args:
             weights: one vector for each joint, (d, n), along the task directions.
@@ -84,26 +84,26 @@ class PositionDerivatives:
 
 
 def _each(matrices: Array, vectors: Array) -> Array:
-    """One matrix times one vector for each joint, (n, 3)."""
+    """Return the product of matrix and vector for each joint, (n, 3)."""
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _symmetric(upper: Array) -> Array:
-    """The symmetric array (n, n, ...) of which only the part u <= v is right so far."""
+    """Complete a symmetric array (n, n, ...) of which only the part u <= v is valid."""
     n = len(upper)
     earlier = np.triu(np.ones((n, n), dtype=np.bool_)).reshape(n, n, *([1] * (upper.ndim - 2)))
     return np.asarray(np.where(earlier, upper, upper.swapaxes(0, 1)))
 
 
 RANK = 1e-12
-"""Singular values up to this share of the largest one count as zero: they are rounding errors."""
+"""Singular values up to this fraction of the largest count as zero, because they are rounding errors."""
 
 
 # The manipulability measure (3.3) of a control point, and its first two derivatives.
 
 
 def manipulability_measure(state: ArmState, point: int) -> float:
-    """Product w of the singular values of the position Jacobian (3.3), relative to length^d of the arm.
+    """Return the product w of the singular values of the position Jacobian (3.3), relative to length^d.
 
     Args:
         state: the state of the arm.
@@ -114,13 +114,13 @@ def manipulability_measure(state: ArmState, point: int) -> float:
 
 
 def measure_gradient(state: ArmState, point: int) -> Array:
-    """Gradient of the manipulability measure.
+    """Return the gradient of the manipulability measure.
 
     dw/dq_u = w tr(dJ/dq_u J^+); in w J^+ every singular value is replaced by the product of the others.
 
     Returns:
-        Array (nv,), per unit of joint motion. Where J is singular w is zero and has no gradient, as |x| has
-        none at 0: then zero.
+        Array (nv,), per unit of joint motion. Zero if J is singular, where w is zero and not differentiable,
+        like |x| at 0.
     """
     gradient = np.zeros(state.arm.nv)
     known = _decomposed(state, point)
@@ -131,14 +131,14 @@ def measure_gradient(state: ArmState, point: int) -> Array:
 
 
 def measure_hessian(state: ArmState, point: int) -> Array:
-    """Second derivatives of the manipulability measure.
+    """Return the second derivatives of the manipulability measure.
 
     With D_u = dJ/dq_u and G = J J^T, those of log w are
 
         tr(dD_u/dq_v J^+) - tr(D_u J^+ D_v J^+) + tr(D_u (I - J^+J) D_v^T G^-1).
 
     Returns:
-        Array (nv, nv), per unit of joint motion squared; zero where J is singular.
+        Array (nv, nv), per unit of joint motion squared; zero if J is singular.
     """
     hessian = np.zeros((state.arm.nv, state.arm.nv))
     known = _decomposed(state, point)
@@ -163,7 +163,7 @@ def measure_hessian(state: ArmState, point: int) -> Array:
 
 
 def _decomposed(state: ArmState, point: int) -> tuple[PositionDerivatives, Array, float] | None:
-    """Derivatives, J^+ (n, d) and w relative to length^d; None where J is singular."""
+    """Return the derivatives, J^+ (n, d) and w relative to length^d; None if J is singular."""
     derivatives = PositionDerivatives(state, point)
     jacobian = derivatives.plane @ derivatives.jacobian
     left, sigma, right = np.linalg.svd(jacobian, full_matrices=False)
@@ -172,20 +172,20 @@ def _decomposed(state: ArmState, point: int) -> tuple[PositionDerivatives, Array
     return derivatives, (right.T / sigma) @ left.T, float(np.prod(sigma / state.arm.length))
 
 
-# Objective functions that a redundant arm can improve while its end-effector does its task (2.7).
+# Objective functions that a redundant arm can improve while its end-effector performs its task (2.7).
 
 Objective = Literal["manipulability", "joint_limits"]
 
 OBJECTIVES: tuple[Objective, ...] = ("manipulability", "joint_limits")
-"""Names of the objective functions. Both are written such that more is better.
+"""Names of the objective functions, which are maximised.
 
 "manipulability" is the manipulability measure (3.3) of the end-effector, relative to length^d of the arm.
 
-"joint_limits" is minus (2.8): that expression grows without bound as a joint nears a limit, so it is to be
-minimised, not maximised. Joint positions are counted in `Arm.joint_units`. A limit at infinity adds nothing,
-and joints that move no control point are left out. At a limit (2.8) is not defined, and beyond one its
-gradient points outwards; so from `NEAREST` on it goes on along its tangent, finite and pushing back from
-either side.
+"joint_limits" is minus (2.8): that expression grows without bound as a joint nears a limit, so it must be
+minimised, not maximised. Joint positions are in `Arm.joint_units`. Infinite limits add nothing, and joints
+that move no control point are ignored. At a limit (2.8) is undefined, and beyond it its gradient points
+outwards; so within `NEAREST` of a limit it is continued along its tangent, which is finite and pushes back on
+both sides.
 """
 
 NEAREST = 0.1
@@ -199,12 +199,12 @@ def require_objective(objective: str | None) -> None:
 
 
 def objective_value(objective: Objective, state: ArmState, end_effector: int) -> float:
-    """Value h of an objective function; more is better.
+    """Return the value h of an objective function; higher is better.
 
     Args:
-        objective: its name.
+        objective: name of the function.
         state: the state of the arm.
-        end_effector: the control point that does the task, 0-based.
+        end_effector: the control point with the task, 0-based.
     """
     if objective == "manipulability":
         return manipulability_measure(state, end_effector)
@@ -214,7 +214,7 @@ def objective_value(objective: Objective, state: ArmState, end_effector: int) ->
 
 
 def objective_gradient(objective: Objective, state: ArmState, end_effector: int) -> Array:
-    """Gradient dh/dq of an objective function, (nv,), per unit of joint motion."""
+    """Return the gradient dh/dq of an objective function, (nv,), per unit of joint motion."""
     if objective == "manipulability":
         return measure_gradient(state, end_effector)
     below, above = _rooms(state)
@@ -222,7 +222,7 @@ def objective_gradient(objective: Objective, state: ArmState, end_effector: int)
 
 
 def objective_hessian(objective: Objective, state: ArmState, end_effector: int) -> Array:
-    """Second derivatives of an objective function, (nv, nv), per unit of joint motion squared."""
+    """Return the second derivatives of an objective function, (nv, nv), per unit of joint motion squared."""
     if objective == "manipulability":
         return measure_hessian(state, end_effector)
     curvatures = [np.where(room > NEAREST, np.maximum(room, NEAREST) ** -4.0, 0.0) for room in _rooms(state)]
@@ -230,10 +230,10 @@ def objective_hessian(objective: Objective, state: ArmState, end_effector: int) 
 
 
 def _rooms(state: ArmState) -> tuple[Array, Array]:
-    """Distance of each joint from its lower and from its upper limit, (nv,) each, in `Arm.joint_units`."""
+    """Return the distances of the joints from their lower and upper limits, (nv,), in `Arm.joint_units`."""
     arm = state.arm
     positions, columns = arm.positions(state.q), arm.columns
-    below, above = np.full((2, arm.nv), np.inf)  # joints off the chain are not to be moved
+    below, above = np.full((2, arm.nv), np.inf)  # joints off the chain are ignored
     below[columns] = (positions - arm.limits.lower)[columns] / arm.joint_units[columns]
     above[columns] = (arm.limits.upper - positions)[columns] / arm.joint_units[columns]
     return below, above

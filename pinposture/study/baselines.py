@@ -1,4 +1,4 @@
-"""Controllers of the literature to compare with: (2.6) and (2.9) to (2.16), damped least squares."""
+"""Baseline controllers from the literature: (2.6) and (2.9) to (2.16), damped least squares."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from pinposture.study.baseline_objectives import (
     require_objective,
 )
 
-# What the baselines have in common: the task they solve, and how a step is finished.
+# Common parts of the baselines: the task and the completion of a step.
 
 Array = NDArray[np.float64]
 
@@ -59,18 +59,18 @@ class BaselineTask(NamedTuple):
 
 
 def task_of(state: ArmState, target: Target, points: NDArray[np.intp]) -> BaselineTask:
-    """The task of moving some control points (N,) to their targets."""
+    """Return the task of moving some control points (N,) to their targets."""
     jacobian = stack_rows(state.task_jacobians[points])
     return BaselineTask(tuple(int(k) for k in points), jacobian, task_errors(state, target)[points].ravel())
 
 
 def end_effector_task(state: ArmState, target: Target) -> BaselineTask:
-    """The task of the end-effector alone, which is the last control point that has a target."""
+    """Return the task of the end-effector alone, the last control point with a target."""
     return task_of(state, target, np.flatnonzero(target.has_target)[-1:])
 
 
 def all_points_task(state: ArmState, target: Target) -> BaselineTask:
-    """The task of all control points that have a target, stacked (2.15)."""
+    """Return the stacked task of all control points with a target (2.15)."""
     return task_of(state, target, np.flatnonzero(target.has_target))
 
 
@@ -94,7 +94,7 @@ def decompose(matrix: Array) -> Decomposition:
 
 
 def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array) -> Array:
-    """Return J^+ dr + (I - J^+ J) g: follow the velocities exactly, and g as far as they allow (2.6).
+    """Return J^+ dr + (I - J^+ J) g: the velocities exactly, and g as far as they allow (2.6).
 
     Args:
         matrix: decomposition of J; its smallest singular value is positive.
@@ -109,13 +109,13 @@ def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array)
 
 
 def regular_part(matrix: Decomposition) -> Decomposition:
-    """The decomposition without its zero singular values: what a pseudo-inverse inverts."""
+    """Return the decomposition without its zero singular values, as inverted by a pseudo-inverse."""
     rank = int(np.count_nonzero(matrix.sigma > RANK * matrix.sigma[0]))
     return Decomposition(matrix.left[:, :rank], matrix.sigma[:rank], matrix.right[:rank])
 
 
 def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array:
-    """The dq that minimises |J dq - dr|^2 + damping |dq|^2, for damping > 0.
+    """Return the dq that minimises |J dq - dr|^2 + damping |dq|^2, for damping > 0.
 
     Args:
         matrix: decomposition of J.
@@ -138,22 +138,22 @@ def limit_step(
     limits: Limits,
     previous: Array | None,
 ) -> Step:
-    """Bring a step within the limits, and describe it.
+    """Apply the limits to a step and add its diagnostics.
 
     Args:
-        state: where the step begins.
+        state: state before the step.
         points: the control points that it moves.
-        rows: number of rows of the matrix that was inverted.
+        rows: number of rows of the inverted matrix.
         sigma: its singular values in any order, at least one [m/rad].
-        asked: joint displacement asked for, (nv,), in `Arm.joint_units`.
+        asked: requested joint displacement, (nv,), in `Arm.joint_units`.
         limits: the limits of the step.
-        previous: the step before, (nv,) [rad or m]; None: there was none.
+        previous: the previous step, (nv,) [rad or m], or None.
 
     Returns:
         The step. Its manipulability index is the smallest of its points relative to the base.
     """
     arm = state.arm
-    # Joints off the chain have zero columns, and singular vectors round zero.
+    # Joints off the chain have zero columns, but singular vectors only up to rounding error.
     moved = asked * arm.joint_units * arm.moved
     limited = limits.apply(state, moved, previous)
     diagnostics = Diagnostics(
@@ -167,17 +167,14 @@ def limit_step(
 
 
 def hold_step(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
-    """A step that only brakes, if there is anything to brake, and why."""
+    """Return a step that only brakes, if the arm moves, with the reason."""
     still = limits.hold(state, previous)
     none = Diagnostics(still.clipped, reason, scale=still.scale)
     return Step(still.dq, (), none, Memory(still.dq))
 
 
-# What all baselines that invert a Jacobian do first, and those with a null-space term alike.
-
-
 class Baseline(ABC):
-    """A method that remembers nothing but its step, and stands still if no control point has a target."""
+    """A method without memory beyond its last step, which stands still if no control point has a target."""
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -191,7 +188,7 @@ class Baseline(ABC):
 
     @abstractmethod
     def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
-        """Compute one step; some control point has a target."""
+        """Compute one step; at least one control point has a target."""
 
 
 @dataclass(frozen=True)
@@ -199,10 +196,9 @@ class NullSpaceMethod(Baseline):
     """The step J^+ K dp + (I - J^+J) k grad h of a task, (2.6), (2.7) and (2.16).
 
     Attributes:
-        objective: what the null space is used for, see `objectives.OBJECTIVES`; None: nothing, the shortest
-            step.
-        gain: share of its error that each point of the task is asked to cover in one step.
-        null_gain: the factor k of (2.7), positive for better. Joints take null_gain times the slope of h.
+        objective: null-space objective, see `objectives.OBJECTIVES`; None for the shortest step.
+        gain: fraction of the error that each point of the task should cover in one step.
+        null_gain: the factor k of (2.7), positive to improve h. Joints move by null_gain times its gradient.
     """
 
     objective: Objective | None = None
@@ -216,7 +212,7 @@ class NullSpaceMethod(Baseline):
 
     @abstractmethod
     def _task(self, state: ArmState, target: Target) -> BaselineTask:
-        """What is to be moved."""
+        """Return the control points to move."""
 
     def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
         task = self._task(state, target)
@@ -232,9 +228,9 @@ class NullSpaceMethod(Baseline):
 class PseudoInverse(NullSpaceMethod):
     """Moves the end-effector alone: dq = J^+ dp + (I - J^+J) k grad h, (2.6) and (2.7).
 
-    The end-effector is the last control point that has a target; where the others go is nobody's concern.
-    Nothing is damped: near a singular posture the step grows as 1 / sigma_min, and at one the directions
-    that are lost are left out. Its parameters are those of `NullSpaceMethod`.
+    The end-effector is the last control point with a target; the others are not controlled. Nothing is
+    damped: near a singular posture the step grows as 1 / sigma_min, and at one the lost directions are
+    ignored. Its parameters are those of `NullSpaceMethod`.
     """
 
     name: str = "pinv"
@@ -245,11 +241,11 @@ class PseudoInverse(NullSpaceMethod):
 
 @dataclass(frozen=True)
 class AugmentedJacobian(NullSpaceMethod):
-    """Stacks the Jacobians of all control points that have a target, (2.15), and inverts the lot, (2.16).
+    """Stacks the Jacobians of all control points with a target, (2.15), and inverts the result, (2.16).
 
-    There are usually more rows than joints: the step is then the least-squares one. Nothing is damped, so
-    wherever rows of different points nearly agree, which they often do while each point on its own moves
-    freely (an algorithmic singularity, Section 3.1.3), the step is huge. Its parameters are those of
+    There are usually more rows than joints: the step is then the least-squares one. Nothing is damped, so the
+    step is huge wherever rows of different points are nearly dependent, which is common even if each point
+    alone can move freely (an algorithmic singularity, Section 3.1.3). Its parameters are those of
     `NullSpaceMethod`.
     """
 
@@ -261,14 +257,14 @@ class AugmentedJacobian(NullSpaceMethod):
 
 @dataclass(frozen=True)
 class DampedLeastSquares(Baseline):
-    """Moves all control points that have a target: dq minimises |J dq - K e|^2 + lambda^2 |dq|^2.
+    """Moves all control points with a target: dq minimises |J dq - K e|^2 + lambda^2 |dq|^2.
 
     No step is longer than |K e| / (2 lambda), singular or not; in exchange, directions with singular values
-    below lambda hardly move, also where they could.
+    below lambda hardly move, even if they could.
 
     Attributes:
         damping: lambda relative to the arm length [1/rad].
-        gain: share of its error that each point is asked to cover in one step (K).
+        gain: fraction of the error that each point should cover in one step (K).
     """
 
     damping: float = 0.02
@@ -289,15 +285,15 @@ class DampedLeastSquares(Baseline):
 
 @dataclass(frozen=True)
 class LevenbergMarquardt(Baseline):
-    """Moves all control points that have a target, with the damping of Sugihara (2011).
+    """Moves all control points with a target, with the damping of Sugihara (2011).
 
     Each step solves (J^T W J + lambda I) dq = J^T W e, with W = diag(weights) / length^2 of the arm and
-    lambda = e^T W e / 2 + bias: careful from afar, nearly Gauss-Newton close by, regular everywhere.
+    lambda = e^T W e / 2 + bias: cautious far from the target, nearly Gauss-Newton near it, always regular.
 
     The singular values of its diagnostics are those of diag(weights)^(1/2) J.
 
     Attributes:
-        bias: damping that stays at the target, in squared arm lengths [1/rad^2].
+        bias: damping that remains at the target, in squared arm lengths [1/rad^2].
     """
 
     bias: float = 1e-6
@@ -322,17 +318,17 @@ class TaskConstraints(Baseline):
 
         dq = J^+ dp + (I - J^+J) (J_c (I - J^+J))^+ (dp_c - J_c J^+ dp)
 
-    The end-effector is the last control point that has a target. The others come strictly second: whatever
-    is asked of them, the end-effector moves as if they were not there. (2.9) allows alpha <= n - m rows
-    for them, where n joints move the end-effector and m is the rank of J: so many of them are taken, spread
-    evenly along the arm. They may still ask for more than the null space can do; then the step is the
-    least-squares one, and where it nearly can it is huge, for nothing is damped.
+    The end-effector is the last control point with a target. The others have strictly lower priority: they do
+    not affect the motion of the end-effector. (2.9) allows alpha <= n - m rows for them, where n joints move
+    the end-effector and m is the rank of J; that many are used, spread evenly along the arm. They may still
+    require more than the null space allows; then the step is the least-squares one, and it is huge where they
+    nearly do, because nothing is damped.
 
     The singular values of its diagnostics are those of J and of J_c (I - J^+J).
 
     Attributes:
-        constraints: how many other control points to move at most; None: as many as (2.9) allows.
-        gain: share of its error that each point is asked to cover in one step.
+        constraints: maximum number of other control points to move; None for as many as (2.9) allows.
+        gain: fraction of the error that each point should cover in one step.
     """
 
     constraints: int | None = None
@@ -354,7 +350,7 @@ class TaskConstraints(Baseline):
         secondary = self._constraints(state, target, primary, rank)
         if not secondary.points:
             return limit_step(state, primary.points, len(primary.errors), every, asked, limits, previous)
-        # J_c (I - J^+J) has the singular values of J_c V with V the basis, and needs no projection after.
+        # J_c (I - J^+J) has the singular values of J_c V with the basis V, without a final projection.
         projected = decompose(secondary.jacobian @ null.T)
         inverted = regular_part(projected)
         missing = self.gain * secondary.errors - secondary.jacobian @ asked
@@ -364,7 +360,7 @@ class TaskConstraints(Baseline):
         return limit_step(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
 
     def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
-        """The other control points that (2.9) has room for."""
+        """Return the task of the other control points that (2.9) allows."""
         others = np.flatnonzero(target.has_target)[:-1]
         joints = int(state.arm.support[primary.end_effector].sum())
         room = (joints - rank) // state.arm.dimension
@@ -375,34 +371,34 @@ class TaskConstraints(Baseline):
 
 @dataclass(frozen=True)
 class ExtendedJacobian(Baseline):
-    """Moves the end-effector and stays where an objective function is extremal, (2.12)-(2.14).
+    """Moves the end-effector while keeping an objective function extremal, (2.12)-(2.14).
 
-    At an extremum under the task, f_c = N^T grad h = 0 for a basis N of the null space of J (2.12). Both
-    together make a square system, J_e dq = [dp; 0] with J_c = d f_c / dq, solved by its inverse.
+    At a constrained extremum, f_c = N^T grad h = 0 for a basis N of the null space of J (2.12). Together with
+    the task this is a square system, J_e dq = [dp; 0] with J_c = d f_c / dq, solved by its inverse.
 
     For J_c to exist, N must be a differentiable function of q. Singular vectors are not: they turn
     arbitrarily within the null space. From J N = 0 follows dN = -J^+ dJ N + N A with any skew matrix A: a
-    choice of basis, which adds A^T f_c to the derivative. Take A = 0, the basis that does not turn within
+    choice of basis, which adds A^T f_c to the derivative. Choose A = 0, the basis that does not turn within
     the null space. Then, with the multipliers l = J^{+T} grad h and the second derivatives D_a of the task
     coordinates,
 
         J_c = N^T (hess h - sum_a l_a D_a),
 
-    the reduced Hessian of Newton's method for extrema under constraints. J_c changes with N by a rotation of
-    its rows only, so that the step is the same for every orthonormal basis, also that of the singular
-    vectors of the moment; and at f_c = 0 the choice of A does not matter. Both objective functions are
-    differentiated in closed form, at O(n^2 d) for the derivatives and O(n^3) for the inverse.
+    the reduced Hessian of Newton's method for constrained extrema. A change of N only rotates the rows of
+    J_c, so the step is the same for every orthonormal basis, including the current singular vectors; and at
+    f_c = 0 the choice of A does not matter. Both objective functions are differentiated in closed form, at
+    O(n^2 d) for the derivatives and O(n^3) for the inverse.
 
-    As the method goes, f_c is held at the value that it has, zero or not: started off an extremum, it never
-    gets to one, unless `restore` asks for it. J_e is singular where J is, and also where an extremum meets
-    another or is flat (algorithmic singularities); near that, steps are huge. At one the step is held.
+    The method keeps f_c at its current value, zero or not: started off an extremum, it never reaches one,
+    unless `restore` is set. J_e is singular where J is, and also where extrema merge or are flat (algorithmic
+    singularities). Near these, steps are huge; at one the arm is held.
 
     The singular values of its diagnostics are those of J_e, see `system`.
 
     Attributes:
-        objective: what is extremal, see `objectives.OBJECTIVES`.
-        gain: share of its error that the end-effector is asked to cover in one step.
-        restore: share of f_c that is taken back in one step. 0 is (2.14) as printed.
+        objective: the function to keep extremal, see `objectives.OBJECTIVES`.
+        gain: fraction of the error that the end-effector should cover in one step.
+        restore: fraction of f_c that is corrected in one step. 0 is (2.14) as printed.
     """
 
     objective: Objective = "manipulability"
@@ -441,12 +437,12 @@ class ExtendedJacobian(Baseline):
         return limit_step(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
 
     def system(self, state: ArmState, task: BaselineTask) -> tuple[NDArray[np.intp], Array, Array]:
-        """The extended Jacobian J_e and the constraint f_c.
+        """Return the extended Jacobian J_e and the constraint f_c.
 
         Returns:
-            Tangent space indices of the n joints that move the end-effector; J_e (n, n) [m per unit], the
-            last n - d rows of which are those of f_c; and f_c (n - d,) [m], times the arm length to be of one
-            kind with J. Where J is singular, J_e is empty.
+            Tangent space indices of the n joints that move the end-effector; J_e (n, n) [m per unit], whose
+            last n - d rows are those of f_c; and f_c (n - d,) [m], multiplied by the arm length to match the
+            units of J. If J is singular, J_e is empty.
         """
         derivatives = PositionDerivatives(state, task.end_effector)
         columns, length = derivatives.columns, state.arm.length
@@ -475,19 +471,19 @@ BASELINES: dict[str, Callable[[], Controller]] = {
 
 
 def register_baselines() -> None:
-    """Add the baselines to the controllers that `track` and `controller_named` know by name.
+    """Make the baselines available by name to `track` and `controller_named`.
 
-    A name that is already taken keeps its controller.
+    Names that are already taken keep their controllers.
     """
     for name, make in BASELINES.items():
         CONTROLLERS.setdefault(name, make)
 
 
 def named_controllers(controllers: Sequence[str | Controller]) -> list[Controller]:
-    """Return the controllers of these names, baselines included.
+    """Look up controllers by name, including baselines.
 
     Raises:
-        InvalidValue: no controller at all.
+        InvalidValue: no controllers are given.
         UnknownName: no controller has that name.
     """
     if len(controllers) == 0:

@@ -1,7 +1,7 @@
-"""A benchmark for any program: cases in a file, results in a file, and the score of the one by the other.
+"""A benchmark for any program: a file of cases, a file of results, and the score of the results.
 
-A file of cases holds all that a program needs: arms as URDF, starts, targets, obstacles. A file of results
-holds the joint positions after each step and nothing that has to be believed: all figures are computed here.
+The file of cases contains everything that a program needs: arms as URDF, starts, targets, obstacles. The file
+of results contains only the joint positions after each step: all figures are computed from these.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pinposture.study.scenes import situation_arm
 
 Array = NDArray[np.float64]
 
-# The cases, drawn once; the files are in `benchmarks/cases`.
+# The cases; the files are in `benchmarks/cases`.
 
 CASES_FORMAT, RESULTS_FORMAT = "pinposture-benchmark-cases", "pinposture-benchmark-results"
 
@@ -48,7 +48,7 @@ SCENE_GROUPS = ("balls", "posts", "hole")
 
 
 def make_cases(each: int = 5) -> dict[str, Any]:
-    """Draw so many cases of each group, as data that JSON can hold."""
+    """Draw `each` cases of each group, as JSON-compatible data."""
     arms = {name: Arm.from_modules(ARMS[name], name=name) for name in ("ryrz20", "planar45")}
     cases = []
     for scenario in (SCENARIOS[name] for name in POSTURE_GROUPS + PLANAR_GROUPS):
@@ -96,14 +96,14 @@ def _case(group: str, seed: int, arm: str, start: Array, points: Array) -> dict[
 
 
 def write_cases(path: Path, each: int = 5) -> str:
-    """Write a file of cases; returns its checksum, SHA-256."""
+    """Write a file of cases and return its SHA-256 checksum."""
     text = json.dumps(make_cases(each), separators=(",", ":"), allow_nan=False).replace('{"id"', '\n{"id"')
     write_text(path, text + "\n")
     return checksum(path)
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of the text of a file."""
+    """Return the SHA-256 checksum of the text of a file."""
     return hashlib.sha256(read_text(path).encode()).hexdigest()
 
 
@@ -111,19 +111,19 @@ def checksum(path: Path) -> str:
 
 
 class Score(NamedTuple):
-    """What one program made of the cases of one group.
+    """Score of a program for the cases of one group.
 
     Attributes:
         group: name of the group.
         cases: number of cases in it.
-        tried: number of cases that the results have.
-        reached: cases that end at the target, within all limits, and clear of obstacles.
-        limits_held: cases within the limits of step, position and number of steps.
-        clear: cases that never touch an obstacle; those without obstacles count.
-        error: mean point error at the end per arm length, median of the cases tried.
-        steps: median number of steps, of the cases reached.
-        path: length of the paths of the control points per direct distance; median of the cases reached.
-        rising: share of steps on which the posture error rises; median of the cases reached.
+        tried: number of cases in the results.
+        reached: number of cases that end at the target, within all limits, and without collision.
+        limits_held: number of cases within the limits of step, position and number of steps.
+        clear: number of cases that never touch an obstacle, including those without obstacles.
+        error: mean point error at the end per arm length, median of the tried cases.
+        steps: number of steps, median of the reached cases.
+        path: path length of the control points relative to straight lines, median of the reached cases.
+        rising: share of steps on which the posture error rises, median of the reached cases.
     """
 
     group: str
@@ -139,7 +139,7 @@ class Score(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """One case by one program; the fields as in `Score`."""
+    """One case by one program; fields as in `Score`."""
 
     reached: bool
     limits_held: bool
@@ -151,7 +151,7 @@ class _Run(NamedTuple):
 
 
 LIMIT_ROUNDING = 1e-5
-"""By how much a limit may be exceeded [rad]: solvers keep constraints to some digits."""
+"""Tolerance of limits [rad], because solvers satisfy constraints only approximately."""
 
 
 def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
@@ -163,18 +163,18 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
         cases: the file of cases.
 
     Returns:
-        The name of the program, and a score for each group. Cases that were left out count as not reached.
+        The name of the program, and a score for each group. Missing cases count as not reached.
 
     Raises:
-        FileError: a file is missing, malformed or of another version; the results are those of other cases,
-            name an unknown case or one twice, do not begin at its start, or hold what is not finite.
+        FileError: a file is missing, malformed or of another version; or the results are for other cases,
+            name an unknown case or one twice, do not begin at its start, or contain non-finite numbers.
     """
     results, cases = Path(results), Path(cases)
     known = _read(cases, CASES_FORMAT, ("step_limit", "max_steps", "reached", "arms", "cases"))
     given = _read(results, RESULTS_FORMAT, ("cases", "program", "runs"))
     if given["cases"] != checksum(cases):
         raise FileError(
-            results, f"has the results of other cases; the checksum of {cases} is {checksum(cases)}"
+            results, f"contains results for other cases; the checksum of {cases} is {checksum(cases)}"
         )
     arms = {
         name: Arm.load(each["urdf"], modules=each["joints_per_module"])
@@ -185,7 +185,7 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
     for run in given["runs"]:
         name = str(run.get("case")) if isinstance(run, Mapping) else ""
         if name not in named or name in runs:
-            raise FileError(results, f"has a run of case {name!r}; allowed: each case of {cases} once")
+            raise FileError(results, f"contains a run of case {name!r}; allowed: each case of {cases} once")
         told = named[name]
         runs[name] = _scored(results, known, told, arms[told["arm"]], run.get("q"))
     groups = list(dict.fromkeys(each["group"] for each in known["cases"]))

@@ -1,4 +1,4 @@
-"""What the thesis claims, in our words, and its figures, as data; `study.reproduce` measures them."""
+"""Claims and figures of the thesis as data; `study.reproduce` measures them."""
 
 from __future__ import annotations
 
@@ -7,23 +7,21 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-# What a claim of the thesis is.
-
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim.
+    """One claim of the thesis.
 
     Attributes:
         id: short name.
-        where: where the thesis says so.
-        text: what it says, in our words.
-        measured: in what share of which cases it is true.
-        rule: how large that share must be: "always" for what is guaranteed or said of every case, "usually"
-            for how a method works in general, "rather" for comparisons and tendencies.
-        methods: the methods that it speaks of: of "selection", "projection", "switching".
-        general: whether the same can be asked of any controller.
-        construction: why the best reading cannot fail, whatever the case; empty if it can.
+        where: where the thesis makes the claim.
+        text: the claim in our words.
+        measured: the cases in which it is true, whose share is measured.
+        rule: required share: "always" for guarantees and statements about every case, "usually" for how a
+            method works in general, "rather" for comparisons and tendencies.
+        methods: the methods concerned: of "selection", "projection", "switching".
+        general: whether it applies to any controller.
+        construction: why the best reading cannot fail in any case; empty if it can.
     """
 
     id: str
@@ -35,8 +33,6 @@ class Claim:
     general: bool = False
     construction: str = ""
 
-
-# Claims on where the arm gets to.
 
 TRACKING = (
     Claim(
@@ -164,10 +160,8 @@ TRACKING = (
         "always",
     ),
 )
-"""Where the arm gets to."""
+"""Claims about the postures that the arm reaches."""
 
-
-# Claims on how the arm moves.
 
 MOVING = (
     Claim(
@@ -280,10 +274,8 @@ MOVING = (
         general=True,
     ),
 )
-"""How it moves."""
+"""Claims about how the arm moves."""
 
-
-# Claims on which control points are used, and on switching between the methods.
 
 ALL_POINTS = (
     "a module has a singular value of at least half its length in every posture, so that no point is left "
@@ -362,7 +354,7 @@ POINTS = (
         ("projection",),
     ),
 )
-"""Which control points it uses."""
+"""Claims about the control points in use."""
 
 SWITCHING = (
     Claim(
@@ -391,13 +383,10 @@ SWITCHING = (
         ("switching",),
     ),
 )
-"""What comes of switching between the two."""
+"""Claims about switching between the methods."""
 
 CHOOSING = POINTS + SWITCHING
-"""Both."""
 
-
-# Claims on postures and sets of control points, whatever moves the arm.
 
 POSTURES = (
     Claim(
@@ -449,18 +438,13 @@ POSTURES = (
         "always",
     ),
 )
-"""What is true of postures and sets of control points, whatever moves the arm."""
+"""Claims about postures and sets of control points, independent of the controller."""
 
-
-# What the thesis claims of its methods, in our words, as data; `pinposture.study.reproduce` measures it.
 
 CLAIMS: Mapping[str, Claim] = MappingProxyType(
     {claim.id: claim for claim in TRACKING + MOVING + CHOOSING + POSTURES}
 )
-"""All claims by their ids."""
-
-
-# Figures 6.3 to 6.12 of the thesis, as data: which runs each shows, and how.
+"""All claims by id."""
 
 
 Layout = Literal["postures", "errors", "planar"]
@@ -468,18 +452,18 @@ Layout = Literal["postures", "errors", "planar"]
 
 @dataclass(frozen=True)
 class ThesisFigure:
-    """One figure.
+    """One of Figures 6.3 to 6.12 of the thesis.
 
     Attributes:
         number: its number in the thesis.
-        title: what it shows, in our words.
+        title: its content in our words.
         section: where the thesis discusses it.
         layout: "postures" shows initial posture, target and final postures; "errors" shows errors and control
             points against steps; "planar" shows all of these.
         scenario: name of the scenario, one of `pinposture.study.scenarios.SCENARIOS`.
         controllers: names of the controllers, one run each.
-        compared: names of controllers whose posture error is drawn beside for comparison.
-        seed: what start and target are drawn from. The thesis does not give its own.
+        compared: names of controllers whose posture error is shown for comparison.
+        seed: seed of start and target. The thesis does not specify its own.
     """
 
     number: str
@@ -497,7 +481,7 @@ ALONE = ("projection",)
 
 SPATIAL_SEED = 17
 PLANAR_SEED = 84
-"""Seeds whose runs end near the medians over 100 seeds."""
+"""Seeds whose runs end near the medians of 100 seeds."""
 
 SPATIAL_LAYOUTS: tuple[Layout, ...] = ("postures", "errors")
 """Layouts of the two figures of each experiment with the spatial arm."""
@@ -523,4 +507,4 @@ _LISTED = tuple(
 )
 
 FIGURES: Mapping[str, ThesisFigure] = MappingProxyType({figure.number: figure for figure in _LISTED})
-"""The figures by their numbers in the thesis."""
+"""The figures by number in the thesis."""

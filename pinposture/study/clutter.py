@@ -1,4 +1,4 @@
-"""Finding a path among obstacles: problems of nine kinds, drawn at random, and how they are solved."""
+"""Path planning among obstacles: random problems of nine kinds, and their solutions."""
 
 from __future__ import annotations
 
@@ -35,33 +35,33 @@ CLUTTER_MARGIN = 0.005
 """Distance to keep from obstacles [m]."""
 
 SPARE_CLEARANCE = 0.003
-"""By how much start and goal are clearer than the margin [m]."""
+"""Clearance of start and goal beyond the margin [m]."""
 
 HOLE = 0.15
 """Width of the holes [m]; the arm is 1 m long and 20 mm thick."""
 
 PIPE_BEGINS, PIPE_RADIUS = 0.3, 0.05
-"""Where the pipe begins along x, and its radius [m]."""
+"""Start of the pipe along x, and its radius [m]."""
 
 POINT_RADIUS = 0.006
 """Radius of the points of the scanned machine [m]."""
 
 DENSE_TURN = 0.01
-"""Joint motion between two places at which a path is judged, in radians."""
+"""Joint motion between samples at which the clearance of a path is checked [rad]."""
 
 MAX_DRAWS, MAX_REACHES, MAX_RUN_STEPS = 5000, 200, 6000
-"""Largest number of draws of a problem, of places in one machine, and of steps of a run."""
+"""Maximum number of draws of a problem, of goals tried in one machine, and of steps of a run."""
 
 RUN_LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
 
 
 class ClutterProblem(NamedTuple):
-    """A scene, and two configurations that are clear in it.
+    """A scene and two collision-free configurations.
 
     Attributes:
         scene: the obstacles.
-        start: where the arm starts, (nq,).
-        goal: the configuration that takes the target, (nq,).
+        start: start configuration, (nq,).
+        goal: goal configuration, (nq,).
     """
 
     scene: Scene
@@ -70,7 +70,7 @@ class ClutterProblem(NamedTuple):
 
 
 Drawn = tuple[dict[str, Obstacle], Array | None, Array | None]
-"""Obstacles, start and goal; None where the arm cannot take a curve."""
+"""Obstacles, start and goal; None if the arm cannot take a curve."""
 
 
 def _balls(arm: Arm, rng: np.random.Generator) -> Drawn:
@@ -130,7 +130,7 @@ def _corner(arm: Arm, rng: np.random.Generator) -> Drawn:
 
 
 def _pipe(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """A pipe with two bends, which begins in front of the arm and ends before its tip."""
+    """Draw a pipe with two bends that begins in front of the base and ends before the tip."""
     bends = [Bend(0.15, rng.uniform(0.5, 1.1), rng.uniform(0.0, 2.0 * np.pi)) for _ in range(2)]
     axis = pipe_axis((PIPE_BEGINS + 0.05, 0.08, 1.0), bends)
     ends = PIPE_BEGINS + 0.13 + 0.15 * sum(bend.angle for bend in bends) + 0.1
@@ -139,7 +139,7 @@ def _pipe(arm: Arm, rng: np.random.Generator) -> Drawn:
 
 
 def _machine(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """A scanned housing with a hole in front and parts inside: a cloud of points on their surfaces."""
+    """Draw a scanned housing with a hole in front and parts inside: a point cloud on their surfaces."""
     y, z = rng.uniform(-0.1, 0.1, 2)
     walls = {
         "behind": Box((1.0, 0.0, 0.0), (0.02, 0.7, 0.7)),
@@ -172,7 +172,7 @@ def _machine(arm: Arm, rng: np.random.Generator) -> Drawn:
 
 
 def _coil(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """Nothing but the arm itself: a helix of more than a turn that is to become another one."""
+    """Draw a helix of more than a turn that becomes another one; the arm is its only obstacle."""
     starts, goals = (
         arm.configuration(coiled(rng.uniform(7.0, 9.0), sign * rng.uniform(1.5, 2.5)))
         for sign in (1.0, rng.choice([-1.0, 1.0]))
@@ -193,16 +193,16 @@ KINDS_OF_CLUTTER: Mapping[str, Callable[[Arm, np.random.Generator], Drawn]] = Ma
         "coil": _coil,
     }
 )
-"""How to draw a problem of each kind."""
+"""Functions that draw a problem of each kind."""
 
 
 def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
-    """Draw a problem until start and goal are clear. Nothing is planned for it.
+    """Draw problems until start and goal are clear of obstacles, without planning.
 
     Args:
         arm: the arm of `situation_arm`.
         kind: one of `KINDS_OF_CLUTTER`.
-        seed: of the draws.
+        seed: seed of the draws.
 
     Raises:
         UnknownName: there is no such kind.
@@ -233,7 +233,7 @@ def _away_from_base(rng: np.random.Generator, count: int, axes: int) -> list[Arr
 
 
 def _wall(name: str, x: float, y: float, z: float) -> dict[str, Obstacle]:
-    """Four boxes around a square hole, across x."""
+    """Return four boxes around a square hole, perpendicular to x."""
     wide, side = 1.2, 0.5 * HOLE
     return {
         f"{name} left": Box((x, y - side - 0.5 * wide, z), (0.02, wide, 2.0 * wide)),
@@ -249,7 +249,7 @@ def _triple(rng: np.random.Generator, low: float | Vector, high: float | Vector)
 
 
 def _on_surface(box: Box) -> Array:
-    """Return points on the surface of a box, (n, 3), no farther apart than their balls are wide."""
+    """Return points on the surface of a box, (n, 3), no farther apart than the diameter of their balls."""
     half, found = 0.5 * np.array(box.size), []
     for axis in range(3):
         others = [k for k in range(3) if k != axis]
@@ -268,7 +268,7 @@ def _in_bay(column: int, row: int) -> list[tuple[float, float, float]]:
 
 
 def _posture_on(arm: Arm, points: Sequence[tuple[float, float, float]]) -> Array | None:
-    """The configuration on a curve from the base through points; None if the arm cannot take it."""
+    """Return the configuration on a curve from the base through points; None if the arm cannot take it."""
     return _posture_along(arm, Curve.spline(np.array([(0.0, 0.0, 0.0), (0.12, 0.0, 0.0), *points])))
 
 
@@ -282,7 +282,7 @@ def _posture_along(arm: Arm, curve: Curve) -> Array | None:
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    """Leave out warnings: draws that do not fit are drawn again."""
+    """Suppress warnings, because unsuitable draws are repeated."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
         yield
@@ -291,25 +291,25 @@ def _quietly() -> Iterator[None]:
 def _either_way(
     rng: np.random.Generator, outside: Array, inside: Array | None
 ) -> tuple[Array | None, Array | None]:
-    """In two of three problems the arm enters, in the third it comes out."""
+    """Return start and goal: in two of three problems the arm enters, in the third it comes out."""
     return (outside, inside) if rng.random() < 2.0 / 3.0 else (inside, outside)
 
 
 class ClutterRun(NamedTuple):
-    """How a problem was solved.
+    """Result of one problem.
 
     Attributes:
         kind: the kind of the problem.
         seed: its seed.
         found_by: how the path was found, see `JointPath.found_by`.
-        planned: whether the plan claims to be clear.
+        planned: whether the plan is reported as collision-free.
         hindrance: what it comes too close to, if not.
-        plan_time: time to plan [s], with whatever else the machine did.
-        path_length_ratio: length of the paths of the control points on the plan, relative to straight lines.
+        plan_time: wall time for planning [s].
+        path_length_ratio: path length of the control points on the plan relative to straight lines.
         plan_clearance: smallest distance on the plan, every 0.01 rad [m].
         reached: whether `track` reached the goal within its velocity and acceleration limits.
-        reason: why its run ended.
-        run_clearance: smallest distance in its run, every 0.01 rad [m].
+        reason: why the run ended.
+        run_clearance: smallest distance in the run, every 0.01 rad [m].
         margin: the distance to keep [m].
     """
 
@@ -330,7 +330,7 @@ class ClutterRun(NamedTuple):
 def dense_clearance(arm: Arm, scene: Scene, q: Array) -> float:
     """Return the smallest distance on the straight motions between configurations, (N, nq) [m].
 
-    It shares nothing with how paths are checked while they are planned but the distances themselves.
+    Apart from the distance computation, this is independent of the checks during planning.
     """
     model, least = CollisionModel(arm, scene), np.inf
     for one, other in pairwise(q):
@@ -342,13 +342,13 @@ def dense_clearance(arm: Arm, scene: Scene, q: Array) -> float:
 
 
 def run_problem(arm: Arm, problem: ClutterProblem) -> Trajectory:
-    """Run a problem within limits of speed and acceleration."""
+    """Run a problem within velocity and acceleration limits."""
     target = Target.from_configuration(arm, problem.goal)
     return track(arm, target, problem.start, limits=RUN_LIMITS, scene=problem.scene, max_steps=MAX_RUN_STEPS)
 
 
 def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
-    """Plan for a problem, run it, and judge both."""
+    """Plan and run a problem, and evaluate both."""
     problem = draw_problem(arm, kind, seed)
     target, state = Target.from_configuration(arm, problem.goal), arm.at(problem.start)
     began = perf_counter()
@@ -373,17 +373,17 @@ def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
 
 
 class ClutterRow(NamedTuple):
-    """The problems of a kind.
+    """Summary of the problems of a kind.
 
     Attributes:
         kind: the kind.
-        problems: their number.
-        planned: how many plans claim to be clear.
+        problems: number of problems.
+        planned: number of plans reported as collision-free.
         reached: number of runs that reached the goal.
         clearance: smallest distance in any run that reached the goal, minus the margin [m].
-        plan_time: median and 90th percentile of the time to plan [s].
-        path_length_ratio: the same of the path length ratio.
-        found_by: how many plans were found by each means.
+        plan_time: median and 90th percentile of the planning time [s].
+        path_length_ratio: median and 90th percentile of the path length ratio.
+        found_by: number of plans found by each method.
     """
 
     kind: str
@@ -410,10 +410,10 @@ def study_clutter(
         seeds: number of problems of each kind.
         first_seed: seed of the first.
         jobs: number of processes.
-        progress: called with the number of problems solved so far, and that of all.
+        progress: called with the numbers of finished and of all problems.
 
     Raises:
-        InvalidValue: no kind, or numbers that make no sense.
+        InvalidValue: no kind, or invalid numbers.
         UnknownName: there is no such kind.
     """
     check_study(first_seed, seeds=seeds, kinds=kinds)
@@ -426,7 +426,7 @@ def study_clutter(
 
 
 def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
-    """Summarise runs by kind, in the order in which these first appear."""
+    """Summarise runs by kind, in order of first appearance."""
     rows = []
     for kind, own in grouped(runs, lambda run: run.kind).items():
         there = [run for run in own if run.reached]

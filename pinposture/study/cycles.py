@@ -1,4 +1,4 @@
-"""Repetitive motion: whether an arm that goes round a closed cycle of postures comes back as it began."""
+"""Repeatability: joint drift of an arm that repeats a closed cycle of postures."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from pinposture.study.scenarios import arbitrary_configuration
 Array = NDArray[np.float64]
 
 CORNERS, ROUNDS_OF_A_CYCLE, CYCLES = 4, 5, 10
-"""Postures of a cycle; rounds and number of cycles for each arm unless told otherwise."""
+"""Number of postures of a cycle; default number of rounds, and of cycles for each arm."""
 
 CLOSE = 1e-9
-"""Mean point error, relative to the arm length, at which a posture of the cycle is taken."""
+"""Mean point error, relative to the arm length, at which a posture of the cycle counts as reached."""
 
 CYCLE_KNOWLEDGE = ("configuration", "points")
 
 
 class Rounds(NamedTuple):
-    """A closed cycle of postures, gone round several times.
+    """Result of several rounds of a closed cycle of postures.
 
     Attributes:
-        drift: farthest that any joint is from where it began, after each round, (rounds,), in
+        drift: largest deviation of any joint from its initial position after each round, (rounds,), in
             `Arm.joint_units` [rad].
-        error: largest mean point error at the end of the way to any posture, relative to the arm length.
+        error: largest final mean point error at any posture, relative to the arm length.
         steps: number of steps of all rounds.
     """
 
@@ -46,11 +46,11 @@ class Rounds(NamedTuple):
 
 
 class PostureCycle(NamedTuple):
-    """The same, with what it was about.
+    """`Rounds` with a description of the case.
 
     Attributes:
         arm: name of the arm.
-        target: what is known of the postures: their "configuration", or the "points" only.
+        target: what is known of the postures: their "configuration", or only their "points".
         seed: seed of the cycle.
         drift: see `Rounds`.
         error: see `Rounds`.
@@ -72,20 +72,20 @@ def cycle_drift(
     rounds: int = ROUNDS_OF_A_CYCLE,
     controller: str | Controller = "geodesic",
 ) -> Rounds:
-    """Go round a closed cycle of postures, and see how far the joints drift.
+    """Repeat a closed cycle of postures and measure the joint drift.
 
-    |dq| <= 0.1 rad per step, at most 400 steps to each posture, of which a mean point error of `CLOSE` is
-    asked; what comes after a posture that is not reached begins where the arm got to.
+    |dq| <= 0.1 rad per step, at most 400 steps to each posture, tolerance `CLOSE`. If a posture is not
+    reached, the next run starts where the arm ended.
 
     Args:
         arm: the arm.
-        targets: the postures, in turn.
-        q0: where the first round begins, (nq,): a configuration that takes the last of them.
-        rounds: how often to go round.
-        controller: a controller, or the name of one.
+        targets: the postures in order.
+        q0: start of the first round, (nq,): a configuration of the last posture.
+        rounds: number of rounds.
+        controller: a controller or its name.
 
     Raises:
-        InvalidValue: no posture, a configuration that does not fit, or less than one round.
+        InvalidValue: no posture, an invalid configuration, or less than one round.
         UnknownName: no controller has that name.
     """
     check_study(rounds=rounds, targets=targets)
@@ -112,23 +112,23 @@ def study_cycles(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[PostureCycle]:
-    """Go round closed cycles of four arbitrary smooth postures with each of several arms.
+    """Repeat closed cycles of four arbitrary smooth postures with several arms.
 
     Args:
         subjects: the arms; see `built_subject`.
         knowledge: what is known of the postures, some of `CYCLE_KNOWLEDGE`.
-        controller: a controller, or the name of one.
+        controller: a controller or its name.
         cycles: number of cycles for each arm and kind of knowledge.
-        rounds: how often to go round each.
+        rounds: number of rounds of each cycle.
         first_seed: seed of the first cycle.
         jobs: number of processes; joblib's backends apply.
-        progress: called with the number of cycles finished so far, and that of all.
+        progress: called with the numbers of finished and of all cycles.
 
     Returns:
         The cycles in the order of arms, then knowledge, then seeds; they do not depend on `jobs`.
 
     Raises:
-        InvalidValue: no arm, no knowledge, or numbers that make no sense.
+        InvalidValue: no arm, no knowledge, or invalid numbers.
         UnknownName: no such knowledge or controller.
     """
     check_study(first_seed, cycles=cycles, rounds=rounds, subjects=subjects, knowledge=knowledge)

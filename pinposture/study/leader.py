@@ -1,4 +1,4 @@
-"""Follow the leader: how far an arm is from the path of its tip, by how much the path bends."""
+"""Follow the leader: deviation of an arm from the path of its tip, against the path's curvature."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pinposture.study.record import run_all
 from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader, path_deviation
 
 MODULE, MODULES = 0.05, 20
-"""Length of a module [m], and how many of them an arm has."""
+"""Length of a module [m], and number of modules of an arm."""
 
 FEED = ModuleTemplate("Feed", (JointSpec("x", "prismatic", 0.0, 1.2, velocity=0.1),), (MODULE,))
 
@@ -28,37 +28,35 @@ ARMS: Mapping[str, ModuleTemplate] = MappingProxyType(
         "hinge": template("Rz").with_lengths((MODULE,)),
     }
 )
-"""The modules of the arms: two crossed hinges half a module apart, two in one place, and one alone
-(planar)."""
+"""Modules of the arms: two crossed hinges half a module apart, two coincident ones, a single one (planar)."""
 
 SHAPES = ("arc", "helix")
-"""An arc of up to three quarters of a turn; and, for arms in space, a helix whose torsion is half its
-curvature."""
+"""An arc of up to three quarters of a turn; and, for spatial arms, a helix with torsion = curvature / 2."""
 
 BENDINGS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4)
-"""Curvature times module length, kappa l [rad]: by how much the path turns along a module."""
+"""Curvature times module length, kappa l [rad]: the turn of the path along a module."""
 
 SHARE = 0.9
-"""Length of a path, at most, relative to the arm: the first joint stays where the way is straight."""
+"""Largest length of a path relative to the arm, so that the first joint stays on the straight entry."""
 
 FEED_STEP = 0.1
-"""How far the feed goes from one posture to the next, in module lengths."""
+"""Feed between successive postures, in module lengths."""
 
 
 class Following(NamedTuple):
-    """One arm that follows one path of constant curvature.
+    """Result of one arm that follows one path of constant curvature.
 
     Attributes:
         arm: name of the arm, one of `ARMS`.
-        shape: of the path, one of `SHAPES`.
+        shape: shape of the path, one of `SHAPES`.
         bending: curvature times module length [rad].
-        method: how its modules were placed, as for `follow_leader`.
+        method: how its modules were placed, as in `follow_leader`.
         points: largest distance of a control point from the path [% of the arm length]; None if refused.
-        body: largest distance of any part of the arm [% of the arm length]; None if refused.
-        sagitta: distance of the middle of a module from the arc, if both its ends are on it and it is
-            straight [% of the arm length].
-        joints: largest position of a joint [rad]; None if refused.
-        refused: why it cannot be followed, or empty.
+        body: largest distance of any part of the arm from the path [% of the arm length]; None if refused.
+        sagitta: distance of the midpoint of a straight module from the arc, if both its ends are on it
+            [% of the arm length].
+        joints: largest joint position [rad]; None if refused.
+        refused: why the path cannot be followed, or empty.
     """
 
     arm: str
@@ -73,16 +71,16 @@ class Following(NamedTuple):
 
 
 def fed_arm(name: str) -> Arm:
-    """One of `ARMS`, 1 m long, on a feed; raises UnknownName if there is no such arm."""
+    """Build one of `ARMS`, 1 m long, on a feed; raises UnknownName if there is no such arm."""
     if name not in ARMS:
         raise UnknownName("arm", name, ARMS)
     return Arm.from_modules([FEED, *[ARMS[name]] * MODULES], name=name)
 
 
 def bent_path(shape: str, curvature: float) -> Curve:
-    """A path of constant curvature [1/m].
+    """Return a path of constant curvature [1/m].
 
-    It is nearly as long as the arm, an arc no longer than three quarters of a turn.
+    It is nearly as long as the arm, but an arc is at most three quarters of a turn.
 
     Raises:
         UnknownName: there is no such shape.
@@ -105,7 +103,7 @@ def study_leader(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Following]:
-    """Push arms along paths of constant curvature, and measure how far off the path they are.
+    """Feed arms along paths of constant curvature and measure their deviation.
 
     Paths begin to bend at the entry, so that the arm lies on a straight line and an arc at every depth.
 
@@ -114,7 +112,7 @@ def study_leader(
         bendings: curvature times module length, each above 0, at most pi / 2 [rad].
         methods: how modules are placed, see `follow_leader`.
         jobs: number of processes; joblib's backends apply.
-        progress: called with the number of paths finished so far, and that of all.
+        progress: called with the numbers of finished and of all paths.
 
     Returns:
         One result for each arm, shape, method and bending, in this order. Planar arms have arcs only.

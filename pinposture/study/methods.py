@@ -1,4 +1,4 @@
-"""Methods side by side: the columns of Table 1.1 that can be measured."""
+"""Comparison of methods: the measurable columns of Table 1.1."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DISTANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 
 
 class MethodResult(NamedTuple):
-    """What one method made of all seeds. Distances are relative to the arm length.
+    """Results of one method over all seeds. Distances are relative to the arm length.
 
     Attributes:
         controller: name of the method.
@@ -36,12 +36,12 @@ class MethodResult(NamedTuple):
         posture_error: final posture error, the sum over the control points; median over the seeds.
         end_effector_error: final distance of the last control point from its target; median.
         reached: share of runs that end with a mean point error below `REACHED`.
-        returned: driven from A to B and back to the posture of A, largest difference of any joint from where
-            it was at first, in `Arm.joint_units`; median. 0 for a motion that can be repeated.
-        peaks: largest motion of any joint that the method asks for in a step without limits, in
-            `Arm.joint_units`, for a mean point error of one arm length, at each of `DISTANCES` from the
-            straight arm, (6,); largest over the seeds. What grows without bound is not stable near singular
-            postures. 0 where the method stands still at every seed.
+        returned: largest joint deviation after moving from A to B and back to the posture of A, in
+            `Arm.joint_units`; median. 0 for a repeatable motion.
+        peaks: largest joint motion requested in a step without limits, in `Arm.joint_units`, per mean point
+            error of one arm length, at each of `DISTANCES` from the straight arm, (6,); largest over the
+            seeds. Unbounded growth means instability near singular postures. 0 if the method stands still at
+            every seed.
     """
 
     controller: str
@@ -63,20 +63,19 @@ def compare_methods(
 ) -> list[MethodResult]:
     """Run every method from smooth random starts to smooth random targets, and back.
 
-    Starts and targets are configurations with their largest joint position between 0.2 and 1.0, so that
-    every target can be reached. All control points have a target; a method for the end-effector takes the
-    last one and leaves the rest.
+    Starts and targets are configurations with a largest joint position between 0.2 and 1.0, so that every
+    target is reachable. All control points have a target; end-effector methods only use the last one.
 
     Args:
         arm: the arm.
-        controllers: controllers, or their names.
+        controllers: controllers or their names.
         seeds: seeds of the cases.
-        max_steps: steps of each way.
+        max_steps: maximum number of steps in each direction.
         jobs: number of processes; joblib's backends apply.
         progress: called with the result of each method as it arrives.
 
     Returns:
-        One result for each controller, in their order. They depend on the arguments alone, not on `jobs`.
+        One result for each controller, in order; independent of `jobs`.
 
     Raises:
         InvalidValue: no controller or no seed.
@@ -111,7 +110,7 @@ def _summary(controller: str, cases: Sequence[tuple[Array, float, tuple[float, .
 def _one(
     arm: Arm, controller: Controller, seed: int, max_steps: int
 ) -> tuple[Array, float, tuple[float, ...]]:
-    """Final point errors, relative to the arm length, (m,); `returned` and `peaks` as in `MethodResult`."""
+    """Return the final point errors per arm length, (m,); `returned` and `peaks` as in `MethodResult`."""
     rng = np.random.default_rng(seed)
     start, goal = (smooth_configuration(arm, rng, rng.uniform(0.2, 1.0)) for _ in range(2))
     there, back = (Target.from_configuration(arm, q) for q in (goal, start))
@@ -123,8 +122,8 @@ def _one(
 
 
 def _peaks(arm: Arm, controller: Controller, goal: Array, seed: int) -> tuple[float, ...]:
-    """Largest motion asked for near the straight arm, per unit of mean point error; one for each distance."""
-    free = _without_limits(arm)  # otherwise no joint could be asked for more than it has room for
+    """Return the largest requested motion per mean point error at each distance from the straight arm."""
+    free = _without_limits(arm)  # otherwise the limits would cut the requested motion
     target = Target.from_configuration(free, goal)
     straight = arm.positions(arm.straight())
     shape = arm.positions(smooth_configuration(free, np.random.default_rng((seed, 1)), 1.0))
@@ -138,7 +137,7 @@ def _peaks(arm: Arm, controller: Controller, goal: Array, seed: int) -> tuple[fl
 
 
 def _without_limits(arm: Arm) -> Arm:
-    """The same arm without joint position limits."""
+    """Return the same arm without joint position limits."""
     model = pin.Model(arm.model)
     model.lowerPositionLimit = np.full(arm.nq, -np.inf)
     model.upperPositionLimit = np.full(arm.nq, np.inf)

@@ -19,19 +19,17 @@ if TYPE_CHECKING:
     from pinposture.motion import Trajectory
 
 
-# Studies as pictures: who gets there, and how directly.
-
 WIDTH = 12.0
 """Width of a figure [inch]; 1200 pixels at the default resolution."""
 PATH = "path of the control points / direct distance"
 
 
 def draw_postures(records: Sequence[Record]) -> Figure:
-    """Draw what `study_postures` found.
+    """Draw the results of `study_postures`.
 
-    A row for each arm: on the left the share of the runs of each family that end within 1e-6 of the arm
-    length, on the right how long the paths of the control points are in those that moved and came near. Boxes
-    reach from the first to the third quartile, whiskers from the 10th to the 90th percentile.
+    A row for each arm: on the left the share of runs of each family that end within 1e-6 of the arm length,
+    on the right the path lengths of the control points in runs that moved and came near. Boxes reach from the
+    first to the third quartile, whiskers from the 10th to the 90th percentile.
 
     Args:
         records: the runs.
@@ -55,14 +53,13 @@ def draw_postures(records: Sequence[Record]) -> Figure:
 
 
 def draw_headings(records: Sequence[Record]) -> Figure:
-    """Draw what `study_headings` found.
+    """Draw the results of `study_headings`.
 
-    A row for each arm, both panels against the largest change of heading: the share of the runs that end near
-    the target without leaving the limits, and how long the paths of the control points are, as in
-    `draw_postures`.
+    A row for each arm, both panels against the largest change of heading: the share of runs that end near the
+    target within the limits, and the path lengths of the control points, as in `draw_postures`.
 
     Args:
-        records: the runs; those whose `turn` is not known are left out.
+        records: the runs; those with unknown `turn` are skipped.
 
     Raises:
         InvalidValue: no run.
@@ -78,7 +75,7 @@ def draw_headings(records: Sequence[Record]) -> Figure:
             found = [bins[arm, name, controller] for name in BINS if (arm, name, controller) in bins]
             shares = [each.reached / each.runs if each.runs else 0.0 for each in found]
             places = np.arange(len(found)) + offset
-            # What nobody reached would leave no trace at all.
+            # A share of zero would be invisible.
             seen = [
                 max(share, 0.008) if each.runs else 0.0 for share, each in zip(shares, found, strict=True)
             ]
@@ -101,7 +98,7 @@ def _bin(record: Record) -> str:
 
 
 def _present(records: Sequence[Record]) -> tuple[list[str], list[str]]:
-    """Names of the arms and of the controllers."""
+    """Return the names of the arms and of the controllers."""
     if not records:
         raise InvalidValue("records", list(records), "at least one run")
     return (
@@ -111,7 +108,7 @@ def _present(records: Sequence[Record]) -> tuple[list[str], list[str]]:
 
 
 def _figure(height: float) -> Figure:
-    # Here, because matplotlib takes longer to import than everything else together.
+    # Imported here because matplotlib is slow to import.
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -119,7 +116,7 @@ def _figure(height: float) -> Figure:
 
 
 def _side_by_side(controllers: Sequence[str]) -> list[tuple[str, str, float, float]]:
-    """Each controller with its colour, its place beside the others around 0, and the room it has."""
+    """Return each controller with its colour, its horizontal offset and its width."""
     from pinposture.viz.palette import distinct_colors
 
     width = 0.8 / len(controllers)
@@ -133,7 +130,7 @@ def _side_by_side(controllers: Sequence[str]) -> list[tuple[str, str, float, flo
 def _draw_shares(
     ax: Axes, shares: Mapping[tuple[str, str], float], controllers: Sequence[str], title: str
 ) -> None:
-    """A field for each family and controller, with the share in percent."""
+    """Draw a cell for each family and controller, with the share in percent."""
     from pinposture.viz import palette
 
     families = distinct(family for family, _ in shares)
@@ -142,7 +139,7 @@ def _draw_shares(
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value):
             ink = "white" if value > 0.6 else palette.INK
-            # Rounded down: 100 stands for all of them.
+            # Rounded down, so that 100 means all.
             ax.text(
                 column, row, f"{int(100.0 * value + 1e-9)}", ha="center", va="center", fontsize=7, color=ink
             )
@@ -160,7 +157,7 @@ def _draw_paths(
     name: Callable[[Record], str],
     controllers: Sequence[str],
 ) -> None:
-    """Boxes of the path excess of each controller, beside each other in each group."""
+    """Draw boxes of the path length ratios of each controller, side by side in each group."""
     for controller, color, offset, width in _side_by_side(controllers):
         drawn: dict[int, list[float]] = {}
         for record in telling(each for each in records if each.controller == controller):
@@ -188,7 +185,7 @@ def _draw_paths(
 
 
 def _plain_numbers(ax: Axes) -> None:
-    """Ticks of a short logarithmic axis from 1, in plain numbers."""
+    """Set plain-number ticks on a short logarithmic axis that begins at 1."""
     from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullFormatter, NullLocator
 
     top = max(1.5, 1.05 * ax.get_ylim()[1])
@@ -217,8 +214,6 @@ def _title(figure: Figure, text: str) -> None:
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK)
 
 
-# The study of following the leader as a picture: deviation against curvature.
-
 LEADER_HEIGHT = 4.6
 """Height of a figure [inch]."""
 
@@ -229,13 +224,13 @@ MARKERS = {"closest": "o", "sequential": "^"}
 
 
 def draw_leader(found: Sequence[Following]) -> Figure:
-    """Draw what `study_leader` found.
+    """Draw the results of `study_leader`.
 
     A panel for each shape of path: the largest distance of any part of the arm against curvature times module
     length, and the sagitta of a module whose ends are on the path.
 
     Args:
-        found: the results; paths that were refused are left out.
+        found: the results; refused paths are skipped.
 
     Raises:
         InvalidValue: no result.
@@ -279,7 +274,7 @@ def _draw(ax: Axes, found: Sequence[Following], shape: str) -> None:
 
 
 def draw_clutter(runs: Mapping[str, Trajectory]) -> Figure:
-    """Draw a run among obstacles of each kind, by its name: start, goal and postures between them."""
+    """Draw a run for each kind of clutter: start, goal and postures between them."""
     from matplotlib.figure import Figure
 
     from pinposture.viz.postures import plot_postures

@@ -1,4 +1,4 @@
-"""Studies of arbitrary postures, and of targets by the change of heading."""
+"""Studies of arbitrary postures, and of the change of heading."""
 
 from __future__ import annotations
 
@@ -19,13 +19,11 @@ from pinposture.study.baselines import named_controllers
 from pinposture.study.record import Case, Record, Spread, check_study, grouped, run_all, run_case, spread
 from pinposture.study.scenarios import bent_configuration, curve_along
 
-# Many starts, targets and controllers: does it get there, how directly, and what does it do on the way.
-
 COMPARED = ("geodesic", "selection", "projection", "switching", "lm", "joint")
-"""The controllers that are compared unless others are named."""
+"""Controllers compared by default."""
 
 CASES_OF_A_KIND = 1000
-"""Number of cases for each arm unless told otherwise."""
+"""Default number of cases for each arm."""
 
 
 def study_postures(
@@ -36,26 +34,26 @@ def study_postures(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Record]:
-    """Drive arms from every kind of start to every kind of target, with every controller.
+    """Run all controllers from every kind of start to every kind of target.
 
-    Cases are dealt to the families of an arm in turn, each with the next seed, so that a longer study begins
-    with the cases of a shorter one, and all families get as many, or one more. A case depends on arm, family
-    and seed alone, so that all controllers have the same ones.
+    Cases cycle through the families of an arm with increasing seeds, so that a longer study begins with the
+    cases of a shorter one, and the numbers of cases per family differ by at most one. A case depends only on
+    arm, family and seed, so all controllers get the same ones.
 
     Args:
         subjects: the arms; see `built_subject` and `loaded_subject`.
-        controllers: controllers, or their names.
+        controllers: controllers or their names.
         cases: number of cases for each arm.
         first_seed: seed of the first case of each family.
         jobs: number of processes; joblib's backends apply.
-        progress: called with the number of cases finished so far, and that of all.
+        progress: called with the numbers of finished and of all cases.
 
     Returns:
-        The records in the order of arms, then cases, then controllers. But for `seconds` they depend on the
-        arguments alone, not on `jobs`.
+        The records in the order of arms, then cases, then controllers; apart from `seconds`, they do not
+        depend on `jobs`.
 
     Raises:
-        InvalidValue: no arm, no controller, or numbers that make no sense.
+        InvalidValue: no arm, no controller, or invalid numbers.
         UnknownName: no controller has that name.
     """
     check_study(first_seed, cases=cases, subjects=subjects)
@@ -65,7 +63,7 @@ def study_postures(
 
 
 def _deal(subject: Subject, cases: int, first_seed: int) -> Iterator[tuple[Family, int]]:
-    """Family and seed of each case."""
+    """Yield family and seed of each case."""
     families = subject.families
     for number in range(cases):
         rounds, place = divmod(number, len(families))
@@ -77,36 +75,34 @@ def _run_one(subject: Subject, family: Family, seed: int, controllers: list[Cont
     return run_case(subject, Case(subject.name, *family, seed), start, target, controllers)
 
 
-# The hardest axis: how far some part of the arm must turn between start and target.
-
 Array = NDArray[np.float64]
 
 KNOWLEDGE = ("configuration", "curve")
 
 PAIRS = 300
-"""Number of pairs for each arm unless told otherwise."""
+"""Default number of pairs for each arm."""
 
 HEADING = 4.2
-"""Largest heading of a link in either posture of a planar arm, at most [rad]."""
+"""Upper bound of the largest heading of a link in a posture of a planar arm [rad]."""
 BENDING = 0.6
-"""Largest joint position in either posture of a spatial arm, at most [rad or m]."""
+"""Upper bound of the largest joint position in a posture of a spatial arm [rad or m]."""
 
 EDGES = (0.0, 2.0, np.pi, 4.0, 6.0, np.inf)
 BINS = ("< 2", "2 - pi", "pi - 4", "4 - 6", "> 6")
-"""The bins of the largest change of heading [rad], from each of `EDGES` up to, not including, the next."""
+"""Bins of the largest change of heading [rad], from each of `EDGES` up to but excluding the next."""
 
 
 class Bin(NamedTuple):
-    """What one controller made of the pairs whose change of heading is in one bin.
+    """Results of one controller for the pairs with a change of heading in one bin.
 
     Attributes:
         arm: name of the arm.
         bin: one of `BINS` [rad].
         controller: name of the controller.
         runs: number of runs.
-        reached: how many of them ended below 1e-3 of the arm length and never left the limits.
+        reached: number of runs that ended below 1e-3 of the arm length and never left the limits.
         steps: number of steps of the runs that moved and came near; None if none did.
-        path: length of the paths of their control points, relative to the direct distances.
+        path: path length of their control points relative to straight lines.
     """
 
     arm: str
@@ -119,7 +115,7 @@ class Bin(NamedTuple):
 
 
 def draw_pair(arm: Arm, seed: int) -> tuple[Array, Array]:
-    """Two smooth configurations (nq,), each bent by a random amount so that all bins are populated.
+    """Draw two smooth configurations (nq,), each bent by a random amount so that all bins are populated.
 
     The largest heading of a link of a planar arm is uniform up to `HEADING`, the largest joint position of a
     spatial arm up to `BENDING`.
@@ -141,25 +137,25 @@ def study_headings(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Record]:
-    """Drive arms between random pairs of smooth postures, whatever the turn between them.
+    """Run controllers between random pairs of smooth postures with any change of heading.
 
     Args:
         subjects: the arms; see `built_subject`.
-        controllers: controllers, or their names.
+        controllers: controllers or their names.
         pairs: number of pairs for each arm.
         first_seed: seed of the first pair.
         knowledge: what is known of the target: its "configuration", or only the "curve" through the base and
-            its control points, on which `resolve_targets` finds places and a configuration.
+            its control points, on which `resolve_targets` places the arm.
         jobs: number of processes; joblib's backends apply.
-        progress: called with the number of pairs finished so far, and that of all.
+        progress: called with the numbers of finished and of all pairs.
 
     Returns:
         The records in the order of arms, then pairs, then controllers; `Record.target` is the knowledge.
 
     Raises:
-        InvalidValue: no arm, no controller, or numbers that make no sense.
+        InvalidValue: no arm, no controller, or invalid numbers.
         UnknownName: no such controller or knowledge.
-        TargetError: a curve on which some control point has no place.
+        TargetError: some control point cannot be placed on a curve.
     """
     check_study(first_seed, pairs=pairs, subjects=subjects)
     if knowledge not in KNOWLEDGE:
@@ -181,7 +177,7 @@ def _run_pair(subject: Subject, seed: int, knowledge: str, controllers: list[Con
 
 
 def bin_of(turn: float) -> str:
-    """The bin of a change of heading [rad]."""
+    """Return the bin of a change of heading [rad]."""
     return BINS[int(np.searchsorted(EDGES, turn, side="right")) - 1]
 
 
@@ -189,11 +185,11 @@ def by_heading(records: Sequence[Record]) -> list[Bin]:
     """Count runs by their change of heading.
 
     Args:
-        records: runs whose `turn` is known.
+        records: runs with known `turn`.
 
     Returns:
-        One entry for each arm, controller and bin, in the order in which arms and controllers first appear;
-        bins without runs included.
+        One entry for each arm, controller and bin, in order of first appearance of arms and controllers;
+        empty bins are included.
     """
     found = []
     for arm, own in grouped(records, lambda record: record.arm).items():

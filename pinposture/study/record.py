@@ -1,4 +1,4 @@
-"""What studies share: their cases on all processes, what is kept of a run, summaries, and files."""
+"""Common parts of the studies: parallel execution, records of runs, summaries, and files."""
 
 from __future__ import annotations
 
@@ -32,15 +32,13 @@ if TYPE_CHECKING:
     from pinposture.collision import Scene
 
 
-# How a study is run: one call for each case, on all processes.
-
 Array = NDArray[np.float64]
 Result = TypeVar("Result")
 Key = TypeVar("Key")
 
 
 def check_study(first_seed: int = 0, **asked: int | Sequence[Any]) -> None:
-    """Raise InvalidValue, under its name, for a number below 1 or a list of nothing; or a seed below 0."""
+    """Raise InvalidValue for a number below 1, an empty list, or a seed below 0; names the argument."""
     require_whole("first_seed", first_seed, 0)
     for name, value in asked.items():
         if not isinstance(value, Sequence):
@@ -52,14 +50,14 @@ def check_study(first_seed: int = 0, **asked: int | Sequence[Any]) -> None:
 def run_all(
     one: Callable[..., Result], cases: Iterable[tuple[Any, ...]], jobs: int, progress: Progress | None
 ) -> list[Result]:
-    """Call a function with the arguments of each case.
+    """Call a function with the arguments of each case, in parallel.
 
     Args:
-        one: the function, known by name to other processes.
+        one: a function that can be pickled.
         cases: its arguments.
-        jobs: number of processes; joblib's backends apply, so that `joblib.parallel_config` around a study
-            runs it on a cluster.
-        progress: called with the number of cases finished so far, and that of all.
+        jobs: number of processes; joblib's backends apply, so `joblib.parallel_config` around a study runs it
+            on a cluster.
+        progress: called with the numbers of finished and of all cases.
 
     Returns:
         The results in the order of the cases.
@@ -68,30 +66,28 @@ def run_all(
 
 
 def grouped(runs: Iterable[Result], key: Callable[[Result], Key]) -> dict[Key, list[Result]]:
-    """Runs by what a key makes of them, in the order in which that first appears."""
+    """Group runs by a key, in order of first appearance."""
     groups: dict[Key, list[Result]] = {}
     for run in runs:
         groups.setdefault(key(run), []).append(run)
     return groups
 
 
-# What is kept of one run of a study, and the making of such runs.
-
 STEP = 0.1
 """Largest |dq| of a step [rad or m]."""
 MAX_STEPS = 400
 TOLERANCE = 1e-6
-"""Mean point error, relative to the arm length, at which a run is there."""
+"""Mean point error, relative to the arm length, at which a run has arrived."""
 NEAR = 1e-3
-"""The same for a run that others would call successful."""
+"""Mean point error, relative to the arm length, that is often considered a success."""
 RISE = 1e-9
-"""Rise of the posture error in one step, relative to that of the start, that counts as none."""
+"""Negligible rise of the posture error in one step, relative to the error at the start."""
 WITHIN = 1e-9
-"""How far outside a limit counts as rounding."""
+"""Excess over a limit that counts as rounding error."""
 
 
 class Record(NamedTuple):
-    """One run.
+    """Record of one run.
 
     Attributes:
         arm: name of the arm.
@@ -99,18 +95,18 @@ class Record(NamedTuple):
         target: kind of target.
         seed: seed of the case.
         controller: name of the controller.
-        status: how the run ended, as `Trajectory.status`; "refused" if the controller would not begin.
-        reason: why, in words, on one line.
+        status: how the run ended, as `Trajectory.status`; "refused" if the controller rejected the case.
+        reason: explanation of the status on one line.
         steps: number of steps.
         error: mean point error at the end, relative to the arm length.
         rising: share of steps on which the posture error rises by more than `RISE`.
-        escaping: share of steps on which it does and the controller lets it.
-        peak: largest posture error on the way, relative to that of the start; 1 if that was zero.
-        path: length of the paths of all control points relative to the direct distances from start to end.
-        turn: largest change of heading between start and target [rad], see `largest_turn`; None where no
-            configuration is known that takes the target.
-        seconds: time of a step, with whatever else the machine did [s]; 0 if there was none.
-        violation: farthest that a joint was outside its position limits on the way, in `Arm.joint_units`.
+        escaping: share of steps on which it rises with the controller's consent.
+        peak: largest posture error relative to that at the start; 1 if that was zero.
+        path: path length of all control points relative to straight lines from start to end.
+        turn: largest change of heading between start and target [rad], see `largest_turn`; None if no
+            configuration of the target is known.
+        seconds: wall time per step [s]; 0 if there was none.
+        violation: largest violation of position limits, in `Arm.joint_units`.
         stride: largest |dq| of any joint relative to the step limit; 0 if there was no limit.
     """
 
@@ -134,27 +130,27 @@ class Record(NamedTuple):
 
     @property
     def arrived(self) -> bool:
-        """Whether it is within `TOLERANCE`."""
+        """Whether the final error is within `TOLERANCE`."""
         return self.error <= TOLERANCE * (1.0 + RISE)
 
     @property
     def near(self) -> bool:
-        """Whether it is within `NEAR`."""
+        """Whether the final error is within `NEAR`."""
         return self.error < NEAR
 
     @property
     def lawful(self) -> bool:
-        """Whether all joints kept within their position limits and all steps within the step limit."""
+        """Whether all joints stayed within their position limits and all steps within the step limit."""
         return is_lawful(self.violation, self.stride)
 
 
 def is_lawful(violation: float, stride: float) -> bool:
-    """Whether that is within the limits, but for rounding; see `Record`."""
+    """Return whether limits were kept, up to rounding error; see `Record`."""
     return violation <= WITHIN and stride <= 1.0 + WITHIN
 
 
 class Case(NamedTuple):
-    """What a run was about: the first fields of its `Record`."""
+    """Description of a case: the first fields of its `Record`."""
 
     arm: str
     start: str
@@ -163,13 +159,13 @@ class Case(NamedTuple):
 
 
 def record_run(run: Trajectory, case: Case, controller: str, seconds: float = 0.0) -> Record:
-    """Measure a run.
+    """Create the record of a run.
 
     Args:
         run: the run.
-        case: what it was about.
+        case: its case.
         controller: name of the controller.
-        seconds: time that the run took [s].
+        seconds: wall time of the run [s].
     """
     errors, steps = run.posture_error, run.steps
     rises = np.diff(errors) > RISE * errors[0]
@@ -199,12 +195,12 @@ def final_error(run: Trajectory) -> float:
 
 
 def one_line(text: str) -> str:
-    """Return a text without line breaks and repeated blanks."""
+    """Replace line breaks and repeated blanks by single blanks."""
     return " ".join(text.split())
 
 
 def _violation(run: Trajectory) -> float:
-    """Farthest outside the position limits, of the joints that move the arm, in `Arm.joint_units`."""
+    """Return the largest violation of position limits of joints on the chain, in `Arm.joint_units`."""
     arm = run.arm
     own, positions = arm.columns, np.array([arm.positions(q) for q in run.q])
     outside = np.maximum(arm.limits.lower - positions, positions - arm.limits.upper) / arm.joint_units
@@ -214,20 +210,20 @@ def _violation(run: Trajectory) -> float:
 def run_case(
     subject: Subject, case: Case, start: Array, target: Target, controllers: Sequence[Controller]
 ) -> list[Record]:
-    """Drive an arm from one start to one target with each of several controllers.
+    """Run each of several controllers from one start to one target.
 
-    |dq| <= `STEP`, at most `MAX_STEPS` steps, until the mean point error is within `TOLERANCE`. A controller
-    that does not take such an arm or target spoils its own run only, which is recorded as refused.
+    |dq| <= `STEP`, at most `MAX_STEPS` steps, until the mean point error is within `TOLERANCE`. If a
+    controller rejects the arm or target, its run is recorded as refused.
 
     Args:
         subject: the arm.
-        case: what to call it.
+        case: description of the case.
         start: configuration, (nq,).
         target: the target posture.
         controllers: the controllers.
 
     Returns:
-        One record for each controller, in their order.
+        One record for each controller, in order.
     """
     arm, records = subject.arm, []
     for controller in controllers:
@@ -249,13 +245,13 @@ def drive(
     scene: Scene | None = None,
     tolerance: float = TOLERANCE,
 ) -> Trajectory:
-    """Drive an arm as all studies do: |dq| <= `STEP`, at most `MAX_STEPS` steps.
+    """Run a controller with the common settings of all studies: |dq| <= `STEP`, at most `MAX_STEPS` steps.
 
     Args:
         arm: the arm.
         target: the target posture.
         start: configuration, (nq,).
-        controller: a controller, or the name of one.
+        controller: a controller or its name.
         scene: the obstacles.
         tolerance: mean point error at which a run has converged, relative to the arm length.
     """
@@ -264,7 +260,7 @@ def drive(
 
 
 def _refused(arm: Arm, case: Case, start: Array, target: Target, controller: str, reason: str) -> Record:
-    """The record of an arm that stays where it is."""
+    """Return the record of an arm that does not move."""
     errors = np.linalg.norm(arm.at(start).points - target.points, axis=1)[target.has_target]
     return Record(
         *case,
@@ -284,13 +280,11 @@ def _refused(arm: Arm, case: Case, start: Array, target: Target, controller: str
     )
 
 
-# What many runs say together: shares, medians, and what the worst tenth does.
-
 GROUPS = ("smooth", "harsh", "straight and noise", "folds")
 
 
 class Spread(NamedTuple):
-    """A quantity over many runs.
+    """Median and 90th percentile of a quantity over many runs.
 
     Attributes:
         median: its median.
@@ -307,27 +301,27 @@ class Spread(NamedTuple):
 
 
 class SummaryRow(NamedTuple):
-    """What one controller made of a group of cases.
+    """Summary of one controller for a group of cases.
 
-    What a motion was like is told of the runs that moved and came near (`Record.near`): one that never moved,
-    or gave up, tells nothing of the way. It is None where there is no such run.
+    Spreads of motion quantities only include runs that moved and came near (`Record.near`), and are None if
+    there are none; they are named as in `Record`.
 
     Attributes:
         arm: name of the arm.
         group: name of the group.
         controller: name of the controller.
         runs: number of runs.
-        arrived: share of them that ended within 1e-6 of the arm length.
-        near: share of them that ended within 1e-3.
-        refused: number of runs that the controller would not begin.
-        steps: as in `Record`, and so the following; here the number of steps.
+        arrived: share of runs that ended within 1e-6 of the arm length.
+        near: share of runs that ended within 1e-3.
+        refused: number of cases that the controller rejected.
+        steps: number of steps.
         rising: share of steps on which the posture error rises.
-        escaping: share of those in which the controller lets it rise.
-        peak: largest posture error.
-        path: length of the paths.
-        seconds: time of a step [s].
-        violation: the farthest of any run.
-        stride: the largest of any run.
+        escaping: share of steps on which it rises with the controller's consent.
+        peak: largest posture error relative to that at the start.
+        path: path length relative to straight lines.
+        seconds: wall time per step [s].
+        violation: largest violation of any run.
+        stride: largest stride of any run.
     """
 
     arm: str
@@ -348,12 +342,12 @@ class SummaryRow(NamedTuple):
 
     @property
     def lawful(self) -> bool:
-        """Whether no joint of any run left its position limits, and no step its own."""
+        """Whether all runs stayed within their position and step limits."""
         return is_lawful(self.violation, self.stride)
 
 
 def group_of(record: Record) -> str:
-    """The group of a run: "folds" if the target is one, else by its start."""
+    """Return the group of a run: "folds" if the target is folded, else by its start."""
     if record.target == "folded":
         return "folds"
     if record.start == "smooth":
@@ -362,7 +356,7 @@ def group_of(record: Record) -> str:
 
 
 def family_of(record: Record) -> str:
-    """The family of a run, in words."""
+    """Return the family of a run, in words."""
     return f"{record.start} -> {record.target}"
 
 
@@ -371,11 +365,11 @@ def summarise(records: Sequence[Record], families: bool = False) -> list[Summary
 
     Args:
         records: the runs.
-        families: group them by their families; else by `GROUPS`.
+        families: group runs by family instead of by `GROUPS`.
 
     Returns:
-        One row for each controller in each group of each arm; arms, controllers and families in the order in
-        which they first appear, groups in that of `GROUPS`.
+        One row for each controller in each group of each arm; arms, controllers and families in order of
+        first appearance, groups in the order of `GROUPS`.
     """
     rows = []
     for arm, own in grouped(records, lambda record: record.arm).items():
@@ -387,17 +381,17 @@ def summarise(records: Sequence[Record], families: bool = False) -> list[Summary
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Each name once, in the order in which they first appear."""
+    """Return the names without duplicates, in order of first appearance."""
     return list(dict.fromkeys(names))
 
 
 def telling(records: Iterable[Record]) -> list[Record]:
-    """The runs that tell what the way to a target is like: they moved, and came near it."""
+    """Return the runs that moved and came near the target, whose motion is meaningful."""
     return [record for record in records if record.near and record.steps]
 
 
 def spread(records: Iterable[Record], measure: Callable[[Record], float]) -> Spread | None:
-    """Median and 90th percentile of a measure over the runs that moved and came near; None if none did."""
+    """Return the spread of a measure over the runs that moved and came near; None if none did."""
     values = [measure(record) for record in telling(records)]
     return Spread.of(values) if values else None
 
@@ -422,8 +416,6 @@ def _row(arm: str, group: str, controller: str, runs: list[Record]) -> SummaryRo
     )
 
 
-# Records of runs as files: a CSV of one row for each run, a summary as JSON, a picture.
-
 CASES_FILE, SUMMARY = "cases.csv", "summary.json"
 
 _PARSERS: dict[object, Callable[[str], Any]] = {
@@ -437,15 +429,15 @@ _PARSERS: dict[object, Callable[[str], Any]] = {
 def write_records(
     records: Iterable[tuple[Any, ...]], path: str | Path, fields: Sequence[str] = Record._fields
 ) -> Path:
-    """Write one row for each run, under a row of field names; no digit is lost.
+    """Write a CSV file with one row for each run and a header of field names, at full precision.
 
     Args:
         records: the runs, named tuples with those fields.
         path: the file.
-        fields: names of the fields; those of `Record` unless told otherwise.
+        fields: names of the fields.
 
     Returns:
-        The path written.
+        The path of the file.
 
     Raises:
         FileError: the file cannot be written.
@@ -453,17 +445,17 @@ def write_records(
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(fields)
-    # csv writes floats by repr, which reads back as the same number, and None as nothing.
+    # csv writes floats by repr, which preserves the value, and None as an empty cell.
     writer.writerows(records)
     write_text(Path(path), text.getvalue())
     return Path(path)
 
 
 def read_records(path: str | Path) -> list[Record]:
-    """Read what `write_records` wrote.
+    """Read a file of `write_records`.
 
     Raises:
-        FileError: the file is missing, has other columns, or a row that is no record; names the line.
+        FileError: the file is missing, has other columns or an invalid row; names the line.
     """
     path = Path(path)
     try:
@@ -493,14 +485,14 @@ def keep_study(
     figures: Mapping[str, Figure],
     fields: Sequence[str] = Record._fields,
 ) -> list[Path]:
-    """Leave a study in a directory, which is made if need be; each file appears whole or not at all.
+    """Write a study to a directory, created if necessary; each file is written atomically.
 
     Args:
-        directory: where to.
-        records: its runs, for cases.csv.
-        summary: what is said of them, as data that JSON can hold, for summary.json.
-        figures: pictures by the names of their files, written as PNG.
-        fields: names of the fields of a run; those of `Record` unless told otherwise.
+        directory: the directory.
+        records: the runs, for cases.csv.
+        summary: JSON-compatible summary, for summary.json.
+        figures: figures by file name, written as PNG.
+        fields: names of the fields of a run.
 
     Returns:
         Paths of the files.
@@ -513,6 +505,6 @@ def keep_study(
     for name, figure in figures.items():
         files.append(directory / name)
         write_figure(files[-1], figure)
-    files.append(directory / SUMMARY)  # last: where it is, the rest is
+    files.append(directory / SUMMARY)  # last, so that it marks a complete study
     write_text(files[-1], json.dumps(summary, indent=1, allow_nan=False) + "\n")
     return files

@@ -1,4 +1,4 @@
-"""The arms and scenarios of the thesis, and how controllers fare on them."""
+"""The arms and scenarios of the thesis, and a study of controllers on them."""
 
 from __future__ import annotations
 
@@ -26,8 +26,6 @@ from pinposture.placement import Target, resolve_targets
 from pinposture.storage import write_text
 from pinposture.study.baselines import register_baselines
 
-# The tracking scenarios of chapter 6, and the families that they belong to, as data.
-
 StartKind = Literal["smooth", "near-straight", "straight"]
 TargetKind = Literal["helix", "line", "near-line", "random", "opposite"]
 
@@ -36,16 +34,16 @@ SCENARIO_STARTS: tuple[StartKind, ...] = get_args(StartKind)
 
 @dataclass(frozen=True)
 class Scenario:
-    """What an arm starts from and what it should become; a seed settles what is left open.
+    """A kind of start and a kind of target; a seed determines the details.
 
     Attributes:
         name: short name.
-        title: what happens, in words.
+        title: description in words.
         section: where the thesis describes it; empty if it does not.
-        start: "smooth" for an arbitrary non-singular posture, "near-straight" for one that is almost
-            singular, "straight" for the singular one.
-        target: "helix" (6.17), "line" (6.16), "near-line" for a curve that is almost straight, "random" for
-            an arbitrary non-singular posture, "opposite" for the start with all joints reversed, on the other
+        start: "smooth" for an arbitrary non-singular posture, "near-straight" for a nearly singular one,
+            "straight" for the singular one.
+        target: "helix" (6.17), "line" (6.16), "near-line" for a nearly straight curve, "random" for an
+            arbitrary non-singular posture, "opposite" for the start with all joints reversed, on the other
             side of the straight posture.
         arm: name of the arm, one of `pinposture.study.scenarios.ARMS`.
     """
@@ -63,14 +61,14 @@ SPATIAL_SCENARIOS = (
     Scenario("line", "random -> line", "6.1.3", "smooth", "line"),
     Scenario("from-straight", "straight -> helix", "6.1.4", "straight", "helix"),
 )
-"""The spatial arm; one seed gives the first two the same start, as Section 6.1.3 has it."""
+"""The spatial arm; a seed gives the first two scenarios the same start, as in Section 6.1.3."""
 
 PLANAR_SCENARIOS = (
     Scenario("planar-random", "random -> random", "6.2.1", "smooth", "random", "planar45"),
     Scenario("planar-near-line", "random -> near line", "6.2.2", "smooth", "near-line", "planar45"),
     Scenario("planar-from-straight", "straight -> random", "6.2.3", "straight", "random", "planar45"),
 )
-"""The planar arm; Section 6.2.4 takes the second once more."""
+"""The planar arm; Section 6.2.4 uses the second scenario again."""
 
 FURTHER_SCENARIOS = (
     Scenario("random", "random -> random", "", "smooth", "random"),
@@ -79,7 +77,7 @@ FURTHER_SCENARIOS = (
     Scenario("planar-opposite", "random -> opposite", "", "smooth", "opposite", "planar45"),
     Scenario("planar-near-straight", "near-straight -> random", "", "near-straight", "random", "planar45"),
 )
-"""What the thesis speaks of and does not show: other targets, leaving and passing singular postures."""
+"""Cases that the thesis mentions but does not show: other targets, leaving and passing singular postures."""
 
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
     {each.name: each for each in SPATIAL_SCENARIOS + PLANAR_SCENARIOS + FURTHER_SCENARIOS}
@@ -88,7 +86,7 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
 
 
 def family(arm: str, start: StartKind, target: TargetKind) -> Scenario:
-    """The scenario of an arm with that kind of start and of target, named after the three."""
+    """Return the scenario of an arm with a kind of start and of target, named after all three."""
     return Scenario(f"{arm}: {start} -> {target}", f"{start} -> {target}", "", start, target, arm)
 
 
@@ -102,32 +100,31 @@ FAMILIES = tuple(
     for arm, targets in _CHOICES
     for start in SCENARIO_STARTS
     for target in targets
-    if (start, target) != ("straight", "line")  # there is nothing to do
+    if (start, target) != ("straight", "line")  # nothing to do
 )
-"""Every kind of start with every kind of target that the arm can take: a helix is not for a planar arm."""
+"""Every kind of start with every kind of target that the arm can take; a planar arm cannot take a helix."""
 
 
 TARGET_CURVES: Mapping[tuple[str, str], Curve] = MappingProxyType(
     {("ryrz20", "helix"): HELIX, ("ryrz20", "line"): LINE, ("planar45", "line"): PLANAR_LINE}
 )
-"""The curve of each arm for each kind of target that is the same for every seed."""
+"""The curve for each arm and each kind of target that does not depend on the seed."""
 
 
-# How far the parts of an arm have to turn on the way from one posture to another.
-#
-# Where a link ends up is no question of angles modulo a full turn: it hangs on the links before it, and they
-# on the base, so that turns add up along the arm. A link that has to turn by more than pi cannot go the
-# short way round. This is what defeats least squares on the control points.
+# How far the parts of an arm turn between two postures. Link headings are not defined modulo a full turn: a
+# link is attached to the links before it and these to the base, so that turns add up along the arm. A link
+# that must turn by more than pi cannot take the shorter direction. This is why least squares on the control
+# points fail.
 
 Array = NDArray[np.float64]
 
 
 def link_headings(arm: Arm, positions: Array) -> Array:
-    """How far each link of a planar arm is turned about the normal of its plane, counted from the base.
+    """Return the rotation of each link of a planar arm about the normal of its plane, relative to the base.
 
     Args:
         arm: a planar arm.
-        positions: joint positions, or a displacement of the joints, (nv,) [rad or m].
+        positions: joint positions or a joint displacement, (nv,) [rad or m].
 
     Returns:
         Sum of the joint angles up to each joint of the chain, full turns included, (n,) [rad].
@@ -137,13 +134,12 @@ def link_headings(arm: Arm, positions: Array) -> Array:
 
 
 def largest_turn(arm: Arm, start: Array, goal: Array) -> float:
-    """The largest change of heading of any part of the arm between two configurations [rad].
+    """Return the largest change of heading of any part of the arm between two configurations [rad].
 
-    Of a planar arm, the largest change of the heading of any link, full turns included. Of a spatial arm, the
-    same for its modules: from each module to the next, the change of orientation differs by a small rotation,
-    and the rotation vectors of these, added up along the arm from the base, tell how far a module has turned.
-    For a planar arm that is the change of heading at the module ends, as long as no single module bends by
-    more than pi.
+    For a planar arm, the largest change of heading of a link, full turns included. For a spatial arm, the
+    largest turn of a module: the changes of orientation of successive modules differ by a small rotation, and
+    the rotation vectors of these, summed along the arm from the base, give the turn of a module. For a planar
+    arm this would be the change of heading at the module ends, if no single module bends by more than pi.
 
     Args:
         arm: the arm.
@@ -157,14 +153,12 @@ def largest_turn(arm: Arm, start: Array, goal: Array) -> float:
 
 
 def _module_turns(arm: Arm, start: Array, goal: Array) -> Array:
-    """Rotation vectors of the modules between two configurations, added up along the arm, (m, 3) [rad]."""
+    """Return the rotation vectors of the modules between two configurations, summed along the arm, (m, 3)."""
     changes = arm.at(goal).rotations @ arm.at(start).rotations.transpose(0, 2, 1)
     before = np.concatenate([np.eye(3)[None], changes[:-1]])
     own = Rotation.from_matrix(changes @ before.transpose(0, 2, 1)).as_rotvec()
     return np.asarray(np.cumsum(own, axis=0))
 
-
-# Many starts and targets at once: what a controller does over a hundred seeds, not in one picture.
 
 POSTURE_AMPLITUDES = (0.2, 1.0)
 """Range of the largest joint position of an arbitrary posture of a spatial arm [rad or m]."""
@@ -173,14 +167,14 @@ HEADINGS = (0.5, 1.5)
 """Range of the largest heading of a link in an arbitrary posture of a planar arm [rad]."""
 
 SLIGHT_HEADINGS = (0.02, 0.06)
-"""The same for a target curve that is almost straight [rad]."""
+"""Range of the largest heading of a link for a nearly straight target curve [rad]."""
 
 NEARLY = 1e-3
-"""Largest joint position of a start that is almost straight [rad or m]."""
+"""Largest joint position of a nearly straight start [rad or m]."""
 
 
 class Outcome(NamedTuple):
-    """What came of one run.
+    """Outcome of one run.
 
     Attributes:
         scenario: name of the scenario.
@@ -188,7 +182,7 @@ class Outcome(NamedTuple):
         seed: seed of the case.
         start_error: posture error at the start [m].
         final_error: posture error at the end [m].
-        lowest_error: lowest posture error on the way [m].
+        lowest_error: lowest posture error during the run [m].
         mean_share: mean point error at the end, relative to the arm length.
         steps: number of steps.
         status: how the run ended, as `Trajectory.status`.
@@ -212,18 +206,18 @@ class Outcome(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Final posture error relative to the one at the start; 0 if there was none."""
+        """Final posture error relative to that at the start; 0 if that was zero."""
         return self.final_error / self.start_error if self.start_error else 0.0
 
 
 def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Array:
-    """A smooth random configuration of a planar arm, told by how far its links turn from the base axis.
+    """Draw a smooth random configuration of a planar arm with a given largest heading of its links.
 
-    A long arm that bends a little at each of its many joints rolls up. The heading of its links says how
-    arbitrary its posture looks, whatever their number.
+    A long arm that bends slightly at each of many joints rolls up, so the heading of its links describes a
+    posture better than its joint angles, whatever the number of joints.
 
     Args:
-        arm: a planar arm whose joints turn.
+        arm: a planar arm with revolute joints.
         rng: source of randomness.
         heading: largest angle between a link and the same link of the straight arm [rad].
 
@@ -231,7 +225,7 @@ def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Ar
         Configuration within the limits of the arm, (nq,).
 
     Raises:
-        InvalidValue: a heading that is no finite number >= 0, or an arm that is not planar.
+        InvalidValue: the heading is not a finite number >= 0, or the arm is not planar.
     """
     if not (np.isfinite(heading) and heading >= 0.0):
         raise InvalidValue("heading", heading, "a finite number >= 0 [rad]")
@@ -244,11 +238,11 @@ def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Ar
 
 
 def case(arm: Arm, scenario: Scenario, seed: int) -> tuple[Array, Target]:
-    """Start configuration and target of one seed.
+    """Return the start configuration and the target of one seed.
 
-    The seed draws how far a curve is rolled about a spatial arm, the start if it is not straight, and the
-    target if it is not a fixed curve, in this order. Arbitrary postures of a spatial arm have their largest
-    joint angle between 0.2 and 1.0 rad, those of a planar arm the largest heading between 0.5 and 1.5 rad.
+    The seed determines the roll of a curve about a spatial arm, the start if it is not straight, and the
+    target if it is not a fixed curve, in this order. Arbitrary postures of a spatial arm have a largest joint
+    angle between 0.2 and 1.0 rad, those of a planar arm a largest heading between 0.5 and 1.5 rad.
     """
     rng = np.random.default_rng(seed)
     roll = rng.uniform(-np.pi, np.pi)
@@ -262,7 +256,7 @@ def case(arm: Arm, scenario: Scenario, seed: int) -> tuple[Array, Target]:
 
 
 def arbitrary_configuration(arm: Arm, rng: np.random.Generator) -> Array:
-    """An arbitrary non-singular configuration, as the starts of scenarios are drawn; see `case`."""
+    """Draw an arbitrary non-singular configuration, as used for the starts of scenarios; see `case`."""
     if arm.dimension == 2:
         return bent_configuration(arm, rng, rng.uniform(*HEADINGS))
     return smooth_configuration(arm, rng, rng.uniform(*POSTURE_AMPLITUDES))
@@ -286,7 +280,7 @@ def _target(arm: Arm, scenario: Scenario, start: Array, roll: float, rng: np.ran
 
 
 def curve_along(arm: Arm, q: Array) -> Curve:
-    """The curve through the control points at a configuration, continued straight by two modules."""
+    """Return the curve through the control points at a configuration, extended straight by two modules."""
     points = np.vstack([arm.chain.base, arm.at(q).points])
     on = points[-1] + np.outer((1.0, 2.0), points[-1] - points[-2])
     return Curve.points(np.vstack([points, on]))
@@ -326,17 +320,16 @@ def study(
 
     Args:
         arm: the arm.
-        scenarios: where it starts and what it should become.
-        controllers: controllers, or their names.
+        scenarios: the scenarios.
+        controllers: controllers or their names.
         seeds: seeds of the cases.
         limits: limits of each step; `Limits()` if None.
-        max_steps: steps per run.
-        jobs: number of processes; joblib's backends apply, so a cluster serves as well.
+        max_steps: maximum number of steps per run.
+        jobs: number of processes; joblib's backends apply, including clusters.
         progress: called with each outcome as it arrives.
 
     Returns:
-        The outcomes, in the order of scenarios, then controllers, then seeds. They depend on the
-        arguments alone, not on `jobs`.
+        The outcomes, in the order of scenarios, then controllers, then seeds; independent of `jobs`.
     """
     register_baselines()
     listed = [controller_named(controller) for controller in controllers]
@@ -368,25 +361,22 @@ MIXED: tuple[ModuleTemplate, ...] = (
     template("RyRz").with_lengths((0.03, 0.04)),
     template("RzRy").with_lengths((0.02, 0.035)),
 ) * 6
-"""Two kinds of modules in turn, each with links of two lengths: 12 modules, 24 DOF, 0.75 m."""
+"""Two alternating kinds of modules, each with links of two lengths: 12 modules, 24 DOF, 0.75 m."""
 
 ARMS: Mapping[str, tuple[ModuleTemplate, ...]] = MappingProxyType(
     {"ryrz20": SPATIAL, "planar45": PLANAR, "mixed12": MIXED}
 )
-"""The arms by name; the name is that of the robot and, with ".urdf", of its file."""
+"""The arms by name, which is also the name of the robot and, with ".urdf", of its file."""
 
 
 def urdf_files() -> dict[str, str]:
-    """The generated robot descriptions: file name -> URDF text."""
+    """Return the generated robot descriptions: file name -> URDF text."""
     command = "python -m pinposture.study"
     return {f"{name}.urdf": modules_to_urdf(modules, name, command) for name, modules in ARMS.items()}
 
 
 def write_urdf_files(directory: str | Path) -> list[Path]:
-    """Write the robot descriptions; each file is either the old one or the new one, never half of it.
-
-    Args:
-        directory: where to; made if it does not exist.
+    """Write the robot descriptions to a directory, created if necessary; files are replaced atomically.
 
     Returns:
         Paths of the files.
@@ -402,7 +392,7 @@ def write_urdf_files(directory: str | Path) -> list[Path]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the files into the directory given, and say so. Returns the exit status."""
+    """Write the files to the given directory and print their paths. Returns the exit status."""
     if len(arguments) != 1 or arguments[0].startswith("-"):
         sys.stderr.write("usage: python -m pinposture.study DIRECTORY\n")
         return 2

@@ -1,4 +1,4 @@
-"""Runs among obstacles: situations, what is kept of a run, and the study."""
+"""Runs among obstacles: situations, records of runs, and the study."""
 
 from __future__ import annotations
 
@@ -32,8 +32,6 @@ from pinposture.study.record import (
 )
 from pinposture.study.reproduce.runs import displacements
 
-# Arms among obstacles: what is in the way, where the arm starts, and what it should become.
-
 Array = NDArray[np.float64]
 
 MODULES = 20
@@ -43,24 +41,24 @@ OWN_MARGIN = 0.005
 """Distance that parts of the arm keep from each other [m]: half of that of next neighbours but one."""
 
 VARIATION = 0.02
-"""Largest change of a joint between the starts, or the targets, of two seeds of a situation [rad]."""
+"""Largest variation of a joint in the starts, or the targets, of a situation [rad]."""
 DRAWS = 100
-"""How many starts, or targets, are drawn until one is as clear as the situation says."""
+"""Maximum number of draws of a start or a target that is as clear as required."""
 
 STAVES, PIPE, STAVE = 12, 0.1, 0.03
-"""A pipe is made of that many capsules on a circle of this radius, so thick [m]: they leave no gap."""
+"""Number of capsules of a pipe, radius of their circle, and their radius [m]; they leave no gap."""
 
 
 class Situation(NamedTuple):
-    """Where the spatial arm of 20 modules starts, what it should become, and what is in the way.
+    """Start, target and obstacles for the spatial arm of 20 modules.
 
     Attributes:
-        name: what to call it.
+        name: name of the situation.
         scene: the obstacles.
-        start: joint positions to start from, (40,) [rad]; each seed varies them a little.
-        goal: joint positions that take the target, (40,) [rad]; likewise.
-        start_clear: whether the arm keeps the margin at the start; else it overlaps with something there.
-        goal_clear: whether it does at the target, so that this can be reached; else it overlaps there.
+        start: joint positions at the start, (40,) [rad]; each seed varies them slightly.
+        goal: joint positions at the target, (40,) [rad]; varied likewise.
+        start_clear: True if the arm keeps the margin at the start, False if it collides there.
+        goal_clear: True if it does at the target, which is then reachable; False if it collides there.
     """
 
     name: str
@@ -76,8 +74,8 @@ class Draw(NamedTuple):
 
     Attributes:
         start: configuration, (nq,).
-        goal: configuration that takes the target, (nq,).
-        refused: how many starts and targets were drawn before that were not as clear as they should be.
+        goal: target configuration, (nq,).
+        refused: number of rejected draws that were not as clear as required.
     """
 
     start: Array
@@ -86,29 +84,29 @@ class Draw(NamedTuple):
 
 
 def situation_arm() -> Arm:
-    """The arm of all situations: that of Section 6.1, 1 m, with capsules of 1 cm along its links."""
+    """Return the arm of all situations: that of Section 6.1, 1 m, with capsules of 1 cm along its links."""
     return built_subject("ryrz20").arm
 
 
 def situation_named(name: str) -> Situation:
-    """The situation of that name; raises UnknownName if there is none."""
+    """Return a situation by name; raises UnknownName if there is none."""
     if name not in SITUATIONS:
         raise UnknownName("scene", name, SITUATIONS)
     return SITUATIONS[name]
 
 
 def draw_situation(arm: Arm, situation: Situation, seed: int) -> Draw:
-    """Vary start and target of a situation a little, smoothly along the arm.
+    """Vary start and target of a situation slightly and smoothly along the arm.
 
-    Both are drawn from one stream, the start first, each until it is as clear as the situation says.
+    Both are drawn from one stream, the start first, each until it is as clear as the situation requires.
 
     Args:
-        arm: what `situation_arm` returns.
+        arm: the arm of `situation_arm`.
         situation: the situation.
         seed: a whole number >= 0.
 
     Raises:
-        InvalidValue: none of `DRAWS` draws is as clear as it should be.
+        InvalidValue: none of `DRAWS` draws is as clear as required.
     """
     rng = np.random.default_rng([seed, *situation.name.encode()])
     around = CollisionModel(arm, situation.scene)
@@ -136,20 +134,20 @@ def _as_clear(around: CollisionModel, q: Array, clear: bool) -> bool:
 
 
 def _bent(y: ArrayLike, z: ArrayLike) -> Array:
-    """Positions of the joints about y and about z, given as bend per arm length, (40,) [rad]."""
+    """Return positions of the joints about y and z, given as bend per arm length, (40,) [rad]."""
     positions = np.zeros((MODULES, 2))
     positions[:, 0], positions[:, 1] = y, z
     return (positions / MODULES).ravel()
 
 
 def coiled(bend: float, twist: float) -> Array:
-    """A helix, by its bend and the turn of the direction of bending, both per arm length, (40,) [rad]."""
+    """Return a helix, given its bend and the twist of its bending direction per arm length, (40,) [rad]."""
     along = np.linspace(-0.5, 0.5, MODULES)
     return _bent(bend * np.sin(twist * along), bend * np.cos(twist * along))
 
 
 def _pipe(first: float, last: float) -> dict[str, Obstacle]:
-    """A pipe about the x axis, from one place on it to another [m]."""
+    """Return a pipe about the x axis between two x coordinates [m]."""
     staves: dict[str, Obstacle] = {}
     for number in range(STAVES):
         angle = 2.0 * np.pi * number / STAVES
@@ -159,14 +157,14 @@ def _pipe(first: float, last: float) -> dict[str, Obstacle]:
 
 
 def _slot(width: float) -> dict[str, Obstacle]:
-    """A wall across the x axis, too high to go over and too wide to go round, with an upright slot [m]."""
+    """Return a wall across the x axis, too large to bypass, with a vertical slot of a given width [m]."""
     size, middle = (0.1, 1.0, 1.4), width / 2.0 + 0.5
     return {"left": Box((0.6, middle, 0.0), size), "right": Box((0.6, -middle, 0.0), size)}
 
 
 def _listed() -> list[Situation]:
     along = np.linspace(0.0, 1.0, MODULES)
-    # Its control points pass the middle of the wall in the middle of the slot, slightly aslant.
+    # Its control points pass through the centre of the slot, slightly slanted.
     through = _bent(0.3, 3.0 * along - 0.6)
     beyond = np.where(np.arange(MODULES) < MODULES // 2, 0.0, 1.0)
     post = Cylinder((0.5, 0.35, -1.0), (0.5, 0.35, 1.0), 0.05)
@@ -200,48 +198,46 @@ def _listed() -> list[Situation]:
 SITUATIONS: Mapping[str, Situation] = MappingProxyType({each.name: each for each in _listed()})
 """The situations by name.
 
-post: an upright post between start and target, which the arm must go round.
-slot: a wall with an upright slot of 20 cm, which the arm must thread, starting curled up before it.
+post: a vertical post between start and target, which the arm must go around.
+slot: a wall with a vertical slot of 20 cm, which the arm must thread from a curled-up start in front of it.
 narrow: the same with a slot of 12 cm.
-wall: a wall close behind start and target; the straight arm would not fit before it.
-pipe: a pipe round the middle of the arm, the rest of which is to hook back beside it, on the other side.
+wall: a wall close behind start and target; the straight arm would not fit in front of it.
+pipe: a pipe around the middle of the arm, whose outer half must bend from one side to the other.
 inside: a target inside a ball, before which the arm has to stop.
-coil: nothing but the arm itself, a helix of more than a turn that becomes its mirror image.
-out: a start that overlaps with a ball, and a target on the other side of it.
+coil: only the arm itself, a helix of more than a turn that becomes its mirror image.
+out: a start in collision with a ball, and a target on its other side.
 """
 
 
-# What is kept of one run among obstacles.
-
 SAMPLES_OF_A_STEP = 10
-"""Places on each step at which the distance is looked up, its end among them."""
+"""Number of places on each step at which the distance is evaluated, including its end."""
 
 DISTANCE_ROUNDING = 1e-9
-"""How much closer than the margin counts as rounding [m]."""
+"""Violation of the margin that counts as rounding error [m]."""
 
 
 class SceneRun(NamedTuple):
-    """One run among obstacles.
+    """Record of one run among obstacles.
 
     Attributes:
         scene: name of the situation.
         seed: seed of the case.
-        refused: number of starts and targets that were rejected as not clear enough.
-        reachable: whether the configuration that takes the target keeps the margin.
+        refused: number of starts and targets rejected as not clear enough.
+        reachable: whether the target configuration keeps the margin.
         status: how the run ended, as `Trajectory.status`.
-        reason: why, in words, on one line.
-        blamed: obstacles, or bodies of the arm, that the reason names, separated by commas.
+        reason: explanation of the status on one line.
+        blamed: obstacles, or bodies of the arm, named in the reason, separated by commas.
         steps: number of steps.
         error: mean point error at the end, relative to the arm length.
         margin: the distance to keep [m].
-        start: smallest distance at the start [m]; negative in penetration, as the following.
+        start: smallest distance at the start [m]; like the following, negative in penetration.
         closest: smallest distance at the start and at `SAMPLES_OF_A_STEP` places of every step [m].
         end: smallest distance at the end [m].
-        loss: how much closer, within a step, the arm came than the margin, or than it was before the step
-            where that was closer still [m]; the most of all steps, 0 if it never did.
-        path: length of the paths of all control points relative to the direct distances from start to end.
+        loss: largest amount by which the distance within a step fell below the smaller of the margin and the
+            distance before the step [m]; 0 if it never did.
+        path: path length of all control points relative to straight lines from start to end.
         escaping: share of steps in which the controller lets the posture error rise.
-        seconds: time of the run, with whatever else the machine did [s].
+        seconds: wall time of the run [s].
     """
 
     scene: str
@@ -269,34 +265,34 @@ class SceneRun(NamedTuple):
 
     @property
     def kept(self) -> bool:
-        """Whether the margin was kept all the way; from a start in collision: from when the arm was out.
+        """Whether the margin was kept; after a start in collision, once the arm was out.
 
-        Such an arm must come out, and must not go deeper before it has.
+        Such an arm must come out, and must not go deeper before that.
         """
         return self.loss <= DISTANCE_ROUNDING and self.end >= self.margin - DISTANCE_ROUNDING
 
     @property
     def explained(self) -> bool:
-        """Whether it reached the target, or the reason names what it came too close to."""
+        """Whether the target was reached, or the reason names the obstacle."""
         return self.reached or bool(self.blamed)
 
     @property
     def as_it_should(self) -> bool:
-        """Whether the margin was kept, and the target reached if it could be; else the reason says why."""
+        """Whether the margin was kept, and the target reached if possible, otherwise with a reason."""
         return self.kept and self.explained and self.reached == self.reachable
 
 
 def record_scene_run(
     run: Trajectory, situation: Situation, seed: int, refused: int = 0, seconds: float = 0.0
 ) -> SceneRun:
-    """Measure a run; the distances are looked up again, whatever was recorded of them on the way.
+    """Create the record of a run; distances are computed again, independently of the run.
 
     Args:
         run: the run.
-        situation: what it was about.
+        situation: its situation.
         seed: its seed.
-        refused: how many draws were refused.
-        seconds: time that the run took [s].
+        refused: number of rejected draws.
+        seconds: wall time of the run [s].
     """
     around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
@@ -326,34 +322,32 @@ def record_scene_run(
 
 
 def blamed(reason: str, scene: Scene, bodies: Sequence[str]) -> list[str]:
-    """The obstacles that a text names; among bodies that must keep clear of each other, those as well."""
+    """Return the obstacles, and with self-collision the bodies, named in a text."""
     names = [*scene.obstacles, *(bodies if scene.self_collision else ())]
     return [name for name in distinct(names) if re.search(rf"(?<!\w){re.escape(name)}(?!\w)", reason)]
 
 
-# Arms among obstacles, many times: do they keep the margin, reach the target, and say why if not.
-
 SEEDS = 10
-"""Number of runs for each situation unless told otherwise."""
+"""Default number of runs for each situation."""
 
 
 class SceneRow(NamedTuple):
-    """What became of all runs of a situation.
+    """Summary of all runs of a situation.
 
     Attributes:
         scene: name of the situation.
         runs: number of runs.
-        refused: number of starts and targets that were rejected as not clear enough.
-        reachable: how many targets could be reached.
-        reached: how many were.
+        refused: number of starts and targets rejected as not clear enough.
+        reachable: number of reachable targets.
+        reached: number of reached targets.
         kept: number of runs that kept the margin, see `SceneRun.kept`.
         unexplained: number of runs that did not reach the target and named no obstacle.
         room: smallest distance of any run minus the margin [m].
         loss: largest `SceneRun.loss` of any run [m].
         steps: number of steps.
-        path: length of the paths of the control points, relative to the direct distances.
+        path: path length of the control points relative to straight lines.
         escaping: share of steps in which the controller lets the posture error rise.
-        seconds: time of a run [s].
+        seconds: wall time of a run [s].
     """
 
     scene: str
@@ -378,7 +372,7 @@ def study_scenes(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[SceneRun]:
-    """Drive the spatial arm of 20 modules among obstacles, with the controller that can avoid them.
+    """Run the spatial arm of 20 modules among obstacles, with the controller that can avoid them.
 
     |dq| <= 0.1 rad per step, at most 400 steps, until the mean point error is within 1e-6 of the arm length.
 
@@ -387,14 +381,13 @@ def study_scenes(
         seeds: number of runs for each.
         first_seed: seed of the first.
         jobs: number of processes; joblib's backends apply.
-        progress: called with the number of runs finished so far, and that of all.
+        progress: called with the numbers of finished and of all runs.
 
     Returns:
-        The runs in the order of situations, then seeds. But for `seconds` they depend on the arguments
-        alone, not on `jobs`.
+        The runs in the order of situations, then seeds; apart from `seconds`, independent of `jobs`.
 
     Raises:
-        InvalidValue: no scene, or numbers that make no sense.
+        InvalidValue: no scene, or invalid numbers.
         UnknownName: there is no such scene.
     """
     check_study(first_seed, seeds=seeds, scenes=scenes)
@@ -413,7 +406,7 @@ def _one(arm: Arm, name: str, seed: int) -> SceneRun:
 
 
 def by_scene(runs: Sequence[SceneRun]) -> list[SceneRow]:
-    """Summarise runs by situation, in the order in which these first appear."""
+    """Summarise runs by situation, in order of first appearance."""
     return [
         SceneRow(
             scene=scene,

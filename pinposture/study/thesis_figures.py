@@ -1,4 +1,4 @@
-"""The figures of chapter 6 of the thesis, laid out as it has them."""
+"""The figures of chapter 6 of the thesis, in its layout."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ THESIS_FIGURE_WIDTH = 12.0
 """Width of a figure [inch]; 1200 pixels at the default resolution."""
 
 STACKED_BELOW = 120.0
-"""Width for print below which panels go below each other [mm]: a column of a journal has 80 to 90."""
+"""Print width below which panels are stacked [mm]; a journal column has 80 to 90."""
 
 PRINT_TYPE = 7.0
 """Largest type in print [pt]."""
 
 SHOWN_POSTURES = 14
-"""How many of the postures on the way are drawn, the first ones closer together than the last."""
+"""Number of intermediate postures shown; the first ones are closer together than the last."""
 
 
 def draw_final_postures(runs: Mapping[str, Trajectory], title: str, width: float | None = None) -> Figure:
-    """Initial posture, target curve and final postures, as Figures 6.3, 6.5 and 6.7.
+    """Draw initial posture, target curve and final postures, as Figures 6.3, 6.5 and 6.7.
 
-    Beside them target and final postures alone, which may fill a far smaller room than the initial one.
+    A second panel shows only target and final postures, which may be much smaller than the initial one.
 
     Args:
-        runs: runs from one start to one target, by the names of their controllers.
-        title: what to write above.
-        width: width for print [mm]; None for the screen.
+        runs: runs from one start to one target, by controller name.
+        title: title of the figure.
+        width: print width [mm]; None for the screen.
 
     Raises:
         InvalidValue: no run.
@@ -73,19 +73,19 @@ def draw_final_postures(runs: Mapping[str, Trajectory], title: str, width: float
     closer.ax.set_title("final postures alone", fontsize=9, color=palette.INK)
     if closer.spatial:
         view: Any = closer.ax
-        view.zaxis.labelpad += 8.0  # a slender box has the numbers of its scale where the label would be
+        view.zaxis.labelpad += 8.0  # in a slender box the tick labels would overlap the axis label
     return _finished(figure, width)
 
 
 def draw_errors(runs: Mapping[str, Trajectory], title: str, width: float | None = None) -> Figure:
-    """Control point errors, posture error and number of control points, as Figures 6.4, 6.6 and 6.8.
+    """Draw control point errors, posture error and number of control points, as Figures 6.4, 6.6 and 6.8.
 
-    Each run has a row of its own; rows share their scales.
+    Each run has its own row; rows share their scales.
 
     Args:
-        runs: runs from one start to one target, by the names of their controllers.
-        title: what to write above.
-        width: width for print [mm]; None for the screen.
+        runs: runs from one start to one target, by controller name.
+        title: title of the figure.
+        width: print width [mm]; None for the screen.
 
     Raises:
         InvalidValue: no run.
@@ -115,20 +115,20 @@ def draw_planar(
     compared: Mapping[str, Trajectory] | None = None,
     width: float | None = None,
 ) -> Figure:
-    """Everything about runs of a planar arm, as Figures 6.9 to 6.12.
+    """Draw all panels for runs of a planar arm, as Figures 6.9 to 6.12.
 
-    At the top the initial posture and the target; below, a row for each run: the control points used in each
-    step, posture error above number of control points and manipulability index, and the final posture with
-    those on the way. Red dots on the step axis mark what a switching controller left to Projection.
+    The top row shows the initial posture and the target. Each run has a row with the control points used in
+    each step, the posture error above the number of control points and the manipulability index, and the
+    final and intermediate postures. Red dots on the step axis mark steps that switching left to Projection.
 
     Args:
-        runs: runs from one start to one target, by the names of their controllers.
-        title: what to write above.
-        compared: further runs of which only the posture error is drawn, beside each of the others.
-        width: width for print [mm]; None for the screen.
+        runs: runs from one start to one target, by controller name.
+        title: title of the figure.
+        compared: additional runs of which only the posture error is drawn, for comparison.
+        width: print width [mm]; None for the screen.
 
     Raises:
-        InvalidValue: no run, or an arm that is not planar.
+        InvalidValue: no run, or the arm is not planar.
     """
     first = _first(runs)
     if first.arm.dimension != 2:
@@ -167,14 +167,14 @@ def draw_planar(
         _draw_way(run, ax, colors[name])
         _head(ax, f"{name}: final posture", next(letters))
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            if label != "final posture":  # which the title says, and which has a colour for each run
+            if label != "final posture":  # it is in the title and has a different colour for each run
                 named.setdefault(label, handle)
     words.legend(list(named.values()), list(named), loc="upper left", fontsize=9, frameon=False, ncols=2)
     return _finished(figure, width)
 
 
 def _share_values(panels: list[Axes]) -> None:
-    """Give panels one vertical scale, logarithmic if that of any of them is."""
+    """Give panels a common vertical scale, logarithmic if any of theirs is."""
     drawn = [np.asarray(line.get_ydata(), dtype=float) for panel in panels for line in panel.get_lines()]
     positive = np.concatenate([values[values > 0.0] for values in drawn])
     if not len(positive):
@@ -200,7 +200,7 @@ def _draw_progress(
     letter: int,
     compared: Mapping[str, Trajectory],
 ) -> Axes:
-    """Posture error above number of points and index; returns the axes of the posture error."""
+    """Draw posture error above number of points and index; return the axes of the posture error."""
     cells = place.subgridspec(2, 1, height_ratios=(1.35, 1.0))
     error, points = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
     for label, other in compared.items():
@@ -208,11 +208,11 @@ def _draw_progress(
     plot_posture_error(run, error, label=name if compared else None)
     plot_points_and_index(run, points)
     low, high = error.get_ylim()
-    logarithmic = error.get_yscale() == "log"  # room for what is written above and below
+    logarithmic = error.get_yscale() == "log"  # room for text above and below
     error.set_ylim(low * (0.1 if logarithmic else 1.0), high * (4.0 if logarithmic else 1.1))
     error.set_xlim(0.0, max(each.steps for each in (run, *compared.values())) + 1.0)
     points.set_xlim(0.0, run.steps + 1.0)
-    if not compared:  # otherwise the other runs may be far longer
+    if not compared:  # otherwise the other runs may be much longer
         error.set_xlabel("")
         error.tick_params(labelbottom=False)
     if (run.method == "projection").any():
@@ -223,7 +223,7 @@ def _draw_progress(
 
 
 def _draw_way(run: Trajectory, ax: Axes, color: str) -> None:
-    """The final posture and the target, with some of the postures on the way."""
+    """Draw the final posture and the target, with some intermediate postures."""
     panel = PosturePanel(run.arm, ax)
     steps = np.unique(np.geomspace(1, max(run.steps, 1), SHOWN_POSTURES).round().astype(np.intp))
     draw_intermediate_postures(panel, run, color, steps[steps < run.steps])
@@ -233,13 +233,13 @@ def _draw_way(run: Trajectory, ax: Axes, color: str) -> None:
 
 
 def _figure(height: float, title: str, width: float | None, columns: int) -> tuple[Figure, bool]:
-    """An empty figure, and whether its columns of panels go below each other.
+    """Create an empty figure; return it and whether its columns of panels are stacked.
 
     Args:
         height: its height on the screen [inch].
-        title: what to write above; on the screen only, captions of print are set by others.
-        width: width for print [mm]; None for the screen.
-        columns: number of panels beside each other.
+        title: title, shown on the screen only.
+        width: print width [mm]; None for the screen.
+        columns: number of panels side by side.
     """
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, wspace=0.03, hspace=0.03)
     if width is not None:
@@ -253,7 +253,7 @@ def _figure(height: float, title: str, width: float | None, columns: int) -> tup
 
 
 def _finished(figure: Figure, width: float | None) -> Figure:
-    """The figure; for print, in the size of type that journals ask for."""
+    """Return the figure; for print, with the font size that journals require."""
     if width is not None:
         for ax in figure.axes:
             ax.tick_params(labelsize=PRINT_TYPE - 1.0)

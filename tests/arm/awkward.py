@@ -38,7 +38,7 @@ def typed(kind, number):
 
 REFUSED = {
     # text, arguments of Arm.load, kind of error, words in the message
-    "two arms": (TWO_ARMS, {}, URDFError, "links 'a2', 'b2': are reached by different joints, 2 moving"),
+    "two arms": (TWO_ARMS, {}, URDFError, "links 'a2', 'b2': are the ends of chains with equally many"),
     "two arms, one asked for": (TWO_ARMS, {"base": "a1", "tip": "b2"}, URDFError, "not below link 'a1'"),
     "base alone": (arm_text(pairs(2)), {"base": "l1"}, InvalidValue, "pass tip= as well"),
     "unknown base": (arm_text(pairs(2)), {"base": "x", "tip": "tip"}, UnknownName, "link is called 'x'"),
@@ -52,15 +52,15 @@ REFUSED = {
         arm_text([("revolute", Y, LINK, limit(0, 0))]),
         {"tip": "tip"},
         URDFError,
-        "limits leave one position to: 'j1'",
+        "limits allow a single position of: 'j1'",
     ),
     "one limit missing and the other zero": (
         arm_text([("revolute", Y, LINK, limit(0))]),
         {"tip": "tip"},
         URDFError,
-        "limits leave one position",
+        "limits allow a single position",
     ),
-    "no length": (arm_text([("revolute", Y, HERE)] * 3, tip=HERE), {}, URDFError, "has no length"),
+    "no length": (arm_text([("revolute", Y, HERE)] * 3, tip=HERE), {}, URDFError, "has zero length"),
     "too short": (
         arm_text(pairs(1), tip="1e-11 0 0").replace(LINK, "1e-11 0 0"),
         {},
@@ -86,18 +86,18 @@ REFUSED = {
     "lock of a fixed joint": (arm_text(pairs(2)), {"locked": {"jt": 0.0}}, UnknownName, "'jt'"),
     "lock at nan": (arm_text(pairs(2)), {"locked": {"j1": float("nan")}}, InvalidValue, "locked['j1']"),
     "lock at a word": (arm_text(pairs(2)), {"locked": {"j1": "up"}}, InvalidValue, "a joint position within"),
-    "lock of a floating joint": (FLOATS, {"locked": {"free": 0.0}}, InvalidValue, "not one number"),
+    "lock of a floating joint": (FLOATS, {"locked": {"free": 0.0}}, InvalidValue, "not a single number"),
     "all locked": (
         arm_text([("revolute", Y, LINK)]),
         {"locked": {"j1": 0.0}, "tip": "tip"},
         URDFError,
-        "has no moving joint; locked= holds: 'j1'",
+        "has no moving joint; locked= locks: 'j1'",
     ),
     "nothing but floating joints": (
         arm_text([("floating", Y, LINK, "")] * 9),
         {"tip": "tip"},
         URDFError,
-        "has no joint that can move an arm; floating and planar joints are none of them (revolute, "
+        "has no joint that can move an arm; floating and planar joints do not count (only revolute, "
         "continuous, prismatic): 'j1', 'j2'",
     ),
     "modules do not divide": (
@@ -134,7 +134,7 @@ WARNED = {
         4,
         3,
         [
-            "no limits are given for joints 'j1', 'j2'; taken as unlimited",
+            "no limits are given for joints 'j1', 'j2'; treated as unlimited",
             "modules 1, 2: too few of their joints' axes differ",
         ],
     ),
@@ -143,7 +143,7 @@ WARNED = {
         {},
         4,
         2,
-        ["limits that leave one position lock joint 'j3' on the chain"],
+        ["limits that allow a single position lock joint 'j3' on the chain"],
     ),
     "floating base": (
         FLOATS,
@@ -162,14 +162,14 @@ WARNED = {
         {},
         4,
         2,
-        ["2 joints off the chain from 'l0' to 'tip' held still: 2 at link 'l1' ('ja', 'jb')"],
+        ["2 joints off the chain from 'l0' to 'tip' locked: 2 at link 'l1' ('ja', 'jb')"],
     ),
     "a gripper of two coupled fingers": (
         arm_text(pairs(2), extra=FINGERS),
         {},
         4,
         2,
-        ["2 joints off the chain from 'l0' to 'tip' held still: 2 at link 'tip' ('finger1', 'finger2')"],
+        ["2 joints off the chain from 'l0' to 'tip' locked: 2 at link 'tip' ('finger1', 'finger2')"],
     ),
     "one of two coupled fingers": (
         arm_text(pairs(2), extra=FINGERS),

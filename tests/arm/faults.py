@@ -58,7 +58,7 @@ FAULTS = {
         "child link 'b' does not",
         False,
     ),
-    "own parent": (robot(links("a") + joint("j", "a", "a")), "joint 'j'", "parent and for its child", False),
+    "own parent": (robot(links("a") + joint("j", "a", "a")), "joint 'j'", "both parent and child", False),
     "two parents": (
         robot(links("abc") + joint("j", "a", "c") + joint("k", "b", "c")),
         "link 'c'",
@@ -69,7 +69,7 @@ FAULTS = {
     "circle": (
         robot(links("ab") + joint("j", "a", "b") + joint("k", "b", "a")),
         "joint 'k'",
-        "circle",
+        "cycle",
         False,
     ),
     "circle beside a root": (

@@ -145,7 +145,7 @@ def test_couplings_can_be_given():
         ({"j3": ("j1", "much")}, InvalidValue, "couplings['j3']"),
         ({"j3": ("j1", float("nan"))}, InvalidValue, "couplings['j3']"),
         ({"j3": ()}, InvalidValue, "couplings['j3']"),
-        ({"j3": "j4", "j4": "j3"}, URDFError, "in a circle"),
+        ({"j3": "j4", "j4": "j3"}, URDFError, "in a cycle"),
         ({"j3": ("j1", 1.0, 7.0)}, URDFError, "leave no room for a common motion"),
     ],
 )

@@ -86,7 +86,7 @@ def test_any_graph_is_a_tree_or_refused_for_what_it_is(edges, size):
     except URDFError as error:
         assert not tree
         doubled = any(sum(child == link for _, child in edges) > 1 for link in range(size))
-        if "closes a circle" in error.reason:
+        if "closes a cycle" in error.reason:
             assert not doubled and len(roots) < 2
         elif "has" not in error.reason and "of joint" not in error.reason:
             assert len(roots) > 1 and not doubled
@@ -103,6 +103,6 @@ def test_very_long_chains_and_circles_take_no_time():
     joints = [joint(f"j{i}", names[i], names[i + 1], "continuous") for i in range(19_999)]
     start = time.perf_counter()
     assert read_description(robot(links(names) + "".join(joints))).longest_chain() == ("l0", "l19999")
-    with pytest.raises(URDFError, match=r"closes a circle.*\.\.\."):
+    with pytest.raises(URDFError, match=r"closes a cycle.*\.\.\."):
         read_description(robot(links(names) + "".join(joints) + joint("back", names[-1], names[0])))
     assert time.perf_counter() - start < 8.0

@@ -40,9 +40,9 @@ PLACED = [
     *[f"ur_description/urdf/ur{size}_robot.urdf" for size in (3, 5, 10)],
 ]
 REFUSED = {
-    "double_pendulum_description/urdf/double_pendulum.urdf": "limits leave one position",
+    "double_pendulum_description/urdf/double_pendulum.urdf": "limits allow a single position",
     "ur_description/urdf/ur3.urdf": "<robot>: has no name",
-    "baxter_description/urdf/baxter.urdf": "'left_gripper', 'right_gripper': are reached by different",
+    "baxter_description/urdf/baxter.urdf": "'left_gripper', 'right_gripper': are the ends of chains",
     "pr2_description/urdf/pr2.urdf": "pass tip= to choose",
     "hector_description/robots/quadrotor_base.urdf": "has no moving joint",
 }

@@ -157,7 +157,7 @@ def test_what_cannot_be_found_or_converted_is_named(
     broken.write_text(CALLS.format(include='<xacro:include filename="lost.xacro"/>'))
     refused(broken, FileError, "cannot be expanded", "lost.xacro")
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body><joint type='none'/></body></worldbody>")
-    refused(tmp_path / "broken.xml", FileError, "broken.xml", "refused by Pinocchio")
+    refused(tmp_path / "broken.xml", FileError, "broken.xml", "rejected by Pinocchio")
     model = pin.Model()
     model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
     refused(model, URDFError, "joint 'ball'", "Spherical")

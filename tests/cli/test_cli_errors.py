@@ -109,8 +109,8 @@ CASES = [
     Case("output under a file ", "track ARM --curve line -o ARM/out", ("ARM", "is a file")),
     # study
     Case("unknown study", "study armz", ("'armz'", "arms", "pinposture study --help")),
-    Case("no directory", "study arms DIR/none", ("DIR/none", "no directory")),
-    Case("directory is a file", "study arms ARM", ("ARM", "no directory")),
+    Case("no directory", "study arms DIR/none", ("DIR/none", "not a directory")),
+    Case("directory is a file", "study arms ARM", ("ARM", "not a directory")),
     Case("directory without arms", "study arms RUN", ("RUN", "no file that ends in .urdf")),
     Case("study with seed -1", "study arms DIR --seed -1", ("--seed is -1", "at least 0")),
     Case("study without jobs", "study arms DIR --jobs 0", ("jobs is 0", "at least 1")),

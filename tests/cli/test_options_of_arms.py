@@ -113,7 +113,7 @@ def test_meshes_are_looked_for_in_the_folders_that_are_given(command, arm_file, 
     begin, end = text.index("<geometry>", at), text.index("</geometry>", at) + len("</geometry>")
     file.write_text(text[:begin] + mesh + text[end:])
     without = command("inspect", file, "--self-collision", "--json")
-    assert "snake_description/bar.stl: is not there" in without.err
+    assert "snake_description/bar.stl: not found" in without.err
     for folder in (tmp_path / "somewhere", tmp_path / "somewhere" / "parts"):
         found = command("inspect", file, "--self-collision", "--json", "--package-dir", folder)
         assert (found.code, found.err) == (0, "")

@@ -189,20 +189,20 @@ def binary_ply():
     [
         ("a.las", b"", r"'\.las'; allowed: \.ply, \.xyz"),
         ("a", b"", r"''; allowed"),
-        ("a.ply", b"", "no PLY file"),
-        ("a.ply", b"\x00\xff" * 100, "no PLY file"),
-        ("a.ply", PLY[:60].encode(), "no PLY file"),
+        ("a.ply", b"", "not a PLY file"),
+        ("a.ply", b"\x00\xff" * 100, "not a PLY file"),
+        ("a.ply", PLY[:60].encode(), "not a PLY file"),
         ("a.ply", PLY[:-10].encode(), "6 lines of data, but has 5"),
         ("a.ply", PLY.replace("vertex 4", "vertex 400").encode(), "402 lines of data, but has 6"),
-        ("a.ply", PLY.replace("vertex 4", "vertex four").encode(), "number"),
+        ("a.ply", PLY.replace("vertex 4", "vertex four").encode(), "invalid count"),
         ("a.ply", PLY.replace("1 0 0 4", "1 x 0 4").encode(), "cannot be read"),
-        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 9").encode(), "does not hold|cannot be read"),
-        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 -2").encode(), "does not hold|cannot be read"),
+        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 9").encode(), "do not exist|cannot be read"),
+        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 -2").encode(), "do not exist|cannot be read"),
         ("a.ply", lambda: binary_ply()[:-50], "cannot be read"),
         ("a.stl", lambda: box().export(file_type="stl")[:-60], "cut off"),
         ("a.stl", b"hello", "cut off|cannot be read"),
         ("a.obj", b"hello", "neither|cannot be read"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "cannot be read|does not hold"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "cannot be read|do not exist"),
         ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n", "cannot be read"),
         ("a.glb", lambda: box().export(file_type="glb")[:200], "cannot be read"),
         ("a.pcd", b"", r"'\.pcd'; allowed: .*convert it, as by: pcl_pcd2ply"),
@@ -216,8 +216,8 @@ def binary_ply():
         ("a.csv", b"x,y\n1,2\n", "line 1 is 'x,y'"),
         ("a.csv", b"a,b,c\n1,2,3\n", "line 1 is 'a,b,c'"),
         ("a.csv", b"t,x,y,z\n1,2,3\n", "line 2 is '1,2,3'"),
-        ("a.npy", b"hello", "no array"),
-        ("a.npz", b"hello", "no archive"),
+        ("a.npy", b"hello", "not a readable array"),
+        ("a.npz", b"hello", "not a readable archive"),
     ],
 )  # fmt: skip
 def test_files_that_are_no_scan_say_what_is_wrong(tmp_path, name, content, reason):
@@ -236,7 +236,7 @@ def test_arrays_that_are_no_scan(tmp_path):
         with pytest.raises(FileError, match="allowed: numbers"):
             Scan.load(tmp_path / f"{number}.npy")
     np.save(tmp_path / "o.npy", np.array([None, 1]), allow_pickle=True)
-    with pytest.raises(FileError, match="no array"):
+    with pytest.raises(FileError, match="not a readable array"):
         Scan.load(tmp_path / "o.npy")
     np.savez(tmp_path / "two.npz", a=some_points(), b=some_points())
     with pytest.raises(FileError, match="a, b; allowed: an array points"):

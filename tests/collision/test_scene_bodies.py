@@ -164,7 +164,7 @@ def test_meshes_become_hulls_and_missing_ones_capsules(tmp_path):
         bodies = bodies_of(arm)
     message = str(caught[0].message)
     assert len(caught) == 1
-    for words in ("capsules stand in", "link 'l2': gone.stl: is not there", "link 'l3'", "link 'l4': radius"):
+    for words in ("capsules stand in", "link 'l2': gone.stl: not found", "link 'l3'", "link 'l4': radius"):
         assert words in message
     assert [type(body.shape) for body in bodies] == [Mesh, Capsule, Capsule, Capsule]
     np.testing.assert_allclose(np.ptp(bodies[0].shape.vertices, axis=0), (0.1, 0.04, 0.04), rtol=1e-6)

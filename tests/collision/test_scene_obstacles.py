@@ -111,11 +111,11 @@ def test_a_surface_survives_with_its_triangles(name):
         (lambda: obstacle_from_dict({"type": "mesh", "vertices": TETRA, "path": "a"}), "is 'both'"),
         (lambda: obstacle_from_dict({"type": "mesh", "vertices": TETRA, "scale": 2}), "scale is 2"),
         (lambda: obstacle_from_dict({"type": "mesh", "verts": TETRA}), "did you mean 'vertices'"),
-        (lambda: Mesh(TETRA, faces=[(0, 1, 4)]), "faces is 4; allowed: numbers of points, 0 to 3"),
+        (lambda: Mesh(TETRA, faces=[(0, 1, 4)]), "faces is 4; allowed: point indices, 0 to 3"),
         (lambda: Mesh(TETRA, faces=[(0.0, 1.0, 2.0)]), "faces is"),
         (
             lambda: obstacle_from_dict({"type": "mesh", "path": "a.stl", "faces": [(0, 1, 2)]}),
-            "allowed: nothing: those of the file are taken",
+            "allowed: nothing: they are read from the file",
         ),
         (lambda: obstacle_from_dict({"type": "scan"}), "path or points is None; allowed: one of the two"),
         (lambda: obstacle_from_dict({"type": "scan", "points": TETRA, "scale": 2}), "scale is 2"),

@@ -131,7 +131,7 @@ print(kernels.sum_point_errors(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dty
 def test_where_nothing_can_be_kept_it_works_and_says_so() -> None:
     ran = subprocess.run([sys.executable, "-c", NOWHERE], capture_output=True, text=True, check=True)
     assert float(ran.stdout) == pytest.approx(2.0 * np.sqrt(3.0))
-    assert ran.stderr.count("no folder to keep compiled kernels in") == 1
+    assert ran.stderr.count("no folder to store compiled kernels") == 1
 
 
 def test_an_index_of_another_version_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ def arm() -> pp.Arm:
 def endless() -> pp.Arm:
     """8 joints without limits, each one number."""
     text = template_arm("RyRz", 4).urdf.replace('lower="-3.141592653589793" upper="3.141592653589793"', "")
-    with pytest.warns(pp.PostureWarning, match="taken as unlimited"):
+    with pytest.warns(pp.PostureWarning, match="treated as unlimited"):
         return pp.Arm.load(text, modules=2)
 
 
@@ -71,7 +71,7 @@ def test_a_tracker_holds_where_its_first_measurement_is_in_degrees(arm: pp.Arm) 
 
 def test_small_angles_in_degrees_are_told_by_their_number(arm: pp.Arm) -> None:
     # None is outside by a turn, but five of eight are.
-    with pytest.raises(InvalidValue, match=r"and 4 more joints are outside of theirs; is it in degrees\?"):
+    with pytest.raises(InvalidValue, match=r"and 4 more joints are outside theirs; is it in degrees\?"):
         pp.Target.from_configuration(arm, [4.0, -5.0, 6.0, 5.0, -4.0, 1.0, 2.0, 0.0])
 
 
@@ -89,7 +89,7 @@ def test_one_joint_outside_is_said_and_refused_beyond_a_turn(arm: pp.Arm, beyond
         warnings.simplefilter("always")
         pp.Target.from_configuration(arm, q)
     assert [each.category for each in told] == ([pp.PostureWarning] if outcome else [])
-    assert all("a joint outside of the limits; joint 'm03_j2_z' is at" in str(each.message) for each in told)
+    assert all("a joint outside the limits; joint 'm03_j2_z' is at" in str(each.message) for each in told)
 
 
 def test_joints_without_limits_may_be_wound_but_it_is_asked(endless: pp.Arm) -> None:

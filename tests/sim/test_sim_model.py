@@ -169,7 +169,7 @@ def test_an_arm_with_joints_that_its_description_lacks_is_refused():
 def test_an_arm_without_a_description_is_refused():
     arm = arm_named("placed")
     bare = pp.Arm.from_model(arm.model, arm.control_points)
-    with pytest.raises(InvalidValue, match=r"Arm\.from_model gives no description to simulate"):
+    with pytest.raises(InvalidValue, match=r"Arm\.from_model provides no description to simulate"):
         sim.build_plant_model(bare)
 
 

@@ -161,7 +161,7 @@ def test_a_corrupt_mesh_warns_once_and_the_body_keeps_its_stand_in(robot, tmp_pa
 def test_numbers_that_are_none_warn_once_and_the_body_keeps_its_stand_in(robot, wrong):
     # Pinocchio complains and goes on without the shape.
     arm = robot(urdf(tool=TOOL.replace('scale="-0.1 0.1 0.1"', wrong)))
-    with pytest.warns(PostureWarning, match=r"wedge\.obj has .* no finite numbers") as caught:
+    with pytest.warns(PostureWarning, match=r"wedge\.obj has .* not finite") as caught:
         meshes = body_meshes(arm)
     assert len(caught) == 1
     assert meshes.bodies[1] is None
@@ -197,7 +197,7 @@ def test_the_largest_bodies_are_drawn_coarser_when_there_are_too_many_triangles(
 def test_a_body_of_which_nothing_would_be_left_is_left_out(robot):
     arm = robot(urdf(lower=UPPER))
     assert [len(mesh.faces) for mesh in body_meshes(arm, 16).bodies] == [4, 8]
-    with pytest.warns(PostureWarning, match=r"is left out, all meshes together having 16 triangles"):
+    with pytest.warns(PostureWarning, match=r"is left out, because all meshes together have 16 triangles"):
         meshes = body_meshes(arm, 6)
     assert meshes.bodies == (None, None)
 
@@ -232,7 +232,7 @@ def test_a_package_has_the_name_that_its_description_gives(tmp_path, monkeypatch
     inside = folder / "package.xml"
     for text in ("", "<package", "<package/>", "<package><name>other</name></package>"):
         inside.write_text(text)
-        with pytest.raises(FileError, match="is not there"):
+        with pytest.raises(FileError, match="not found"):
             find_mesh(name, [str(tmp_path / "sources"), str(folder)])
     inside.write_text(
         '<?xml version="1.0"?>\n<package format="3">\n  <name>\n robot_description </name>\n</package>\n'

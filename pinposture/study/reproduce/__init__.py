@@ -1,4 +1,4 @@
-"""The experiments of chapter 6 once more, with numbers where the thesis has pictures, and its claims."""
+"""Reproduction of the experiments of chapter 6, with numbers instead of pictures, and of the claims."""
 
 from pinposture.study.reproduce.evaluate import Evidence, JudgedClaim, gather, judge_claims
 from pinposture.study.reproduce.page import update_page

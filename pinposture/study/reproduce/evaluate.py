@@ -1,4 +1,4 @@
-"""Claims measured on postures, and all claims judged."""
+"""Measurement of claims about postures, and verdicts on all claims."""
 
 from __future__ import annotations
 
@@ -33,34 +33,32 @@ from pinposture.study.reproduce.runs import (
 )
 from pinposture.study.scenarios import arbitrary_configuration
 
-# Claims on postures and sets of control points, counted over random ones; nothing moves here.
-
 Array = NDArray[np.float64]
 
 ARM_NAMES = {"ryrz20": "spatial", "planar45": "planar"}
 KINDS = ("smooth", "any")
-"""Postures as the arbitrary ones of the runs, and with every joint anywhere within its limits."""
+"""Postures like the arbitrary ones of the runs, and with every joint anywhere within its limits."""
 
 THRESHOLDS = (1e-3, 1e-2, 1e-1)
-"""Thresholds of both conditions that are tried; the thesis names none, Selection's own is the first."""
+"""Thresholds tried for both conditions; the thesis gives none, Selection uses the first."""
 
 CONDITIONING = 1e-4
 """Smallest singular value, per arm length, of a matrix that counts as far from singular [1/rad]."""
 
 DRAWS = 3
-"""Postures of each kind that one seed draws."""
+"""Number of postures of each kind per seed."""
 
 
 class Counted(NamedTuple):
-    """What was counted at one posture, at one threshold of both conditions.
+    """Counts at one posture, for one threshold of both conditions.
 
     Attributes:
         arm: name of the arm.
         kind: kind of posture.
-        threshold: what indices must exceed to clear a condition.
-        carried: whether no control point fails the absolute condition after an earlier one cleared it.
+        threshold: value that indices must exceed to meet a condition.
+        carried: whether no control point fails the absolute condition after an earlier one met it.
         drawn: whether a candidate control set could be drawn.
-        pairs_clear: whether all pairs in it clear the relative condition.
+        pairs_clear: whether all pairs in it meet the relative condition.
         full_rank: whether its posture control matrix has full row rank.
         sigma_min: smallest singular value of that matrix, per arm length [1/rad]; 0 if there is none.
         section_deficient: whether two control points with a singular section between them stack to a matrix
@@ -79,7 +77,7 @@ class Counted(NamedTuple):
 
 
 def count_postures(seeds: int, jobs: int = 1, first: int = 0) -> list[Counted]:
-    """Count over random postures of both arms; the result depends on the seeds alone."""
+    """Count over random postures of both arms; the result only depends on the seeds."""
     tasks = (delayed(_count)(name, bundle) for name in ARM_NAMES for bundle in seed_bundles(seeds, first))
     return [each for listed in in_order(tasks, jobs) for each in listed]
 
@@ -96,7 +94,7 @@ def _count(name: str, seeds: Iterable[int]) -> list[Counted]:
 
 
 def count_posture(arm: Arm, name: str, kind: str, q: Array, rng: np.random.Generator) -> list[Counted]:
-    """Count at one posture, once for each of THRESHOLDS; the generator draws sets and a section."""
+    """Count at one posture for each of THRESHOLDS; the generator draws sets and a section."""
     state, counted = arm.at(q), []
     indices = state.manipulability()
     deficient = _section_is_deficient(arm, q, rng)
@@ -122,15 +120,15 @@ def count_posture(arm: Arm, name: str, kind: str, q: Array, rng: np.random.Gener
 
 
 def carries_over(indices: Array, threshold: float) -> bool:
-    """Whether no entry falls to the threshold after an earlier one exceeded it."""
+    """Return whether no entry falls to the threshold after an earlier one exceeded it."""
     clears = indices > threshold
     return bool(np.all(clears[int(np.argmax(clears)) :])) if clears.any() else True
 
 
 def random_set(indices: Array, threshold: float, rng: np.random.Generator) -> list[int]:
-    """A random candidate control set, as rows of the index matrix (1 is the first control point).
+    """Draw a random candidate control set, as rows of the index matrix (1 is the first control point).
 
-    Each next point is drawn from the nearest few that may follow, so that sets have many points.
+    Each next point is drawn from the nearest few admissible ones, so that sets have many points.
     """
     clears = indices[0] > threshold
     chosen: list[int] = []
@@ -142,10 +140,10 @@ def random_set(indices: Array, threshold: float, rng: np.random.Generator) -> li
 
 
 def _section_is_deficient(arm: Arm, q: Array, rng: np.random.Generator) -> bool:
-    """Stack two control points between which the section is singular.
+    """Return whether two control points with a singular section between them lack full row rank.
 
-    That section is one module of the spatial arm, which has two joints for three directions, and two modules
-    of the planar arm, of which the second is stretched.
+    The section is one module of the spatial arm, which has two joints for three directions, or two modules of
+    the planar arm, of which the second is stretched.
     """
     positions, apart = arm.positions(q).copy(), 1 if arm.dimension == 3 else 2
     first = int(rng.integers(arm.n_modules // 4, arm.n_modules - apart))
@@ -227,10 +225,8 @@ POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
         "same: the condition is sufficient, not necessary. The proof is for planar arms.",
     ),
 }
-"""How each claim of `pinposture.study.claims.POSTURES` is measured."""
+"""Measures of the claims of `pinposture.study.claims.POSTURES`."""
 
-
-# Every claim of the thesis, measured and judged.
 
 MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     **measures.TRACKING_MEASURES,
@@ -238,7 +234,7 @@ MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     **measures.SINGULAR_MEASURES,
     **measures.CHOOSING_MEASURES,
 }
-"""How each claim is measured on runs; those on postures are in `POSTURES_MEASURES`."""
+"""Measures of all claims about runs; those about postures are in `POSTURES_MEASURES`."""
 
 _PROJECTIONS = ("projection", "projection, full", "projection, local", "projection, kappa 0.6")
 _SCORES = ("selection, (4.8)", "selection, (4.8) relative")
@@ -265,11 +261,11 @@ BATCHES: tuple[RunSet, ...] = (
     *(RunSet("planar-near-line", f"{v}, {ANY_STEP}") for v in _SCORES),
     *(RunSet("line", f"{method}, free joints, {ANY_STEP}") for method in measures.BOTH),
 )
-"""The runs that the claims are judged by."""
+"""The runs by which the claims are judged."""
 
 
 def own_batches(controllers: Mapping[str, Controller]) -> list[RunSet]:
-    """The runs by which the general claims are judged for controllers, given by their names."""
+    """Return the runs by which the general claims are judged for controllers, given by name."""
     return [
         batch
         for name, controller in controllers.items()
@@ -283,14 +279,14 @@ def own_batches(controllers: Mapping[str, Controller]) -> list[RunSet]:
 
 
 class JudgedClaim(NamedTuple):
-    """A claim and what came of it.
+    """A claim and its verdict.
 
     Attributes:
         claim: the claim.
         verdict: whether it holds.
-        finding: what was measured.
-        readings: what was measured, and whether it holds, where the thesis is read differently.
-        own: the same for controllers of the user's own, by their names.
+        finding: the measurements.
+        readings: verdict and measurements for other readings of the thesis.
+        own: verdict and measurements for the user's own controllers, by name.
     """
 
     claim: Claim
@@ -301,14 +297,14 @@ class JudgedClaim(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What claims are judged by.
+    """The data by which claims are judged.
 
     Attributes:
         pool: the runs.
         counted: the postures.
-        seeds: number of seeds of either.
-        max_steps: steps after which a run ended.
-        first: the first of the seeds.
+        seeds: number of seeds of both.
+        max_steps: maximum number of steps of a run.
+        first: the first seed.
         own: names of the user's own controllers.
     """
 
@@ -328,16 +324,16 @@ def gather(
     first: int = 0,
     own: Mapping[str, Controller] | None = None,
 ) -> Evidence:
-    """Make the runs and look at the postures that claims are judged by.
+    """Collect the runs and postures by which claims are judged.
 
     Args:
         seeds: number of seeds.
-        max_steps: steps after which a run ends.
+        max_steps: maximum number of steps of a run.
         jobs: number of processes; the result does not depend on it.
-        progress: called with the number of runs that have just been finished, of `seeds` for each set of
-            BATCHES and `own_batches`.
+        progress: called with the number of newly finished runs, of `seeds` for each set of BATCHES and
+            `own_batches`.
         first: the first seed.
-        own: controllers of the user's own to judge beside those of the thesis, by their names.
+        own: the user's own controllers to judge as well, by name.
     """
     counted = count_postures(seeds, jobs, first)
     batches = (*BATCHES, *own_batches(own or {}))
@@ -346,7 +342,7 @@ def gather(
 
 
 def judge_claims(evidence: Evidence) -> list[JudgedClaim]:
-    """Measure and judge every claim, in the order of CLAIMS."""
+    """Measure and judge all claims, in the order of CLAIMS."""
     return [_judged(claim, evidence) for claim in CLAIMS.values()]
 
 

@@ -1,4 +1,4 @@
-"""Claims of the thesis measured on runs, and the verdict on each."""
+"""Measures of the thesis's claims on runs, and the rules for verdicts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.study.reproduce.runs import ANY_STEP, MeasuredRun, Reading, label, median
 
-# How a claim is judged: by the shares of cases in which it is true, against the thresholds of its rule.
+# A claim is judged by comparing the shares of cases in which it is true with the thresholds of its rule.
 
 Verdict = Literal[
     "holds", "holds by construction", "holds partly", "does not hold", "does not hold as stated", "not seen"
@@ -19,12 +19,12 @@ Verdict = Literal[
 
 
 class Rule(NamedTuple):
-    """What share of cases a claim must be true in.
+    """The share of cases in which a claim must be true.
 
     Attributes:
-        words: what kind of claim the rule is for.
-        holds: least share at which the claim holds.
-        partly: least share at which it holds partly; None for what a single counterexample refutes.
+        words: kind of claims to which the rule applies.
+        holds: smallest share at which the claim holds.
+        partly: smallest share at which it holds partly; None if a single counterexample refutes it.
     """
 
     words: str
@@ -37,15 +37,15 @@ RULES: Mapping[str, Rule] = {
     "usually": Rule("said of how the method works in general", 0.9, 0.5),
     "rather": Rule("a comparison or a tendency", 0.75, 0.5),
 }
-"""The rules by name; the claims of `pinposture.study.claims` name theirs."""
+"""The rules by name, as used in `pinposture.study.claims`."""
 
 
 class Share(NamedTuple):
-    """In how many of the cases a claim is true.
+    """The number of cases in which a claim is true.
 
     Attributes:
-        true: number of cases in which it is.
-        cases: number of cases.
+        true: number of cases in which it is true.
+        cases: number of all cases.
     """
 
     true: int
@@ -58,21 +58,21 @@ class Share(NamedTuple):
 
 
 def share(truths: Iterable[bool]) -> Share:
-    """The share of true ones."""
+    """Return the share of true values."""
     listed = [bool(truth) for truth in truths]
     return Share(sum(listed), len(listed))
 
 
 class Class(NamedTuple):
-    """Something about the steps that lie within one class of nearness to a singular posture.
+    """A quantity over the steps within one class of nearness to a singular posture.
 
     Attributes:
-        quantity: what it is, with its unit.
-        group: what was tried.
-        low: least nearness of the class: smallest singular value of the tip's Jacobian per arm length.
-        high: where the class ends.
+        quantity: name of the quantity, with its unit.
+        group: the group of runs.
+        low: lower bound of the class: smallest singular value of the tip's Jacobian per arm length.
+        high: upper bound of the class.
         steps: number of steps in it.
-        median: median over them.
+        median: median over the steps.
         largest: largest value.
     """
 
@@ -86,13 +86,13 @@ class Class(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """What was measured for a claim.
+    """Measurements for a claim.
 
     Attributes:
-        shares: in how many cases it is true, by what was tried; these decide.
-        figures: further numbers that tell how it is, by name.
-        instead: what holds, in words; said where the claim does not hold throughout.
-        by_nearness: how it depends on the distance to the nearest singular posture, where that was measured.
+        shares: number of cases in which it is true, by group of runs; these decide.
+        figures: additional numbers, by name.
+        instead: what was found, in words; shown if the claim does not hold throughout.
+        by_nearness: dependence on the distance to the nearest singular posture, if measured.
     """
 
     shares: Mapping[str, Share]
@@ -102,12 +102,12 @@ class Finding(NamedTuple):
 
 
 def judge(shares: Mapping[str, Share], rule: Rule) -> Verdict:
-    """The verdict on a claim.
+    """Return the verdict on a claim.
 
-    It holds if it does in everything that was tried, does not if it does not even partly in any, and else
-    holds partly. What is said of every case does not hold as stated if there is a counterexample, and does
-    not hold if there is nothing else. What no case was found for does not count; without any case at all it
-    was not seen.
+    It holds if it holds in all groups of runs, does not hold if it holds not even partly in any group, and
+    otherwise holds partly. A claim about every case does not hold as stated if there is a counterexample, and
+    does not hold if there are only counterexamples. Groups without cases are ignored; without any case at all
+    the claim was not seen.
     """
     values = [each.value for each in shares.values() if each.cases]
     if not values:
@@ -119,19 +119,17 @@ def judge(shares: Mapping[str, Share], rule: Rule) -> Verdict:
     return "does not hold" if max(values) < rule.partly else "holds partly"
 
 
-# Claims on where the arm gets to.
-
 THERE = 1e-2
-"""Mean point error per arm length at which an arm has the target posture to the eye."""
+"""Mean point error per arm length at which an arm visually has the target posture."""
 
 CLOSE = 1e-3
-"""The same at which little is left."""
+"""Mean point error per arm length that is nearly zero."""
 
 EXACT = 1e-6
-"""The same at which a run has converged and stops."""
+"""Mean point error per arm length at which a run has converged and stops."""
 
 ON_CURVE = 1e-5
-"""Distance from a curve per arm length that sampling accounts for."""
+"""Distance from a curve per arm length that is attributed to sampling."""
 
 FEW = 50
 """Steps that count as a few, at 0.1 rad per step."""
@@ -145,34 +143,34 @@ BOTH = ("selection", "projection")
 
 
 def final(run: MeasuredRun) -> float:
-    """Mean point error at the end, per arm length."""
+    """Return the mean point error at the end, per arm length."""
     return float(run.mean_errors[-1])
 
 
 def arrived(run: MeasuredRun, within: float = THERE) -> bool:
-    """Whether a run ends with a mean point error of at most that, per arm length."""
+    """Return whether a run ends with a mean point error of at most `within`, per arm length."""
     return final(run) <= within
 
 
 def lower(run: MeasuredRun, others: Sequence[MeasuredRun]) -> bool:
-    """Whether a run ends with a lower error than others, or all of them have converged."""
+    """Return whether a run ends with a lower error than others, or has converged like them."""
     return all(final(run) < final(other) or max(final(run), final(other)) <= EXACT for other in others)
 
 
 def errors_of(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
-    """Median final errors, by what was tried."""
+    """Return the median final error of each group."""
     return _prefixed("median final error per arm length", _medians(groups, final))
 
 
 def _medians(
     groups: Mapping[str, Sequence[MeasuredRun]], measure: Callable[[MeasuredRun], float]
 ) -> dict[str, float]:
-    """Median of a measure over the runs of each group."""
+    """Return the median of a measure over the runs of each group."""
     return {name: median([measure(run) for run in runs]) for name, runs in groups.items()}
 
 
 def _prefixed(quantity: str, values: Mapping[str, float]) -> dict[str, float]:
-    """The values of groups, named after the quantity and the group."""
+    """Prefix the names of groups with a quantity."""
     return {f"{quantity}: {name}": value for name, value in values.items()}
 
 
@@ -181,7 +179,7 @@ def _values(shares: Mapping[str, Share]) -> dict[str, float]:
 
 
 def _in_words(values: Mapping[str, float], form: str = ".0%") -> str:
-    """The values of groups in one line, in a format."""
+    """Format the values of groups on one line."""
     return "; ".join(f"{name}: {value:{form}}" for name, value in values.items())
 
 
@@ -291,17 +289,17 @@ NEAR = 0.03
 """Smallest singular value of the tip's Jacobian, per arm length, up to which a posture is nearly singular."""
 
 AWAY = 2.0 * NEAR
-"""The same from which on a posture is clear of singular ones."""
+"""Nearness, as `NEAR`, from which on a posture counts as clear of singular ones."""
 
 SEEN = 0.1
-"""Share of the runs that have to come near a singular posture for anything to be said about passing it."""
+"""Share of runs that must come near a singular posture for a verdict on passing it."""
 
 
 def approach(run: MeasuredRun) -> bool | None:
-    """Whether a run that came near a singular posture left it again; None if it did not come near.
+    """Return whether a run that came near a singular posture left it again; None if it did not come near.
 
-    A run comes near if it gets from AWAY to NEAR, and leaves if it gets AWAY once more. Where the target
-    itself is not clear of singular postures, nobody would leave.
+    A run comes near if it gets from AWAY to NEAR, and leaves if it gets AWAY again. Runs to targets that are
+    not AWAY from singular postures do not count.
     """
     if run.goal_nearness is None or run.goal_nearness < AWAY:
         return None
@@ -366,25 +364,23 @@ TRACKING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     "projection-passes": _passes("projection", True),
     "targets-on-curve": _on_curve,
 }
-"""How each claim of `pinposture.study.claims.TRACKING` is measured."""
+"""Measures of the claims of `pinposture.study.claims.TRACKING`."""
 
-
-# Claims on how the arm moves near singular postures.
 
 BINS = (0.0, 0.003, 0.01, 0.03, 0.1, np.inf)
-"""Limits of the classes of nearness for which figures are given."""
+"""Bounds of the classes of nearness for which figures are given."""
 
 HALF_TURN = float(np.pi)
-"""The most that a joint may be asked for in one step [rad]; beyond that it might turn the other way."""
+"""Largest acceptable joint motion in one step [rad]; beyond it the joint might turn the other way."""
 
 ABRUPT = 0.5
-"""Change of the joint displacement, per size, above which a motion is not smooth."""
+"""Relative change of the joint displacement above which a motion is not smooth."""
 
 
 def _near(
     runs: Sequence[MeasuredRun], name: str, low: float = 0.0, high: float = NEAR
 ) -> NDArray[np.float64]:
-    """Something about the steps of runs that are that near a singular posture."""
+    """Return a quantity of the steps of runs within a range of nearness to a singular posture."""
     parts = [
         getattr(run.steps, name)[(run.steps.nearness >= low) & (run.steps.nearness < high)] for run in runs
     ]
@@ -392,7 +388,7 @@ def _near(
 
 
 def _by_nearness(groups: Mapping[str, Sequence[MeasuredRun]], name: str, quantity: str) -> list[Class]:
-    """Medians and largest values of something about the steps, by nearness."""
+    """Return medians and largest values of a quantity of the steps, by nearness."""
     classes = []
     for group, runs in groups.items():
         for low, high in pairwise(BINS):
@@ -432,7 +428,7 @@ def _no_blow_up(reading: Reading) -> Finding:
 
 
 def _growth(run: MeasuredRun) -> float | None:
-    """Largest error after a run came near a singular posture, relative to that there; None if it did not."""
+    """Return the largest error after a run came near a singular posture, relative to that there, or None."""
     near = np.flatnonzero(run.steps.nearness <= NEAR)
     if not len(near):
         return None
@@ -467,31 +463,29 @@ SINGULAR_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     "smooth-near-singular": _smooth,
     "stable-without-step-limit": _any_step,
 }
-"""How claims of `pinposture.study.claims.MOVING` are measured where they are on singular postures."""
+"""Measures of the claims of `pinposture.study.claims.MOVING` about singular postures."""
 
-
-# Claims on how the arm moves.
 
 DIRECT = 1.5
-"""Length of the paths of the control points per direct distance up to which a motion counts as direct."""
+"""Path length of the control points relative to straight lines up to which a motion counts as direct."""
 
 CALM = 1e-3
-"""How far a nudge of 1e-6 rad may lead, per arm length, for a motion to count as predictable."""
+"""Separation after a nudge of 1e-6 rad, per arm length, up to which a motion counts as predictable."""
 
 VISIBLE = 0.01
-"""Rise of the posture error, relative to the first, that a picture shows."""
+"""Rise of the posture error, relative to the initial one, that is visible in a picture."""
 
 TWINS = ("helix", "planar-random")
 """Scenarios whose runs have twins."""
 
 
 def predictable(run: MeasuredRun) -> bool:
-    """Whether a run went directly, and would have gone the same way from a start beside its own."""
+    """Return whether a run was direct and insensitive to a nudge of its start."""
     return run.path_length_ratio <= DIRECT and run.separation is not None and run.separation <= CALM
 
 
 def _largest_rise(run: MeasuredRun) -> float:
-    """The most that the posture error rises in one step, relative to the first."""
+    """Return the largest rise of the posture error in one step, relative to the initial error."""
     return max(float(np.diff(run.mean_errors).max(initial=0.0)) / max(float(run.mean_errors[0]), 1e-300), 0.0)
 
 
@@ -606,20 +600,18 @@ MOVING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     "projection-unpredictable": _predictable("projection", False),
     "selection-more-predictable": _more_predictable,
 }
-"""How claims of `pinposture.study.claims.MOVING` are measured; others are in `SINGULAR_MEASURES`."""
+"""Measures of the claims of `pinposture.study.claims.MOVING`; others are in `SINGULAR_MEASURES`."""
 
-
-# Claims on which control points are used, and on switching between the methods.
 
 MANY = 0.25
 """Share of all control points that counts as a lot."""
 
 SWITCHED = ("planar-near-line", "line", "planar-random", "helix", "random")
-"""Scenarios on which switching is compared with its parts; the thesis shows the first."""
+"""Scenarios for comparing switching with its parts; the thesis shows the first."""
 
 
 def _steps_with(runs: Sequence[MeasuredRun], part: float) -> Share:
-    """Steps in which at least a part of all control points is active."""
+    """Return the share of steps in which at least a fraction of all control points is active."""
     counts = np.concatenate([np.zeros(0), *(run.points / run.modules for run in runs)])
     return share(counts >= part)
 
@@ -764,4 +756,4 @@ CHOOSING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     "switching-predictable": _switching_predictable,
     "switching-mostly-selection": _mostly_selection,
 }
-"""How each claim of `pinposture.study.claims.CHOOSING` is measured."""
+"""Measures of the claims of `pinposture.study.claims.CHOOSING`."""

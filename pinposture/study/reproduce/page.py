@@ -1,4 +1,4 @@
-"""The claims as tables in Markdown, and a page of prose kept up to date with them."""
+"""The claims as Markdown tables, and the update of a page that contains them."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ from typing import Any
 from pinposture.errors import FileError
 from pinposture.storage import read_text, write_text
 
-# Tables are written from the results alone, as `results.json` has them: whoever has the file has the page.
-
 Results = Mapping[str, Any]
+"""The content of `results.json`, from which all tables are written."""
 
 PARTS = ("parameters", "verdicts", "nearness", "details")
-"""What is written into a page, each between `<!-- NAME: begin -->` and `<!-- NAME: end -->`."""
+"""Parts of a page, each between `<!-- NAME: begin -->` and `<!-- NAME: end -->`."""
 
 
 def update_page(path: Path, results: Results) -> bool:
-    """Write the tables of some results into a page, between its markers; all else stays as it is.
+    """Write the tables of some results into a page, between its markers.
 
     Args:
         path: the page, in Markdown, with the markers of each of PARTS.
-        results: what `reproduce` returns as `results`, with claims.
+        results: the `results` of `reproduce`, with claims.
 
     Returns:
         Whether the page changed.
@@ -38,7 +37,7 @@ def update_page(path: Path, results: Results) -> bool:
 
 
 def with_tables(page: str, results: Results, path: Path) -> str:
-    """A page with the tables of some results between its markers; `path` is for the error."""
+    """Return a page with the tables of some results between its markers; `path` is for the error."""
     for name, text in tables(results).items():
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
         if page.count(begin) != 1 or page.count(end) != 1 or page.index(end) < page.index(begin):
@@ -49,7 +48,7 @@ def with_tables(page: str, results: Results, path: Path) -> str:
 
 
 def tables(results: Results) -> dict[str, str]:
-    """The text between the markers of a page, by PARTS."""
+    """Return the text between the markers of a page, by PARTS."""
     claims = results["claims"]
     return {
         "parameters": _parameters(results["parameters"]),
@@ -60,7 +59,7 @@ def tables(results: Results) -> dict[str, str]:
 
 
 def claims_as_markdown(results: Results) -> str:
-    """The claims as a document of their own: all tables."""
+    """Return the claims as a separate document with all tables."""
     return "# The claims of the thesis, measured\n\n" + "\n\n".join(tables(results).values()) + "\n"
 
 
@@ -103,7 +102,7 @@ def _judged(found: Mapping[str, Any]) -> str:
 
 
 def _details(claim: Mapping[str, Any]) -> str:
-    """What was counted for a claim: a row for what was tried, a column for each reading that has it."""
+    """Return the counts for a claim: a row for each group of runs, a column for each reading."""
     lines = [
         f"### {claim['id']}",
         f"{claim['claim']} ({claim['where']}) **{claim['verdict'].capitalize()}**: {claim['rule']}. "
@@ -125,7 +124,7 @@ def _details(claim: Mapping[str, Any]) -> str:
 
 
 def _nearness(classes: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Medians and largest values by nearness, a table for each quantity."""
+    """Return medians and largest values by nearness, in a table for each quantity."""
     found = []
     for quantity in dict.fromkeys(each["quantity"] for each in classes):
         own = [each for each in classes if each["quantity"] == quantity]
@@ -149,7 +148,7 @@ def _table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def span(shares: Mapping[str, Mapping[str, Any]]) -> str:
-    """The smallest and the largest share, in words."""
+    """Return the range of the shares, in words."""
     values = [each["share"] for each in shares.values()]
     if not values:
         return "no case"
@@ -158,5 +157,5 @@ def span(shares: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _percent(share: float) -> str:
-    """A share in per cent; what is nearly all or nearly nothing is not rounded to it."""
+    """Return a share in per cent; nearly all and nearly none are not rounded to 100 % and 0 %."""
     return f"{share:.0%}" if share in (0.0, 1.0) or 0.005 <= share < 0.995 else f"{share:.2%}"

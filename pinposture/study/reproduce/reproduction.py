@@ -1,4 +1,4 @@
-"""The figures and claims of the thesis once more, as files."""
+"""Reproduction of the figures and claims of the thesis, as files."""
 
 from __future__ import annotations
 
@@ -48,27 +48,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# The runs that Figures 6.3 to 6.12 show, once more: as pictures and as numbers.
-
-
 FORMATS = ("png", "pdf", "svg")
-"""Formats of the pictures."""
+"""Formats of the figures."""
 
 
 @dataclass(frozen=True)
 class FigureSettings:
-    """How figures are made and drawn.
+    """Settings of figures.
 
     Attributes:
-        seed: what start and target are drawn from; None for the seed of each figure.
+        seed: seed of start and target; None for the seed of each figure.
         step_limit: largest |dq| of a joint in one step [rad].
-        methods: controllers in place of those of these names: "selection", "projection", "switching".
-        formats: formats of the pictures, of FORMATS.
-        width: width of a picture for print [mm]: smaller type, no title; below 120 mm panels are stacked.
-            None: 12 inches, for the screen.
+        methods: controllers to use instead of "selection", "projection" or "switching".
+        formats: file formats, of FORMATS.
+        width: print width [mm]: smaller type, no title, panels stacked below 120 mm. None for the screen, 12
+            inches.
 
     Raises:
-        InvalidValue: a number that makes no sense, or nothing to draw.
+        InvalidValue: an invalid number, or no format.
         UnknownName: there is no such format or method.
     """
 
@@ -93,17 +90,17 @@ class FigureSettings:
 
 
 METHODS = ("selection", "projection", "switching")
-"""Methods of the thesis, by the names of their controllers."""
+"""Methods of the thesis, by controller name."""
 
 
 class FigureRuns(NamedTuple):
-    """A figure and the runs that it shows.
+    """A figure and its runs.
 
     Attributes:
-        about: which figure it is.
-        runs: its runs by the names of their controllers.
-        compared: runs of which only the posture error is drawn, likewise.
-        seed: what start and target are drawn from.
+        about: the figure of the thesis.
+        runs: its runs by controller name.
+        compared: runs of which only the posture error is drawn, by controller name.
+        seed: seed of start and target.
     """
 
     about: ThesisFigure
@@ -113,7 +110,7 @@ class FigureRuns(NamedTuple):
 
     @property
     def stem(self) -> str:
-        """Name of the files without their endings; by name, they are in the order of the thesis."""
+        """File name without extension; sorted by name, figures are in the order of the thesis."""
         chapter, _, number = self.about.number.partition(".")
         return f"figure-{chapter}.{int(number):02d}"
 
@@ -126,15 +123,15 @@ def run_figures(
     settings: FigureSettings | None = None,
     own: Mapping[str, Controller] | None = None,
 ) -> list[FigureRuns]:
-    """Make the runs of figures; those that several of them show are made once.
+    """Compute the runs of figures; runs shared by several figures are computed once.
 
     Args:
         numbers: numbers of the figures in the thesis, "6.3" to "6.12".
-        max_steps: steps after which a run ends.
+        max_steps: maximum number of steps of a run.
         jobs: number of processes.
-        progress: called with the number of runs that have just been finished, of `count_runs`.
+        progress: called with the number of newly finished runs, of `count_runs`.
         settings: `FigureSettings()` if None.
-        own: controllers of the user's own to show beside those of the thesis, by their names.
+        own: the user's own controllers to show as well, by name.
 
     Raises:
         UnknownName: there is no such figure.
@@ -167,7 +164,7 @@ def run_figures(
 def count_runs(
     numbers: Iterable[str], own: Iterable[str] = (), settings: FigureSettings | None = None
 ) -> int:
-    """How many runs these figures take, with controllers of the user's own by these names.
+    """Return the number of runs for these figures and the names of the user's own controllers.
 
     Raises:
         UnknownName: there is no such figure.
@@ -184,7 +181,7 @@ def _figure(number: str) -> ThesisFigure:
 def _todo(
     figures: Iterable[ThesisFigure], own: Iterable[str], settings: FigureSettings
 ) -> list[tuple[str, str, int]]:
-    """Scenario, controller and seed of each run, without repetition."""
+    """Return scenario, controller and seed of each run, without duplicates."""
     wanted = (
         (figure.scenario, name, figure.seed if settings.seed is None else settings.seed)
         for figure in figures
@@ -194,7 +191,7 @@ def _todo(
 
 
 def draw_figure(figure: FigureRuns, width: float | None = None) -> Figure:
-    """Draw a figure as the thesis lays it out: 1200 pixels wide, or in a width for print [mm]."""
+    """Draw a figure in the layout of the thesis, 1200 pixels wide or with a print width [mm]."""
     from pinposture.study.thesis_figures import draw_errors, draw_final_postures, draw_planar
 
     about = figure.about
@@ -208,7 +205,7 @@ def draw_figure(figure: FigureRuns, width: float | None = None) -> Figure:
 
 
 def figure_tables(figure: FigureRuns) -> dict[str, str]:
-    """The data of a figure as CSV, by the names of the files: errors by the step, and postures."""
+    """Return the data of a figure as CSV by file name: errors for each step, and postures."""
     every, found = {**figure.runs, **figure.compared}, {}
     if figure.about.layout != "postures":
         points = next(iter(every.values())).arm.n_modules
@@ -243,7 +240,7 @@ def _csv(rows: Iterable[Sequence[object]]) -> str:
 
 
 def describe_figure(figure: FigureRuns) -> dict[str, Any]:
-    """A figure in numbers that JSON can hold; lengths in metres, angles in radians."""
+    """Return a figure as JSON-compatible data; lengths in metres, angles in radians."""
     about = figure.about
     return {
         "figure": about.number,
@@ -280,8 +277,6 @@ def _described(name: str, run: Trajectory) -> dict[str, Any]:
     }
 
 
-# What was found, for programs (results.json); `page` has it for people.
-
 FORMAT = "pinposture-reproduction"
 VERSION = 2
 
@@ -289,13 +284,13 @@ VERSION = 2
 def describe(
     figures: Sequence[FigureRuns], judged: Sequence[JudgedClaim], evidence: Evidence | None, max_steps: int
 ) -> dict[str, Any]:
-    """Everything that was found, as data that JSON can hold.
+    """Return all results as JSON-compatible data.
 
     Args:
-        figures: the figures that were reproduced.
-        judged: the claims that were judged.
-        evidence: what they were judged by; None if none were.
-        max_steps: steps after which a run ended.
+        figures: the reproduced figures.
+        judged: the judged claims.
+        evidence: the data by which they were judged; None if there are none.
+        max_steps: maximum number of steps of a run.
     """
     return {
         "format": FORMAT,
@@ -347,7 +342,7 @@ def _finding(verdict: Verdict, finding: Finding) -> dict[str, Any]:
 
 
 def _batch(scenario: str, variant: str, runs: Sequence[MeasuredRun]) -> dict[str, Any]:
-    """The runs of one scenario by one variant in numbers, errors per arm length."""
+    """Return the runs of one scenario by one variant in numbers, with errors per arm length."""
     final = np.array([run.mean_errors[-1] for run in runs])
     endings = [run.outcome.status for run in runs]
     return {
@@ -366,21 +361,19 @@ def _batch(scenario: str, variant: str, runs: Sequence[MeasuredRun]) -> dict[str
     }
 
 
-# Figures and claims in one call, and the files that are left.
-
 NAMES = (*FIGURES, "claims", "all")
-"""What can be reproduced, by name."""
+"""Names of what can be reproduced."""
 
 RESULTS, CLAIMS_TABLE = "results.json", "claims.md"
 
 
 class Reproduction(NamedTuple):
-    """What came of it.
+    """Results of `reproduce`.
 
     Attributes:
         figures: the figures and their runs.
         judged: the claims and their verdicts.
-        results: all of it as data that JSON can hold.
+        results: all results as JSON-compatible data.
         files: the files that were written.
     """
 
@@ -402,27 +395,27 @@ def reproduce(
     settings: FigureSettings | None = None,
     page: str | Path | None = None,
 ) -> Reproduction:
-    """Reproduce figures of the thesis, and judge its claims.
+    """Reproduce figures of the thesis and judge its claims.
 
     Args:
         names: numbers of figures, "6.3" to "6.12"; "claims"; or "all".
-        directory: where to leave each figure as a picture and its data as CSV, results.json, and claims.md if
-            claims were judged; made if it does not exist. What an earlier call left there of other figures,
-            or of claims, stays. None: nothing is kept.
-        seeds: number of seeds that claims are judged over, from the seed of the settings on, or from 0.
-        max_steps: steps after which a run ends.
+        directory: output directory for each figure as picture and CSV, results.json, and claims.md if claims
+            are judged; created if necessary. Results of earlier calls for other figures, or for claims, are
+            kept. None writes no files.
+        seeds: number of seeds for judging claims, starting at the seed of the settings, or at 0.
+        max_steps: maximum number of steps of a run.
         jobs: number of processes; the results do not depend on it.
-        progress: called with the number of runs finished so far, and that of all.
-        controllers: controllers of your own, or names, to show beside those of the thesis in the figures, and
-            to judge by the claims that can be asked of any controller.
-        settings: how figures are made and drawn; `FigureSettings()` if None. Claims know its seed only.
-        page: a page in Markdown with markers, into which the tables of the claims are written (see
-            `page.update_page`); what they come from is left in a JSON file beside it.
+        progress: called with the numbers of finished and of all runs.
+        controllers: your own controllers, or names, to show in the figures as well, and to judge by the
+            claims that apply to any controller.
+        settings: settings of the figures; `FigureSettings()` if None. Claims only use its seed.
+        page: a Markdown page with markers into which the tables of the claims are written (see
+            `page.update_page`); their data is written to a JSON file beside it.
 
     Raises:
         UnknownName: there is no such figure or controller.
-        InvalidValue: nothing to reproduce, or a number of seeds, steps or processes that makes no sense; two
-            controllers of one name; a page without claims; claims with methods or a step limit of your own.
+        InvalidValue: nothing to reproduce; an invalid number of seeds, steps or processes; two controllers
+            with the same name; a page without claims; or claims with custom methods or step limit.
         FileError: a file cannot be written.
     """
     numbers, with_claims = _select_experiments(names)
@@ -438,7 +431,7 @@ def reproduce(
         raise InvalidValue("settings", settings, told)
     for path in (directory, None if page is None else Path(page).parent):
         if path is not None:
-            check_writable(Path(path))  # now, so that nobody waits for results that cannot be kept
+            check_writable(Path(path))  # early, before the long computation
     total = count_runs(numbers, own, settings)
     total += with_claims * seeds * (len(BATCHES) + len(own_batches(own)))
     done = 0
@@ -464,7 +457,7 @@ def reproduce(
 
 
 def _own(controllers: Sequence[str | Controller]) -> dict[str, Controller]:
-    """Controllers of the user's own by their names."""
+    """Return the user's own controllers by name."""
     listed = named_controllers(controllers) if controllers else []
     own = {controller.name: controller for controller in listed}
     taken = [*VARIANTS, *(name.capitalize() for name in METHODS)]
@@ -475,7 +468,7 @@ def _own(controllers: Sequence[str | Controller]) -> dict[str, Controller]:
 
 
 def _select_experiments(names: Sequence[str]) -> tuple[list[str], bool]:
-    """Numbers of the figures asked for, and whether claims are."""
+    """Return the numbers of the requested figures, and whether claims are requested."""
     if not names:
         raise InvalidValue("names", list(names), f"at least one of {', '.join(NAMES)}")
     for name in names:
@@ -510,7 +503,7 @@ def _write(
 
 
 def _with_earlier(results: dict[str, Any], path: Path, with_claims: bool) -> dict[str, Any]:
-    """These results, and those of an earlier call that they do not replace."""
+    """Return these results, merged with those of an earlier call that they do not replace."""
     try:
         earlier = json.loads(path.read_text())
         if (earlier["format"], earlier["version"]) != (FORMAT, VERSION):

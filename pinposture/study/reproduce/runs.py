@@ -1,4 +1,4 @@
-"""Runs of the scenarios, what is measured on each, and how the runs are selected."""
+"""Runs of the scenarios, their measurements, and the selection of runs by reading."""
 
 from __future__ import annotations
 
@@ -26,25 +26,23 @@ from pinposture.motion.processes import in_order
 from pinposture.motion.track import Callback
 from pinposture.study.scenarios import ARMS, SCENARIOS, Outcome, case, outcome
 
-# What can be measured on a run: how it went, how it moved, how it stood to singularities.
-
 Array = NDArray[np.float64]
 
 STEADY = 1e-9
-"""Change of an error, relative to the arm length, that counts as none."""
+"""Change of an error, relative to the arm length, that counts as zero."""
 
 
 class Steps(NamedTuple):
-    """What a run was like in each of its steps; all arrays (steps,).
+    """Measurements at each step of a run; all arrays (steps,).
 
     Attributes:
         nearness: smallest singular value of the tip's Jacobian before the step, relative to the arm length
             [1/rad]; 0 at a singular posture.
-        asked: largest |dq| that was asked for before any limit [rad].
-        turn: how far dq is from the dq before it, relative to the larger of the two, in [0, 2]; 0 at the
-            first step, and where neither moves.
-        change: share of the control points in the active set of this step or the one before that are in one
-            of them only; 0 at the first step.
+        asked: largest |dq| requested before applying limits [rad].
+        turn: difference between dq and the previous dq, relative to the larger of the two, in [0, 2]; 0 at
+            the first step, and if neither moves.
+        change: share of the control points in the union of this and the previous active set that are only in
+            one of them; 0 at the first step.
     """
 
     nearness: Array
@@ -54,17 +52,17 @@ class Steps(NamedTuple):
 
 
 class Descent(NamedTuple):
-    """In how many steps errors rose. "Uphill" is what would raise an error however short the step were made.
+    """Counts of rising errors. A step is "uphill" if it would raise an error however short it was made.
 
     Attributes:
         steps: number of steps.
         rose: steps on which the posture error rose.
         uphill: steps that were uphill for the posture error.
-        clipped: steps on which a joint was cut short at its position limit.
+        clipped: steps on which a joint was clipped at its position limit.
         active: control points of the active sets, summed over the steps.
         active_rose: those of them whose own error rose.
-        active_free: those of them in steps on which no joint was cut short.
-        active_uphill: those of `active_free` that were uphill for themselves.
+        active_free: those of them in steps without clipped joints.
+        active_uphill: those of `active_free` that were uphill for their own error.
         points_rose: control points, active or not, whose error rose, summed over the steps.
     """
 
@@ -80,9 +78,9 @@ class Descent(NamedTuple):
 
 
 def separation(run: Trajectory, twin: Trajectory) -> float:
-    """Largest distance between the same control point of two runs at the same step, per arm length.
+    """Return the largest distance of a control point between two runs at the same step, per arm length.
 
-    A run that has ended stays where it is.
+    A run that has ended stays at its last posture.
     """
     steps = np.arange(max(len(run.points), len(twin.points)))
     ours, theirs = (each.points[np.minimum(steps, each.steps)] for each in (run, twin))
@@ -90,18 +88,18 @@ def separation(run: Trajectory, twin: Trajectory) -> float:
 
 
 def displacements(run: Trajectory) -> Array:
-    """The joint displacement of each step, (steps, nv) [rad or m]."""
+    """Return the joint displacement of each step, (steps, nv) [rad or m]."""
     model = run.arm.model
     return np.array([pin.difference(model, a, b) for a, b in pairwise(run.q)]).reshape(-1, run.arm.nv)
 
 
 def states_before_steps(run: Trajectory) -> list[ArmState]:
-    """The arm before each step."""
+    """Return the state of the arm before each step."""
     return [run.arm.at(q) for q in run.q[:-1]]
 
 
 def per_step(run: Trajectory, states: Sequence[ArmState]) -> Steps:
-    """What a run was like in each of its steps, given the states before them."""
+    """Measure each step of a run, given the states before them."""
     dq = displacements(run)
     return Steps(
         nearness=np.array([nearness(state) for state in states]),
@@ -112,9 +110,9 @@ def per_step(run: Trajectory, states: Sequence[ArmState]) -> Steps:
 
 
 def asked_steps(run: Trajectory, dq: Array) -> Array:
-    """Largest |dq| that each step asked for before it was shortened to one step limit for all joints.
+    """Return the largest |dq| requested by each step before it was scaled to the step limit.
 
-    A step that was not shortened but cut at position limits counts as what was left of it.
+    A step that was not scaled but clipped at position limits counts as clipped.
 
     Args:
         run: the run.
@@ -124,20 +122,20 @@ def asked_steps(run: Trajectory, dq: Array) -> Array:
         Array (steps,) [rad or m].
     """
     done = np.abs(dq).max(axis=1, initial=0.0)
-    # The longest joint motion of a shortened step is the limit, even if that joint was then cut further.
+    # The largest joint motion of a scaled step is the limit, even if that joint was then clipped.
     limit = 0.0 if run.limits.step is None else float(np.max(run.limits.step))
     return np.asarray(np.where(run.scale < 1.0, np.maximum(done, limit), done) / run.scale)
 
 
 def nearness(state: ArmState) -> float:
-    """Smallest singular value of the Jacobian of the tip, relative to the arm length [1/rad]."""
+    """Return the smallest singular value of the tip's Jacobian, relative to the arm length [1/rad]."""
     jacobian = state.task_jacobians[-1]
     least = float(np.linalg.eigvalsh(jacobian @ jacobian.T)[0])
     return float(np.sqrt(max(least, 0.0))) / state.arm.length
 
 
 def turns(dq: Array) -> Array:
-    """How far each step is from the one before it, (steps,) in [0, 2]; see `Steps.turn`."""
+    """Return the relative difference between successive steps, (steps,) in [0, 2]; see `Steps.turn`."""
     sizes = np.linalg.norm(dq, axis=1)
     turned = np.zeros(len(dq))
     if len(dq) > 1:
@@ -148,7 +146,7 @@ def turns(dq: Array) -> Array:
 
 
 def set_changes(active: NDArray[np.bool_]) -> Array:
-    """How far each active set differs from the one before it, (steps,) in [0, 1]; see `Steps.change`."""
+    """Return the change between successive active sets, (steps,) in [0, 1]; see `Steps.change`."""
     changed = np.zeros(len(active))
     if len(active) > 1:
         either = (active[1:] | active[:-1]).sum(axis=1)
@@ -158,7 +156,7 @@ def set_changes(active: NDArray[np.bool_]) -> Array:
 
 
 def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
-    """In how many steps errors rose, and in how many even a short step would have raised them.
+    """Count the steps on which errors rose, and those on which even a short step would have raised them.
 
     Args:
         run: the run.
@@ -189,12 +187,12 @@ def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
 
 
 def error_slopes(state: ArmState, goals: Array, placed: NDArray[np.bool_], dq: Array) -> Array:
-    """How fast the error of each control point changes along dq, (m,) [m per unit of the step].
+    """Return the slope of the error of each control point along dq, (m,) [m per unit of the step].
 
     Args:
         state: the state of the arm.
         goals: target positions, (m, 3) [m].
-        placed: which control points have a target, (m,).
+        placed: True for control points with a target, (m,).
         dq: direction of motion, (nv,) [rad or m].
     """
     towards = goals - state.points
@@ -215,10 +213,10 @@ def deficient_steps(
     Args:
         run: the run.
         states: the arm before each of its steps.
-        dropped: control points that were dropped in each step, 0-based.
+        dropped: control points dropped in each step, 0-based.
 
     Returns:
-        The number of these steps, as far as numbers can tell, and of those in which a point was dropped.
+        The number of these steps, to numerical precision, and the number of steps with dropped points.
     """
     size = np.maximum(run.rows, run.arm.nv)
     full = run.sigma_min > size * np.finfo(float).eps * run.sigma_max
@@ -231,39 +229,37 @@ def deficient_steps(
 
 
 def stacked(state: ArmState, points: list[int]) -> Array:
-    """Stacked Jacobians of control points (0-based), without the columns that move none of them."""
+    """Return the stacked Jacobians of control points (0-based), without columns that move none of them."""
     matrix = state.task_jacobians[points].reshape(-1, state.arm.nv)
     return np.asarray(matrix[:, np.any(matrix != 0.0, axis=0)])
 
 
 def has_full_rank(matrix: Array) -> bool:
-    """Whether the rows of a matrix are linearly independent, as far as numbers can tell."""
+    """Return whether the rows of a matrix are linearly independent, to numerical precision."""
     return len(matrix) == 0 or int(np.linalg.matrix_rank(matrix)) == len(matrix)
 
 
-# The runs from which every claim takes its numbers: each scenario by each controller, over many seeds.
-
 THESIS_STEPS = 200
-"""Steps after which a run ends."""
+"""Maximum number of steps of a run."""
 
 STEP_LIMIT = 0.1
 """Largest |dq| of a joint in one step [rad], except in the variants without a limit."""
 
 NUDGE = 1e-6
-"""How far the joints of the start of a twin run are from those of the run, at most [rad]."""
+"""Largest difference between the start of a run and that of its twin [rad]."""
 
 FREE = 1e3
-"""Where the joints that have no position limits end [rad]."""
+"""Position limits of joints that count as unlimited [rad]."""
 
 BUNDLE = 5
-"""Seeds that a process works off at a time."""
+"""Number of seeds in one task of a process."""
 
 
 @dataclass(frozen=True)
 class PrintedSelection(Selection):
-    """Selection with (4.8) as it is printed: the indices of sections as they are, not relative to their best.
+    """Selection with (4.8) as printed: absolute indices of sections, not relative to their best.
 
-    It is for planar arms of one-joint modules.
+    It is for planar arms with one-joint modules.
     """
 
     name: str = "selection, (4.8)"
@@ -282,13 +278,13 @@ class PrintedSelection(Selection):
 
 
 class Variant(NamedTuple):
-    """A controller and the step limit that it works under.
+    """A controller and its conditions.
 
     Attributes:
-        controller: the controller, or its name.
+        controller: the controller or its name.
         step: largest |dq| of a joint in one step [rad]; None for no limit.
-        free: whether the joints of the arm have no position limits.
-        blind: whether the controller is not told a configuration that takes the target posture.
+        free: True if the joints of the arm have no position limits.
+        blind: True if the controller does not know a configuration of the target posture.
     """
 
     controller: str | Controller
@@ -298,7 +294,7 @@ class Variant(NamedTuple):
 
 
 ANY_STEP = "any step"
-"""What is added to the name of a variant without a step limit."""
+"""Suffix of the names of variants without a step limit."""
 
 SWITCHING_READINGS: Mapping[str, Switching] = MappingProxyType(
     {
@@ -309,10 +305,10 @@ SWITCHING_READINGS: Mapping[str, Switching] = MappingProxyType(
         "Figure 4.8, back when possible": Switching(patience=1.0, hand_back="when_possible"),
     }
 )
-"""Further ways to read Figure 4.8: after how many steps without progress Selection loses control, and for how
-many steps of 0.1 rad at a time; the last hands back as soon as Selection can lower the error again.
+"""Further readings of Figure 4.8: number of steps without progress after which Selection loses control, and
+for how many steps of 0.1 rad; the last hands back as soon as Selection can lower the error again.
 
-The best reading has 10 steps and 5: `benchmarks/parameters.py` says by which rule."""
+The best reading has 10 steps and 5, chosen by the rule in `benchmarks/parameters.py`."""
 
 _LIMITED = MappingProxyType(
     {
@@ -340,22 +336,22 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         },
     }
 )
-"""What moves the arms, by name.
+"""Variants of the controllers, by name.
 
 "local" is the posture control matrix (5.9) as printed, "full" has the columns of all joints that move a
-point; "(4.8)" is the score of a planar arm as printed, "(4.8) relative" the same of indices relative to the
-best of their section. "Figure 4.8" leaves switching without waypoints. "free joints" have no position limits,
-"any step" has no step limit; the thesis speaks of neither."""
+point; "(4.8)" is the score of a planar arm as printed, "(4.8) relative" the same for indices relative to the
+best of their section. "Figure 4.8" is switching without waypoints. "free joints" have no position limits,
+"any step" has no step limit; the thesis specifies neither."""
 
 
 class RunSet(NamedTuple):
-    """Runs that differ in nothing but their seed.
+    """Runs that differ only in their seed.
 
     Attributes:
         scenario: name of the scenario, one of SCENARIOS.
         variant: name of the variant.
-        twins: whether each run has a twin whose start is nudged.
-        given: the variant itself; None for the one of VARIANTS.
+        twins: whether each run has a twin with a nudged start.
+        given: the variant itself; None for the one in VARIANTS.
     """
 
     scenario: str
@@ -365,26 +361,26 @@ class RunSet(NamedTuple):
 
 
 class MeasuredRun(NamedTuple):
-    """What is kept of one run.
+    """Measurements of one run.
 
     Attributes:
-        outcome: how it ended.
+        outcome: outcome of the run.
         mean_errors: mean point error before the first and after each step, (steps + 1,), per arm length.
-        off_curve: largest distance of a control point target from the target curve, per arm length; None
-            where the target is no curve.
-        points: active control points in each step, (steps,).
-        modules: number of control points that there are.
-        descent: in how many steps errors fell.
+        off_curve: largest distance of a control point target from the target curve, per arm length; None if
+            the target is not a curve.
+        points: number of active control points in each step, (steps,).
+        modules: number of control points.
+        descent: counts of rising errors.
         deficient: steps whose control set had a posture control matrix of less than full row rank, before
             points were dropped.
         dropping: steps in which points were dropped because that matrix was too close to singular.
-        path_length_ratio: length of the paths of the control points per direct distance.
-        steps: what it was like in each step.
+        path_length_ratio: path length of the control points relative to straight lines.
+        steps: measurements at each step.
         by_projection: share of the steps that a switching controller left to Projection; 0 for others.
-        separation: how far a twin that started 1e-6 rad beside it came from it, per arm length; None where
-            there is no twin.
-        goal_nearness: nearness of the target posture to a singular one, as `Steps.nearness`; None if the
-            target knows no configuration.
+        separation: largest distance from a twin whose start differs by 1e-6 rad, per arm length; None
+            without a twin.
+        goal_nearness: nearness of the target posture to a singular one, as `Steps.nearness`; None if no
+            configuration of the target is known.
     """
 
     outcome: Outcome
@@ -408,14 +404,14 @@ Pool = Mapping[tuple[str, str], Sequence[MeasuredRun]]
 
 @lru_cache(maxsize=8)
 def thesis_arm(name: str, free: bool = False) -> Arm:
-    """The arm of that name, one of `pinposture.study.scenarios.ARMS`; made once.
+    """Return one of `pinposture.study.scenarios.ARMS` by name, cached.
 
     Args:
         name: its name.
-        free: whether its joints may turn as far as they like.
+        free: True to remove position limits.
 
     Raises:
-        UnknownName: there is none.
+        UnknownName: there is no such arm.
     """
     if name not in ARMS:
         raise UnknownName("arm", name, ARMS)
@@ -430,7 +426,7 @@ def run_one(
     nudged: bool = False,
     callback: Callback | None = None,
 ) -> Trajectory:
-    """The run of one seed, or its twin; `callback` is as for `track`.
+    """Compute the run of one seed, or its twin; `callback` is as in `track`.
 
     Raises:
         UnknownName: no such scenario, variant or controller.
@@ -452,7 +448,7 @@ def run_one(
 
 
 def measure(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS) -> MeasuredRun:
-    """Run one seed, and its twin if it has one, and keep what claims are judged by."""
+    """Run one seed, and its twin if it has one, and measure what claims are judged by."""
     dropped: list[tuple[int, ...]] = []
     run = run_one(
         batch, seed, max_steps, callback=lambda _, __, step: dropped.append(step.diagnostics.dropped)
@@ -468,7 +464,7 @@ def measured(
     dropped: Sequence[tuple[int, ...]],
     twin: Trajectory | None = None,
 ) -> MeasuredRun:
-    """What is kept of a run; `dropped` are the control points that were dropped in each step."""
+    """Measure a run; `dropped` are the control points dropped in each step."""
     states = states_before_steps(run)
     deficient, dropping = deficient_steps(run, states, dropped)
     goal = run.target.q
@@ -502,15 +498,15 @@ def make_pool(
     """Run every batch over consecutive seeds.
 
     Args:
-        batches: what to run.
+        batches: the runs to compute.
         seeds: number of seeds.
-        max_steps: steps after which a run ends.
+        max_steps: maximum number of steps of a run.
         jobs: number of processes.
-        progress: called with the number of runs that have just been finished.
+        progress: called with the number of newly finished runs.
         first: the first seed.
 
     Returns:
-        The runs; they depend on batches, seeds and steps alone, not on `jobs`.
+        The runs; they do not depend on `jobs`.
     """
     listed = list(batches)
     todo = [(batch, bundle) for batch in listed for bundle in seed_bundles(seeds, first)]
@@ -525,7 +521,7 @@ def make_pool(
 
 
 def seed_bundles(seeds: int, first: int = 0) -> list[range]:
-    """Return so many seeds from the first on, in the bundles that a process works off at a time."""
+    """Return consecutive seeds, in bundles for the tasks of processes."""
     end = first + seeds
     return [range(seed, min(seed + BUNDLE, end)) for seed in range(first, end, BUNDLE)]
 
@@ -533,8 +529,6 @@ def seed_bundles(seeds: int, first: int = 0) -> list[range]:
 def _work_off(batch: RunSet, seeds: Sequence[int], max_steps: int) -> list[MeasuredRun]:
     return [measure(batch, seed, max_steps) for seed in seeds]
 
-
-# Ways to read the thesis where it leaves a choice, and the runs of one reading.
 
 DEFAULT = "best reading"
 
@@ -552,20 +546,20 @@ READINGS: Mapping[str, Mapping[str, str]] = {
     "joints without limits": _METHODS
     | {"selection": "selection, free joints", "projection": "projection, free joints"},
 }
-"""Which variant stands for a method, by reading.
+"""Readings of the thesis where it leaves a choice: the variant of each method, by reading.
 
-The best reading has the defaults of Selection and Projection, and Switching as Figure 4.8 has it, without our
-waypoints. The posture control matrix (5.9) and the score (4.8) of a planar arm are built otherwise than
-printed. The thesis does not say whether its joints have limits; those of the arms here end at +-pi."""
+The best reading has the defaults of Selection and Projection, and Switching as in Figure 4.8, without our
+waypoints. The posture control matrix (5.9) and the score (4.8) of a planar arm differ from the printed ones.
+The thesis does not specify joint limits; those of the arms here are +-pi."""
 
 
 class Reading(NamedTuple):
-    """The runs of one reading, or those of a controller of the user's own.
+    """The runs of one reading, or of one of the user's own controllers.
 
     Attributes:
         pool: runs by scenario and variant.
         variants: the variant of each method.
-        own: name of a controller that stands for each method in turn; empty for the methods themselves.
+        own: name of a controller that replaces each method; empty for the methods themselves.
     """
 
     pool: Pool
@@ -573,7 +567,7 @@ class Reading(NamedTuple):
     own: str = ""
 
     def concerns(self, methods: Sequence[str]) -> bool:
-        """Whether this reading has anything of its own to say about methods; the default one has."""
+        """Return whether this reading differs from the default for any of the methods, or is the default."""
         return any(self._differs(method) for method in methods) or self._is_default
 
     @property
@@ -584,17 +578,17 @@ class Reading(NamedTuple):
         return self._is_default or self.variants[method] != READINGS[DEFAULT][method]
 
     def runs(self, scenario: str, method: str) -> Sequence[MeasuredRun]:
-        """Runs of a scenario by a method, by seed; none if this reading did not try it."""
+        """Return the runs of a scenario by a method, by seed; empty if this reading has none."""
         return self.pool.get((scenario, self.variants[method]), ())
 
     def each(
         self, scenarios: Sequence[str], methods: Sequence[str], kind: str = ""
     ) -> dict[str, Sequence[MeasuredRun]]:
-        """Runs by "arm, scenario, method" in words, where there are any that are this reading's own.
+        """Return the runs specific to this reading, by "arm, scenario, method" in words.
 
         Args:
             scenarios: names of scenarios.
-            methods: names of methods; a controller of the user's own stands for all of them.
+            methods: names of methods; one of the user's own controllers replaces all of them.
             kind: ANY_STEP for the runs without a step limit.
         """
         variants = {method: self.variants[method] for method in methods if self._differs(method)}
@@ -611,18 +605,18 @@ class Reading(NamedTuple):
     def pairs(
         self, scenarios: Sequence[str], one: str, other: str
     ) -> dict[str, list[tuple[MeasuredRun, MeasuredRun]]]:
-        """Runs of two methods on the same seeds, by "arm, scenario" in words, where there are any."""
+        """Return the runs of two methods on the same seeds, by "arm, scenario" in words."""
         found = {label(s): list(zip(self.runs(s, one), self.runs(s, other), strict=False)) for s in scenarios}
         return {name: runs for name, runs in found.items() if runs}
 
 
 def label(scenario: str, method: str = "") -> str:
-    """What was tried, in words."""
+    """Return arm, scenario and method in words."""
     about = SCENARIOS[scenario]
     arm = "planar" if about.arm == "planar45" else "spatial"
     return ", ".join(filter(None, (arm, about.title, method)))
 
 
 def median(values: Sequence[float] | np.ndarray) -> float:
-    """The median; 0 of nothing, since a table has no place for what is not a number."""
+    """Return the median; 0 if empty, because tables cannot hold NaN."""
     return float(np.median(values)) if len(values) else 0.0
