@@ -56,3 +56,20 @@ def test_commands_and_licence_are_those_of_the_project(recipe: dict[str, Any]) -
     about = recipe["about"]
     assert (about["summary"], about["license"]) == (project["description"], project["license"])
     assert (ROOT / about["license_file"]).is_file()
+
+
+def test_the_source_archive_has_what_is_read_here_and_in_the_tests() -> None:
+    kept = PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    for name in (
+        "README.md",
+        "CHANGELOG.md",
+        "Makefile",
+        "recipe",
+        "tests",
+        "docs",
+        "examples",
+        "urdf",
+        ".ci",
+    ):
+        assert f"/{name}" in kept
+        assert (ROOT / name).exists()
