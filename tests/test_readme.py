@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,21 @@ def test_the_commands_shown_exist() -> None:
     verbs |= {group.name for group in app.registered_groups}
     shown = set(re.findall(r"^pinposture (\w+)", README, re.MULTILINE))
     assert shown == verbs
+
+
+def test_the_page_on_pypi_renders_without_links_to_files() -> None:
+    markdown = pytest.importorskip("readme_renderer.markdown")
+    pytest.importorskip("hatch_fancy_pypi_readme")
+    command = [sys.executable, "-m", "hatch_fancy_pypi_readme"]
+    shown = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    page = markdown.render(shown)
+    assert page is not None
+    for place in re.findall(r'(?:href|src)="([^"]*)"', page):
+        assert place.startswith(("https://", "#")), place
+    assert page.count("<table") == markdown.render(README).count("<table") == 2
+    assert "Choosing a controller" in page
+    code, kept = (re.findall(r"```.*?```", text, re.DOTALL) for text in (README, shown))
+    assert kept == code
 
 
 def test_every_link_leads_somewhere() -> None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     "pinposture view out",
     "pinposture view out/run.npz --no-browser",
     "pinposture view out --ellipsoids 5,10,20",
+    "pinposture view out --viewer foxglove",
     "pinposture view out --html motion.html --png motion.png",
 )
 def run(
@@ -48,6 +49,9 @@ def run(
         Path | None, typer.Option(metavar="FILE", help="Write the plot here, and show nothing.")
     ] = None,
     no_browser: NoBrowserOption = False,
+    viewer: Annotated[
+        str, typer.Option(metavar="meshcat|foxglove", help="What shows it; foxglove needs the extra.")
+    ] = "meshcat",
     ellipsoids: Annotated[
         str | None,
         typer.Option(
@@ -76,7 +80,7 @@ def run(
         write_plot(motion, png)
         print_note(f"wrote {png}")
     if html is None and png is None:
-        show(motion, not no_browser, typer.echo, points)
+        show(motion, not no_browser, typer.echo, points, viewer)
 
 
 def show(
@@ -84,30 +88,32 @@ def show(
     open_browser: bool,
     announce: Callable[[str], object],
     ellipsoids: Sequence[int] = (),
+    viewer: str = "meshcat",
 ) -> None:
-    """Play a run or a motion in meshcat until Ctrl-C, which is the way to end it and no failure.
+    """Play a run or a motion in a viewer until Ctrl-C, which is the way to end it and no failure.
 
     Args:
         motion: the run, or the motion.
         open_browser: whether to open a browser at its address, too.
         announce: called with that address.
         ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
+        viewer: the program that shows it, as for `pinposture.viz.view`.
     """
     from pinposture.viz import view
     from pinposture.viz.postures import scale_in_words
 
-    viewer = view(motion.arm, motion, open_browser=open_browser, ellipsoids=ellipsoids)
+    shown = view(motion.arm, motion, viewer=viewer, open_browser=open_browser, ellipsoids=ellipsoids)
     try:
-        announce(viewer.url)
+        announce(shown.url)
         if ellipsoids:
             print_note(f"ellipsoids: {scale_in_words(motion.arm, ellipsoids)}")
-        viewer.play()
+        shown.play()
         print_note("press Ctrl-C to end")
         wait()
     except KeyboardInterrupt:
         print_note("")
     finally:
-        viewer.close()
+        shown.close()
 
 
 def wait() -> None:

@@ -332,13 +332,14 @@ class CollisionModel:
         """Return the model of the same scene with obstacles moved; the last one is cached."""
         if scene == self.scene:
             return self
-        if self._moment is None or self._moment.scene is not scene:
-            other = self._copy()
-            other.scene = scene
-            other._distances = self._elsewhere({name: scene.obstacles[name] for name in scene.moving})
-            other._velocities = self._velocities_in(scene)
-            self._moment = other
-        return self._moment
+        moment = self._moment  # another thread may change it
+        if moment is None or moment.scene is not scene:
+            moment = self._copy()
+            moment.scene = scene
+            moment._distances = self._elsewhere({name: scene.obstacles[name] for name in scene.moving})
+            moment._velocities = self._velocities_in(scene)
+            self._moment = moment
+        return moment
 
     def _copy(self) -> CollisionModel:
         other = object.__new__(CollisionModel)

@@ -6,7 +6,6 @@ import base64
 import html
 import io
 import json
-import logging
 import subprocess
 import webbrowser
 from collections.abc import Iterator, Sequence
@@ -35,7 +34,7 @@ from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.kinematics import without_repeats
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
-from pinposture.errors import InvalidValue, UnknownName, ViewerError
+from pinposture.errors import InvalidValue, ViewerError
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
@@ -63,8 +62,6 @@ from pinposture.viz.postures import (
     round_down,
     scale_in_words,
 )
-
-logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -478,64 +475,6 @@ class Viewer:
 
     def __repr__(self) -> str:
         return f"Viewer({self.url})"
-
-
-def view(
-    arm: Arm,
-    run: Trajectory | Motion | None = None,
-    target: Target | None = None,
-    viewer: str = "meshcat",
-    open_browser: bool = False,
-    fps: float = 20.0,
-    url: str | None = None,
-    ellipsoids: ControlPoints = (),
-    scene: Scene | None = None,
-) -> Viewer:
-    """Show an arm in the browser: at its neutral configuration, or playing a run or a motion.
-
-    The arm is drawn with the visual meshes of its description where they can be read, elsewhere as bars, in
-    alternating shades for its modules. Active control points are coloured and large. One `PostureWarning`
-    names the meshes that are not drawn.
-
-    A motion in time plays in real time, unless it takes longer than a minute: then 2, 5, 10, ... times as
-    fast. Hoops show where its control points should be, and thin lines its targets at named places.
-
-    Args:
-        arm: the arm.
-        run: a run, or a motion in time, to play over and over; None to show the arm at rest.
-        target: a fixed target to show; if None that of the run, if there is one.
-        viewer: the program that draws it: "meshcat".
-        open_browser: whether to open a browser on this computer. Without, open the viewer's `url`.
-        fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s. Of a
-            motion in time, configurations shown per second.
-        url: address for commands of a running server, as in "tcp://127.0.0.1:6000"; None to start one. It
-            takes commands from this machine only, but shows its page to others, too.
-        ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
-            0-based or from the tip as -1, or by their names. In a singular posture they are red and flat, far
-            from one green, in between yellow.
-        scene: obstacles; if None those of the run, if there is one. They are translucent; a half-space is
-            drawn as a plate.
-
-    Returns:
-        The viewer: `show(q)` shows a configuration, `play()` plays the run again, `close()` ends it, and
-        `meshcat` is the `meshcat.Visualizer` to draw more with. It lives until it is closed or Python ends.
-
-    Raises:
-        UnknownName: an unknown viewer or control point.
-        InvalidValue: a run or target of another arm, `fps`, or no choice of control points.
-        ViewerError: the server cannot be started or reached.
-    """
-    if viewer != "meshcat":
-        raise UnknownName("viewer", viewer, ("meshcat",))
-    if target is None and isinstance(run, Trajectory):
-        target = run.target
-    if scene is None and isinstance(run, Trajectory | Motion):
-        scene = run.run.scene if isinstance(run, Motion) else run.scene
-    shown = Viewer(arm, run, target, fps, url, ellipsoids, scene)
-    logger.info("%s viewer at %s", viewer, shown.url)
-    if open_browser:
-        shown.open()
-    return shown
 
 
 # Captions and legend.

@@ -16,6 +16,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Annotation
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from pinposture.arm import Arm
@@ -173,7 +174,8 @@ def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: s
     ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5)
     ax.set_ylim(low, high)
     styles = {"start": (7, 4, "left", "bottom"), "least": (0, 8, "center", "bottom")}
-    styles["end"] = (6, 4, "left", "bottom") if value <= low else (6, 0, "left", "center")
+    lower = sum(text.xy[1] <= low for text in ax.texts if isinstance(text, Annotation))  # one above the other
+    styles["end"] = (6, 4 + 11 * lower, "left", "bottom") if value <= low else (6, 0, "left", "center")
     right, up, ha, va = styles[where]
     ax.annotate(
         f"{value:.3g} {unit}",

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
 from pinposture.errors import InvalidValue
@@ -141,10 +142,11 @@ def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
         _plot_on_second_axis(run, ax, run.index, "manipulability index")
 
 
-def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> None:
-    """Draw how many control points were active in each step, in the colour of the controller if None."""
+def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None, place: float = 0.0) -> None:
+    """Draw how many control points were active in each step; lines at other places lie beside each other."""
     color = palette.controller_color(run.controller) if color is None else color
     style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker(run.steps)}
+    style["transform"] = ax.transData + ScaledTranslation(0.0, 1.6 / 72.0 * place, ax.figure.dpi_scale_trans)
     ax.plot(np.arange(1, run.steps + 1), run.active.sum(axis=1), color=color, **style)
     format_step_axes(ax, "active control points")
     scale_counts(ax, run.arm.n_modules)
@@ -543,9 +545,9 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     near = any(has_clearance(run) for run in runs.values())
     figure, postures, rows = new_figure(first.arm, 2 + near)
     draw_runs(drawn, postures)
-    for run, label, color in drawn:
+    for number, (run, label, color) in enumerate(drawn):
         plot_posture_error(run, rows[0], color, label)
-        plot_point_count(run, rows[1], color)
+        plot_point_count(run, rows[1], color, (len(drawn) - 1) / 2.0 - number)
         if near:
             plot_clearance(run, rows[2], color)
     scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))

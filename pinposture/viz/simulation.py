@@ -23,9 +23,7 @@ from pinposture.viz.palette import (
     scale_values,
     share_axis,
 )
-from pinposture.viz.panels import marker
-
-ERROR_DECADES = 4.0  # powers of ten below the largest joint error that are shown
+from pinposture.viz.panels import add_legend, marker
 
 
 def plot_simulation(simulation: Simulation) -> Figure:
@@ -57,18 +55,15 @@ def plot_simulation(simulation: Simulation) -> Figure:
 
 
 def _plot_joint_error(simulation: Simulation, ax: Axes) -> None:
-    """Draw the distance of each joint from its set point."""
+    """Draw the distance of each joint from its set point, whose dips would hide all else on a log axis."""
     _plot_joints(simulation, simulation.joint_error, ax)
     format_time_axes(ax, f"joint error [{_unit(simulation, 'rad', 'm')}]")
-    scale_values(ax)
-    low, high = ax.get_ylim()
-    if ax.get_yscale() == "log":  # an error that changes sign drops to almost 0, which means nothing
-        ax.set_ylim(max(low, high * 10.0**-ERROR_DECADES), high)
+    ax.set_ylim(bottom=0.0)
 
 
 def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
     """Draw the posture error relative to the set points, and to the targets if there are any."""
-    lines = {"to the set-points": (simulation.posture_error, palette.FINAL)}
+    lines = {"to the set points": (simulation.posture_error, palette.FINAL)}
     if simulation.target_errors is not None:
         lines["to the targets"] = (simulation.target_errors.sum(axis=1), palette.TARGET)
     for label, (values, color) in lines.items():
@@ -79,8 +74,7 @@ def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
     scale_values(ax)
     for values, color in lines.values():
         mark_value(ax, simulation.time[-1], float(values[-1]), color, "m", "end")
-    if len(lines) > 1:
-        ax.legend(fontsize=8, frameon=False, loc="upper right")
+    add_legend(ax, columns=2)
 
 
 def _plot_torques(simulation: Simulation, ax: Axes) -> None:

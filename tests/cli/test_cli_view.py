@@ -54,6 +54,11 @@ def test_no_browser_is_opened_if_none_is_wanted(command, run_directory, asked):
     assert asked[0][-1] is False
 
 
+def test_the_viewer_can_be_chosen(command, run_directory, asked):
+    command("view", run_directory, "--viewer", "foxglove")
+    assert asked[0] == ("view", 12, 20, True, "foxglove", True)
+
+
 def test_the_viewer_is_closed_after_an_error_too(command, run_directory, asked, monkeypatch):
     def broken(_):
         raise ZeroDivisionError

@@ -313,3 +313,22 @@ def test_an_arm_of_a_thousand_joints_has_a_scene() -> None:
     step[1] = 0.1  # about z: the post comes nearer
     turned = clearance.minimum(arm.integrate(arm.straight(), step))
     assert turned.pair is not None and turned.distance <= 1.0 - radius + 1e-9
+
+
+def test_a_moment_is_not_that_of_another_thread(monkeypatch):
+    """Whatever another thread asks for between two instructions, here as soon as a moment is remembered."""
+
+    class Remembered:
+        def __get__(self, model, kind=None):
+            return model.__dict__.get("last")
+
+        def __set__(self, model, moment):
+            other = model.__dict__.get("last")
+            model.__dict__["last"] = moment if other is None else other  # put back at once
+
+    arm = planar()
+    still = Scene({"ball": Sphere(center=(2.0, 0.0, 0.0), radius=0.1)})
+    one, two = (still.moved({"ball": (2.0, y, 0.0)}) for y in (1.0, 2.0))
+    monkeypatch.setattr(CollisionModel, "_moment", Remembered(), raising=False)
+    assert CollisionModel(arm, one).scene is one
+    assert CollisionModel(arm, two).scene is two

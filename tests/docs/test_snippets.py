@@ -43,7 +43,13 @@ def fenced(page: Path, language: str) -> list[str]:
 @pytest.fixture(autouse=True)
 def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(viz, "view", lambda *_: None)
+    original, foxglove = viz.view, {"viewer": "foxglove", "url": "ws://127.0.0.1:0"}  # any free port
+
+    def view(*shown: Any, viewer: str = "") -> viz.Viewer | None:
+        return original(*shown, **foxglove) if viewer else None
+
+    for module in (viz, pp):
+        monkeypatch.setattr(module, "view", view)
 
 
 def test_no_page_with_snippets_is_forgotten() -> None:

@@ -119,7 +119,7 @@ def test_a_browser_is_opened_only_when_asked_for(arm, running, monkeypatch):
 def test_unknown_viewers_are_refused_by_name(arm):
     with pytest.raises(UnknownName, match="meshcat") as caught:
         pp.view(arm, viewer="meshcta")
-    assert caught.value.allowed == ("meshcat",)
+    assert caught.value.allowed == ("meshcat", "foxglove")
 
 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:1"])

@@ -251,6 +251,25 @@ def test_small_ranges_are_drawn_linearly_and_include_zero():
     assert ax.get_ylim()[0] <= 0.0
 
 
+def test_runs_that_lie_on_each_other_are_all_seen_in_a_comparison():
+    run = some_run()
+    errors = run.point_errors * 10.0 ** -np.arange(run.steps + 1)[:, None]  # in the end below the axis
+    names = ("geodesic", "selection", "projection", "switching")
+    runs = {name: replace(run, controller=name, point_errors=errors) for name in names}
+    figure = pp.plot_comparison(runs)
+    drawn = draw(figure)[..., :3].astype(float)
+    _, panel, counts = figure.axes
+    box = counts.get_window_extent()
+    low, high = len(drawn) - int(box.y1) - 5, len(drawn) - int(box.y0)
+    inside = drawn[low:high, int(box.x0) : int(box.x1)]
+    for name in names:
+        color = 255.0 * np.array(palette.rgb(palette.CONTROLLERS[name]))
+        assert (np.abs(inside - color).max(axis=2) < 40.0).sum() > 100
+    labels = [text.get_window_extent() for text in panel.texts]
+    assert len(labels) == 4
+    assert not any(one.overlaps(two) for k, one in enumerate(labels) for two in labels[:k])
+
+
 def test_a_comparison_draws_a_common_start_once_and_every_end_in_its_colour():
     runs = {"first": run_to(helix(), controller="selection"), "second": some_run()}
     figure = pp.plot_comparison(runs)
