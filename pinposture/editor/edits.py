@@ -9,6 +9,7 @@ from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline
 
 from pinposture._validation import finite_vector
 from pinposture.arm import Arm
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 
 DEGREE = 3
 MAX_SHAPE_POINTS = 32
+MOST_OF_FEW_MODULES = 8  # control points with knots of their own; of more modules, one for each
 FIT_TOLERANCE = 0.02  # deviation of a fitted curve, relative to the mean module length
 MIN_POINT_DISTANCE = 0.2  # between control points, relative to the shortest module
 EXTRA_LENGTH = 1.0  # of a lengthened curve over the arm, in mean module lengths: modules cut corners
@@ -70,12 +72,14 @@ class Shape:
     Attributes:
         points: (n, 3) [m], world frame.
         degree: of the B-spline that they control.
+        knots: of that B-spline, (n + degree + 1,); None for even ones, as of `Curve.spline`.
         off: largest distance between that curve and the part of the keyframe's curve that the arm needs [m];
             0 if the points are the keyframe's own.
     """
 
     points: Array
     degree: int = DEGREE
+    knots: Array | None = None
     off: float = 0.0
 
     @classmethod
@@ -84,9 +88,12 @@ class Shape:
         laid, _ = place_curve(arm, cast(Curve, keyframe.curve), keyframe.placement, keyframe.roll)
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
-        own = laid.control_points if begin == 0.0 and laid.degree <= DEGREE else None
-        if own is not None and DEGREE < len(own) <= MAX_SHAPE_POINTS:
-            return cls(np.array(own), laid.degree)
+        own, knots, degree = np.array(laid.coefficients), laid.knots, laid.degree
+        if begin == 0.0 and degree <= DEGREE < len(own):
+            if laid.control_points is not None and len(own) <= MAX_SHAPE_POINTS:
+                return cls(own, degree)
+            if np.all(knots[: degree + 1] == knots[0]) and len(own) <= most_points(arm):
+                return cls(own, degree, knots)
         end = min(laid.length, begin + required_length(arm))
         if begin > 0.0 or end < laid.length:
             laid = laid.trimmed(begin, end)
@@ -95,7 +102,7 @@ class Shape:
             fitted = laid.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
         except InvalidValue:  # too many windings for that many points
             fitted = laid.controlled(MAX_SHAPE_POINTS)
-        return cls(np.array(fitted.coefficients), fitted.degree, deviation(laid, fitted))
+        return cls(np.array(fitted.coefficients), fitted.degree, off=deviation(laid, fitted))
 
     @property
     def curve(self) -> Curve:
@@ -104,7 +111,9 @@ class Shape:
         Raises:
             CurveError: points that give no curve.
         """
-        return Curve.spline(self.points, self.degree)
+        if self.knots is None:
+            return Curve.spline(self.points, self.degree)
+        return Curve(self.knots, self.points, self.degree)
 
     def keyframe(self, before: Keyframe) -> Keyframe:
         """Return a keyframe with this shape, and all else as it was.
@@ -140,25 +149,35 @@ class Shape:
             place = np.asarray(base + (place - base) @ plane.T @ plane)
         points = self.points.copy()
         points[index] = place
-        return replace(self, points=points)._lengthened(arm, index)
+        after = replace(self, points=points)
+        after._check_distance(arm, index)
+        return after._lengthened(arm)
 
     def inserted(self, arm: Arm, after: int) -> Shape:
-        """Return the shape with a further point, half way to the next one, or straight on after the last.
+        """Return the same curve with a further point on the line to the next one; points beside it give way.
+
+        Behind the last point it is before that one.
 
         Raises:
             CurveError: there is no room.
         """
         self._check_index(after)
-        points = self.points
-        if after == len(points) - 1:
-            new = points[-1] + 0.5 * (points[-1] - points[-2])
-        else:
-            new = 0.5 * (points[after] + points[after + 1])
-        more = replace(self, points=np.insert(points, after + 1, new, axis=0))
-        return more._lengthened(arm, after + 1)
+        index = min(after, len(self.points) - 2) + 1
+        if len(self.points) >= most_points(arm):
+            reason = f"cannot be inserted: an arm of {arm.n_modules} modules takes {most_points(arm)} at most"
+            raise CurveError(f"point {index + 1}", reason)
+        curve = self.curve
+        knots = curve.knots[index : index + self.degree + 1]  # any knot among these puts a point on that line
+        middles = 0.5 * (knots[1:] + knots[:-1])
+        # In the longest span; of equal ones, in that near the middle of the line.
+        rank = np.diff(knots) - 1e-3 * np.abs(middles - 0.5 * (knots[0] + knots[-1]))
+        curve = curve.insert_knot(float(middles[np.argmax(rank)]))
+        more = replace(self, points=np.array(curve.coefficients), knots=curve.knots)
+        more._check_distance(arm, index)
+        return more
 
     def removed(self, arm: Arm, index: int) -> Shape:
-        """Return the shape without one of its points.
+        """Return the shape without one of its points; one that was inserted leaves the curve as it is.
 
         Raises:
             CurveError: too few would be left.
@@ -171,39 +190,65 @@ class Shape:
         if len(self.points) <= least:
             reason = f"cannot be deleted: a curve of degree {self.degree} needs {least} control points"
             raise CurveError(f"point {index + 1}", reason)
-        return replace(self, points=np.delete(self.points, index, axis=0))._lengthened(arm)
+        return self._without(index, 1e-9 * arm.length)._lengthened(arm)
+
+    def _without(self, index: int, tolerance: float) -> Shape:
+        """Return the shape without a point, and without a knot if it has its own.
+
+        Where a knot near the point can go without changing the curve by more than a tolerance [m], it does;
+        the other points give way for that. Otherwise they stay.
+        """
+        rest = np.delete(self.points, index, axis=0)
+        if self.knots is None:
+            return replace(self, points=rest)
+        knots, k, n = self.knots, self.degree, len(self.points)
+        near = range(max(index, k + 1), min(index + k + 1, n - 1) + 1)  # of the knots between the ends
+        for j in near:
+            fewer = np.delete(knots, j)
+            insertion = BSpline(fewer, np.eye(n - 1), k).insert_knot(knots[j]).c
+            before = np.linalg.lstsq(insertion, self.points, rcond=None)[0]
+            if np.abs(insertion @ before - self.points).max() <= tolerance:
+                return replace(self, points=before, knots=fewer)
+        return replace(self, points=rest, knots=np.delete(knots, near[len(near) // 2]))
 
     def _check_index(self, index: int) -> None:
         if not 0 <= index < len(self.points):
             raise InvalidValue("point", index + 1, f"1 to {len(self.points)}")
 
-    def _lengthened(self, arm: Arm, changed: int | None = None) -> Shape:
-        """Move the last point straight on until the curve is long enough; the changed point is checked first.
+    def _check_distance(self, arm: Arm, index: int) -> None:
+        """Raise CurveError if a point is too close to another."""
+        distances = np.linalg.norm(self.points - self.points[index], axis=1)
+        distances[index] = np.inf
+        other = int(np.argmin(distances))
+        least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
+        if distances[other] < least:
+            reason = f"is too close to point {other + 1}; allowed: {least:.2g} m or more from it"
+            raise CurveError(f"point {index + 1}", reason)
+
+    def _lengthened(self, arm: Arm) -> Shape:
+        """Move the last point straight on until the curve is long enough.
 
         Raises:
-            CurveError: the changed point is too close to another, or the curve cannot be made long enough.
+            CurveError: the curve cannot be made long enough.
         """
-        points = self.points
-        if changed is not None:
-            distances = np.linalg.norm(points - points[changed], axis=1)
-            distances[changed] = np.inf
-            other = int(np.argmin(distances))
-            least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
-            if distances[other] < least:
-                reason = f"is too close to point {other + 1}; allowed: {least:.2g} m or more from it"
-                raise CurveError(f"point {changed + 1}", reason)
-        required = required_length(arm)
+        longer, required = self, required_length(arm)
         for _ in range(MAX_EXTENSIONS):
-            missing = required - Curve.spline(points, self.degree).length
+            missing = required - longer.curve.length
             if missing <= 0.0:
-                return replace(self, points=points)
+                return longer
+            points = longer.points.copy()
             ahead = points[-1] - points[-2]
             # A little more: the curve grows by less than its last point moves.
             step = (missing + 0.01 * arm.length) / max(float(np.linalg.norm(ahead)), 1e-12)
-            points = points.copy()
             points[-1] = points[-1] + step * ahead
+            longer = replace(self, points=points)
         reason = f"cannot be moved far enough to make the curve {required:.4g} m long, as the arm requires"
-        raise CurveError(f"point {len(points)}", reason)
+        raise CurveError(f"point {len(self.points)}", reason)
+
+
+def most_points(arm: Arm) -> int:
+    """Return how many control points a curve with knots of its own may have for an arm."""
+    return min(max(arm.n_modules, MOST_OF_FEW_MODULES), MAX_SHAPE_POINTS)
 
 
 def reshaped(index: int, change: Callable[[Arm, Shape], Shape], shape: Shape) -> Callable[[Task], Task]:

@@ -223,6 +223,15 @@ def test_another_shape_keeps_all_else() -> None:
     assert (after.region, after.method, after.placement, after.trim) == ((1, 4), "smooth", "as_is", True)
 
 
+def test_an_inserted_point_is_saved(tmp_path: Path) -> None:
+    shape = Shape.of(six_modules(), task().motion[1]).inserted(six_modules(), 2)  # type: ignore[index]
+    edited = reshaped(1, lambda *_: shape, shape)(task())
+    loaded = Task.load(edited.save(tmp_path / "task.toml"))
+    found = Shape.of(loaded.arm, loaded.motion[1])  # type: ignore[index]
+    assert np.array_equal(found.points, shape.points)
+    assert np.array_equal(found.knots, shape.knots)
+
+
 def test_controllers_and_limits_are_checked() -> None:
     assert edits.with_controller("lm")(task()).controller == pp.control.controller_named("lm")
     with pytest.raises(UnknownName):

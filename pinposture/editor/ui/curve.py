@@ -104,8 +104,9 @@ def move_point(
 
 
 def insert_point(session: Session) -> None:
-    """Propose a further control point after the selected one, or after the last but one."""
-    after = session.handle if session.handle is not None else max(len(session.shape.points) - 2, 0)
+    """Propose the same curve with a further control point after the selected one, or before the last."""
+    before_last = len(session.shape.points) - 2
+    after = before_last if session.handle is None else min(session.handle, before_last)
     session.reshape(lambda arm, shape: shape.inserted(arm, after), f"inserted point {after + 2}")
     session.handle = after + 1 if session.proposal is not None else session.handle
 
