@@ -323,6 +323,37 @@ def retimed(index: int, time: float) -> Edit:
     return edit
 
 
+def dragged(index: int, time: float) -> Edit:
+    """Move a keyframe to another time [s], perhaps past others; these keep their times, and the first stays.
+
+    Where others are in the way, by a hold or as near as can be, it comes to the nearest time that is free.
+    """
+
+    def edit(task: Task) -> Task:
+        keyframes, times, least = list_keyframes(task, index), times_of(task), _min_gap(task)
+        to = place_at(task, index, time)
+        if index == 0:
+            raise InvalidValue("time of keyframe 1", time, "0 s, the start of the motion")
+        own, _ = keyframes.pop(index), times.pop(index)
+        left = [at + keyframe.hold for at, keyframe in zip(times, keyframes, strict=True)]
+        low = left[to - 1] + least
+        high = times[to] - own.hold - least if to < len(times) else math.inf
+        if not low <= high + TIME_TOLERANCE:
+            allowed = f"a place with {own.hold + 2.0 * least:.4g} s between other keyframes and their holds"
+            raise InvalidValue(f"time of keyframe {index + 1}", time, allowed)
+        keyframes.insert(to, own)
+        times.insert(to, min(max(time, low), high))
+        left.insert(to, times[to] + own.hold)
+        return _with_gaps(task, keyframes, [0.0, *np.subtract(times[1:], left[:-1]).tolist()])
+
+    return edit
+
+
+def place_at(task: Task, index: int, time: float) -> int:
+    """Return which keyframe one becomes when it is moved to another time [s], 0-based; the first stays."""
+    return max(int(np.searchsorted(np.delete(times_of(task), index), time)), 1) if index > 0 else 0
+
+
 def held(index: int, hold: float) -> Edit:
     """Hold a keyframe for another time [s]; later ones are shifted."""
 

@@ -36,7 +36,7 @@ from pinposture.editor.ui.curve import (
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
-from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put
+from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put, round_number
 from pinposture.editor.ui.player import PANEL_HEIGHT, Player, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
@@ -297,7 +297,7 @@ def set_stage(server: viser.ViserServer, arm: Arm) -> None:
     camera = server.initial_camera
     camera.position, camera.look_at, camera.fov = view
     camera.near, camera.far = 0.01 * length, 100.0 * length
-    cell = _round_length(length / FLOOR_CELLS)
+    cell = round_number(length / FLOOR_CELLS)
     floor = float(min(base[2], tip[2])) - 0.3 * length - 3.0 * link_radius(arm)
     server.scene.add_grid(
         "/floor",
@@ -314,12 +314,6 @@ def set_stage(server: viser.ViserServer, arm: Arm) -> None:
     server.scene.add_frame(
         "/axes", axes_length=0.08 * length, axes_radius=0.15 * link_radius(arm), position=(*base[:2], floor)
     )
-
-
-def _round_length(value: float) -> float:
-    """Round to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - value)) * power)
 
 
 class Page:
