@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
@@ -125,8 +125,8 @@ class Shape:
         """
         return replace(before, curve=self.curve, placement="as_is", roll=0.0, trim=True)
 
-    def moved(self, arm: Arm, index: int, position: ArrayLike) -> Shape:
-        """Return the shape with one point moved.
+    def moved(self, arm: Arm, index: int, position: ArrayLike, others: Sequence[int] = ()) -> Shape:
+        """Return the shape with one point moved, and perhaps others by as much.
 
         Where the curve becomes shorter than the arm, its last point is moved straight ahead. For a planar arm
         the position is projected into its plane.
@@ -135,9 +135,10 @@ class Shape:
             arm: the arm that is to take the shape.
             index: of the point, 0-based.
             position: where to, (3,) [m], world frame.
+            others: further points, 0-based.
 
         Raises:
-            CurveError: the point is too close to another, or the points define no curve.
+            CurveError: a point is too close to another, or the points define no curve.
             InvalidValue: the first point, which is at the base of the arm, or not a position.
         """
         self._check_index(index)
@@ -147,10 +148,15 @@ class Shape:
         if index > 0 and arm.dimension == 2:
             base, plane = arm.chain.base, arm.plane
             place = np.asarray(base + (place - base) @ plane.T @ plane)
-        points = self.points.copy()
-        points[index] = place
+        points, together = self.points.copy(), sorted({index, *others} - {0})
+        for each in together:
+            self._check_index(each)
+        points[together] += place - points[index]
+        if index > 0:
+            points[index] = place  # to the last bit
         after = replace(self, points=points)
-        after._check_distance(arm, index)
+        for each in together:
+            after._check_distance(arm, each)
         return after._lengthened(arm)
 
     def inserted(self, arm: Arm, after: int) -> Shape:
@@ -176,21 +182,46 @@ class Shape:
         more._check_distance(arm, index)
         return more
 
-    def removed(self, arm: Arm, index: int) -> Shape:
-        """Return the shape without one of its points; one that was inserted leaves the curve as it is.
+    def duplicated(self, arm: Arm, *indices: int) -> Shape:
+        """Return the shape with a copy behind each of some points, 0-based; the points that it has stay.
+
+        A copy is half way to the next point; that of the last one is straight on.
+
+        Raises:
+            CurveError: there is no room.
+        """
+        after, copies = self, sorted(set(indices))
+        for index in reversed(copies):
+            after._check_index(index)
+            points = after.points
+            begin = min(index, len(points) - 2)
+            copy = points[index] + 0.5 * (points[begin + 1] - points[begin])
+            knots = None if after.knots is None else after.inserted(arm, index).knots
+            after = replace(after, points=np.insert(points, index + 1, copy, axis=0), knots=knots)
+        if len(after.points) > MAX_SHAPE_POINTS:
+            reason = f"cannot be added: a curve has {MAX_SHAPE_POINTS} control points at most"
+            raise CurveError(f"point {copies[-1] + len(copies) + 1}", reason)
+        for before, index in enumerate(copies, start=1):
+            after._check_distance(arm, index + before)
+        return after._lengthened(arm)
+
+    def removed(self, arm: Arm, *indices: int) -> Shape:
+        """Return the shape without some of its points; inserted ones leave the curve as it is.
 
         Raises:
             CurveError: too few would be left.
             InvalidValue: the first point, which is at the base of the arm.
         """
-        self._check_index(index)
-        if index == 0:
-            raise InvalidValue("point 1", "deleted", "other points; this one is at the base of the arm")
-        least = self.degree + 1
-        if len(self.points) <= least:
-            reason = f"cannot be deleted: a curve of degree {self.degree} needs {least} control points"
-            raise CurveError(f"point {index + 1}", reason)
-        return self._without(index, 1e-9 * arm.length)._lengthened(arm)
+        after, least = self, self.degree + 1
+        for index in sorted(set(indices), reverse=True):
+            after._check_index(index)
+            if index == 0:
+                raise InvalidValue("point 1", "deleted", "other points; this one is at the base of the arm")
+            if len(after.points) <= least:
+                reason = f"cannot be deleted: a curve of degree {self.degree} needs {least} control points"
+                raise CurveError(f"point {index + 1}", reason)
+            after = after._without(index, 1e-9 * arm.length)
+        return after._lengthened(arm)
 
     def _without(self, index: int, tolerance: float) -> Shape:
         """Return the shape without a point, and without a knot if it has its own.

@@ -174,6 +174,53 @@ def test_points_of_a_planar_arm_stay_in_its_plane(index: int, place: tuple[float
         assert np.allclose(np.cross(wanted - after.points[index], axis), 0.0, atol=1e-9)
 
 
+def test_several_points_are_moved_by_as_much(arm: pp.Arm) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline(), placement="as_is"))
+    step = L * np.array([0.1, 0.2, -0.1])
+    after = shape.moved(arm, 2, shape.points[2] + step, (3, 2, 0, 4))  # the one at the base stays
+    assert np.allclose(after.points - shape.points, [[0, 0, 0], [0, 0, 0], step, step, step])
+    with pytest.raises(CurveError, match="point 4: is too close to point 5"):
+        shape.moved(arm, 2, shape.points[2] + shape.points[4] - shape.points[3], (3,))
+    with pytest.raises(InvalidValue, match="point is 9; allowed: 1 to 5"):
+        shape.moved(arm, 2, shape.points[2], (8,))
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_copies_are_put_behind_points_and_the_others_stay(refined: bool) -> None:
+    arm = spatial()
+    points = arm.chain.base + arm.length * np.array([(0, 0, 0), (0.5, 0, 0), (0.8, 0.3, 0), (1.6, 0.3, 0.4)])
+    shape = Shape(points).inserted(arm, 1) if refined else Shape(points)
+    count = len(shape.points)
+    after = shape.duplicated(arm, count - 1, 1, 1)
+    assert np.array_equal(np.delete(after.points, [2, count + 1], axis=0), shape.points)
+    assert np.allclose(after.points[2], 0.5 * (shape.points[1] + shape.points[2]))
+    assert np.allclose(after.points[-1], 1.5 * shape.points[-1] - 0.5 * shape.points[-2])
+    assert after.curve.length > shape.curve.length  # there are knots for all of it
+
+
+def test_where_there_is_no_room_for_copies(arm: pp.Arm) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline(), placement="as_is"))
+    with pytest.raises(CurveError, match="is too close to"):
+        for _ in range(9):
+            shape = shape.duplicated(arm, 1)
+    long = pp.Curve.spline([(L * k, 0.1 * L * (k % 2), 0) for k in range(MAX_SHAPE_POINTS)])
+    full = Shape.of(arm, Keyframe(long, placement="as_is", trim=True))
+    with pytest.raises(CurveError, match="point 4: cannot be added: a curve has 32 control points at most"):
+        full.duplicated(arm, 2)
+
+
+def test_several_points_are_deleted(arm: pp.Arm) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline(), placement="as_is"))
+    more = shape.duplicated(arm, 1, 3)
+    assert np.array_equal(more.removed(arm, 2, 5).points, shape.points)
+    finer = shape.inserted(arm, 3).inserted(arm, 1)
+    fewer, along = finer.removed(arm, 5, 2), np.linspace(0.0, shape.curve.length, 101)
+    assert len(fewer.points) == 5
+    assert np.allclose(fewer.curve.at(along), shape.curve.at(along))
+    with pytest.raises(CurveError, match="point 2: cannot be deleted: a curve of degree 3 needs 4"):
+        shape.removed(arm, 1, 2)
+
+
 @pytest.mark.parametrize("index", [-1, 5])
 def test_points_that_there_are_not(arm: pp.Arm, index: int) -> None:
     shape = Shape.of(arm, Keyframe(bent_spline()))

@@ -30,7 +30,8 @@ from pinposture.editor.ui.curve import (
     Points,
     ShapeTab,
     TipHandle,
-    delete_point,
+    delete_points,
+    duplicate_points,
     insert_point,
     move_point,
 )
@@ -205,7 +206,9 @@ def shortcuts(files: Files, frame_all: Callable[[Session], object]) -> tuple[Sho
         Shortcut("Play or pause", "space", None, play_or_pause),
         Shortcut("Frame all", "F", None, frame_all),
         Shortcut("Insert a control point", "I", None, insert_point),
-        Shortcut("Delete the control point", "delete", None, delete_point),
+        Shortcut("Delete the control points", "delete", None, delete_points),
+        Shortcut("Duplicate the control points", "D", None, duplicate_points),
+        Shortcut("Select all control points", "A", "cmd/ctrl", Session.take_all),
         Shortcut("Next control point", "N", None, partial(_select_next, 1)),
         Shortcut("Previous control point", "B", None, partial(_select_next, -1)),
         Shortcut("Select the tip", "T", None, hold_tip),
@@ -239,12 +242,12 @@ def _select_next(by: int, session: Session) -> None:
 
 
 def _nudge(axis: int, sign: float, session: Session) -> None:
-    """Move the selected control point a little along an axis of the world."""
+    """Move the selected control points a little along an axis of the world, or by a step of the grid."""
     if session.handle is None:
         session.say("no control point is selected: click on one, or press N", "warning")
         return
     place = np.array(session.shape.points[session.handle])
-    place[axis] += sign * NUDGE * session.arm.length
+    place[axis] += sign * (session.grid or NUDGE * session.arm.length)
     move_point(session.handle, place, True, session)
 
 
@@ -366,7 +369,7 @@ class Page:
         ]
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Shape"):
-            self._parts.append(ShapeTab(server, post))
+            self._parts.append(ShapeTab(server, arm, post))
         with tabs.add_tab("Keyframes"):
             keyframes = KeyframesTab(server, post)
             self._parts += [keyframes, OtherCurves(server, arm, lambda: keyframes.others)]
