@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline
 
 from pinposture._validation import finite_vector
 from pinposture.arm import Arm
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 
 DEGREE = 3
 MAX_SHAPE_POINTS = 32
+MOST_OF_FEW_MODULES = 8  # control points with knots of their own; of more modules, one for each
 FIT_TOLERANCE = 0.02  # deviation of a fitted curve, relative to the mean module length
 MIN_POINT_DISTANCE = 0.2  # between control points, relative to the shortest module
 EXTRA_LENGTH = 1.0  # of a lengthened curve over the arm, in mean module lengths: modules cut corners
@@ -70,12 +72,14 @@ class Shape:
     Attributes:
         points: (n, 3) [m], world frame.
         degree: of the B-spline that they control.
+        knots: of that B-spline, (n + degree + 1,); None for even ones, as of `Curve.spline`.
         off: largest distance between that curve and the part of the keyframe's curve that the arm needs [m];
             0 if the points are the keyframe's own.
     """
 
     points: Array
     degree: int = DEGREE
+    knots: Array | None = None
     off: float = 0.0
 
     @classmethod
@@ -84,9 +88,12 @@ class Shape:
         laid, _ = place_curve(arm, cast(Curve, keyframe.curve), keyframe.placement, keyframe.roll)
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
-        own = laid.control_points if begin == 0.0 and laid.degree <= DEGREE else None
-        if own is not None and DEGREE < len(own) <= MAX_SHAPE_POINTS:
-            return cls(np.array(own), laid.degree)
+        own, knots, degree = np.array(laid.coefficients), laid.knots, laid.degree
+        if begin == 0.0 and degree <= DEGREE < len(own):
+            if laid.control_points is not None and len(own) <= MAX_SHAPE_POINTS:
+                return cls(own, degree)
+            if np.all(knots[: degree + 1] == knots[0]) and len(own) <= most_points(arm):
+                return cls(own, degree, knots)
         end = min(laid.length, begin + required_length(arm))
         if begin > 0.0 or end < laid.length:
             laid = laid.trimmed(begin, end)
@@ -95,7 +102,7 @@ class Shape:
             fitted = laid.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
         except InvalidValue:  # too many windings for that many points
             fitted = laid.controlled(MAX_SHAPE_POINTS)
-        return cls(np.array(fitted.coefficients), fitted.degree, deviation(laid, fitted))
+        return cls(np.array(fitted.coefficients), fitted.degree, off=deviation(laid, fitted))
 
     @property
     def curve(self) -> Curve:
@@ -104,7 +111,9 @@ class Shape:
         Raises:
             CurveError: points that give no curve.
         """
-        return Curve.spline(self.points, self.degree)
+        if self.knots is None:
+            return Curve.spline(self.points, self.degree)
+        return Curve(self.knots, self.points, self.degree)
 
     def keyframe(self, before: Keyframe) -> Keyframe:
         """Return a keyframe with this shape, and all else as it was.
@@ -116,8 +125,8 @@ class Shape:
         """
         return replace(before, curve=self.curve, placement="as_is", roll=0.0, trim=True)
 
-    def moved(self, arm: Arm, index: int, position: ArrayLike) -> Shape:
-        """Return the shape with one point moved.
+    def moved(self, arm: Arm, index: int, position: ArrayLike, others: Sequence[int] = ()) -> Shape:
+        """Return the shape with one point moved, and perhaps others by as much.
 
         Where the curve becomes shorter than the arm, its last point is moved straight ahead. For a planar arm
         the position is projected into its plane.
@@ -126,9 +135,10 @@ class Shape:
             arm: the arm that is to take the shape.
             index: of the point, 0-based.
             position: where to, (3,) [m], world frame.
+            others: further points, 0-based.
 
         Raises:
-            CurveError: the point is too close to another, or the points define no curve.
+            CurveError: a point is too close to another, or the points define no curve.
             InvalidValue: the first point, which is at the base of the arm, or not a position.
         """
         self._check_index(index)
@@ -138,72 +148,138 @@ class Shape:
         if index > 0 and arm.dimension == 2:
             base, plane = arm.chain.base, arm.plane
             place = np.asarray(base + (place - base) @ plane.T @ plane)
-        points = self.points.copy()
-        points[index] = place
-        return replace(self, points=points)._lengthened(arm, index)
+        points, together = self.points.copy(), sorted({index, *others} - {0})
+        for each in together:
+            self._check_index(each)
+        points[together] += place - points[index]
+        if index > 0:
+            points[index] = place  # to the last bit
+        after = replace(self, points=points)
+        for each in together:
+            after._check_distance(arm, each)
+        return after._lengthened(arm)
 
     def inserted(self, arm: Arm, after: int) -> Shape:
-        """Return the shape with a further point, half way to the next one, or straight on after the last.
+        """Return the same curve with a further point on the line to the next one; points beside it give way.
+
+        Behind the last point it is before that one.
 
         Raises:
             CurveError: there is no room.
         """
         self._check_index(after)
-        points = self.points
-        if after == len(points) - 1:
-            new = points[-1] + 0.5 * (points[-1] - points[-2])
-        else:
-            new = 0.5 * (points[after] + points[after + 1])
-        more = replace(self, points=np.insert(points, after + 1, new, axis=0))
-        return more._lengthened(arm, after + 1)
+        index = min(after, len(self.points) - 2) + 1
+        if len(self.points) >= most_points(arm):
+            reason = f"cannot be inserted: an arm of {arm.n_modules} modules takes {most_points(arm)} at most"
+            raise CurveError(f"point {index + 1}", reason)
+        curve = self.curve
+        knots = curve.knots[index : index + self.degree + 1]  # any knot among these puts a point on that line
+        middles = 0.5 * (knots[1:] + knots[:-1])
+        # In the longest span; of equal ones, in that near the middle of the line.
+        rank = np.diff(knots) - 1e-3 * np.abs(middles - 0.5 * (knots[0] + knots[-1]))
+        curve = curve.insert_knot(float(middles[np.argmax(rank)]))
+        more = replace(self, points=np.array(curve.coefficients), knots=curve.knots)
+        more._check_distance(arm, index)
+        return more
 
-    def removed(self, arm: Arm, index: int) -> Shape:
-        """Return the shape without one of its points.
+    def duplicated(self, arm: Arm, *indices: int) -> Shape:
+        """Return the shape with a copy behind each of some points, 0-based; the points that it has stay.
+
+        A copy is half way to the next point; that of the last one is straight on.
+
+        Raises:
+            CurveError: there is no room.
+        """
+        after, copies = self, sorted(set(indices))
+        for index in reversed(copies):
+            after._check_index(index)
+            points = after.points
+            begin = min(index, len(points) - 2)
+            copy = points[index] + 0.5 * (points[begin + 1] - points[begin])
+            knots = None if after.knots is None else after.inserted(arm, index).knots
+            after = replace(after, points=np.insert(points, index + 1, copy, axis=0), knots=knots)
+        if len(after.points) > MAX_SHAPE_POINTS:
+            reason = f"cannot be added: a curve has {MAX_SHAPE_POINTS} control points at most"
+            raise CurveError(f"point {copies[-1] + len(copies) + 1}", reason)
+        for before, index in enumerate(copies, start=1):
+            after._check_distance(arm, index + before)
+        return after._lengthened(arm)
+
+    def removed(self, arm: Arm, *indices: int) -> Shape:
+        """Return the shape without some of its points; inserted ones leave the curve as it is.
 
         Raises:
             CurveError: too few would be left.
             InvalidValue: the first point, which is at the base of the arm.
         """
-        self._check_index(index)
-        if index == 0:
-            raise InvalidValue("point 1", "deleted", "other points; this one is at the base of the arm")
-        least = self.degree + 1
-        if len(self.points) <= least:
-            reason = f"cannot be deleted: a curve of degree {self.degree} needs {least} control points"
-            raise CurveError(f"point {index + 1}", reason)
-        return replace(self, points=np.delete(self.points, index, axis=0))._lengthened(arm)
+        after, least = self, self.degree + 1
+        for index in sorted(set(indices), reverse=True):
+            after._check_index(index)
+            if index == 0:
+                raise InvalidValue("point 1", "deleted", "other points; this one is at the base of the arm")
+            if len(after.points) <= least:
+                reason = f"cannot be deleted: a curve of degree {self.degree} needs {least} control points"
+                raise CurveError(f"point {index + 1}", reason)
+            after = after._without(index, 1e-9 * arm.length)
+        return after._lengthened(arm)
+
+    def _without(self, index: int, tolerance: float) -> Shape:
+        """Return the shape without a point, and without a knot if it has its own.
+
+        Where a knot near the point can go without changing the curve by more than a tolerance [m], it does;
+        the other points give way for that. Otherwise they stay.
+        """
+        rest = np.delete(self.points, index, axis=0)
+        if self.knots is None:
+            return replace(self, points=rest)
+        knots, k, n = self.knots, self.degree, len(self.points)
+        near = range(max(index, k + 1), min(index + k + 1, n - 1) + 1)  # of the knots between the ends
+        for j in near:
+            fewer = np.delete(knots, j)
+            insertion = BSpline(fewer, np.eye(n - 1), k).insert_knot(knots[j]).c
+            before = np.linalg.lstsq(insertion, self.points, rcond=None)[0]
+            if np.abs(insertion @ before - self.points).max() <= tolerance:
+                return replace(self, points=before, knots=fewer)
+        return replace(self, points=rest, knots=np.delete(knots, near[len(near) // 2]))
 
     def _check_index(self, index: int) -> None:
         if not 0 <= index < len(self.points):
             raise InvalidValue("point", index + 1, f"1 to {len(self.points)}")
 
-    def _lengthened(self, arm: Arm, changed: int | None = None) -> Shape:
-        """Move the last point straight on until the curve is long enough; the changed point is checked first.
+    def _check_distance(self, arm: Arm, index: int) -> None:
+        """Raise CurveError if a point is too close to another."""
+        distances = np.linalg.norm(self.points - self.points[index], axis=1)
+        distances[index] = np.inf
+        other = int(np.argmin(distances))
+        least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
+        if distances[other] < least:
+            reason = f"is too close to point {other + 1}; allowed: {least:.2g} m or more from it"
+            raise CurveError(f"point {index + 1}", reason)
+
+    def _lengthened(self, arm: Arm) -> Shape:
+        """Move the last point straight on until the curve is long enough.
 
         Raises:
-            CurveError: the changed point is too close to another, or the curve cannot be made long enough.
+            CurveError: the curve cannot be made long enough.
         """
-        points = self.points
-        if changed is not None:
-            distances = np.linalg.norm(points - points[changed], axis=1)
-            distances[changed] = np.inf
-            other = int(np.argmin(distances))
-            least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
-            if distances[other] < least:
-                reason = f"is too close to point {other + 1}; allowed: {least:.2g} m or more from it"
-                raise CurveError(f"point {changed + 1}", reason)
-        required = required_length(arm)
+        longer, required = self, required_length(arm)
         for _ in range(MAX_EXTENSIONS):
-            missing = required - Curve.spline(points, self.degree).length
+            missing = required - longer.curve.length
             if missing <= 0.0:
-                return replace(self, points=points)
+                return longer
+            points = longer.points.copy()
             ahead = points[-1] - points[-2]
             # A little more: the curve grows by less than its last point moves.
             step = (missing + 0.01 * arm.length) / max(float(np.linalg.norm(ahead)), 1e-12)
-            points = points.copy()
             points[-1] = points[-1] + step * ahead
+            longer = replace(self, points=points)
         reason = f"cannot be moved far enough to make the curve {required:.4g} m long, as the arm requires"
-        raise CurveError(f"point {len(points)}", reason)
+        raise CurveError(f"point {len(self.points)}", reason)
+
+
+def most_points(arm: Arm) -> int:
+    """Return how many control points a curve with knots of its own may have for an arm."""
+    return min(max(arm.n_modules, MOST_OF_FEW_MODULES), MAX_SHAPE_POINTS)
 
 
 def reshaped(index: int, change: Callable[[Arm, Shape], Shape], shape: Shape) -> Callable[[Task], Task]:
@@ -276,6 +352,37 @@ def retimed(index: int, time: float) -> Edit:
         return _with_gaps(task, keyframes, gaps)
 
     return edit
+
+
+def dragged(index: int, time: float) -> Edit:
+    """Move a keyframe to another time [s], perhaps past others; these keep their times, and the first stays.
+
+    Where others are in the way, by a hold or as near as can be, it comes to the nearest time that is free.
+    """
+
+    def edit(task: Task) -> Task:
+        keyframes, times, least = list_keyframes(task, index), times_of(task), _min_gap(task)
+        to = place_at(task, index, time)
+        if index == 0:
+            raise InvalidValue("time of keyframe 1", time, "0 s, the start of the motion")
+        own, _ = keyframes.pop(index), times.pop(index)
+        left = [at + keyframe.hold for at, keyframe in zip(times, keyframes, strict=True)]
+        low = left[to - 1] + least
+        high = times[to] - own.hold - least if to < len(times) else math.inf
+        if not low <= high + TIME_TOLERANCE:
+            allowed = f"a place with {own.hold + 2.0 * least:.4g} s between other keyframes and their holds"
+            raise InvalidValue(f"time of keyframe {index + 1}", time, allowed)
+        keyframes.insert(to, own)
+        times.insert(to, min(max(time, low), high))
+        left.insert(to, times[to] + own.hold)
+        return _with_gaps(task, keyframes, [0.0, *np.subtract(times[1:], left[:-1]).tolist()])
+
+    return edit
+
+
+def place_at(task: Task, index: int, time: float) -> int:
+    """Return which keyframe one becomes when it is moved to another time [s], 0-based; the first stays."""
+    return max(int(np.searchsorted(np.delete(times_of(task), index), time)), 1) if index > 0 else 0
 
 
 def held(index: int, hold: float) -> Edit:

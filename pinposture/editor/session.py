@@ -102,7 +102,8 @@ class Session:
         history: the states of the task.
         path: the task file; None if it was never saved.
         selected: the keyframe that is edited, 0-based.
-        handle: the selected control point of its curve, 0-based; None if there is none.
+        handles: the selected control points of its curve, 0-based, in the order in which they were selected.
+        grid: of the grid to which points that are dragged are snapped, the step [m]; 0 for no grid.
         obstacle: the name of the selected obstacle; None if there is none.
         tip: whether the tip of the arm is selected, to be dragged.
         proposal: a change that is not accepted yet; None if there is none.
@@ -139,7 +140,8 @@ class Session:
         self.history = History(task, self.selected)
         self.path = None if path is None else path.absolute()
         self.folder = _working_folder(folder, self.path)
-        self.handle: int | None = None
+        self.handles: tuple[int, ...] = ()
+        self.grid = 0.0
         self.obstacle: str | None = None
         self.tip = False
         self.proposal: Proposal | None = None
@@ -154,6 +156,15 @@ class Session:
         self.saved: Task | None = task if in_file else None
         self.playback = Playback()
         self._shape: tuple[Keyframe, Shape] | None = None
+
+    @property
+    def handle(self) -> int | None:
+        """The control point that was selected last, 0-based, or None; setting it deselects all others."""
+        return self.handles[-1] if self.handles else None
+
+    @handle.setter
+    def handle(self, handle: int | None) -> None:
+        self.handles = () if handle is None else (handle,)
 
     @property
     def task(self) -> Task:
@@ -296,12 +307,26 @@ class Session:
         if proposal.note:
             self.say(f"{proposal.what}; {proposal.note}")
 
-    def take_hold(self, handle: int | None) -> None:
-        """Select a control point, 0-based, instead of an obstacle or the tip; an unknown one is ignored."""
+    def take_hold(self, handle: int | None, more: bool = False) -> None:
+        """Select a control point, 0-based, instead of an obstacle or the tip; an unknown one is ignored.
+
+        Args:
+            handle: the point; None to select none.
+            more: whether others stay selected; a point that is selected is then no more. The point at the
+                base, which cannot be moved, is left out.
+        """
         if handle is None:
             self.handle, self.tip = None, False
         elif 0 <= handle < len(self.shape.points):
-            self.handle, self.obstacle, self.tip = handle, None, False
+            others = tuple(each for each in self.handles if more and each not in (0, handle))
+            kept = not more or (handle > 0 and handle not in self.handles)
+            self.handles = (*others, handle) if kept else others
+            self.obstacle, self.tip = None, False
+
+    def take_all(self) -> None:
+        """Select all control points but the one at the base, the last one in the end."""
+        self.take_hold(len(self.shape.points) - 1)
+        self.handles = tuple(range(1, len(self.shape.points)))
 
     def select(self, keyframe: int) -> None:
         """Select another keyframe, 0-based; an unknown one is ignored."""
@@ -363,8 +388,8 @@ class Session:
         if selected != self.selected:
             self.handle = None
         self.selected = min(selected, len(keyframes_of(self.task)) - 1)
-        if self.handle is not None and self.handle >= len(self.shape.points):
-            self.handle = None
+        if self.handles:
+            self.handles = tuple(each for each in self.handles if each < len(self.shape.points))
         scene = self.task.scene
         if self.obstacle is not None and (scene is None or self.obstacle not in scene.obstacles):
             self.obstacle = None

@@ -5,9 +5,14 @@ from math import comb
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sampling import examples
 from scipy.integrate import quad
+from scipy.interpolate import BSpline, insert
 
 from pinposture.curve import Curve
+from pinposture.errors import CurveError, InvalidValue
 
 POINTS = np.array([[0, 0, 0], [0.2, 0.1, 0], [0.3, 0.4, 0.2], [0.1, 0.5, 0.4], [-0.2, 0.3, 0.5], [0, 0, 0.7]])
 
@@ -165,3 +170,48 @@ def test_polygon_has_corners_and_straight_sides():
     np.testing.assert_allclose(curve.tangent([0.5, 1.5]), [[1, 0, 0], [0, 1, 0]], atol=1e-14)
     np.testing.assert_allclose(curve.nearest([2, -1, 0]).distance, np.sqrt(2))
     np.testing.assert_allclose(curve.nearest([2, -1, 0]).parameter, 1)
+
+
+@examples(60)
+@given(st.integers(1, 5), st.integers(0, 2**32 - 1), st.lists(st.floats(0.01, 0.99), min_size=1, max_size=4))
+def test_inserted_knots_are_those_of_scipy_and_keep_the_curve(degree, seed, knots):
+    steps = np.random.default_rng(seed).normal((0.3, 0, 0), 0.1, (degree + 4, 3))
+    curve = before = Curve.spline(np.cumsum(steps, axis=0), degree)
+    tck = (curve.knots, list(curve.coefficients.T), degree)
+    u = np.linspace(0, 1, 201)
+    for knot in knots:
+        try:
+            curve = curve.insert_knot(knot)
+        except CurveError:  # there already, as often as it can be, or almost
+            return
+        tck = insert(knot, tck)
+        np.testing.assert_allclose(curve.knots, tck[0], atol=1e-15)
+        np.testing.assert_allclose(
+            curve.coefficients.T, np.array(tck[1])[:, : len(curve.coefficients)], atol=1e-12
+        )
+        places = [BSpline(each.knots, each.coefficients, degree)(u) for each in (before, curve)]
+        np.testing.assert_allclose(places[1], places[0], atol=1e-12)
+        s = np.linspace(0, before.length, 201)
+        np.testing.assert_allclose(curve.at(s), before.at(s), atol=1e-11)
+        assert Curve.from_dict(curve.to_dict()) == curve
+
+
+def test_knots_beyond_the_ends_stay_when_one_is_inserted():
+    helix = Curve.helix(0.1, 0.2, 1)
+    finer = helix.insert_knot(0.3)
+    assert len(finer.coefficients) == len(helix.coefficients) + 1
+    s = np.linspace(0, helix.length, 101)
+    np.testing.assert_allclose(finer.at(s), helix.at(s), atol=1e-13)
+
+
+@pytest.mark.parametrize("u", [0, 1, -0.5, np.nan, np.inf, "half", None, True])
+def test_knots_that_cannot_be_inserted(u):
+    with pytest.raises(InvalidValue, match=r"u is .*allowed: a parameter between 0 and 1"):
+        Curve.spline(POINTS).insert_knot(u)
+
+
+def test_a_knot_that_would_break_the_curve_is_refused():
+    curve = Curve.spline(POINTS, 2)
+    corner = curve.insert_knot(0.5)  # there already: now a corner may be there
+    with pytest.raises(CurveError, match=r"knot 0.5: given 3 times, which breaks the curve"):
+        corner.insert_knot(0.5)

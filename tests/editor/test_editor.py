@@ -75,8 +75,8 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
     def look(session: Session) -> None:
         if not 0 <= session.selected < len(edits.keyframes_of(session.task)):
             broken.append(f"keyframe {session.selected}")
-        if session.handle is not None and not 0 <= session.handle < len(session.shape.points):
-            broken.append(f"point {session.handle}")
+        if not all(0 <= each < len(session.shape.points) for each in session.handles):
+            broken.append(f"points {session.handles}")
         if session.obstacle not in (None, *obstacles.obstacles_of(session.shown)):
             broken.append(f"obstacle {session.obstacle}")
 
@@ -92,7 +92,10 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
                 partial(curve.move_point, k, place, final),
                 lambda session, k=k: session.take_hold(k),  # type: ignore[misc]
                 curve.insert_point,
-                curve.delete_point,
+                curve.delete_points,
+                curve.duplicate_points,
+                lambda session, k=k: session.take_hold(k, more=True),  # type: ignore[misc]
+                partial(curve.set_grid, chance.choice([0.0, 0.05])),
                 Session.undo,
                 Session.redo,
                 lambda session, k=k: session.select(k),  # type: ignore[misc]

@@ -25,6 +25,7 @@ TASKS = Path(__file__).resolve().parents[2] / "examples" / "tasks"
 numbers = st.floats(-1.0, 8.0) | st.sampled_from([0.0, 1.0, 1.05, 1.55, 5.0, float("nan"), float("inf"), 1e9])
 places = st.integers(0, 4)
 any_edit = st.one_of(
+    st.builds(edits.dragged, places, numbers),
     st.builds(edits.retimed, places, numbers),
     st.builds(edits.held, places, numbers),
     st.builds(edits.added, places, st.sampled_from(["", "a name"])),
@@ -93,6 +94,38 @@ def test_a_keyframe_is_at_the_time_that_was_asked_and_none_before_it_moves(index
         assert np.allclose(new[index + 1 :], old[index + 1 :], atol=1e-8)
     elif index < 3:  # they make way, all by as much
         assert np.allclose(np.subtract(new, old)[index:], time - old[index], atol=1e-8)
+
+
+@given(st.integers(1, 3), st.floats(0.0, 10.0))
+def test_a_dragged_keyframe_comes_near_the_time_that_was_asked_and_no_other_moves(
+    index: int, time: float
+) -> None:
+    before = task()
+    frames, old = list(edits.keyframes_of(before)), edits.times_of(before)
+    after = edits.dragged(index, time)(before)
+    to, new = edits.place_at(before, index, time), edits.times_of(after)
+    assert new == sorted(new)
+    assert np.allclose(np.delete(new, to), np.delete(old, index), atol=1e-8)
+    frames.insert(to, frames.pop(index))
+    assert [each.curve for each in edits.keyframes_of(after)] == [each.curve for each in frames]
+    assert [each.hold for each in edits.keyframes_of(after)] == [each.hold for each in frames]
+    ends = [at + frame.hold for at, frame in zip(new, frames, strict=True)]
+    assert min(np.subtract(new[1:], ends[:-1])) >= edits.MIN_GAP - 1e-8
+    free = ends[to - 1] + edits.MIN_GAP <= time <= (new[to + 1] if to < 3 else np.inf) - edits.MIN_GAP
+    if free and frames[to].hold == 0.0:
+        assert new[to] == pytest.approx(time, abs=1e-8)
+    assert abs(new[to] - time) <= 0.5 + 2.0 * edits.MIN_GAP + 1e-8  # the longest hold is in the way
+
+
+def test_where_a_keyframe_cannot_be_dragged_to() -> None:
+    with pytest.raises(InvalidValue, match=r"time of keyframe 1 is 1\.0; allowed: 0 s, the start"):
+        edits.dragged(0, 1.0)(task())
+    straight, bent = Keyframe(straight_line()), Keyframe(bent_spline(), trim=True)
+    crowded = task(straight, replace(bent, time=0.08), replace(bent, time=1.0, hold=0.5))
+    with pytest.raises(InvalidValue, match=r"time of keyframe 3 .*a place with 0\.6 s between other"):
+        edits.dragged(2, 0.05)(crowded)
+    with pytest.raises(TaskError, match="keyframe 9"):
+        edits.dragged(8, 0.05)(crowded)
 
 
 def test_the_first_keyframe_stays_at_the_beginning() -> None:
@@ -221,6 +254,15 @@ def test_another_shape_keeps_all_else() -> None:
     after = reshaped(2, lambda arm, own: own.inserted(arm, 1), shape)(before).motion[2]  # type: ignore[index]
     assert (after.name, after.duration, after.hold) == ("coil", 2.0, 0.25)
     assert (after.region, after.method, after.placement, after.trim) == ((1, 4), "smooth", "as_is", True)
+
+
+def test_an_inserted_point_is_saved(tmp_path: Path) -> None:
+    shape = Shape.of(six_modules(), task().motion[1]).inserted(six_modules(), 2)  # type: ignore[index]
+    edited = reshaped(1, lambda *_: shape, shape)(task())
+    loaded = Task.load(edited.save(tmp_path / "task.toml"))
+    found = Shape.of(loaded.arm, loaded.motion[1])  # type: ignore[index]
+    assert np.array_equal(found.points, shape.points)
+    assert np.array_equal(found.knots, shape.knots)
 
 
 def test_controllers_and_limits_are_checked() -> None:

@@ -47,7 +47,7 @@ PLACES = {
         "add_markdown",
     ],  # the name of the task file; our texts
     "ui/keyframes.py": ["add_html"],  # what is asked of the tip, a control point by its name
-    "ui/player.py": ["add_html"],  # numbers only
+    "ui/player.py": ["add_html", "add_html"],  # numbers, and the names of the keyframes at the timeline
     "ui/page.py": ["add_html", "add_html"],  # verdicts, what was last said, the name of the keyframe
     "ui/scene.py": ["add_markdown", "add_html"],  # our texts; which link is near which obstacle or scan
 }
@@ -162,7 +162,7 @@ def test_no_name_becomes_markup_of_the_page(hostile: Editor) -> None:
         said(f"{HOSTILE}.toml: no such file")
         sent, markdown = client.shown(*SENT), client.shown("_markdown")
     names = set().union(*(Elements(each).names for each in sent))
-    assert names <= {"div", "b", "br", "span"}
+    assert names <= {"div", "b", "br", "span", "style"}
     assert markdown
     assert not [each for each in markdown if "hostile" in each]
 

@@ -14,6 +14,7 @@ pytest.importorskip("viser")
 
 from pinposture.editor.ui import keyframes as tab
 from pinposture.editor.ui import parts
+from pinposture.editor.ui.player import drag_keyframe
 
 
 def names(session: Session) -> list[str]:
@@ -44,6 +45,23 @@ def test_moving_goes_along_and_stops_at_the_ends() -> None:
     assert session.task is before
     assert session.selected == 0
     assert session.notice.kind == "error"
+
+
+def test_a_keyframe_is_dragged_along_the_timeline_and_put_back() -> None:
+    session = Session(task(), selected=0)
+    drag_keyframe(2, 0.234, 0.05, session)  # at 3.5 s before
+    assert (session.selected, edits.times_of(session.task)[2]) == (2, 3.75)
+    assert session.notice.text == "keyframe 3 is now at 3.75 s"
+    drag_keyframe(2, 2.0, 0.05, session)
+    assert (session.selected, names(session)) == (3, ["straight", "", "", "coil"])
+    assert session.notice.text == "keyframe 4 is now at 5.75 s"
+    before = session.task
+    drag_keyframe(0, 1.0, 0.05, session)
+    assert session.task is before
+    assert session.notice.kind == "error"
+    session.undo()
+    session.undo()
+    assert (session.task.motion, session.selected) == (task().motion, 0)
 
 
 def test_a_method_waits_for_the_arm() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast
 
@@ -26,6 +26,7 @@ from pinposture.editor.ui.parts import (
     put,
     put_at,
     quaternions,
+    round_number,
 )
 from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
@@ -39,6 +40,7 @@ Colors = NDArray[np.uint8]
 
 CURVE_PIECES, OTHER_PIECES = 240, 64  # straight pieces of the curve, and of those of other keyframes
 BALL_RADIUS = 2.6  # of a control point of the curve, relative to that of the bars of the arm
+GRID = 0.02  # first step of the grid, relative to the arm
 AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
 SMALL_ERROR, LARGE_ERROR = 1e-3, 0.3  # green below, red above; relative to a module length
 LINE_ERROR = 1e-2  # from which on a line leads to the target, relative to a module length
@@ -83,9 +85,14 @@ def _curve_colors(curve: Curve, along: Array, live: Live) -> Colors:
 
 
 def move_point(
-    index: int, position: Array, final: bool, session: Session, keyframe: int | None = None
+    index: int,
+    position: Array,
+    final: bool,
+    session: Session,
+    keyframe: int | None = None,
+    snap: bool = True,
 ) -> None:
-    """Propose to move a control point of the curve.
+    """Propose to move a control point of the curve, and all that are selected with it.
 
     Args:
         index: of the point, 0-based.
@@ -94,37 +101,64 @@ def move_point(
         session: the session.
         keyframe: the one that is dragged; nothing is done if another was selected meanwhile, perhaps in
             another window. None: the one that is selected.
+        snap: whether the point comes to the grid of the session, if there is one.
     """
     if keyframe is not None and keyframe != session.selected:
         if final:
             session.say(f"point {index + 1} was released: another keyframe was selected meanwhile", "warning")
         return
-    session.take_hold(index)
-    session.reshape(lambda arm, shape: shape.moved(arm, index, position), f"moved point {index + 1}", final)
+    if index not in session.handles:
+        session.take_hold(index)
+    place, together = np.asarray(position), session.handles
+    if snap and session.grid > 0.0:
+        place = session.grid * np.round(place / session.grid)
+    what = f"moved {named(together or [index])}"
+    session.reshape(lambda arm, shape: shape.moved(arm, index, place, together), what, final)
+
+
+def named(indices: Sequence[int]) -> str:
+    """Return what to call points, 0-based, in a message."""
+    return f"point{'s' * (len(indices) > 1)} {', '.join(str(index + 1) for index in sorted(indices))}"
 
 
 def insert_point(session: Session) -> None:
-    """Propose a further control point after the selected one, or after the last but one."""
-    after = session.handle if session.handle is not None else max(len(session.shape.points) - 2, 0)
+    """Propose the same curve with a further control point after the selected one, or before the last."""
+    before_last = len(session.shape.points) - 2
+    after = before_last if session.handle is None else min(session.handle, before_last)
     session.reshape(lambda arm, shape: shape.inserted(arm, after), f"inserted point {after + 2}")
     session.handle = after + 1 if session.proposal is not None else session.handle
 
 
-def delete_point(session: Session) -> None:
-    """Propose the curve without the selected control point."""
-    index = session.handle
-    if index is None:
+def duplicate_points(session: Session) -> None:
+    """Propose the curve with copies of the selected control points, which are then selected."""
+    if _is_any_selected(session):
+        chosen = sorted(session.handles)
+        what = f"duplicated {named(chosen)}"
+        session.reshape(lambda arm, shape: shape.duplicated(arm, *chosen), what)
+        if session.proposal is not None:
+            session.handles = tuple(index + before for before, index in enumerate(chosen, start=1))
+
+
+def delete_points(session: Session) -> None:
+    """Propose the curve without the selected control points."""
+    if _is_any_selected(session):
+        chosen = session.handles
+        session.reshape(lambda arm, shape: shape.removed(arm, *chosen), f"deleted {named(chosen)}")
+        if session.proposal is not None:
+            session.handle = max(min(chosen) - 1, 1)
+
+
+def _is_any_selected(session: Session) -> bool:
+    if not session.handles:
         session.say("no control point is selected: click on one first", "warning")
-        return
-    session.reshape(lambda arm, shape: shape.removed(arm, index), f"deleted point {index + 1}")
-    if session.proposal is not None:
-        session.handle = max(index - 1, 1)
+    return bool(session.handles)
 
 
 class Handles:
-    """The control points of the curve that is edited, dragged by the mouse; the selected one along axes, too.
+    """The control points of the curve that is edited, dragged by the mouse, all that are selected together.
 
-    A drag moves them at once in the page, and is posted; the loop then puts them where they may be.
+    The last one that was selected can be dragged along axes, too. A drag moves a point at once in the page,
+    and is posted; the loop then puts all where they may be.
     """
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
@@ -157,7 +191,7 @@ class Handles:
         for index, (ball, point) in enumerate(zip(self._balls, points, strict=True)):
             if index not in self._grabbed:
                 put_at(ball, point)
-            own = palette.START if index == session.handle else palette.SPARE[0]
+            own = palette.START if index in session.handles else palette.SPARE[0]
             own = palette.BASE if index == 0 else own
             if self._colors[index] != own:
                 self._colors[index] = own
@@ -186,7 +220,8 @@ class Handles:
             )
             if index > 0:
                 ball.on_drag(partial(self._on_drag, index))
-            ball.on_click(partial(self._on_click, index))
+            ball.on_click(partial(self._on_click, index, False))
+            ball.on_click(modifier="shift")(partial(self._on_click, index, True))
             self._balls.append(ball)
 
     async def _on_drag(self, index: int, event: Any) -> None:
@@ -207,8 +242,8 @@ class Handles:
             del self._grabbed[index]
         self._post_move(index, place, final)
 
-    async def _on_click(self, index: int, _: Any) -> None:
-        self._post(lambda session: session.take_hold(index))
+    async def _on_click(self, index: int, more: bool, _: Any) -> None:
+        self._post(lambda session: session.take_hold(index, more))
 
     async def _on_axes(self, event: Any) -> None:
         if not self._axes_dragged:
@@ -346,15 +381,29 @@ class OtherCurves:
 class ShapeTab:
     """Controls for the control points of the curve that is edited."""
 
-    def __init__(self, server: viser.ViserServer, post: Post) -> None:
+    def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._post, gui = post, server.gui
         self._index, self._keyframe = 0, 0
-        self._point = gui.add_dropdown("Control point", ("none",), hint="Or click on one in the picture")
+        hint = "Or click on one in the picture; Shift and a click selects several"
+        self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
         place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="In the world")
         self._place = Typed(place, self._move, preview=True)
-        edit = gui.add_button_group("Point", ("Insert after", "Delete"))
+        hint = "Insert after keeps the curve as it is, Duplicate keeps all other points where they are"
+        edit = gui.add_button_group("Points", tuple(POINT_ACTIONS), hint=hint)
+        self._snap = gui.add_checkbox("Snap to a grid", False, hint="Points that are dragged, in the world")
+        self._step = gui.add_number(
+            "Grid [mm]", round(1e3 * round_number(GRID * arm.length), 1), min=0.1, step=1.0
+        )
+        self._step.precision = 1
+        for control in (self._snap, self._step):
+            on_change(control, lambda _: post(partial(set_grid, self._grid)))
         on_change(self._point, self._select)
-        on_choice(edit, lambda what: post(insert_point if what == "Insert after" else delete_point))
+        on_choice(edit, lambda what: post(POINT_ACTIONS[what]))
+
+    @property
+    def _grid(self) -> float:
+        """The step of the grid [m]; 0 if there is none."""
+        return 1e-3 * self._step.value if self._snap.value else 0.0
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
@@ -381,8 +430,22 @@ class ShapeTab:
 
         def request(session: Session) -> None:
             if session.selected == keyframe:
-                chosen = session.handle  # perhaps another by now
-                move_point(index, np.array(place), final, session)
-                session.handle = chosen
+                chosen = session.handles  # perhaps others by now
+                move_point(index, np.array(place), final, session, snap=False)
+                session.handles = chosen
 
         self._post(request, "" if final else "move")
+
+
+POINT_ACTIONS = {
+    "Insert after": insert_point,
+    "Duplicate": duplicate_points,
+    "Delete": delete_points,
+    "Select all": Session.take_all,
+}
+"""What the buttons do to control points, by their labels."""
+
+
+def set_grid(step: float, session: Session) -> None:
+    """Snap points that are dragged to a grid of a step [m]; 0 for none."""
+    session.grid = step

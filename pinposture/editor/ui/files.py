@@ -36,7 +36,8 @@ TOUR = (
     (
         "Drag the blue balls",
         "They control the curve. Drag one with the mouse, or click on it and use its axes, the numbers in "
-        "*Shape*, or Shift and the arrow keys. `I` inserts a point, `Delete` deletes one.\n\n"
+        "*Shape*, or Shift and the arrow keys. Shift and a click selects several. "
+        "`I` inserts a point, `Delete` deletes one.\n\n"
         "A curve that the arm cannot take turns red, with the reason; if you release it, nothing changes.",
     ),
     (

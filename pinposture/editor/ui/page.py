@@ -30,13 +30,14 @@ from pinposture.editor.ui.curve import (
     Points,
     ShapeTab,
     TipHandle,
-    delete_point,
+    delete_points,
+    duplicate_points,
     insert_point,
     move_point,
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
-from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put
+from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put, round_number
 from pinposture.editor.ui.player import PANEL_HEIGHT, Player, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
@@ -205,7 +206,9 @@ def shortcuts(files: Files, frame_all: Callable[[Session], object]) -> tuple[Sho
         Shortcut("Play or pause", "space", None, play_or_pause),
         Shortcut("Frame all", "F", None, frame_all),
         Shortcut("Insert a control point", "I", None, insert_point),
-        Shortcut("Delete the control point", "delete", None, delete_point),
+        Shortcut("Delete the control points", "delete", None, delete_points),
+        Shortcut("Duplicate the control points", "D", None, duplicate_points),
+        Shortcut("Select all control points", "A", "cmd/ctrl", Session.take_all),
         Shortcut("Next control point", "N", None, partial(_select_next, 1)),
         Shortcut("Previous control point", "B", None, partial(_select_next, -1)),
         Shortcut("Select the tip", "T", None, hold_tip),
@@ -239,12 +242,12 @@ def _select_next(by: int, session: Session) -> None:
 
 
 def _nudge(axis: int, sign: float, session: Session) -> None:
-    """Move the selected control point a little along an axis of the world."""
+    """Move the selected control points a little along an axis of the world, or by a step of the grid."""
     if session.handle is None:
         session.say("no control point is selected: click on one, or press N", "warning")
         return
     place = np.array(session.shape.points[session.handle])
-    place[axis] += sign * NUDGE * session.arm.length
+    place[axis] += sign * (session.grid or NUDGE * session.arm.length)
     move_point(session.handle, place, True, session)
 
 
@@ -297,7 +300,7 @@ def set_stage(server: viser.ViserServer, arm: Arm) -> None:
     camera = server.initial_camera
     camera.position, camera.look_at, camera.fov = view
     camera.near, camera.far = 0.01 * length, 100.0 * length
-    cell = _round_length(length / FLOOR_CELLS)
+    cell = round_number(length / FLOOR_CELLS)
     floor = float(min(base[2], tip[2])) - 0.3 * length - 3.0 * link_radius(arm)
     server.scene.add_grid(
         "/floor",
@@ -314,12 +317,6 @@ def set_stage(server: viser.ViserServer, arm: Arm) -> None:
     server.scene.add_frame(
         "/axes", axes_length=0.08 * length, axes_radius=0.15 * link_radius(arm), position=(*base[:2], floor)
     )
-
-
-def _round_length(value: float) -> float:
-    """Round to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - value)) * power)
 
 
 class Page:
@@ -372,7 +369,7 @@ class Page:
         ]
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Shape"):
-            self._parts.append(ShapeTab(server, post))
+            self._parts.append(ShapeTab(server, arm, post))
         with tabs.add_tab("Keyframes"):
             keyframes = KeyframesTab(server, post)
             self._parts += [keyframes, OtherCurves(server, arm, lambda: keyframes.others)]

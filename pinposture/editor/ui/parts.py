@@ -43,6 +43,12 @@ def quaternions(rotations: ArrayLike) -> Array:
     return np.asarray(Rotation.from_matrix(rotations).as_quat(scalar_first=True))
 
 
+def round_number(value: float) -> float:
+    """Round to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - value)) * power)
+
+
 def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -> str:
     """Return a title and a text beside a bar of some shade, in an element with an id; all as HTML."""
     return (

@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
@@ -15,18 +17,19 @@ from viser import uplot
 
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.editor.edits import keyframes_of, times_of
+from pinposture.editor import edits
+from pinposture.editor.edits import TIME_DIGITS, keyframes_of, times_of
 from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, limits_per_step
-from pinposture.editor.ui.parts import Post, on_change, on_choice, put
+from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
+from pinposture.editor.ui.parts import Post, on_change, on_choice, put, round_number
 from pinposture.motion import Motion
 from pinposture.motion.trajectory import limit_shares
 from pinposture.task import Task
 from pinposture.viz import palette
 
 Array = NDArray[np.float64]
-SliderMarks = tuple[tuple[float, str], ...]
 
 LIVE_SPAN = 10.0  # of the trace of the live arm [s]
 MAX_GAP = 1.0  # in the trace of the live arm, after which it starts anew [s]
@@ -44,9 +47,13 @@ SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
 NO_TIMES = np.zeros(0)
 
 PANEL_WIDTH, PANEL_HEIGHT, PANEL_GAP = 440, 260, 8  # of the panel; from the edges of the picture [pixels]
-TIME_STEP = 0.01  # of the slider [s]
-HELD_TIME, LEFT_TIME = 0.5, 2.0  # after a hand moved the slider, before it is set, and replaced [s]
-MAX_NUMBERED = 24  # keyframes with numbers at the slider
+ROOM_BEHIND = 0.15  # the end of the motion, on the timeline, relative to its duration
+MIN_LENGTH, TICKS, DRAG_STEPS = (
+    1.0,
+    7,
+    100,
+)  # of the timeline [s]; about how many times are written at it; and can be dragged to
+MAX_NUMBERED = 24  # keyframes with numbers at the timeline
 
 
 class Trace(NamedTuple):
@@ -235,6 +242,7 @@ class Plots:
         """Show what the lines are, and their values at a moment [s]; None: now."""
         mean, largest, speed, acceleration = trace.at(0.0 if moment is None else moment)
         entries = [
+            (palette.INK, f"last {LIVE_SPAN:g} s" if moment is None else f"{moment:.2f} s"),
             (self._color, f"mean error {self._in_words(mean)}"),
             (_lighter(self._color), f"largest {self._in_words(largest)}"),
         ]
@@ -242,12 +250,9 @@ class Plots:
             entries.append((SPEED_COLOR, f"speed {100.0 * speed:.0f} %"))
         if acceleration is not None:
             entries.append((ACCELERATION_COLOR, f"acceleration {100.0 * acceleration:.0f} %"))
-        limits = "" if speed is None and acceleration is None else " of limit"
-        when = f"now; last {LIVE_SPAN:g} s" if moment is None else f"at {moment:.2f} s"
-        entries.append((palette.QUIET, f"{limits} {when}"))
-        style = "margin-right:10px;color"
+        style = "margin-right:9px;color"
         words = "".join(f'<span style="{style}:{color}">{text}</span>' for color, text in entries)
-        style = "font-size:12px;line-height:1;padding:2px 10px;white-space:nowrap"
+        style = "font-size:11px;line-height:1.2;padding:2px 10px;white-space:nowrap;overflow:hidden"
         put(self._legend, content=f'<div style="{style}">{words}</div>')
 
     def _in_words(self, error: float) -> str:
@@ -288,73 +293,139 @@ def _lighter(color: str) -> str:
     return palette.mixed(color, "#FFFFFF", 0.5)
 
 
+ON_PRESS = """
+const strip = document.getElementById('timeline'), box = strip.getBoundingClientRect();
+const field = strip.parentElement.nextElementSibling.querySelector('input');
+const keyframe = event.target.closest('[data-keyframe]'), index = keyframe ? keyframe.dataset.keyframe : -1;
+const share = (e) => Math.min(Math.max((e.clientX - box.left) / box.width, 0), 1);
+const tell = (what, e) => {
+  const text = [what, index, share(e), Date.now()].join(' ');
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, text);
+  field.dispatchEvent(new Event('input', {bubbles: true}));
+};
+const begin = event.clientX;
+let dragged = false;
+const move = (e) => {
+  dragged ||= Math.abs(e.clientX - begin) > 3;
+  if (!keyframe) return tell('seek', e);
+  const drawn = document.querySelector('#timeline [data-keyframe="' + index + '"]');
+  if (drawn && dragged) drawn.style.left = 100 * share(e) + '%';
+};
+const end = (e) => {
+  window.removeEventListener('pointermove', move);
+  for (const kind of ['pointerup', 'pointercancel']) window.removeEventListener(kind, end);
+  if (keyframe) tell(e.type == 'pointercancel' ? 'cancel' : dragged ? 'move' : 'select', e);
+};
+window.addEventListener('pointermove', move);
+for (const kind of ['pointerup', 'pointercancel']) window.addEventListener(kind, end);
+event.preventDefault();
+if (!keyframe) tell('seek', event);
+"""
+"""What a press on the timeline does: a text in a field that is not shown tells the editor what a hand wants.
+
+The text is what to do, the keyframe, the share of the timeline, and the time, so that no two are the same.
+The timeline may be drawn anew at any time, even between the press and this script: what is pressed is then in
+the page no more.
+"""
+
+STYLES = {
+    "strip": "position:relative;height:42px;margin:2px 20px 4px 20px;touch-action:none;user-select:none",
+    "line": f"position:absolute;top:11px;height:5px;width:100%;border-radius:3px;background:{palette.FAINT}",
+    "tick": "position:absolute;top:28px;font-size:10px;line-height:12px;transform:translateX(-50%)",
+    "hold": "position:absolute;top:8px;height:11px;opacity:0.4",
+    "keyframe": "position:absolute;top:3px;width:18px;height:21px;line-height:21px;border-radius:4px;"
+    "transform:translateX(-50%);text-align:center;font-size:12px;font-weight:bold;color:white;cursor:grab",
+    "playhead": "position:absolute;top:0;height:29px;width:2px;transform:translateX(-50%);"
+    f"background:{palette.MARK}",
+}
+"""Styles of the timeline and of what is in it."""
+
+
+class TimeAxis:
+    """The axis of time, with keyframes to be chosen and dragged, and the moment that is shown.
+
+    While a motion is computed, the progress is shown along it.
+    """
+
+    def __init__(self, server: viser.ViserServer, post: Post) -> None:
+        self._post, self._length = post, 1.0  # of the axis [s]
+        self._times: tuple[float | None, ...] = ()
+        self._gestures = 0  # each is answered by a new drawing, with the keyframes where they are
+        self._moving, self._strip = (server.gui.add_html("", order=1.0) for _ in range(2))
+        on_change(server.gui.add_text("", "", order=1.0), self._take)
+
+    def show(self, session: Session, _: Live) -> None:
+        """Bring it up to date."""
+        playback, keyframes, planned = session.playback, keyframes_of(session.task), times_of(session.task)
+        duration, self._times = _schedule(session.task, playback)
+        self._length = max((1.0 + ROOM_BEHIND) * duration, MIN_LENGTH)
+        step = round_number(self._length / TICKS)
+        drawn = [self._at("line", 0.0, "")]
+        drawn += [self._at("tick", at, f"{at:g} s") for at in np.arange(0.0, self._length, step)]
+        for index, (keyframe, at) in enumerate(zip(keyframes, self._times, strict=False)):
+            if at is None:
+                continue
+            mark = session.marks[index] if len(session.marks) == len(keyframes) else ""
+            selected = index == session.selected
+            shade = f"background:{palette.START if selected else MARK_COLORS.get(mark, palette.QUIET)}"
+            width = f"width:{100.0 * keyframe.hold / self._length:.3f}%"
+            drawn.append(self._at("hold", at, "", f"{width};{shade}"))
+            about = f'data-keyframe="{index}" title="{escape(row_label(keyframes, planned, index, mark))}"'
+            number = str(index + 1) if len(keyframes) <= MAX_NUMBERED else "&nbsp;"
+            drawn.append(self._at("keyframe", at, number, f"{shade};z-index:{1 + selected}", about))
+        about = f'id="timeline" data-gestures="{self._gestures}" onpointerdown="{escape(ON_PRESS)}"'
+        hidden = "<style>div:has(> #timeline) + div {display: none}</style>"
+        put(self._strip, content=f'{hidden}<div {about} style="{STYLES["strip"]}">{"".join(drawn)}</div>')
+        moving = ""
+        if playback.rehearsal.working:
+            width = f"width:{100.0 * playback.rehearsal.progress:.0f}%"
+            moving += self._at("line", 0.0, "", f"{width};background:{palette.REGULAR}", 'id="progress"')
+        if playback.shown:
+            moving += self._at("playhead", min(playback.time, self._length), "", "", 'id="playhead"')
+        over = f"{STYLES['strip']};height:0;z-index:3;pointer-events:none"
+        put(self._moving, content=f'<div style="{over}">{moving}</div>')
+
+    def _at(self, kind: str, time: float, text: str, style: str = "", about: str = "") -> str:
+        """Return an element at a time [s], as HTML."""
+        place = f"left:{100.0 * time / self._length:.3f}%"
+        return f'<div {about} style="{STYLES[kind]};{place};{style}">{text}</div>'
+
+    def _take(self, text: str) -> None:
+        with suppress(ValueError):  # that no page of ours says
+            what, index, share, _ = text.split()
+            self._post(partial(self._act, what, int(index), float(share)), "seek" if what == "seek" else "")
+
+    def _act(self, what: str, index: int, share: float, session: Session) -> None:
+        self._gestures += 1
+        at, step = share * self._length, round_number(self._length / DRAG_STEPS)
+        if what == "seek":
+            seek(at, session)
+        elif what == "select":
+            session.select(index)
+        elif what == "move" and 0 <= index < len(self._times):
+            drag_keyframe(index, at - (self._times[index] or 0.0), step, session)
+
+
 class Player:
-    """The panel below the picture: the buttons and the slider of the player, and the plots."""
+    """The panel below the picture: the buttons of the player, the timeline, and the plots."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._server, self._post, self._touched, self._stale = server, post, 0.0, False
-        self._duration = 1.0
-        self._marks: SliderMarks = ()
         panel = server.gui.add_panel()
-        self._tab = panel.add_tab("Motion", viser.Icon.PLAYER_PLAY)
-        with self._tab:
-            self._buttons = server.gui.add_button_group(
-                "Motion",
-                _labels(Playback()),
-                hint="Of the whole task as it stands, in real time at 1x",
-                order=0.0,
-            )
-            self._progress = server.gui.add_progress_bar(0.0, visible=False, order=2.0)
-        self._plots = Plots(server, self._tab, arm.length)
-        self._slider = self._make_slider(0.0)
+        tab = panel.add_tab("Motion", viser.Icon.PLAYER_PLAY)
+        with tab:
+            hint = "Of the whole task as it stands, in real time at 1x"
+            self._buttons = server.gui.add_button_group("Motion", _labels(Playback()), hint=hint, order=0.0)
+            self._timeline = TimeAxis(server, post)
+        self._plots = Plots(server, tab, arm.length)
         panel.float(x=PANEL_GAP, y=-PANEL_GAP, width=PANEL_WIDTH)
         # The button in the middle shows the speed.
         on_choice(self._buttons, lambda label: post(BUTTONS.get(label, at_usual_speed)))
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
-        playback = session.playback
-        put(self._buttons, options=_labels(playback))
-        untouched = time.monotonic() - self._touched
-        self._duration, marks = _schedule(session.task, playback)
-        put(self._slider, max=max(_rounded(self._duration), TIME_STEP))
-        if marks != self._marks and untouched > LEFT_TIME:  # a slider keeps the marks that it was made with
-            self._marks = marks
-            self._slider.remove()
-            self._slider = self._make_slider(playback.time)
-        if untouched > HELD_TIME or playback.playing:
-            at = _rounded(min(playback.time, self._duration))
-            if self._stale and untouched > HELD_TIME:
-                # A browser ignores a value that we set while a hand moved the slider: send another one first.
-                self._stale = False
-                put(self._slider, value=at - TIME_STEP if at >= TIME_STEP else at + TIME_STEP)
-            put(self._slider, value=at)
-        rehearsal = playback.rehearsal
-        put(self._progress, visible=rehearsal.working)
-        if rehearsal.working:
-            put(self._progress, value=float(round(100.0 * rehearsal.progress)))
+        put(self._buttons, options=_labels(session.playback))
+        self._timeline.show(session, live)
         self._plots.show(session, live)
-
-    def _make_slider(self, at: float) -> viser.GuiSliderHandle[float]:
-        """Add a slider for the duration, with numbers at the keyframes."""
-        end = max(_rounded(self._duration), TIME_STEP)
-        with self._tab:
-            slider = self._server.gui.add_slider(
-                "Time [s]",
-                0.0,
-                end,
-                TIME_STEP,
-                _rounded(min(at, end)),
-                marks=self._marks,
-                hint="Which moment is shown; the numbers are those of the keyframes",
-                order=1.0,
-            )
-        on_change(slider, self._seek)
-        return slider
-
-    def _seek(self, at: float) -> None:
-        self._touched, self._stale = time.monotonic(), True
-        self._post(partial(seek, at), "seek")
 
 
 def play(session: Session) -> None:
@@ -375,6 +446,21 @@ def stop(session: Session) -> None:
 def seek(at: float, session: Session) -> None:
     """Show a moment of the motion of the task [s]."""
     session.playback.seek(session.task, at)
+
+
+def drag_keyframe(index: int, by: float, step: float, session: Session) -> None:
+    """Move a keyframe along the axis of time, and select it.
+
+    Args:
+        index: of the keyframe, 0-based.
+        by: how far [s].
+        step: of the time to which it is moved [s].
+        session: the session.
+    """
+    time = round(step * round((times_of(session.task)[index] + by) / step), TIME_DIGITS)
+    to = edits.place_at(session.task, index, time)
+    if session.edit(edits.dragged(index, time), f"moved keyframe {index + 1} in time", select=to):
+        session.say(f"keyframe {to + 1} is now at {times_of(session.task)[to]:g} s")
 
 
 def change_speed(by: int, session: Session) -> None:
@@ -407,18 +493,13 @@ def _labels(playback: Playback) -> tuple[str, ...]:
     return first, LIVE, SLOWER, f"{playback.speed:g}x", FASTER, last
 
 
-def _schedule(task: Task, playback: Playback) -> tuple[float, SliderMarks]:
-    """Return the duration of the motion that is shown, or else planned [s], and the marks of keyframes."""
-    motion, times = playback.motion, list[float | None](times_of(task))
-    duration = times_of(task)[-1] + keyframes_of(task)[-1].hold
-    if motion is not None:
-        rows = [passed.row for passed in motion.waypoints]
-        times = [None if row is None else float(motion.time[row]) for row in rows]
-        duration = playback.lasting
-    numbered = len(times) <= MAX_NUMBERED
-    marks = ((_rounded(at), str(k + 1) if numbered else "") for k, at in enumerate(times) if at is not None)
-    return duration, tuple(marks)
+def _schedule(task: Task, playback: Playback) -> tuple[float, tuple[float | None, ...]]:
+    """Return duration and times of keyframes of the motion that is shown, or else as planned [s].
 
-
-def _rounded(at: float) -> float:
-    return round(round(at / TIME_STEP) * TIME_STEP, 9)
+    The time is None for a keyframe that the motion does not reach.
+    """
+    motion, times = playback.motion, times_of(task)
+    if motion is None:
+        return times[-1] + keyframes_of(task)[-1].hold, tuple(times)
+    rows = [passed.row for passed in motion.waypoints]
+    return playback.lasting, tuple(None if row is None else float(motion.time[row]) for row in rows)

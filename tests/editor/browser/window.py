@@ -149,6 +149,11 @@ class Window:
         row = self.page.locator("label:visible").get_by_text(label, exact=True)
         return row.locator("xpath=ancestor::div[.//input][1]//input").nth(number)
 
+    def middle(self, selector: str) -> tuple[float, float]:
+        """The middle of something in the page [pixels], once it is there; it may be drawn anew."""
+        box = wait_until(lambda: self.page.locator(selector).bounding_box(), f"there is {selector}")
+        return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
     @property
     def notice(self) -> str:
         """What was last said; empty if nothing was."""
