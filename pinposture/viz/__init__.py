@@ -1,4 +1,4 @@
-"""How people see a run: figures, a viewer in the browser, animations in a file."""
+"""Visualization of runs: figures, a viewer in the browser, and animations in HTML files."""
 
 from pinposture.viz.arm_figure import plot_arm
 from pinposture.viz.drawing import visual_model

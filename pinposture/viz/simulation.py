@@ -1,4 +1,4 @@
-"""A simulated motion in one figure: joint errors, posture error and torques."""
+"""The figure of a simulated motion: joint errors, posture error and torques."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from pinposture.viz.palette import (
 )
 from pinposture.viz.panels import marker
 
-ERROR_DECADES = 4.0  # powers of ten below the largest joint error that are shown
+ERROR_DECADES = 4.0  # number of decades shown below the largest joint error
 
 
 def plot_simulation(simulation: Simulation) -> Figure:
-    """Draw a simulated motion in one figure: joint errors, posture error and torques over time.
+    """Plot a simulated motion in one figure: joint errors, posture error and torques over time.
 
-    Each joint has a line, darkest at the base. Torques are relative to their limits, which a grey line marks;
-    where no joint has a limit they are in N m (N where joints slide).
+    Each joint has a line, darkest at the base. Torques are relative to their limits, which grey lines mark;
+    if no joint has a limit, they are in N m (N for prismatic joints).
 
     Args:
         simulation: the simulated motion.
 
     Returns:
-        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
-        know of it.
+        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown or registered with
+        pyplot.
     """
     figure = Figure(figsize=(FIGURE_WIDTH, FIGURE_HEIGHT), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
@@ -57,17 +57,17 @@ def plot_simulation(simulation: Simulation) -> Figure:
 
 
 def _plot_joint_error(simulation: Simulation, ax: Axes) -> None:
-    """Draw the distance of each joint from its set point."""
+    """Plot the distance of each joint from its set point."""
     _plot_joints(simulation, simulation.joint_error, ax)
     format_time_axes(ax, f"joint error [{_unit(simulation, 'rad', 'm')}]")
     scale_values(ax)
     low, high = ax.get_ylim()
-    if ax.get_yscale() == "log":  # an error that changes sign drops to almost 0, which means nothing
+    if ax.get_yscale() == "log":  # an error that changes sign drops to almost 0, which is not significant
         ax.set_ylim(max(low, high * 10.0**-ERROR_DECADES), high)
 
 
 def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
-    """Draw the posture error relative to the set points, and to the targets if there are any."""
+    """Plot the posture error relative to the set points and, if any, to the targets."""
     lines = {"to the set-points": (simulation.posture_error, palette.FINAL)}
     if simulation.target_errors is not None:
         lines["to the targets"] = (simulation.target_errors.sum(axis=1), palette.TARGET)
@@ -84,7 +84,7 @@ def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
 
 
 def _plot_torques(simulation: Simulation, ax: Axes) -> None:
-    """Draw the torque of each servo, relative to its limit if there are limits."""
+    """Plot the torque of each servo, relative to its limit if there are limits."""
     limited = np.isfinite(simulation.torque_limits)
     if not np.any(limited[simulation.arm.columns]):
         _plot_joints(simulation, simulation.torques, ax)
