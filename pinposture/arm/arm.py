@@ -751,8 +751,7 @@ class ArmState:
     def angular_jacobians(self) -> Array:
         """Angular Jacobians of the control points, (m, 3, nv) [rad/rad], world axes.
 
-        A column is the angular velocity of the control point per unit of joint motion; zero if the joint does
-        not rotate it.
+        A column is the angular velocity of the control point per unit joint motion, zero if not rotated.
         """
         return _read_only(self.axes * self.arm.support[:, None, :])
 
@@ -820,8 +819,7 @@ class ArmState:
                 control point, as in the relative manipulability condition of a control set.
 
         Returns:
-            One ellipsoid for each of `points`, in order. Radii and measures are in the units of
-            `task_jacobians`.
+            One ellipsoid per point, in order. Radii and measures are in the units of `task_jacobians`.
 
         Raises:
             InvalidValue: an index out of range, or a control point chosen twice.

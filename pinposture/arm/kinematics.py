@@ -166,8 +166,7 @@ class Chain:
 
     Attributes:
         joints: names of the moving joints from base to tip, (n,).
-        columns: index of each joint's velocity in the tangent space of the model, (n,); the same for coupled
-            joints.
+        columns: index of each joint's velocity in the tangent space, (n,); the same for coupled joints.
         ratios: motion of each joint relative to its degree of freedom, (n,); 1 unless coupled.
         revolute: True for a joint that turns, False for one that slides, (n,).
         axes: unit joint axes, (n, 3).

@@ -1,4 +1,4 @@
-"""The `pinposture` command: each verb reads its arguments, calls the library, and prints."""
+"""The `pinposture` command: each verb reads its arguments, calls the library, and prints the result."""
 
 from pinposture.cli.app import app, main
 

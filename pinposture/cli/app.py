@@ -1,4 +1,4 @@
-"""The command itself: its verbs, and how an error, a broken pipe and Ctrl-C end it."""
+"""The command itself: its verbs, and its behaviour on errors, broken pipes and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from pinposture.cli.output import print_error, verb_examples, warnings_as_notes
 from pinposture.errors import PostureError
 
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells use it."""
+"""Exit code after Ctrl-C, as in shells."""
 
 REFUSED = 2
-"""Exit code after wrong usage, and after input that cannot be used."""
+"""Exit code after wrong usage or unusable input."""
 
-# Newer Typers carry a Click of their own, so the class is not imported by name.
+# Newer versions of Typer bundle their own Click, so the class is not imported by name.
 _UsageError: Any = typer.BadParameter.__bases__[0]
 
 
 class Commands(TyperGroup):
-    """A group of verbs that ends with one line for whoever typed the command, not with a traceback."""
+    """A group of verbs that reports errors to the user in one line, without a traceback."""
 
     def main(
         self,
@@ -53,7 +53,7 @@ class Commands(TyperGroup):
         windows_expand_args: bool = True,
         **extra: Any,
     ) -> Any:
-        """Run a command line; exits with its code, or returns it if `standalone_mode` is false."""
+        """Run a command line; exit with its code, or return it if `standalone_mode` is false."""
         try:
             with warnings_as_notes():
                 code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra) or 0
@@ -64,7 +64,7 @@ class Commands(TyperGroup):
             hint = f"; see {error.ctx.command_path} --help" if error.ctx else ""
             print_error(error.format_message().rstrip(".") + hint)
             code = REFUSED
-        except typer.Abort:  # what older Typers make of Ctrl-C; newer ones return the code
+        except typer.Abort:  # Ctrl-C in older versions of Typer; newer ones return the code
             code = INTERRUPTED
         if standalone_mode:
             sys.exit(code)
@@ -72,7 +72,7 @@ class Commands(TyperGroup):
 
 
 def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
-    """A kind of verb whose help ends with examples, one a line and never rewrapped."""
+    """Return a class of verbs whose help ends with examples, one per line, without rewrapping."""
 
     class Verb(TyperCommand):
         def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -109,7 +109,7 @@ def _log_verbosely(wanted: bool) -> None:
 def command(
     ctx: typer.Context,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", callback=_log_verbosely, help="Log what is done to stderr.")
+        bool, typer.Option("--verbose", "-v", callback=_log_verbosely, help="Log to stderr.")
     ] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
@@ -121,7 +121,7 @@ def command(
 
 
 def _paragraphs(docstring: str) -> str:
-    """A docstring with each paragraph on one line: Typer keeps line breaks, and would break them again."""
+    """Put each paragraph of a docstring on one line: Typer keeps line breaks and adds its own."""
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in docstring.split("\n\n"))
 
 
@@ -130,7 +130,7 @@ study = typer.Typer()
 
 @study.callback(invoke_without_command=True)
 def _study(ctx: typer.Context) -> None:
-    """Many arms, or many methods: what works in one picture may not work in the next."""
+    """Studies of many arms, methods or scenes: one example proves little."""
     if ctx.invoked_subcommand is None:
         typer.echo(ctx.get_help())
 
@@ -141,7 +141,7 @@ def _add(name: str, run: Callable[..., None], group: typer.Typer) -> None:
 
 
 def _with_single_options(run: Callable[..., None]) -> Callable[..., None]:
-    """A verb that takes the fields of its dataclasses of options one by one, as Typer reads them."""
+    """Return a verb with the fields of its option dataclasses as single parameters, as Typer requires."""
     own = signature(run, eval_str=True)
     groups: dict[str, Any] = {
         name: each.annotation for name, each in own.parameters.items() if is_dataclass(each.annotation)
@@ -187,5 +187,5 @@ app.add_typer(study, name="study")
 
 
 def main() -> None:
-    """Run the command line of this process, and exit."""
+    """Run the command line of this process and exit."""
     app(prog_name="pinposture")

@@ -1,4 +1,4 @@
-"""`pinposture batch`: drive an arm from many starts, or to many curves, on all cores."""
+"""`pinposture batch`: drive an arm from many starts or to many curves, on all cores."""
 
 from __future__ import annotations
 
@@ -63,34 +63,33 @@ def run(
     degrees: DegreesOption = False,
     count: Annotated[
         int | None,
-        MOTION("Number of starts to draw, else 10; they are those of track with seeds from --seed on.", "N"),
+        MOTION("Number of starts to draw, as in track with seeds from --seed on. Default: 10.", "N"),
     ] = None,
-    seed: Annotated[int, MOTION("What the first start is drawn from.")] = 0,
+    seed: Annotated[int, MOTION("Seed of the first start.")] = 0,
     steps: Annotated[int, MOTION("Number of steps after which a run stops.")] = 300,
     tolerance: ToleranceOption = None,
     limit_options: LimitOptions,
     scene_options: SceneOptions,
     jobs: Annotated[
         int | None,
-        MOTION("Number of processes; -1 for all there can be, which is what a long batch gets anyway.", "N"),
+        MOTION("Number of processes; -1 for all cores. Default: all cores for a long batch.", "N"),
     ] = None,
     output: Annotated[
         Path | None,
-        OUTPUT(f"Leave all runs here, in {BATCH}; else nothing is kept.", "DIR", flags="--output -o"),
+        OUTPUT(f"Save all runs here, in {BATCH}; otherwise nothing is saved.", "DIR", flags="--output -o"),
     ] = None,
     ends_only: Annotated[
-        bool, OUTPUT("Leave how each run ended there, not the motions.", flags="--ends-only")
+        bool, OUTPUT("Save only how each run ended, not the motions.", flags="--ends-only")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Drive an arm from many starts to the shape of a curve, or to several, and say how it went.
+    """Drive an arm from many starts to the shape of one or more curves, and report the results.
 
-    There is a run for each start; several curves need as many starts, or one. Every run is the one that track
-    makes of that start and curve, whatever the number of processes. Runs are counted from 0.
+    There is one run per start; several curves need as many starts, or one. Each run is the same as that of
+    track with this start and curve, for any number of processes. Runs are counted from 0.
 
-    With -o all runs are kept in a directory, in batch.npz: pp.load of the Python package reads it, as
-    NumPy does. The exit code is 0 if the arm converged in every run without penetration, 1 if not, 2
-    if it could not start.
+    With -o all runs are saved in a directory, in batch.npz, which pp.load of the Python package and NumPy can
+    read. The exit code is 0 if every run converged without penetration, 1 if not, 2 if it could not start.
     """
     from pinposture.motion import save, track_many
     from pinposture.storage import check_writable
@@ -103,7 +102,7 @@ def run(
     targets = [placement_options.place(arm, each, surroundings) for each in curve]
     if output is not None:
         if output.suffix.lower() == ".npz":
-            raise InvalidValue("--output", str(output), f"a directory, in which {BATCH} is left")
+            raise InvalidValue("--output", str(output), f"a directory, in which {BATCH} is saved")
         check_writable(output)
     with count_progress("run") as progress:
         batch = track_many(
@@ -128,19 +127,19 @@ def run(
 def _read_starts(
     arm: Arm, text: str, count: int | None, seed: int, degrees: bool
 ) -> list[NDArray[np.float64]]:
-    """The configurations to start from.
+    """Return the start configurations.
 
     Args:
         arm: the arm.
-        text: a name, of which `count` are drawn, or the path of a file with a row for each.
-        count: number of them to draw; None for 10, or for a file.
-        seed: what to draw the first from.
-        degrees: whether numbers are in degrees, where joints turn.
+        text: a kind of start, of which `count` are drawn, or the path of a file with a row per start.
+        count: number of starts to draw; None: 10, or all rows of a file.
+        seed: seed of the first start.
+        degrees: whether numbers for revolute joints are in degrees.
 
     Raises:
-        UnknownName: neither a name nor a file.
-        FileError: a file that holds no numbers.
-        InvalidValue: a number of starts below 1, or for a file; a row that the arm cannot use.
+        UnknownName: neither a kind of start nor a file.
+        FileError: a file without numbers.
+        InvalidValue: a count below 1, a count for a file, or a row that is invalid for the arm.
     """
     if text in STARTS:
         if count is not None and count < 1:
@@ -149,13 +148,13 @@ def _read_starts(
     if Path(text).suffix.lower() not in (".csv", ".npy"):
         raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))
     if count is not None:
-        raise InvalidValue("--count", count, "nothing where --starts names a file")
+        raise InvalidValue("--count", count, "nothing if --starts is a file")
     rows = _read_rows(Path(text))
     return [as_configuration(arm, row, f"start {k}", degrees) for k, row in enumerate(rows)]
 
 
 def _read_rows(path: Path) -> list[list[float]]:
-    """The rows of numbers in a file; empty lines of text do not count."""
+    """Return the rows of numbers in a file; empty lines of text are skipped."""
     import numpy as np
 
     with numbers_in(path, "table"):

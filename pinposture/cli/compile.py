@@ -1,4 +1,4 @@
-"""`pinposture compile`: have the kernels compiled now, not when they are first needed."""
+"""`pinposture compile`: compile the kernels in advance, rather than on first use."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from pinposture.cli.output import count_progress, examples, print_facts, print_j
 def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Compile all kernels for this machine now, and keep the result beside the library.
+    """Compile all kernels for this machine now, and cache the result beside the library.
 
-    It takes half a minute on two cores, once for an installation; where that cannot be written to, once
-    for each user, or wherever NUMBA_CACHE_DIR says. All cores share the work. Without it, each kernel is
-    compiled when it is first needed, and the first runs take longer; a note on stderr says so. What is
-    compiled already stays. The exit code is 1 if something could not be compiled.
+    This takes half a minute on two cores, once per installation; if that is not writable, once per user, or
+    in the folder NUMBA_CACHE_DIR. All cores share the work. Otherwise, each kernel is compiled on first use,
+    and the first runs take longer; a note on stderr says so. Kernels that are already compiled are kept. The
+    exit code is 1 if something could not be compiled.
     """
     begun, total = time.perf_counter(), len(all_kernels())
     missing = compile_missing()
@@ -38,7 +38,7 @@ def run(
 
 
 def compile_missing() -> list[str]:
-    """Compile the kernels that are not ready, with a progress bar. Warn of failures, and return them."""
+    """Compile the missing kernels, with a progress bar; warn of failures and return their names."""
     waiting, total = missing_kernels(), len(all_kernels())
     if not waiting:
         return []
@@ -54,11 +54,11 @@ def compile_kernels(names: list[str], progress: Callable[[int], object]) -> dict
     """Compile kernels in as many processes as there are cores.
 
     Args:
-        names: of the kernels; the largest first, so that none is left alone at the end.
-        progress: called with the number of those that are done.
+        names: names of the kernels, largest first, so that none remains alone at the end.
+        progress: called with the number of finished kernels.
 
     Returns:
-        What went wrong, by the name of the kernel.
+        Error messages by kernel name.
     """
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -75,25 +75,25 @@ def compile_kernels(names: list[str], progress: Callable[[int], object]) -> dict
 
 
 def compile_kernel(name: str) -> None:
-    """Compile a kernel, in a process that does nothing else."""
+    """Compile a kernel in a separate process."""
     from pinposture import kernels
     from pinposture.kernels.compiled import load
 
-    logging.getLogger("pinposture.kernels").setLevel(logging.ERROR)  # it has been asked for, it is no news
+    logging.getLogger("pinposture.kernels").setLevel(logging.ERROR)  # no notes: the user requested it
     gc.collect()
-    gc.disable()  # a compiler makes much that stays: looking through it again and again is 15 % of the time
+    gc.disable()  # compilers allocate many long-lived objects: collection would take 15 % of the time
     load(getattr(kernels, name))
 
 
 def all_kernels() -> dict[str, Any]:
-    """The kernels that the library calls, by name."""
+    """Return the kernels that the library calls, by name."""
     from pinposture import kernels
 
     return {name: getattr(kernels, name) for name in kernels.NAMES}
 
 
 def missing_kernels() -> list[str]:
-    """Names of the kernels of which there is no machine code yet, the largest first."""
+    """Return the names of kernels without machine code, largest first."""
     from pinposture.kernels.compiled import is_ready
 
     missing = {name: kernel for name, kernel in all_kernels().items() if not is_ready(kernel)}

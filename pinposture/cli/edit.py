@@ -1,4 +1,4 @@
-"""`pinposture edit`: drag the curve, watch the arm."""
+"""`pinposture edit`: edit the postures of an arm in the browser."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from pinposture.task import Task
 
 BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""How many threads libraries of linear algebra start: one, if nothing else is said. Matrices are small here,
-and threads that wait for each other take the time that other parts of the editor need."""
+"""Numbers of threads of linear algebra libraries, 1 by default: the matrices are small, and threads that wait
+for each other slow down the other parts of the editor."""
 
 SUFFIXES = (".toml", ".json")
-"""What the names of task files end in."""
+"""Suffixes of task files."""
 
 ENDING = ("SIGTERM", "SIGHUP")
-"""Signals that end it as Ctrl-C does: what was changed last is written yet."""
+"""Signals that end the editor like Ctrl-C, after the last changes are written."""
 
 MODULES = 20
-"""Modules of an arm that is made of a template, if nothing else is said."""
+"""Default number of modules of an arm from a template."""
 
 
 @examples(
@@ -53,48 +53,47 @@ def run(
     arm_options: ArmOptions,
     save_as: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The task file of what is new; else it is named after the arm."),
+        typer.Option(metavar="FILE", help="Name of a new task file; otherwise it is named after the arm."),
     ] = None,
     joint_states: Annotated[
         str | None,
         typer.Option(
             metavar="FILE|-",
             help="Show measured joint positions beside the plan: JSON lines such as "
-            '{"name": [...], "position": [...]}, from a file that grows, a pipe, or - for stdin.',
+            '{"name": [...], "position": [...]}, from a growing file, a pipe, or - for stdin.',
         ),
     ] = None,
     folder: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Where the page opens and saves files; else the folder of the task file."
+            metavar="FOLDER",
+            help="Where the page opens and saves files; otherwise the folder of the task file.",
         ),
     ] = None,
     host: Annotated[
-        str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")
+        str, typer.Option(help="Address to listen on; 0.0.0.0 accepts other machines.")
     ] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option(help="Port to listen at; the next one that is free if it is taken.")
-    ] = 8080,
+    port: Annotated[int, typer.Option(help="Port to listen on; if it is in use, the next free one.")] = 8080,
     no_browser: NoBrowserOption = False,
 ) -> None:
     """Edit the postures of an arm in the browser: drag the curve, watch the arm.
 
-    The arm follows the curve of the selected keyframe while you drag its control points, by the controller
-    and within the limits of the task. Keyframes make a motion, to be played, checked and exported; the
-    task file that is saved is what `pinposture run` performs. Changes are kept beside it all the time, and
-    taken up again if the editor ends without saving.
+    The arm follows the curve of the selected keyframe while you drag its control points, with the controller
+    and within the limits of the task. The keyframes form a motion that can be played, checked and exported;
+    `pinposture run` performs the saved task file. Changes are continuously saved beside it, and restored if
+    the editor ends without saving.
 
-    Any number of browsers may look on and take part: whoever has the address that is printed, with the secret
-    at its end. They open and save files in one folder only. It runs until Ctrl-C.
+    Any number of browsers can watch and edit, with the printed address, which ends in a secret. They open and
+    save files in one folder only. The editor runs until Ctrl-C.
     """
-    for name in BLAS:  # numpy reads them when it is loaded, which is below
+    for name in BLAS:  # numpy reads them when it is imported, which is below
         os.environ.setdefault(name, "1")
     from pinposture.editor import Editor
     from pinposture.editor.files import autosave_path
     from pinposture.editor.ui.server import is_loopback
 
     task, path = read_task(source, arm_options, save_as, folder)
-    compile_missing()  # now, with a progress bar: the page would stay empty meanwhile
+    compile_missing()  # now, with a progress bar; otherwise the page would remain empty
     editor = Editor(task, path, host, port, joint_states, folder)
     try:
         for name in ENDING:
@@ -104,7 +103,7 @@ def run(
         typer.echo(editor.url)
         if not is_loopback(host):
             print_note(
-                f"listening at {host} for other machines, unencrypted: anyone who has the address can edit, "
+                f"listening on {host} for other machines, unencrypted: anyone who has the address can edit, "
                 f"and open and save files in {editor.session.folder}"
             )
         print_note("press Ctrl-C to end")
@@ -115,28 +114,28 @@ def run(
         print_note("")
     finally:
         editor.close()
-        now = editor.session.path  # another one may have been opened
+        now = editor.session.path  # another file may have been opened
         if now is not None and autosave_path(now).exists():
-            print_note(f"what was not saved of {now.name} is kept, and taken up at the next start")
+            print_note(f"unsaved changes of {now.name} are kept and restored at the next start")
 
 
 def read_task(
     source: str, arm_options: ArmOptions, save_as: Path | None, folder: Path | None = None
 ) -> tuple[Task, Path]:
-    """The task to edit, and its file, which need not be there yet; a new one is in a folder, if one is given.
+    """Return the task to edit and its file, which may not exist yet; new files are created in `folder`.
 
     Raises:
-        PostureError: there is no such file or template; or as `Task.load` and `Arm.load`.
+        PostureError: no such file or template, or as in `Task.load` and `Arm.load`.
     """
     from pinposture.editor.files import recover, version_of
     from pinposture.task import Task
 
     suffix = Path(source).suffix.lower()
     if suffix in SUFFIXES:
-        arm_options.refuse("nothing: the task file says it")
-        refuse_given({"--save-as": save_as}, "nothing: the task file says it")
+        arm_options.refuse("nothing: the task file defines it")
+        refuse_given({"--save-as": save_as}, "nothing: the task file defines it")
         path = Path(source).absolute()
-        # What was never saved, or whose file is gone, goes on from what was kept.
+        # If the file was never saved or is gone, restore the automatically saved changes.
         left = None if version_of(path) else recover(path)
         return (Task.load(path) if left is None or left.task is None else left.task), path
     from pinposture.editor.files import first_task
@@ -156,7 +155,7 @@ def read_task(
 
 
 def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
-    """An arm of a template, and what to call it."""
+    """Return an arm from a template, and its name."""
     from pinposture.arm import Arm
     from pinposture.arm.template import TEMPLATES
     from pinposture.task.specification import MOST_MODULES
@@ -168,7 +167,7 @@ def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
     try:
         count = MODULES if modules is None else int(modules)
     except ValueError:
-        raise InvalidValue("--modules", modules, "a whole number: how many modules of the template") from None
-    if count > MOST_MODULES:  # no task file could hold it
-        raise InvalidValue("--modules", count, f"{MOST_MODULES} at most")
+        raise InvalidValue("--modules", modules, "a whole number of modules of the template") from None
+    if count > MOST_MODULES:  # the limit of task files
+        raise InvalidValue("--modules", count, f"at most {MOST_MODULES}")
     return Arm.from_template(source, count), f"{source.lower()}{count}"

@@ -1,4 +1,4 @@
-"""`pinposture export`: hand a motion to a robot, a simulator or a spreadsheet."""
+"""`pinposture export`: write a motion for a robot, a simulator or a spreadsheet."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pinposture.motion.joint_trajectory import JointTrajectory
 
 GOAL, BAG = NAMED_FORMATS = ("follow-joint-trajectory", "rosbag")
-"""Formats that the suffix of a file does not tell."""
+"""Formats that a file suffix does not determine."""
 
 
 @examples(
@@ -42,7 +42,7 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, or the directory that holds its {MOTION_FILE} or {RUN_FILE}.",
+            help=f"A saved run or motion, or the directory of its {MOTION_FILE} or {RUN_FILE}.",
         ),
     ],
     output: Annotated[
@@ -59,7 +59,7 @@ def run(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="follow-joint-trajectory: a goal of that action, as JSON. rosbag: a ROS 2 bag, a folder. "
+            help="follow-joint-trajectory: a goal of this action, as JSON. rosbag: a ROS 2 bag, a folder. "
             "Default: by the suffix.",
         ),
     ] = "",
@@ -69,25 +69,22 @@ def run(
     ] = None,
     force: Annotated[
         bool,
-        typer.Option(
-            "--force", help="Write it even if it has faults: not converged, limits exceeded, penetration."
-        ),
+        typer.Option("--force", help="Write it despite faults: not converged, limits exceeded, penetration."),
     ] = False,
     coupled: Annotated[
         bool, typer.Option("--coupled", help="Also write the joints that follow others (<mimic>).")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a motion as positions, velocities and accelerations of the joints in time.
+    """Write a motion as joint positions, velocities and accelerations over time.
 
     A .json file is a ROS 2 trajectory_msgs/msg/JointTrajectory, for the controllers of ros2_control. A .csv
-    file has a column for each quantity, with units. A .npz file holds the exact arrays. Joints keep their
-    names in the URDF; the angles of continuous joints have no jumps. A bag (.mcap, or a folder with --format
-    rosbag) has the topics /joint_states, /joint_trajectory, /tf and /robot_description; it needs the extra
-    "ros".
+    file has one column per quantity, with units. A .npz file contains the exact arrays. Joints keep their
+    URDF names; the angles of continuous joints have no jumps. A bag (.mcap, or a folder with --format rosbag)
+    has the topics /joint_states, /joint_trajectory, /tf and /robot_description; it needs the extra "ros".
 
-    A motion that did not converge, that exceeds its limits, or in which bodies penetrate is refused unless
-    --force is given. The summary lists the largest velocity and acceleration, from rest to rest.
+    A motion that did not converge, exceeds its limits, or penetrates something is rejected unless --force is
+    given. The summary lists the largest velocity and acceleration, from rest to rest.
     """
     from pinposture.storage import check_writable
 
@@ -111,7 +108,7 @@ def run(
 
 
 def check_form(output: Path, form: str) -> None:
-    """Raise for an unknown format, or a suffix without a format."""
+    """Raise an error for an unknown format or suffix."""
     from pinposture.motion.joint_files import check_format
 
     if form not in ("", *NAMED_FORMATS):
@@ -133,18 +130,18 @@ def _write(trajectory: JointTrajectory, output: Path, form: str, arm: Arm) -> No
 
 
 def _joint_trajectory(moved: Trajectory | Motion, dt: float | None, force: bool) -> JointTrajectory:
-    """The joint trajectory of a saved motion, which knows its time, or of a saved run."""
+    """Return the joint trajectory of a saved motion, which has its own time, or of a saved run."""
     from pinposture.motion import Motion
     from pinposture.motion.joint_trajectory import step_duration
 
     if isinstance(moved, Motion):
-        step_duration(dt, moved.dt)  # refuses another
+        step_duration(dt, moved.dt)  # rejects another duration
         return moved.joint_trajectory(force)
     return moved.joint_trajectory(dt, force)
 
 
 def _summary(trajectory: JointTrajectory) -> dict[str, Any]:
-    """The content of a trajectory as data for JSON."""
+    """Return a summary of a trajectory as JSON-compatible data."""
     return {
         "robot": trajectory.name,
         "joints": list(trajectory.joint_names),
@@ -157,7 +154,7 @@ def _summary(trajectory: JointTrajectory) -> dict[str, Any]:
 
 
 def _in_words(trajectory: JointTrajectory) -> dict[str, str]:
-    """The content of a trajectory in words."""
+    """Return a summary of a trajectory in words."""
     peaks = _peaks(trajectory)
     return {
         "motion": f"{len(trajectory.joint_names)} joints, {len(trajectory.time)} points, "
@@ -168,7 +165,7 @@ def _in_words(trajectory: JointTrajectory) -> dict[str, str]:
 
 
 def _peaks(trajectory: JointTrajectory) -> dict[str, tuple[float, float]]:
-    """The largest speed and acceleration of all joints that are measured in a unit."""
+    """Return the largest joint speed and acceleration by unit."""
     speeds, accelerations = trajectory.peaks
     found: dict[str, tuple[float, float]] = {}
     for unit, speed, acceleration in zip(trajectory.units, speeds, accelerations, strict=True):

@@ -43,14 +43,14 @@ def _print_templates(wanted: bool) -> None:
 def run(
     *,
     template: Annotated[
-        str, typer.Argument(metavar="TEMPLATE", help="Kind of module, RyRz for instance; --list shows them.")
+        str, typer.Argument(metavar="TEMPLATE", help="Kind of module, such as RyRz; --list shows them.")
     ],
     modules: Annotated[int, ARM("Number of modules.", "N", flags="--modules -n")],
     link_lengths: Annotated[
         str | None,
-        ARM("Length of the link after each joint of a module, in metres; else the template's own.", "L,..."),
+        ARM("Length of the link after each joint of a module, in metres. Default: the template's.", "L,..."),
     ] = None,
-    output: Annotated[Path | None, OUTPUT("Write here, not to stdout.", "FILE", flags="--output -o")] = None,
+    output: Annotated[Path | None, OUTPUT("Output file, else stdout.", "FILE", flags="--output -o")] = None,
     as_json: JsonOption = False,
     _: Annotated[
         bool,
@@ -59,8 +59,8 @@ def run(
 ) -> None:
     """Write the URDF of an arm of equal modules.
 
-    It goes to a file, or to stdout so that it pipes. The arm lies along x when all joints are at zero; its
-    links are "base", "m01_l1", "m01_l2" and so on, and "tip". A file appears whole or not at all.
+    It is written to a file, atomically, or to stdout for use in a pipe. With all joints at zero, the arm lies
+    along x; its links are "base", "m01_l1", "m01_l2" and so on, and "tip".
     """
     from pinposture.arm import template as template_named
     from pinposture.arm.template import modules_to_urdf

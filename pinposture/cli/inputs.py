@@ -1,4 +1,4 @@
-"""What verbs read from the command line: arms, curves, starts, limits, controllers, scenes."""
+"""Command line arguments of the verbs: arms, curves, starts, limits, controllers, scenes."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 STARTS = ("straight", "smooth", "random")
 AMPLITUDES = (0.2, 1.0)
-"""Range of the largest joint position of a smooth start [rad or m]."""
+"""Range of the maximum joint position of a smooth start [rad or m]."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A heading of the help; call it to make an option that is listed below it.
+    """A heading of the help; call it to create an option listed below the heading.
 
     Attributes:
         heading: the heading.
@@ -42,12 +42,12 @@ class Panel:
     heading: str
 
     def __call__(self, help: str, metavar: str | None = None, flags: str = "") -> Any:
-        """An option, for `Annotated`.
+        """Return an option for `Annotated`.
 
         Args:
-            help: what the help says of it.
-            metavar: what the help writes for its value; None for the type.
-            flags: its names, separated by blanks; else that of the parameter.
+            help: its help text.
+            metavar: placeholder for its value in the help; None: the type.
+            flags: its names, separated by blanks; by default that of the parameter.
         """
         return typer.Option(*flags.split(), metavar=metavar, help=help, rich_help_panel=self.heading)
 
@@ -66,7 +66,7 @@ UrdfArgument = Annotated[
 
 @dataclass(frozen=True)
 class ArmOptions:
-    """Which part of a description is the arm, and how it is cut into modules."""
+    """The part of a description that is the arm, and its division into modules."""
 
     base: Annotated[str | None, ARM("Link at which the arm begins; needs --tip.", "LINK")] = None
     tip: Annotated[str | None, ARM("Link at which it ends, if not the end of the longest chain.", "LINK")] = (
@@ -76,15 +76,15 @@ class ArmOptions:
         str | None,
         ARM(
             "Joints per module, one number for all or one for each, or links at whose origins modules "
-            "end: m01_l2,m02_l2; else as few joints as can follow a curve.",
+            "end: m01_l2,m02_l2. Default: as few joints as can follow a curve.",
             "N,...",
         ),
     ] = None
     locked: Annotated[
         list[str] | None,
         ARM(
-            "Hold a joint still, at a position in rad or metres, or with a unit: elbow=0.5, "
-            "elbow=30deg. May be repeated.",
+            "Lock a joint at a position in rad or metres, or with a unit: elbow=0.5, elbow=30deg. "
+            "May be repeated.",
             "NAME=VALUE",
         ),
     ] = None
@@ -97,65 +97,62 @@ class ArmOptions:
     ] = None
     package_dir: Annotated[
         list[Path] | None,
-        ARM("Folder to look for meshes in: a package, or one that holds packages. May be repeated.", "DIR"),
+        ARM("Folder to search for meshes: a package or a folder of packages. May be repeated.", "DIR"),
     ] = None
 
     def read(self, urdf: str) -> Arm:
         """Load an arm as `Arm.load` does; "-" reads the URDF from stdin.
 
         Raises:
-            PostureError: as `Arm.load` and `read_locked`; the name of a template; or nothing between two
-                of the commas of `modules`.
+            PostureError: as in `Arm.load` and `read_locked`; a template name; an empty field in `modules`.
         """
         from pinposture.arm import TEMPLATES, Arm
 
         source: str | Path = Path(urdf)
         if urdf in TEMPLATES and not Path(urdf).exists():
-            advice = f"make an arm of the template first: pinposture generate {urdf} --modules 20 -o arm.urdf"
+            advice = f"create an arm from the template: pinposture generate {urdf} --modules 20 -o arm.urdf"
             raise FileError(urdf, f"no such file; {advice}")
         if urdf == "-":
             source = sys.stdin.read()
             if not source.lstrip("\ufeff \t\r\n").startswith("<"):
-                raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
+                raise FileError("stdin", "contains no URDF; allowed: XML text, which starts with '<'")
         sizes = None if self.modules is None else read_modules(self.modules)
         held, couplings = read_locked(self.locked), read_couplings(self.couple)
         return Arm.load(source, self.base, self.tip, sizes, held, self.package_dir, couplings=couplings)
 
     def refuse(self, allowed: str) -> None:
-        """Raise InvalidValue if one was given where something else says what the arm is."""
+        """Raise InvalidValue for any given option if the arm is defined elsewhere."""
         refuse_given({f"--{name.replace('_', '-')}": value for name, value in vars(self).items()}, allowed)
 
 
 DegreesOption = Annotated[
     bool,
-    MOTION(
-        "Joint positions that are given are in degrees, where joints turn; else in rad.", flags="--degrees"
-    ),
+    MOTION("Given positions of revolute joints are in degrees rather than rad.", flags="--degrees"),
 ]
 
 JsonOption = Annotated[bool, OUTPUT("Print one JSON object on stdout instead.", flags="--json")]
-ViewOption = Annotated[bool, OUTPUT("Show the motion in the browser at last.", flags="--view")]
+ViewOption = Annotated[bool, OUTPUT("Show the motion in the browser at the end.", flags="--view")]
 
 NoBrowserOption = Annotated[
-    bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
+    bool, typer.Option("--no-browser", help="Print the address, but do not open a browser.")
 ]
 
 ToleranceOption = Annotated[
-    float | None, MOTION("Mean point error at which the arm is there, in metres; else 1e-6 of its length.")
+    float | None, MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.")
 ]
 
-JobsOption = Annotated[int, MOTION("Number of processes; -1 for all there can be.", "N")]
+JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N")]
 
 
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:
-    """Raise InvalidValue for an option that was given and does not go with another argument."""
+    """Raise InvalidValue for a given option that is incompatible with another argument."""
     for name, value in options.items():
         if value is not None and value != []:
             raise InvalidValue(name, value if isinstance(value, str) else f"{value}", allowed)
 
 
 def read_locked(given: list[str] | None) -> dict[str, float]:
-    """The joints held still, and where [rad or m]; raises InvalidValue unless NAME=VALUE, each once."""
+    """Return the positions of locked joints [rad or m]; raise InvalidValue unless NAME=VALUE, each once."""
     locked: dict[str, float] = {}
     for text in given or ():
         name, _, value = (part.strip() for part in text.rpartition("="))
@@ -171,7 +168,7 @@ def read_locked(given: list[str] | None) -> dict[str, float]:
 
 
 def _read_position(text: str) -> float:
-    """A joint position in rad or metres, or with a unit; raises ValueError for anything else."""
+    """Parse a joint position in rad or metres, or with a unit; raise ValueError for anything else."""
     from pinposture.task.specification import read_quantity
 
     numbers = _parsed(text)
@@ -179,7 +176,7 @@ def _read_position(text: str) -> float:
 
 
 def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float]]:
-    """What coupled joints follow: leader, ratio, offset [rad or m]; raises InvalidValue, as for one twice."""
+    """Return leader, ratio and offset [rad or m] of coupled joints; raise InvalidValue for invalid text."""
     couplings: dict[str, tuple[str, float, float]] = {}
     for text in given or ():
         name, _, value = (part.strip() for part in text.partition("="))
@@ -197,38 +194,35 @@ def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float
 
 
 def read_curve(name: str) -> Curve:
-    """The preset of that name, or the curve in that file.
+    """Return the preset of a name, or the curve in a file.
 
     Raises:
         UnknownName: neither a preset nor a file.
-        FileError: a file that holds no curve.
+        FileError: a file without a curve.
     """
     from pinposture.curve import CURVES, Curve
 
     if name in CURVES:
         return CURVES[name]
-    if not Path(name).suffix:  # no curve file is without
+    if not Path(name).suffix:  # all curve files have one
         raise UnknownName("curve preset or file", name, CURVES)
     return Curve.load(name)
 
 
 def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.float64]:
-    """The configuration to start from.
+    """Return the start configuration, (nq,).
 
     Args:
         arm: the arm.
         text: "straight", "smooth", "random", numbers separated by commas, or the path of a file of numbers.
-        seed: what to draw the smooth and the random one from.
-        degrees: whether numbers are in degrees, where joints turn.
-
-    Returns:
-        Configuration (nq,).
+        seed: seed of smooth and random starts.
+        degrees: whether numbers for revolute joints are in degrees.
 
     Raises:
-        UnknownName: not one of the names, no numbers, and no file.
-        FileError: a file that holds no numbers.
-        InvalidValue: as many numbers as the arm cannot use, not finite, or far outside of its limits; a seed
-            below 0; degrees that are not numbers.
+        UnknownName: not one of these.
+        FileError: a file without numbers.
+        InvalidValue: numbers of the wrong count, not finite, or far outside the limits of the arm; a seed
+            below 0; or degrees for a start without numbers.
     """
     import numpy as np
 
@@ -237,7 +231,7 @@ def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.floa
     if seed < 0:
         raise InvalidValue("--seed", seed, "a whole number of at least 0")
     if degrees and text in STARTS:
-        raise InvalidValue("--degrees", degrees, f"only where numbers are given; the start is {text!r}")
+        raise InvalidValue("--degrees", degrees, f"only with numbers; the start is {text!r}")
     rng = np.random.default_rng(seed)
     if text == "straight":
         return arm.straight()
@@ -253,19 +247,18 @@ def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.floa
 
 
 def as_configuration(arm: Arm, values: list[float], name: str, degrees: bool) -> NDArray[np.float64]:
-    """The configuration that numbers stand for.
+    """Convert numbers to a configuration.
 
-    A continuous joint takes two entries of a configuration, but whoever writes numbers down may think of one
-    angle, which is taken as well.
+    A continuous joint has two entries in a configuration, but a single angle is also accepted.
 
     Args:
         arm: the arm.
-        values: a configuration (nq,), or joint positions (nv,) [rad or m].
-        name: what to call them in an error.
-        degrees: whether they are joint positions in degrees, where joints turn.
+        values: a configuration, (nq,), or joint positions, (nv,) [rad or m].
+        name: name of the values in error messages.
+        degrees: whether they are joint positions, in degrees for revolute joints.
 
     Raises:
-        InvalidValue: as many as the arm cannot use, not finite, or far outside of its limits.
+        InvalidValue: values of the wrong count, not finite, or far outside the limits.
     """
     import numpy as np
 
@@ -280,7 +273,7 @@ def as_configuration(arm: Arm, values: list[float], name: str, degrees: bool) ->
 
 
 def read_numbers(name: str, text: str) -> list[float]:
-    """Numbers separated by commas; raises InvalidValue under that name if they are not."""
+    """Parse numbers separated by commas; raise InvalidValue with the given name if invalid."""
     values = _parsed(text)
     if values is None:
         raise InvalidValue(name, text, "numbers separated by commas")
@@ -288,7 +281,7 @@ def read_numbers(name: str, text: str) -> list[float]:
 
 
 def read_modules(text: str) -> int | list[int] | list[str]:
-    """Joints per module, one number or several, or names of links; raises InvalidValue for an empty field."""
+    """Parse one or several numbers of joints, or link names; raise InvalidValue for an empty field."""
     fields = [field.strip() for field in text.split(",")]
     if not all(fields):
         raise InvalidValue("--modules", text, "whole numbers or names of links, separated by commas")
@@ -316,7 +309,7 @@ def _read_file(path: Path) -> list[float]:
 
 @contextmanager
 def numbers_in(path: Path, kind: str) -> Iterator[None]:
-    """Turn what goes wrong while a list or a table of numbers is read into a `FileError`."""
+    """Convert exceptions while reading a list or table of numbers into a `FileError`."""
     try:
         yield
     except FileNotFoundError:
@@ -345,12 +338,11 @@ def _read_json(path: Path) -> Any:
 _READERS = {".npy": _read_npy, ".csv": _read_csv, ".json": _read_json}
 
 
-# Control points on the command line: their numbers as pictures show them, from 1 at the base to the tip.
 def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
-    """Indices, 0-based, of the first and the last control point of a region "first-last", 1-based.
+    """Return the 0-based indices of the first and last control points of a 1-based region "first-last".
 
     Raises:
-        InvalidValue: for anything else, or numbers not in order or that no control point has.
+        InvalidValue: invalid text, or numbers out of order or out of range.
     """
     first, hyphen, last = text.partition("-")
     if hyphen and first.strip().isdecimal() and last.strip().isdecimal():
@@ -362,10 +354,10 @@ def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
 
 
 def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
-    """Indices, 0-based, of control points: their numbers, 1-based, separated by commas, or "all".
+    """Return the 0-based indices of control points from 1-based numbers separated by commas, or "all".
 
     Raises:
-        InvalidValue: for anything else, or a number given twice or that no control point has.
+        InvalidValue: invalid text, or a number that is repeated or out of range.
     """
     if text.strip() == "all":
         return tuple(range(arm.n_modules))
@@ -382,56 +374,52 @@ def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
     return points
 
 
-# The limits of a step on the command line.
 @dataclass(frozen=True)
 class LimitOptions:
     """The limits of a step."""
 
     step_limit: Annotated[
-        float, LIMITS("Largest motion of a joint in one step, in rad or metres; inf for none.")
+        float, LIMITS("Maximum motion of a joint in one step, in rad or metres; inf for none.")
     ] = 0.1
     velocity: Annotated[
         str | None,
         LIMITS(
-            "Largest speed of joints, in rad/s or m/s, one number for all or one for each; else the "
-            "arm's own. Needs --dt.",
+            "Maximum speed of joints, in rad/s or m/s, one number for all or one for each; default: "
+            "the limits of the arm. Needs --dt.",
             "V,...",
         ),
     ] = None
     acceleration: Annotated[
         str | None,
         LIMITS(
-            "Largest acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; else "
-            "there is no such limit. Needs --dt.",
+            "Maximum acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; default: "
+            "no limit. Needs --dt.",
             "A,...",
         ),
     ] = None
     jerk: Annotated[
         str | None,
         LIMITS(
-            "Largest jerk of joints, in rad/s^3 or m/s^3, one number or one for each; else there is no "
-            "such limit. Needs --acceleration.",
+            "Maximum joint jerk, in rad/s^3 or m/s^3, one number for all joints or one for each. "
+            "Default: no limit. Requires --acceleration.",
             "J,...",
         ),
     ] = None
-    dt: Annotated[float | None, LIMITS("Duration of a step, in s; else speeds are not limited.")] = None
-    position_margin: Annotated[
-        float, LIMITS("Distance to keep from the limits of joint positions, in rad or metres.")
-    ] = 0.0
+    dt: Annotated[float | None, LIMITS("Duration of a step, in s. Default: speeds are not limited.")] = None
+    position_margin: Annotated[float, LIMITS("Margin to the joint limits, in rad or metres.")] = 0.0
 
     def read(self) -> Limits:
-        """The limits that these options ask for, as `Limits` takes them.
+        """Return the limits of these options.
 
         Raises:
-            InvalidValue: text in place of numbers, a value that `Limits` does not take, or no `dt` where one
-                is needed.
+            InvalidValue: text that is not a number, an invalid value, or a missing `dt`.
         """
         from pinposture.control import Limits
 
         given = {"--velocity": self.velocity, "--acceleration": self.acceleration, "--jerk": self.jerk}
         for option, text in given.items():
             if self.dt is None and text is not None:
-                raise InvalidValue("--dt", None, f"the duration of a step [s], needed with {option}")
+                raise InvalidValue("--dt", None, f"the duration of a step [s], required with {option}")
         speed, change, jerk = (_for_joints(option, text) for option, text in given.items())
         return Limits(
             step=self.step_limit,
@@ -452,13 +440,12 @@ def _for_joints(option: str, text: str | None) -> float | NDArray[np.float64] | 
     return values[0] if len(values) == 1 else np.array(values)
 
 
-# The controller on the command line.
 ControllerOption = Annotated[
     str,
     MOTION(
-        "What moves the arm: geodesic (directly, within limits, around obstacles); selection or "
-        "projection (those of the thesis) or switching (the two by turns); or, to compare with: joint "
-        "(interpolation of joints), pinv (pseudo-inverse), task-constraints (points in its null space), "
+        "Controller: geodesic (directly, within limits, around obstacles); selection or projection (of "
+        "the thesis) or switching (alternates between them); or, for comparison: joint (joint "
+        "interpolation), pinv (pseudo-inverse), task-constraints (points in its null space), "
         "extended or augmented (Jacobians), dls (damped least squares), lm (Levenberg-Marquardt).",
         "NAME",
     ),
@@ -467,41 +454,40 @@ ControllerOption = Annotated[
 
 @dataclass(frozen=True)
 class ControllerOptions:
-    """What moves the arm."""
+    """The controller."""
 
     controller: ControllerOption = "geodesic"
     joint_weight: Annotated[
         float | None,
         MOTION(
-            "How far control points may go out of their way to spare joints theirs, in module lengths "
-            "per rad; else 0.2. Large numbers lead to interpolation of joints. With geodesic only."
+            "How far control points may deviate to shorten joint motions, in module lengths per rad; "
+            "default: 0.2. Large values approach joint interpolation. Only with geodesic."
         ),
     ] = None
 
     def check(self, **only_geodesic: object) -> None:
-        """Refuse a controller that does not exist, or that does not know what is asked of it.
+        """Raise an error for an unknown controller, or options that it does not support.
 
         Args:
-            only_geodesic: options besides the weight that only geodesic knows, and their values; None or
-                False if not given.
+            only_geodesic: values of further options that only geodesic supports; None or False if not given.
 
         Raises:
-            UnknownName: there is no such controller.
-            InvalidValue: it is not geodesic, and one of the options is given.
+            UnknownName: an unknown controller.
+            InvalidValue: an option of geodesic is given for another controller.
         """
         _controller_named(self.controller)
         told = {"joint_weight": self.joint_weight, **only_geodesic}
         given = [f"--{name.replace('_', '-')}" for name, value in told.items() if value not in (None, False)]
         if given and self.controller != "geodesic":
-            allowed = f"'geodesic', which alone knows {', '.join(given)}"
+            allowed = f"'geodesic', which alone supports {', '.join(given)}"
             raise InvalidValue("--controller", self.controller, allowed)
 
     def build(self, task: ControlTask | None = None) -> Controller:
-        """The controller of that name; geodesic with its joint_weight and a task besides the shape.
+        """Return the controller; geodesic gets its joint_weight and a task in addition to the shape.
 
         Raises:
-            UnknownName: there is no such controller.
-            InvalidValue: a joint_weight that is not a positive number.
+            UnknownName: an unknown controller.
+            InvalidValue: joint_weight is not a positive number.
         """
         from pinposture.control import Geodesic
 
@@ -513,7 +499,7 @@ class ControllerOptions:
 
 
 def _controller_named(name: str) -> Controller:
-    """The controller of that name, which may be one of those to compare with."""
+    """Return the controller of a name, including those for comparison."""
     from pinposture.control import controller_named
     from pinposture.study import register_baselines
 
@@ -521,7 +507,6 @@ def _controller_named(name: str) -> Controller:
     return controller_named(name)
 
 
-# The target on the command line: a curve, how it is laid, and which control points are to follow it.
 CurveOption = Annotated[
     str, TARGET("A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m).", "CURVE")
 ]
@@ -529,22 +514,22 @@ CurveOption = Annotated[
 
 @dataclass(frozen=True)
 class PlacementOptions:
-    """How a curve is laid, and which control points are to follow it."""
+    """The placement of a curve, and the control points that follow it."""
 
     placement: Annotated[
         str | None,
         TARGET(
-            "How the curve is laid: as_is, translate (to the base) or align (turned to the arm too); "
-            "else as_is among obstacles, and align without.",
+            "How the curve is placed: as_is, translate (to the base) or align (also rotated to the arm). "
+            "Default: as_is with obstacles, otherwise align.",
             "NAME",
         ),
     ] = None
-    roll: Annotated[float, TARGET("Turn of an aligned curve about the axis of the arm, in rad.")] = 0.0
+    roll: Annotated[float, TARGET("Rotation of an aligned curve about the axis of the arm, in rad.")] = 0.0
     method: Annotated[
         str,
         TARGET(
-            "How modules are placed: sequential (one by one, exactly), smooth (all at once, bending "
-            "little), closest (all at once), or auto.",
+            "How modules are placed: sequential (one by one, exactly), smooth (all at once, with little "
+            "bending), closest (all at once), or auto.",
             "NAME",
         ),
     ] = "auto"
@@ -553,14 +538,14 @@ class PlacementOptions:
     ] = False
     region: Annotated[
         str | None,
-        TARGET("Control points that are to take the shape, as in 10-20; the others are free.", "FIRST-LAST"),
+        TARGET("Control points that take the shape, such as 10-20; the others are free.", "FIRST-LAST"),
     ] = None
 
     def place(self, arm: Arm, curve: str, scene: Scene | None) -> Target:
-        """Place the control points on a curve; say on stderr if some have no place.
+        """Place the control points on a curve; print a note if some have no place.
 
         Raises:
-            PostureError: as `read_curve`, `resolve_targets` and `read_region`.
+            PostureError: as in `read_curve`, `resolve_targets` and `read_region`.
             InvalidValue: a curve on which not even the first module has a place.
         """
         from pinposture.placement import resolve_targets
@@ -570,7 +555,7 @@ class PlacementOptions:
         target = resolve_targets(
             arm,
             read_curve(curve),
-            placement=cast(Literal["as_is", "translate", "align"], placement),  # checked there
+            placement=cast(Literal["as_is", "translate", "align"], placement),  # checked by the callee
             roll=self.roll,
             incomplete="partial" if self.partial else "raise",
             method=cast(Literal["auto", "sequential", "smooth", "closest"], self.method),
@@ -585,7 +570,6 @@ class PlacementOptions:
         return target if self.region is None else target.region(*read_region("--region", self.region, arm))
 
 
-# What is around an arm on the command line: scene files, and how far an arm is from what is in them.
 SceneOption = Annotated[
     Path | None, SURROUNDINGS("A .toml or .json file of obstacles.", "FILE", flags="--scene")
 ]
@@ -593,20 +577,20 @@ SceneOption = Annotated[
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """What the arm must keep clear of."""
+    """The obstacles that the arm must keep clear of."""
 
     scene: SceneOption = None
     self_collision: Annotated[
-        bool, SURROUNDINGS("Count the arm itself among what it must keep clear of.", flags="--self-collision")
+        bool, SURROUNDINGS("Also keep the arm clear of itself.", flags="--self-collision")
     ] = False
 
     @property
     def file(self) -> str | None:
-        """The file, for a summary."""
+        """The scene file, for a summary."""
         return None if self.scene is None else str(self.scene)
 
     def read(self) -> Scene | None:
-        """The scene of the file, with self-collision if asked for; None if there is neither."""
+        """Return the scene of the file, with self-collision if requested; None if there is neither."""
         from pinposture.collision import Scene
 
         scene = None if self.scene is None else Scene.load(self.scene)

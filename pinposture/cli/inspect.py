@@ -1,4 +1,4 @@
-"""`pinposture inspect`: show what the library makes of a URDF."""
+"""`pinposture inspect`: show how the library interprets a URDF."""
 
 from __future__ import annotations
 
@@ -42,38 +42,37 @@ def run(
     curve: Annotated[
         str | None,
         TARGET(
-            "Tell how well the arm can follow this curve, laid at its base: a file, line or helix.", "CURVE"
+            "Show how well the arm can follow this curve, placed at its base: a file, line or helix.", "CURVE"
         ),
     ] = None,
     scene_options: SceneOptions,
     plot: Annotated[
-        Path | None, OUTPUT("Leave a PNG picture of modules, joint axes and control points here.", "FILE")
+        Path | None, OUTPUT("Save a PNG picture of modules, joint axes and control points here.", "FILE")
     ] = None,
     ellipsoids: Annotated[
         str | None,
         OUTPUT(
-            "Tell how near a singularity these control points are, counted from 1 at the base, in place "
+            "Show how near a singularity these control points are, counted from 1 at the base, instead "
             "of the tip; with --plot, draw their manipulability ellipsoids.",
             "N,...|all",
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what the library makes of a robot description.
+    """Show how the library interprets a robot description.
 
-    Of all the links it takes one chain, from --base to --tip or the longest one there is, and cuts it into
-    modules with a control point at the end of each. Meshes are not needed. Limits are in rad and rad/s, or in
-    metres and m/s for a prismatic joint; positions are those at zero joint positions, in the world. The reach
-    is the distance from base to tip when the arm is stretched; a base that slides without real limits (over
-    more than 100 arm lengths) stays at zero for that. Zero joint positions are often a singular
-    posture: there manipulability measure, minimum singular value and index are 0, the condition number inf.
+    It takes one chain of links, from --base to --tip or the longest one, and divides it into modules with a
+    control point at the end of each. Meshes are not needed. Limits are in rad and rad/s, or in metres and m/s
+    for a prismatic joint; positions are in the world frame, at zero joint positions. The reach is the
+    distance from base to tip of the straight arm, with a base that slides without real limits (over more than
+    100 arm lengths) at zero. Zero joint positions are often a singular posture: there manipulability measure,
+    minimum singular value and index are 0, and the condition number is inf.
 
-    With --curve it also tells how far the control points are from that curve, and the farthest of the whole
-    arm, its links and all, and what of the curve is more than the modules can follow.
+    With --curve it also shows the distances of the control points and of the whole arm, including its links,
+    from that curve, and where the curve exceeds what the modules can follow.
 
-    With --scene it also shows the obstacles of the file, the bodies of the arm, and what each of them is
-    nearest to; with --self-collision, distances of the arm from itself count. What a scene file holds is in
-    the help of track.
+    With --scene it also shows the obstacles of the file, the bodies of the arm, and what is nearest to each;
+    with --self-collision, distances of the arm from itself count. The help of track describes scene files.
     """
     surroundings = scene_options.read()
     arm = arm_options.read(urdf)
@@ -107,7 +106,7 @@ _JOINTS = {
     "upper": "upper",
     "speed": "velocity",
 }
-"""The headings of the table of joints, and what is below them; likewise the following."""
+"""Headings of the table of joints, and the keys of the values below them; likewise the following."""
 _COUPLED = {"follows": "follows", "ratio": "ratio", "offset": "offset"}
 _MEASURES = {
     "module": "module",
@@ -149,21 +148,20 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     print_table(
         headings, [(each["module"], each["name"], each["length"], *each["position"]) for each in points]
     )
-    # As text, because a table shows an infinite number as an absent one.
+    # As text, because a table shows infinite numbers as missing.
     told = [{**one, "condition": f"{one['condition']:.4g}"} for one in about["manipulability"]]
     print_table(tuple(_MEASURES), [[one[key] for key in _MEASURES.values()] for one in told])
 
 
 def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
-    """What there is to know about an arm, as data that JSON can hold.
+    """Describe an arm as JSON-compatible data.
 
     Args:
         arm: an arm loaded from a URDF.
-        measured: indices of the control points whose closeness to a singularity is told, 0-based or -1.
+        measured: indices of the control points to report manipulability for, 0-based or -1.
 
     Returns:
-        Lengths in metres, angles in radians; positions and measures of manipulability at the neutral
-        configuration, positions in the world.
+        Lengths in metres, angles in radians; positions (world) and measures at the neutral configuration.
 
     Raises:
         InvalidValue: an arm that was not loaded from a URDF.
@@ -215,7 +213,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
 
 
 def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
-    """How well an arm can follow a curve laid at its base, as data that JSON can hold; lengths in metres."""
+    """Describe how well an arm can follow a curve at its base, as JSON-compatible data; lengths in metres."""
     from pinposture.placement import resolve_targets
 
     target = resolve_targets(arm, read_curve(curve), incomplete="partial")
@@ -258,7 +256,7 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
     coupled = {each.joint: each for each in arm.couplings}
 
     def limits(name: str, column: int) -> dict[str, Any]:
-        """What a coupled joint follows and how, and the limits that it then has."""
+        """Return the limits of a joint and, if it is coupled, its leader, ratio and offset."""
         ratio, offset, more = 1.0, 0.0, {}
         if name in coupled:
             _, leader, ratio, offset = coupled[name]
@@ -282,7 +280,7 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _without_closed_form(arm: Arm) -> str:
-    """The first module without closed-form kinematics, and why it has none; empty if all have them."""
+    """Describe the first module without closed-form kinematics, with the reason; empty if there is none."""
     from pinposture.placement.module_kinematics import arm_units
 
     try:
@@ -297,7 +295,7 @@ def _without_closed_form(arm: Arm) -> str:
 
 
 def _kinematics(arm: Arm) -> list[str]:
-    """The kinematics that place each module, by name; empty if only least squares over the whole arm do."""
+    """Return the kinematics of each module, by name; empty if only least squares over the whole arm work."""
     from pinposture.placement.module_kinematics import kinematics_names
 
     try:
@@ -307,7 +305,7 @@ def _kinematics(arm: Arm) -> list[str]:
 
 
 def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
-    """A scene around an arm at zero joint positions, as data that JSON can hold; lengths in metres."""
+    """Describe a scene around an arm at zero joint positions, as JSON-compatible data; lengths in metres."""
     import numpy as np
 
     from pinposture.collision import CollisionModel
@@ -337,7 +335,7 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
 
 
 def print_scene(about: Mapping[str, Any]) -> None:
-    """Print what `describe_scene` found: obstacles, bodies of the arm, and what is nearest to each."""
+    """Print the result of `describe_scene`: obstacles, bodies of the arm, and what is nearest to each."""
     excluded = [f"{each['first']} to {each['second']}" for each in about["excluded_pairs"]]
     facts = {
         "margin": f"{about['margin']:.4g} m",

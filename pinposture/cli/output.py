@@ -1,4 +1,4 @@
-"""What a command leaves: data on stdout, all else on stderr, progress bars, and files."""
+"""Output of the commands: data on stdout, everything else on stderr, progress bars, and files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pinposture.placement import Target
 
 verb_examples: dict[Callable[..., None], tuple[str, ...]] = {}
-"""Command lines that the help of each verb shows."""
+"""Example command lines in the help of each verb."""
 
 
 def examples(*lines: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -37,11 +37,11 @@ def examples(*lines: str) -> Callable[[Callable[..., None]], Callable[..., None]
 
 
 UNLIMITED = 10_000
-"""Columns of a file or a pipe: enough for any table, none of which must be cut short there."""
+"""Width of a file or pipe in columns: enough for any table, so that none is truncated."""
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    """Print one JSON object on stdout; an infinite number, such as an absent limit, becomes null."""
+    """Print one JSON object on stdout; infinite numbers, such as missing limits, become null."""
     typer.echo(json.dumps(_finite(data), indent=2, allow_nan=False))
 
 
@@ -59,7 +59,7 @@ def print_result(
     words: Mapping[str, str | tuple[str, str]],
     files: Iterable[object] = (),
 ) -> None:
-    """Print what came out on stdout, as one JSON object or in words, and on stderr what files it is in."""
+    """Print a result on stdout, as one JSON object or in words, and the names of its files on stderr."""
     if as_json:
         print_json(data)
     else:
@@ -69,7 +69,7 @@ def print_result(
 
 
 def print_facts(facts: Mapping[str, str | tuple[str, str]]) -> None:
-    """Print names and what they stand for on stdout, one a line; a pair is a text and its style."""
+    """Print names and values on stdout, one per line; a pair is a text and its style."""
     from rich.table import Table
     from rich.text import Text
 
@@ -85,7 +85,7 @@ Cell = str | float | None
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
-    """Print a table on stdout; numbers are set to the right, None is a dash."""
+    """Print a table on stdout; numbers are right-aligned, None is a dash."""
     from rich.box import SIMPLE
     from rich.table import Table
     from rich.text import Text
@@ -109,13 +109,13 @@ def _cell(value: Cell) -> str:
 def _print(content: RenderableType) -> None:
     from rich.console import Console
 
-    # Not the console's own idea of a terminal, which colours that are asked for would change.
+    # Not the console's own terminal detection, which forced colours would change.
     width = None if sys.stdout.isatty() else UNLIMITED
     Console(width=width, highlight=False).print(content)
 
 
 def print_note(text: str) -> None:
-    """Print a text on stderr that is not part of the result."""
+    """Print text that is not part of the result on stderr."""
     _print_line("", "", text)
 
 
@@ -125,7 +125,7 @@ def print_warning(text: str) -> None:
 
 
 def print_error(text: str) -> None:
-    """Print on stderr, on one line, why there is no result."""
+    """Print an error on stderr, on one line."""
     _print_line("error: ", "bold red", text)
 
 
@@ -137,7 +137,7 @@ def end_with(faults: Sequence[str]) -> None:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print every `PostureWarning` as a note on stderr, regardless of filters; others as Python does."""
+    """Print each `PostureWarning` as a note on stderr, regardless of filters; others as Python does."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", PostureWarning)
         show = warnings.showwarning
@@ -162,18 +162,18 @@ def _print_line(label: str, style: str, text: str) -> None:
 
 @contextmanager
 def step_progress(target: Target, steps: int) -> Iterator[Callback]:
-    """Show a progress bar on stderr while an arm moves; nothing at all if that is not a terminal.
+    """Show a progress bar on stderr while an arm moves; nothing if that is not a terminal.
 
     Args:
-        target: where the arm is going.
-        steps: number of steps after which it stops.
+        target: the target of the arm.
+        steps: maximum number of steps.
 
     Yields:
-        What `track` is to call after each step.
+        The callback for `track`.
     """
     import numpy as np
 
-    # Short enough that the ^C of the terminal fits behind it: on a full line it would spoil the next one.
+    # Short enough to leave room for the ^C of the terminal: on a full line it would spoil the next line.
     text = "step {task.completed} of {task.total}, posture error {task.fields[error]:.4g} m"
     with _progress_bar("tracking", text) as update:
 
@@ -186,13 +186,13 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
 
 @contextmanager
 def count_progress(noun: str) -> Iterator[Callable[[int, int], object]]:
-    """Show on stderr how much of some work is done; nothing at all if that is not a terminal.
+    """Show the progress of some work on stderr; nothing if that is not a terminal.
 
     Args:
-        noun: what is counted, for instance "case".
+        noun: name of the counted items, such as "case".
 
     Yields:
-        What is to be called with the number of those that are done, and that of all.
+        A function to call with the number of finished items and the total number.
     """
     with _progress_bar("running", f"{noun} {{task.completed}} of {{task.total}}", remaining=True) as update:
         yield update
@@ -200,14 +200,14 @@ def count_progress(noun: str) -> Iterator[Callable[[int, int], object]]:
 
 @contextmanager
 def time_progress() -> Iterator[Callable[[float, float], object]]:
-    """Show on stderr how far a motion is; nothing at all if that is not a terminal."""
+    """Show the progress of a motion on stderr; nothing if that is not a terminal."""
     with _progress_bar("moving", "{task.completed:.1f} s of {task.total:.1f} s") as update:
         yield update
 
 
 @contextmanager
 def _progress_bar(label: str, text: str, remaining: bool = False) -> Iterator[Callable[..., object]]:
-    """A bar on stderr that appears with its first update, a function of what is done and of all."""
+    """Yield a function of progress and total that updates a bar on stderr, shown from its first call."""
     if not sys.stderr.isatty():
         yield lambda *_, **__: None
         return
@@ -224,11 +224,11 @@ def _progress_bar(label: str, text: str, remaining: bool = False) -> Iterator[Ca
 
 
 def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> str:
-    """A smallest distance as a person reads it.
+    """Describe the smallest distance.
 
     Args:
-        clearance: what `pinposture.motion.trajectory.closest` returned.
-        dt: how long a step takes [s]; None to count steps.
+        clearance: the result of `pinposture.motion.trajectory.closest`.
+        dt: duration of a step [s]; None: count steps.
     """
     if clearance["pair"] is None:
         return "nothing to keep clear of"
@@ -243,24 +243,22 @@ def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> s
 
 
 def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
-    """What to think of a motion, with the colour in which to print it."""
+    """Return the verdict on a motion, and the colour to print it in."""
     return str(summary["verdict"]), "yellow" if summary["faults"] else "green"
 
-
-# The files that are kept of a run, or of a motion in time.
 
 RUN_FILE, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
 FILES = {"run": RUN_FILE, "plot": PLOT, "animation": ANIMATION}
 
 BATCH = "batch.npz"
-"""File of a directory that holds all runs of a batch."""
+"""File with all runs of a batch in a directory."""
 
 MOTION_FILE = "motion.npz"
 FORMATS = ("npz", "csv", "json", "png", "html")
-"""What a motion can be kept as: all of it, its joints as a table and for ROS, its plot, its animation."""
+"""Formats of a saved motion: complete, joints as a table and for ROS, plot, animation."""
 
 FOR_ROBOTS = ("csv", "json")
-"""Those of them that are handed to a robot."""
+"""The formats that are intended for robots."""
 
 
 def keep(motion: Trajectory, directory: Path) -> None:
@@ -269,31 +267,31 @@ def keep(motion: Trajectory, directory: Path) -> None:
 
     write_plot(motion, directory / PLOT)
     write_animation(motion, directory / ANIMATION)
-    save(motion, directory / RUN_FILE)  # last: where it is, its pictures are
+    save(motion, directory / RUN_FILE)  # last: if it exists, its pictures do, too
 
 
 def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> dict[str, str]:
     """Write a motion in time into a directory, in some of `FORMATS`.
 
-    What is for robots is left out if the motion has faults; it is said on stderr.
+    If the motion has faults, formats for robots are omitted, with a note on stderr.
 
     Returns:
-        The path of the file of each format, in the order in which they were written.
+        The path of the file of each format, in the order of writing.
 
     Raises:
-        FileError: one of them cannot be written.
+        FileError: a file cannot be written.
     """
     from pinposture.motion import save
 
     held_back = [kind for kind in formats if motion.faults and kind in FOR_ROBOTS]
     if held_back:
         named = " and ".join(f"motion.{kind}" for kind in held_back)
-        advice = f"pinposture export {directory} --force writes one all the same"
+        advice = f"pinposture export {directory} --force writes one anyway"
         print_warning(f"no {named} for a robot: {'; '.join(motion.faults)}; {advice}")
         formats = [kind for kind in formats if kind not in held_back]
     stem = directory / MOTION_FILE
     files = {kind: stem.with_suffix(f".{kind}") for kind in reversed(FORMATS) if kind in formats}
-    for kind, path in files.items():  # that with everything last: where it is, the others are
+    for kind, path in files.items():  # the complete one last: if it exists, the others do, too
         if kind == "html":
             write_animation(motion, path)
         elif kind == "png":
@@ -306,13 +304,13 @@ def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMAT
 
 
 def find_kept(path: Path) -> tuple[Path, str]:
-    """The file of a run or a motion: a file itself, or in a directory the newer one.
+    """Find the file of a run or motion: the path itself, or the newer one in a directory.
 
     Returns:
-        The file, and if there were two which one was taken, in words.
+        The file, and a note on which one was chosen if there were two.
 
     Raises:
-        FileError: a directory that holds neither.
+        FileError: a directory with neither.
     """
     if not path.is_dir():
         return path, ""
@@ -320,14 +318,14 @@ def find_kept(path: Path) -> tuple[Path, str]:
     if not found:
         for name in (RUN_FILE, BATCH):
             if (path / name).exists():
-                return path / name, ""  # whoever reads it says what is wrong with it
-        raise FileError(path / RUN_FILE, f"no such file, and no {MOTION_FILE} that holds a motion")
+                return path / name, ""  # the reader will report what is wrong with it
+        raise FileError(path / RUN_FILE, f"no such file, and no {MOTION_FILE} that contains a motion")
     newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
     return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""
 
 
 def _is_kept(path: Path) -> bool:
-    """Whether a file holds a run, or a motion; joints that were exported under that name are neither."""
+    """Return whether a file contains a run or motion; exported joint trajectories do not count."""
     from pinposture.motion import Motion, Trajectory
     from pinposture.motion.files import kind_of
 
@@ -335,7 +333,7 @@ def _is_kept(path: Path) -> bool:
 
 
 def load_kept(path: Path) -> Trajectory | Motion:
-    """Read a run or a motion; raises FileError if the file is missing, or holds neither."""
+    """Read a run or motion; raise FileError if the file is missing or contains neither."""
     from pinposture.motion import Motion, Trajectory, load
     from pinposture.motion.files import kind_of
 
@@ -343,7 +341,7 @@ def load_kept(path: Path) -> Trajectory | Motion:
 
 
 def write_plot(motion: Trajectory | Motion, path: Path) -> None:
-    """Write the plot of a run or a motion as PNG, whatever the name of the file."""
+    """Write the plot of a run or motion as PNG, regardless of the file name."""
     from pinposture.storage import write_figure
     from pinposture.viz import plot
 
@@ -351,7 +349,7 @@ def write_plot(motion: Trajectory | Motion, path: Path) -> None:
 
 
 def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> Path:
-    """Write the animation of a run or a motion, and ellipsoids of control points, as one HTML file."""
+    """Write the animation of a run or motion, with ellipsoids of control points, as one HTML file."""
     from pinposture.viz import save_html
 
     return save_html(motion.arm, motion, path, ellipsoids=ellipsoids)

@@ -1,4 +1,4 @@
-"""`pinposture reach`: find postures that bring the tip to a place."""
+"""`pinposture reach`: find postures that bring the tip to a position."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pinposture.control.reach import ReachedPosture
 
 PICTURE = "postures.png"
-"""Name of the picture of all postures in a directory of results."""
+"""File name of the picture of all postures."""
 
 
 @examples(
@@ -44,44 +44,44 @@ def run(
     *,
     urdf: UrdfArgument,
     arm_options: ArmOptions,
-    to: Annotated[str, TARGET("Where the tip should be, in metres.", "X,Y,Z", flags="--to")],
-    direction: Annotated[str | None, TARGET("Where the last link should point.", "X,Y,Z")] = None,
+    to: Annotated[str, TARGET("Goal position of the tip, in metres.", "X,Y,Z", flags="--to")],
+    direction: Annotated[str | None, TARGET("Direction of the last link.", "X,Y,Z")] = None,
     tolerance: Annotated[
-        float | None, TARGET("How far off the tip may be, in metres; else 1e-6 of the arm's length.")
+        float | None, TARGET("Allowed error of the tip, in metres; default: 1e-6 of the arm length.")
     ] = None,
     scene_options: SceneOptions,
     start: Annotated[
         str | None,
         MOTION(
-            "Where paths begin: straight, smooth or random, a .npy, .csv or .json file of joint "
-            "positions, or 0.1,0.2,...; else no paths are looked for.",
+            "Start of the paths: straight, smooth or random, a .npy, .csv or .json file of joint "
+            "positions, or 0.1,0.2,.... Default: no paths are computed.",
             "START",
         ),
     ] = None,
     degrees: DegreesOption = False,
-    count: Annotated[int, TARGET("How many different postures are wanted.")] = 1,
-    seed: Annotated[int, MOTION("What the search, and a smooth or random start, is drawn from.")] = 0,
+    count: Annotated[int, TARGET("Number of different postures.")] = 1,
+    seed: Annotated[int, MOTION("Seed of the search, and of a smooth or random start.")] = 0,
     budget: Annotated[float, MOTION("Time for the search and the paths, in seconds.")] = 5.0,
     output: Annotated[
         Path | None,
         OUTPUT(
-            "Leave postures.png and a posture_1.json for each posture here; with --start the run to "
-            "the best, too: run.npz, run.png and run.html.",
+            "Save postures.png, and posture_1.json etc. for each posture, here; with --start also the "
+            "run to the best one: run.npz, run.png and run.html.",
             "DIR",
             flags="--output -o",
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find postures that bring the tip to a place, clear of the scene, and the paths to them.
+    """Find postures that bring the tip to a position, clear of the scene, and the paths to them.
 
-    They are listed the best first. The score is the mean of four shares: the clearance (1 from a twentieth of
-    the arm's length on), how far the joint nearest its limit is from it in halves of its range, how far the
-    tip is from a singular posture, and with --start how direct the path is. Postures with a clear path come
-    before those without. What a scene file holds is in the help of track.
+    They are listed best first. The score is the mean of four values from 0 to 1: the clearance (1 from a
+    twentieth of the arm length), the smallest distance of a joint from its limits relative to half its range,
+    the distance of the tip from a singular posture, and with --start the directness of the path. Postures
+    with a clear path come before those without. The help of track describes scene files.
 
-    It is a search: that it finds nothing is no proof that there is nothing. The exit code is 0 if the best
-    posture is clear and so is the path to it, 1 if no clear path was found, 2 if there is no posture.
+    This is a search: finding nothing does not prove that there is nothing. The exit code is 0 if the best
+    posture and the path to it are clear, 1 if no clear path was found, 2 if there is no posture.
     """
     from pinposture.control.reach import reach
     from pinposture.motion import track
@@ -131,7 +131,7 @@ def run(
 
 
 def _described(posture: ReachedPosture) -> dict[str, Any]:
-    """A posture as data that JSON can hold; lengths in metres, angles in radians."""
+    """Return a posture as JSON-compatible data; lengths in metres, angles in radians."""
     path = posture.path
     return {
         "q": posture.q.tolist(),
@@ -164,7 +164,7 @@ def _print_postures(found: Sequence[ReachedPosture]) -> None:
 
 
 def _draw(arm: Arm, found: Sequence[ReachedPosture], scene: Scene | None) -> Figure:
-    """Draw all postures, the best on top, and the scene."""
+    """Draw the scene and all postures, with the best on top."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""`pinposture reproduce`: the experiments of the thesis once more."""
+"""`pinposture reproduce`: reproduce the experiments of the thesis."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ def run(
     *,
     figures: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[FIGURE]...", help="6.3 to 6.12, claims, or all; else they are listed."),
+        typer.Argument(metavar="[FIGURE]...", help="6.3 to 6.12, claims, or all; without any, list them."),
     ] = None,
     controller: Annotated[
         list[str] | None,
-        MOTION("A controller to show beside the others: a name, or module:Class. Repeatable.", "NAME"),
+        MOTION("An additional controller to show: a name, or module:Class. Repeatable.", "NAME"),
     ] = None,
     seeds: Annotated[int, MOTION("Number of seeds to judge claims over.", "N")] = 100,
     seed: Annotated[
         int | None,
         MOTION(
-            "Seed of figures, else that of each; and the first seed of claims, else 0.",
+            "Seed of figures (default: that of each) and first seed of claims (default: 0).",
             "N",
         ),
     ] = None,
     steps: Annotated[int, MOTION("Steps after which a run ends.", "N")] = 200,
-    step_limit: Annotated[float, SETTINGS("Largest |dq| of a joint in a step; figures only.", "RAD")] = 0.1,
+    step_limit: Annotated[float, SETTINGS("Maximum |dq| of a joint in a step; figures only.", "RAD")] = 0.1,
     gain: Annotated[float | None, SETTINGS("Gain of both methods; figures only.", "K")] = None,
     null_gain: Annotated[float | None, SETTINGS("Weight of the null-space term; figures only.", "A")] = None,
     index: Annotated[
@@ -58,17 +58,17 @@ def run(
     ] = None,
     width: Annotated[
         float | None,
-        OUTPUT("Width of pictures for print: 88 is a column, 180 a page; else for the screen.", "MM"),
+        OUTPUT("Width of printed pictures: 88 is a column, 180 a page. Default: for the screen.", "MM"),
     ] = None,
     jobs: JobsOption = -1,
-    output: Annotated[Path, OUTPUT("Where to leave files.", "DIR", flags="--output -o")] = Path(
+    output: Annotated[Path, OUTPUT("Directory of the files.", "DIR", flags="--output -o")] = Path(
         "out/reproduce"
     ),
     page: Annotated[
         Path | None,
         OUTPUT(
-            "A page in Markdown in which the tables of the claims are replaced, between markers; "
-            "a JSON file beside it gets the results.",
+            "A Markdown page in which the tables of the claims are replaced, between markers; a JSON "
+            "file beside it gets the results.",
             "FILE",
         ),
     ] = None,
@@ -76,9 +76,9 @@ def run(
 ) -> None:
     """Reproduce the experiments of chapter 6 of the thesis, and judge its claims.
 
-    Each figure is drawn as the thesis lays it out, from runs whose numbers go to results.json and CSV files.
-    The claims are measured over many seeds; results.json has every number and a verdict on each, claims.md
-    the same to read. All of it takes some minutes.
+    Each figure has the layout of the thesis; the numbers of its runs go to results.json and CSV files. The
+    claims are measured over many seeds; results.json has all numbers and a verdict on each claim, claims.md
+    a readable version. All of it takes some minutes.
     """
     if not figures:
         _list(as_json)
@@ -111,7 +111,7 @@ def run(
 def _methods(
     gain: float | None, null_gain: float | None, index: float | None, kappa: float | None
 ) -> dict[str, Controller]:
-    """The methods of the thesis with what was given; none if nothing was."""
+    """Return the methods of the thesis with the given parameters; empty if none are given."""
     from pinposture.control import Projection, Selection, Switching
 
     def given(**values: float | None) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def _methods(
 
 
 def _list(as_json: bool) -> None:
-    """Say what there is to reproduce."""
+    """List what can be reproduced."""
     from pinposture.study.claims import CLAIMS, FIGURES
 
     rows: list[tuple[str, str, str]] = [
@@ -143,7 +143,7 @@ def _list(as_json: bool) -> None:
 
 
 def _print(done: Reproduction) -> None:
-    """The tables at the end."""
+    """Print the tables of results."""
     from pinposture.study.reproduce.page import span
 
     runs = [
@@ -180,18 +180,18 @@ def _print(done: Reproduction) -> None:
 def run_score(
     *,
     results: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="What a program made of the cases, JSON.")
+        Path, typer.Argument(metavar="RESULTS", help="Results of a program for the cases, JSON.")
     ],
     cases: Annotated[Path, typer.Option(metavar="FILE", help="The file of cases.")] = Path(
         "benchmarks/cases/postures-1.json"
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Score what any program made of the cases of the benchmark.
+    """Score the results of any program for the cases of the benchmark.
 
-    Reached are the cases that end within 0.1 % of the arm length of the target (mean of the control points),
-    within all limits and clear of all obstacles. Steps, path (length of the paths of the control points per
-    direct distance) and rising (share of steps on which the posture error rises) are medians over these.
+    A case is reached if it ends within 0.1 % of the arm length of the target (mean of the control points),
+    within all limits and clear of all obstacles. Steps, path (path length of the control points relative to
+    straight lines) and rising (share of steps in which the posture error rises) are medians over these cases.
     """
     from pinposture.study.benchmark import score
 

@@ -1,4 +1,4 @@
-"""`pinposture run`: do what a task file says."""
+"""`pinposture run`: perform a task file."""
 
 from __future__ import annotations
 
@@ -35,26 +35,25 @@ if TYPE_CHECKING:
     from pinposture.motion import Motion
     from pinposture.task import Reference, Task
 
-# The directory of a run: what is in it from before, and whether that was finished.
 STATUS = "status.json"
-"""File that says what a directory holds."""
+"""File that describes the contents of a directory."""
 
 _RESULT = re.compile(r"motion\.[a-z]+")
-"""Names of files that are kept of a motion."""
+"""Names of the files of a motion."""
 
 _DRAFT = re.compile(r"\..+\.[0-9a-f]{32}")
-"""Names of files that were being written (`pinposture.storage`)."""
+"""Names of partially written files (`pinposture.storage`)."""
 
 
 class Folder:
-    """A directory that is to hold the results of one run at a time.
+    """A directory for the results of one run at a time.
 
     Args:
-        path: the directory; need not exist yet.
-        task: what is to be run, for whoever looks into the directory later.
+        path: the directory; may not exist yet.
+        task: the task to run, recorded in the status file.
 
     Raises:
-        FileError: it cannot be written.
+        FileError: the directory cannot be written.
     """
 
     def __init__(self, path: Path, task: str) -> None:
@@ -63,7 +62,7 @@ class Folder:
         self._begun, self._before = _now(), list[str]()
 
     def found(self) -> str:
-        """What is there from before, in words; empty if nothing is."""
+        """Describe existing contents; empty if there are none."""
         results, status = self._files(_RESULT), self._status()
         said = f"{self.path} holds "
         if status.get("state") == "finished":
@@ -85,9 +84,9 @@ class Folder:
         return said if drafts or status or results else ""
 
     def begin(self) -> None:
-        """Clear away what was half-written, and write down what is begun.
+        """Remove partially written files and record the start of the run.
 
-        Results from before stay until there are new ones in their place.
+        Previous results remain until new ones replace them.
         """
         for each in self._files(_DRAFT):
             each.unlink(missing_ok=True)
@@ -99,13 +98,13 @@ class Folder:
         self._write(state="running", before=self._before)
 
     def finish(self, files: list[str]) -> None:
-        """Write down that these are there, and remove those of the run before that have no successor."""
+        """Record the files of the finished run, and remove previous results that were not replaced."""
         for name in set(self._before) - set(files):
             (self.path / name).unlink(missing_ok=True)
         self._write(state="finished", ended=_now(), files=files)
 
     def fail(self, reason: str) -> None:
-        """Write down why there is no result, if that can be written."""
+        """Record why there is no result, if possible."""
         with suppress(PostureError):
             self._write(state="failed", ended=_now(), reason=reason, before=self._before)
 
@@ -118,7 +117,7 @@ class Folder:
             return []
 
     def _status(self) -> dict[str, Any]:
-        """What the last run wrote down; empty if there was none."""
+        """Return the status of the previous run; empty if there was none."""
         try:
             status = json.loads((self.path / STATUS).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
@@ -135,7 +134,7 @@ def _listed(files: list[Path]) -> str:
 
 
 def _age(path: Path) -> int:
-    """When a file was written last; 0 if it is gone."""
+    """Return the modification time of a file; 0 if it is gone."""
     try:
         return path.stat().st_mtime_ns
     except OSError:
@@ -158,7 +157,7 @@ def run(
     output: Annotated[
         Path | None,
         OUTPUT(
-            "Keep motion.npz, .csv, .json, .png and .html here, or what the file asks for.",
+            "Save motion.npz, .csv, .json, .png and .html here, or the formats in the file.",
             "DIR",
             flags="--output -o",
         ),
@@ -166,22 +165,22 @@ def run(
     check: Annotated[
         bool,
         OUTPUT(
-            "Only see whether the arm can take the postures, and how near it is to the scene in them.",
+            "Only check whether the arm can take the postures, and their clearance from the scene.",
             flags="--check",
         ),
     ] = False,
     as_json: JsonOption = False,
     view: ViewOption = False,
 ) -> None:
-    """Do what a task file says: take postures at their times, or follow the leader.
+    """Perform a task file: take postures at their times, or follow the leader.
 
-    Between postures the curve changes smoothly, and the arm follows it within its limits; where these do not
-    admit the times of the file, it takes longer, and the summary says by how much. docs/tasks.md describes
-    the file; a mistake in it is named with its line.
+    Between postures the curve changes smoothly, and the arm follows it within its limits; if these do not
+    allow the times of the file, it takes longer, and the summary says by how much. docs/tasks.md describes
+    the file; errors in it are reported with their line.
 
-    With -o the motion is kept in a directory. Each file is written atomically, and status.json says
-    whether all are there. The exit code is 0 if the arm converged within its limits without penetration, 1 if
-    not, 2 if it could not start; files for a robot (.csv, .json) are written only if it is 0.
+    With -o the motion is saved in a directory. Each file is written atomically, and status.json says whether
+    all are complete. The exit code is 0 if the arm converged within its limits without penetration, 1 if not,
+    2 if it could not start; files for a robot (.csv, .json) are written only if it is 0.
     """
     from pinposture.task import Task
 
@@ -209,7 +208,7 @@ def run(
 
 
 def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) -> None:
-    """Say what is planned, and how well the arm can do it."""
+    """Print the plan, and how well the arm can perform it."""
     found = task.outlook(reference)
     places = [
         {**each._asdict(), "moved": None if each.moved is None else each.moved._asdict()} for each in found
@@ -236,7 +235,7 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
 
 @contextmanager
 def _kept_in(folder: Folder) -> Iterator[None]:
-    """Say what a directory holds from before, and write down in it how the run begins and that it failed."""
+    """Print a note on existing contents of a directory, and record the start and any failure of the run."""
     found = folder.found()
     if found:
         print_note(found)
@@ -248,16 +247,15 @@ def _kept_in(folder: Folder) -> Iterator[None]:
         raise
 
 
-# What is said about a motion in time.
 FULL = 1.0 - 1e-6
-"""Share of a limit from which on it is reached."""
+"""Fraction of a limit that counts as reached."""
 
 
 def summarize_motion(motion: Motion) -> dict[str, Any]:
-    """A motion in numbers that JSON can hold; lengths in metres, times in seconds.
+    """Summarize a motion as JSON-compatible data; lengths in metres, times in seconds.
 
-    Errors are those along the plan, from setting out to the end. A posture error is the sum of the distances
-    of the control points from their targets, a mean error their mean.
+    Errors are those along the plan, from its start to its end. The posture error is the sum of the distances
+    of the control points from their targets, the mean error is their mean.
     """
     from pinposture.motion.trajectory import closest, limit_shares
 
@@ -303,7 +301,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
 
 
 def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """A summary as a person reads it; the verdict with the colour in which to print it."""
+    """Return a summary in words; the verdict comes with the colour to print it in."""
     words: dict[str, str | tuple[str, str]] = {
         "verdict": verdict_in_colour(summary),
         "duration": _duration(summary),
@@ -331,7 +329,7 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
 
 
 def _duration(summary: Mapping[str, Any]) -> str:
-    """How long it took, and how long it should have taken."""
+    """Describe the actual and planned durations."""
     planned, text = summary["planned"], f"{summary['duration']:.4g} s"
     if summary["done"] < planned:
         text += f", for {summary['done']:.4g} of the {planned:.4g} s of the plan"
@@ -343,7 +341,7 @@ def _duration(summary: Mapping[str, Any]) -> str:
 
 
 def _keyframes(places: list[dict[str, Any]]) -> str:
-    """Named places, one a line, in columns."""
+    """Describe the named places, one per line, in columns."""
     from pinposture.placement.target import Moved
 
     width = max(len(place["name"]) for place in places)

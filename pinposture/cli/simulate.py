@@ -1,4 +1,4 @@
-"""`pinposture simulate`: does a motion survive dynamics?"""
+"""`pinposture simulate`: simulate a motion with dynamics."""
 
 from __future__ import annotations
 
@@ -47,33 +47,33 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, the directory that holds its {MOTION_FILE} or {RUN_FILE}, or a "
-            "joint trajectory (.csv, .json, .npz).",
+            help=f"A saved run or motion, the directory of its {MOTION_FILE} or {RUN_FILE}, or a joint "
+            "trajectory (.csv, .json, .npz).",
         ),
     ],
-    urdf: Annotated[str | None, ARM("The arm of a joint trajectory, which does not hold it.", "URDF")] = None,
+    urdf: Annotated[str | None, ARM("The arm, for a joint trajectory only.", "URDF")] = None,
     arm_options: ArmOptions,
     closed: Annotated[
         bool,
         MOTION(
-            "Drive it by the streaming controller, told where the arm is; else send it the motion.",
+            "Drive the arm by the streaming controller with feedback, rather than send it the motion.",
             flags="--closed",
         ),
     ] = False,
-    no_gravity: Annotated[bool, MOTION("Leave gravity out.", flags="--no-gravity")] = False,
+    no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False,
     frequency: Annotated[
         float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ")
     ] = 10.0,
     no_torque_limits: Annotated[
-        bool, MOTION("Let servos give more than the effort in the description.", flags="--no-torque-limits")
+        bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
     ] = False,
     dt: Annotated[
-        float | None, MOTION("Duration of a cycle in seconds; needed if the run was made without one.", "S")
+        float | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "S")
     ] = None,
-    hold: Annotated[float, MOTION("Seconds to go on for after the motion.", "S")] = 2.0,
+    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S")] = 2.0,
     tolerance: Annotated[
         float | None,
-        MOTION("Mean point error at which the arm is there at the end, in metres; else 1 % of its length."),
+        MOTION("Final mean point error that counts as arrived, in metres; default: 1 % of the length."),
     ] = None,
     scene: SceneOption = None,
     output: Annotated[
@@ -82,21 +82,21 @@ def run(
             "--output",
             "-o",
             metavar="DIR",
-            help=f"Leave {SIMULATION} and {PICTURE} here; else nothing is kept.",
+            help=f"Save {SIMULATION} and {PICTURE} here; otherwise nothing is saved.",
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a motion with servos at the joints, and say how far the arm was off. Needs MuJoCo.
+    """Simulate a motion with servos at the joints, and report the errors of the arm. Needs MuJoCo.
 
-    In open loop the servos are sent the motion. In closed loop the streaming controller measures the arm in
-    each cycle, and drives it to the target of a run, or after the postures of a motion in time. Errors of
-    joints and of the posture are distances from where the servos were sent; in closed loop those from the
-    target are told as well.
+    In open loop, the motion is sent to the servos. In closed loop, the streaming controller measures the arm
+    in each cycle and drives it to the target of a run, or along the postures of a motion in time. Errors of
+    joints and posture are relative to the set points of the servos; in closed loop, the errors relative to
+    the target are also reported.
 
-    Links collide with nothing; how near they came to the scene is told. Effort limits of the description
-    hold; those of our templates are placeholders. The exit code is 0 if the arm is where it should be at the
-    end and was clear of the scene, 1 if not, 2 if it could not start.
+    There are no contacts; the clearance from the scene is reported. The effort limits of the description
+    apply; those of templates are placeholders. The exit code is 0 if the arm arrived and was clear of the
+    scene, 1 if not, 2 if it could not start.
     """
     from pinposture._validation import require_positive
     from pinposture.collision import Scene
@@ -104,7 +104,7 @@ def run(
     from pinposture.sim.model import load_mujoco
     from pinposture.storage import check_writable
 
-    load_mujoco()  # says at once if there is none
+    load_mujoco()  # fails early if it is not installed
     require_positive("hold", hold, zero=True)
     servos = Servos(frequency=frequency, torque_limits=not no_torque_limits)
     surroundings = None if scene is None else Scene.load(scene)
@@ -132,13 +132,13 @@ def keep(simulation: Simulation, directory: Path) -> None:
     from pinposture.viz.simulation import plot_simulation
 
     write_figure(directory / PICTURE, plot_simulation(simulation))
-    save(simulation, directory / SIMULATION)  # last: where it is, its picture is
+    save(simulation, directory / SIMULATION)  # last: if it exists, its picture does, too
 
 
 def _read(
     path: Path, urdf: str | None, arm_options: ArmOptions
 ) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
-    """The arm and its motion."""
+    """Read the arm and its motion."""
     from pinposture.motion import JointTrajectory, load
     from pinposture.motion.files import kind_of
 
@@ -146,12 +146,12 @@ def _read(
     if which:
         print_note(which)
     if kind_of(file) is not JointTrajectory:
-        refuse_given({"--urdf": urdf}, "nothing; a saved run holds its arm")
-        arm_options.refuse("nothing; a saved run holds its arm")
+        refuse_given({"--urdf": urdf}, "nothing; a saved run contains its arm")
+        arm_options.refuse("nothing; a saved run contains its arm")
         kept = load_kept(file)
         return kept.arm, kept
     if urdf is None:
-        raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not hold")
+        raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not contain")
     arm = arm_options.read(urdf)
     return arm, load(file, JointTrajectory).matched(arm)
 
@@ -167,7 +167,7 @@ def _simulate_closed(
     scene: Scene | None,
     tolerance: float | None,
 ) -> Simulation:
-    """Simulate a motion as `simulate` does, but let the streaming controller drive the arm."""
+    """Simulate a motion as in `simulate`, but driven by the streaming controller."""
     from pinposture.control import Limits
     from pinposture.motion import Motion, Tracker, Trajectory
     from pinposture.sim import set_points, simulate_closed
@@ -179,7 +179,7 @@ def _simulate_closed(
     limits = Limits(dt=asked.dt)
     if isinstance(kept, Trajectory):
         limits, scene = replace(kept.limits, dt=asked.dt), kept.scene if scene is None else scene
-    if isinstance(motion, Motion):  # it is within its limits: whoever follows it need not brake early
+    if isinstance(motion, Motion):  # it keeps its limits: following it does not require early braking
         limits = replace(limits, acceleration=None, jerk=None)
     duration = asked.dt * (len(asked.positions) - 1) + hold
     start, tracker = arm.configuration(asked.positions[0]), Tracker(arm, limits=limits, scene=scene)
@@ -188,7 +188,7 @@ def _simulate_closed(
 
 
 def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """A summary as a person reads it; the verdict with the colour in which to print it."""
+    """Return a summary in words; the verdict comes with the colour to print it in."""
     length = summary["arm_length"]
     words: dict[str, str | tuple[str, str]] = {
         "verdict": verdict_in_colour(summary),

@@ -37,32 +37,30 @@ if TYPE_CHECKING:
     from pinposture.study import ArmSurvey, Record, SceneRun, Spread, Subject
 
 
-# What the verbs have in common: options, a bar while it runs, tables, files.
-
-ArmsOption = Annotated[str | None, ARM("Arms that are built in: ryrz20,planar45.", "NAME,...")]
+ArmsOption = Annotated[str | None, ARM("Built-in arms: ryrz20,planar45.", "NAME,...")]
 ControllersOption = Annotated[str | None, MOTION("Controllers to compare.", "NAME,...")]
 SeedOption = Annotated[int, MOTION("First seed.", "N", flags="--seed0")]
 
 Columns = Mapping[str, Callable[[Any], Cell]]
-"""The headings of a table, and what stands below them for a row."""
+"""The headings of a table, and functions of a row that return the cells below them."""
 
 Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 
 
 @dataclass(frozen=True)
 class ShowOptions:
-    """How a study is run and shown."""
+    """Options for running and showing a study."""
 
     jobs: JobsOption = 1
     as_json: JsonOption = False
 
     def run(self, noun: str, study: Callable[..., Any], *given: Any) -> Any:
-        """Run a study with a bar that counts its runs, each of them called by a noun."""
+        """Run a study with a progress bar that counts its runs under the given noun."""
         with count_progress(noun) as progress:
             return study(*given, jobs=self.jobs, progress=progress)
 
     def show(self, found: Mapping[str, Any], tables: Iterable[Table]) -> None:
-        """Print what was found, as one JSON object or as tables."""
+        """Print the results, as one JSON object or as tables."""
         if self.as_json:
             print_json(found)
             return
@@ -72,19 +70,19 @@ class ShowOptions:
 
 @dataclass(frozen=True)
 class KeepOptions(ShowOptions):
-    """The same of a study whose runs can be kept."""
+    """Options of a study whose runs can be saved."""
 
     output: Annotated[
         Path | None,
         OUTPUT(
-            "Leave a row for each run (cases.csv), the summary (summary.json) and any pictures here.",
+            "Save a row for each run (cases.csv), the summary (summary.json) and any pictures here.",
             "DIR",
             flags="--output -o",
         ),
     ] = None
 
     def run(self, noun: str, study: Callable[..., Any], *given: Any) -> Any:
-        """Refuse a directory in which no file can be made, then run the study."""
+        """Check that the directory is writable, then run the study."""
         from pinposture.storage import check_writable
 
         if self.output is not None:
@@ -94,7 +92,7 @@ class KeepOptions(ShowOptions):
     def keep(
         self, runs: Sequence[Any], found: Mapping[str, Any], **pictures: Callable[[Any], Figure]
     ) -> None:
-        """Leave the runs, what was found, and pictures that are drawn of the runs in the directory."""
+        """Save the runs, the results, and pictures of the runs in the directory."""
         from pinposture.study import keep_study
 
         if self.output is not None:
@@ -108,7 +106,7 @@ def _table(columns: Columns, rows: Iterable[Any]) -> Table:
 
 
 def _json_rows(rows: Iterable[Any]) -> list[dict[str, Any]]:
-    """Rows of a table as data that JSON can hold."""
+    """Return the rows of a table as JSON-compatible data."""
     return [
         {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in each.items()}
         for each in (row._asdict() for row in rows)
@@ -116,7 +114,7 @@ def _json_rows(rows: Iterable[Any]) -> list[dict[str, Any]]:
 
 
 def _spread(name: str, form: str) -> Callable[[Any], Cell]:
-    """Median (90th percentile) of a quantity of a row, where there is one."""
+    """Return a function of a row that formats median (90th percentile) of a quantity, if present."""
 
     def cell(row: Any) -> Cell:
         spread: Spread | None = getattr(row, name)
@@ -126,7 +124,7 @@ def _spread(name: str, form: str) -> Callable[[Any], Cell]:
 
 
 def _share(value: float) -> str:
-    """A share in percent, rounded down, so that 100 % stands for all."""
+    """Format a share in percent, rounded down, so that 100 % means all."""
     return f"{int(1000.0 * value + 1e-9) / 10.0:g} %"
 
 
@@ -135,7 +133,7 @@ def _short(value: float | None) -> str | None:
 
 
 def _split(option: str, text: str | None, usual: Iterable[str]) -> list[str]:
-    """Names separated by commas, each once, or the usual ones; raises InvalidValue for anything else."""
+    """Return names separated by commas, each once, or the default ones; raise InvalidValue otherwise."""
     if text is None:
         return list(usual)
     names = [name.strip() for name in text.split(",")]
@@ -145,7 +143,7 @@ def _split(option: str, text: str | None, usual: Iterable[str]) -> list[str]:
 
 
 def _built(names: str | None) -> list[Subject]:
-    """The arms of these names, or all that are built in."""
+    """Return the built-in arms of these names, or all."""
     from pinposture.study import built_subject
     from pinposture.study.arms import BUILT
 
@@ -153,7 +151,7 @@ def _built(names: str | None) -> list[Subject]:
 
 
 def _warn_of_refusals(records: list[Record]) -> None:
-    """Say on stderr which controllers would not begin, how often, and why at first."""
+    """Warn of controllers that refused to start, with the count and the first reason."""
     refused: dict[str, list[Record]] = {}
     for record in records:
         if record.status == "refused":
@@ -162,13 +160,11 @@ def _warn_of_refusals(records: list[Record]) -> None:
         print_warning(f"{controller} refused {len(those)} of its runs: {those[0].reason}")
 
 
-# `pinposture study arms`: try every arm of a directory, or those of awkward shapes.
-
 AS_CLOSE = 1.05
-"""How much farther from the curve than the reference a placement may be to count as good."""
+"""Maximum ratio of the residual of a good placement to that of the reference."""
 
 RESIDUAL_ROUNDING = 1e-6
-"""Distance from the curve, relative to the arm length, that is no fault: sampling of the curve, rounding."""
+"""Tolerance of residuals, relative to the arm length: sampling of the curve, rounding errors."""
 
 _ARM_COLUMNS: Columns = {
     "file": lambda row: row.file,
@@ -203,25 +199,24 @@ def run_arms(
         Path | None,
         typer.Argument(
             metavar="[DIRECTORY]",
-            help="Where to look for .urdf files, at any depth; without it, arms of awkward shapes made here.",
+            help="Where to search for .urdf files, at any depth; default: built-in arms of unusual shapes.",
         ),
     ] = None,
-    least_joints: Annotated[int, ARM("Leave out arms of fewer moving joints.", "N")] = 5,
-    seed: Annotated[int, MOTION("What the starts are drawn from.")] = 0,
+    least_joints: Annotated[int, ARM("Skip arms with fewer moving joints.", "N")] = 5,
+    seed: Annotated[int, MOTION("Seed of the starts.")] = 0,
     options: ShowOptions,
 ) -> None:
-    """Try every arm of a directory: place it on a gentle curve, and drive it there.
+    """Test every arm of a directory: place it on a gentle curve, and drive it there.
 
-    Without a directory it tries arms of awkward shapes: joints that do not repeat, long rows of parallel
+    Without a directory, arms of unusual shapes are tested: joints that do not repeat, long rows of parallel
     axes, a tip beside the plane of the arm, no limits, a base that slides within limits of 1e6 m.
 
-    Each distance is relative to the length of the arm. The residual is how far off the curve the control
-    points are placed (root mean square), the reference the same of the best of several independent fits; the
-    ratio of the two is ok up to 1.05 (plus 1e-6). Farthest is the farthest of the whole arm from the curve,
-    its links and all. After that come the mean point error to which joint
-    interpolation, Switching and geodesic, the default controller, drive the arm from a random start; how
-    many steps geodesic took, and how far the control points went with it, relative to straight lines; and
-    whether all three kept within the joint limits.
+    Distances are relative to the arm length. The residual is the distance of the placed control points from
+    the curve (root mean square), the reference that of the best of several independent fits; their ratio is
+    ok up to 1.05 (plus 1e-6). Farthest is the largest distance of the whole arm, including its links, from
+    the curve. The next columns are the mean point errors that joint interpolation, Switching and geodesic,
+    the default controller, reach from a random start; the number of steps of geodesic, and its path length of
+    control points relative to straight lines; and whether all three kept the joint limits.
     """
     from pinposture.study import survey_arms
 
@@ -243,7 +238,7 @@ def run_arms(
 
 
 def _report(result: ArmSurvey) -> None:
-    """Say on stderr that one file is done, what loading it warned of, and why some module has no place."""
+    """Report a finished file on stderr, with the warnings of loading and the reason for unplaced modules."""
     print_note(f"{result.file}: {'refused' if result.refused else 'done'}")
     unplaced = result.method.partition(": ")[2]
     for note in (*result.notes, *filter(None, [unplaced])):
@@ -251,28 +246,28 @@ def _report(result: ArmSurvey) -> None:
 
 
 def _is_close(result: ArmSurvey) -> bool | None:
-    """Whether an arm is placed about as close to the curve as can be; None if it was not placed."""
+    """Return whether an arm is placed about as close to the curve as possible; None if it was not placed."""
     if result.residual is None or result.reference is None:
         return None
     return result.residual <= AS_CLOSE * result.reference + RESIDUAL_ROUNDING
 
 
 def _ratio(result: ArmSurvey) -> float | None:
-    """Residual relative to the reference, where both are more than rounding."""
+    """Return the residual relative to the reference, both at least the rounding tolerance."""
     if result.residual is None or result.reference is None:
         return None
     return max(result.residual, RESIDUAL_ROUNDING) / max(result.reference, RESIDUAL_ROUNDING)
 
 
 def compressed(sizes: tuple[int, ...]) -> str:
-    """Numbers of joints, those that repeat written once: "2 x 8", "2, 2, 3", "1 x 18, 2"."""
+    """Format numbers of joints, with repetitions combined: "2 x 8", "2, 2, 3", "1 x 18, 2"."""
     runs = [(size, len(list(same))) for size, same in groupby(sizes)]
     return ", ".join(
         f"{size} x {often}" if often > 2 else ", ".join([str(size)] * often) for size, often in runs
     )
 
 
-# `pinposture study methods`: the methods side by side, as in Table 1.1 of the thesis, but measured.
+# `pinposture study methods`: compare the methods as in Table 1.1 of the thesis, but by measurement.
 
 _METHOD_COLUMNS: Columns = {
     "method": lambda row: row.controller,
@@ -296,21 +291,21 @@ def run_methods(
     *,
     urdf: Annotated[
         str | None,
-        typer.Argument(metavar="[URDF]", help="URDF file of an arm, or -; else 20 RyRz modules, 1 m."),
+        typer.Argument(metavar="[URDF]", help="URDF file of an arm, or -; default: 20 RyRz modules, 1 m."),
     ] = None,
     arm_options: ArmOptions,
-    controllers: Annotated[str | None, ARM("Methods to compare; else all there are.", "NAME,...")] = None,
+    controllers: Annotated[str | None, ARM("Methods to compare; default: all.", "NAME,...")] = None,
     seeds: Annotated[int, MOTION("Number of cases for each method.", "N")] = 20,
     steps: Annotated[int, MOTION("Steps of each way.", "N")] = 200,
     options: ShowOptions,
 ) -> None:
-    """Compare every method on the same arm: what it reaches, what it asks for, whether it comes back.
+    """Compare every method on the same arm: errors, peak joint motions, and repeatability.
 
-    From smooth random starts to smooth random targets and back, median over the cases. Errors are relative
-    to the length of the arm; reached is the share of cases whose mean point error ends below 1e-3 of it.
-    Returned is how far some joint is from its start once the arm is back. The peaks are the largest motion of
-    a joint that a step without limits asks for, for an error of one arm length, at a distance of 0.1 to 1e-5
-    rad from the straight arm: what grows without bound is not stable near singular postures.
+    Runs go from smooth random starts to smooth random targets and back; values are medians over the cases.
+    Errors are relative to the arm length; reached is the share of cases with a final mean point error below
+    1e-3 of it. Returned is the largest distance of a joint from its start after the return. The peaks are the
+    largest joint motion that a step without limits requests for an error of one arm length, at a distance of
+    0.1 to 1e-5 rad from the straight arm: unbounded growth means instability near singular postures.
     """
     from pinposture.control import CONTROLLERS
     from pinposture.study import built_subject, compare_methods, register_baselines
@@ -332,8 +327,6 @@ def run_methods(
     }
     options.show({**asked, "methods": [each._asdict() for each in results]}, [_table(columns, results)])
 
-
-# `pinposture study postures`: many starts, targets and controllers.
 
 _POSTURE_COLUMNS: Columns = {
     "runs": lambda row: row.runs,
@@ -358,7 +351,7 @@ _POSTURE_COLUMNS: Columns = {
 def run_postures(
     *,
     arms: ArmsOption = None,
-    urdf: Annotated[str | None, ARM("URDF file of another arm instead, or -.", "FILE")] = None,
+    urdf: Annotated[str | None, ARM("URDF file of another arm, or -.", "FILE")] = None,
     arm_options: ArmOptions,
     controllers: ControllersOption = None,
     cases: Annotated[int, MOTION("Number of cases for each arm.", "N")] = 1000,
@@ -366,19 +359,18 @@ def run_postures(
     families: Annotated[bool, OUTPUT("A row for each family.", flags="--families")] = False,
     options: KeepOptions,
 ) -> None:
-    """Drive arms from every kind of start to every kind of target, and say who gets there, and how.
+    """Drive arms from every kind of start to every kind of target, and compare how controllers reach them.
 
     The arms are 20 RyRz modules, 1 m, and 45 joints in a plane with a control point at every second. Starts
-    are smooth, harsh (each joint for itself within 0.6 or 1.5 rad), straight, or 1e-3 off it; targets are the
-    helix and the line of the thesis, the straight arm folded back on itself, and random postures. Arms that
-    are loaded go to a gentle curve and to random postures. At most 0.1 rad per step and joint, and 400 steps.
+    are smooth, harsh (each joint independently within 0.6 or 1.5 rad), straight, or 1e-3 off straight;
+    targets are the helix and the line of the thesis, the straight arm folded back on itself, and random
+    postures. Loaded arms go to a gentle curve and random postures. At most 400 steps of 0.1 rad per joint.
 
-    The first two columns are the share of runs whose mean point error ends below 1e-6 and 1e-3 of the arm
-    length. The others tell of the runs that moved and came below 1e-3: median (90th percentile) of the number
-    of steps, of the share of steps on which the posture error rises, of those in which the controller lets
-    it rise, of the highest posture error relative to the first one, and of the length of the paths of the
-    control points relative to straight lines. A thousand cases with six controllers take some five minutes
-    on two processes for each arm.
+    The first two columns are the shares of runs with a final mean point error below 1e-6 and 1e-3 of the arm
+    length. The others cover the runs that moved and came below 1e-3: median (90th percentile) of the number
+    of steps, the share of steps in which the posture error rises, the share in which the controller allows
+    it to rise, the highest posture error relative to the first, and the path length of the control points
+    relative to straight lines. 1000 cases with six controllers take five minutes per arm on two processes.
     """
     from pinposture.study import loaded_subject, study_postures, summarise
     from pinposture.study.pictures import draw_postures
@@ -388,7 +380,7 @@ def run_postures(
         arm_options.refuse("only together with --urdf")
         subjects = _built(arms)
     elif arms is not None:
-        raise InvalidValue("--arms", arms, "nothing where --urdf names the arm")
+        raise InvalidValue("--arms", arms, "nothing if --urdf is given")
     else:
         subjects = [loaded_subject(arm_options.read(urdf))]
     names = _split("--controllers", controllers, COMPARED)
@@ -412,9 +404,6 @@ def run_postures(
     options.keep(records, found, postures=draw_postures)
 
 
-# `pinposture study headings`: how far some part of the arm must turn, and who can.
-
-
 @examples(
     "pinposture study headings --pairs 50 --arms planar45",
     "pinposture study headings --controllers switching,lm --target curve",
@@ -427,20 +416,20 @@ def run_headings(
     controllers: ControllersOption = None,
     target: Annotated[
         str,
-        MOTION("What is known of the target: its configuration, or the curve through its points.", "KIND"),
+        MOTION("Definition of the target: its configuration, or the curve through its points.", "KIND"),
     ] = "configuration",
     pairs: Annotated[int, MOTION("Number of pairs for each arm.", "N")] = 300,
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
-    """Drive arms between random smooth postures, and count who gets there by how far the arm must turn.
+    """Drive arms between random smooth postures, and count successes by how far the arm must turn.
 
-    The change of heading of a link adds up from the base along the arm, full turns included; that of a module
-    of a spatial arm likewise, from the rotations between the changes of neighbours. The bins are those of its
-    largest value along the arm: past pi, what knows the control points alone turns the short way round, and
-    kinks. Counted are the runs that end with a mean point error below 1e-3 of the arm length and never left
-    the limits, of all; behind them is the median length of the paths of the control points relative to the
-    straight lines, of those that moved and came near. At most 0.1 rad per step and joint, and 400 steps.
+    The change of heading of a link accumulates from the base along the arm, including full turns; for a
+    module of a spatial arm likewise, from the rotations between the changes of neighbours. Bins are of its
+    largest value along the arm: beyond pi, a controller that knows only the control points turns the short
+    way round, and kinks the arm. Counted, out of all, are the runs with a final mean point error below 1e-3
+    of the arm length that never left the limits; then follows the median path length of the control points
+    relative to straight lines, of the runs that moved and came near. At most 400 steps of 0.1 rad per joint.
     """
     from pinposture.study import Bin, by_heading, study_headings
     from pinposture.study.pictures import draw_headings
@@ -469,8 +458,6 @@ def run_headings(
     options.keep(records, found, headings=draw_headings)
 
 
-# `pinposture study scenes`: an arm among obstacles, many times.
-
 _SCENE_COLUMNS: Columns = {
     "scene": lambda row: row.scene,
     "runs": lambda row: row.runs,
@@ -498,20 +485,20 @@ def run_scenes(
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
-    """Drive 20 RyRz modules, 1 m, among obstacles, and say who keeps clear, who gets there, and how.
+    """Drive 20 RyRz modules, 1 m, among obstacles, and report clearance and success.
 
-    The arm goes round a post, threads a slot of 20 cm in a wall, and a narrow one of 12 cm; unfolds close
-    before a wall; reaches through a pipe to hook back beside it; is sent inside a ball, where it must stop
-    short; turns a coil into its mirror image without touching itself; and comes out of a ball in which it
-    starts. Each seed varies start and target a little; draws that are not as clear as they should be are
-    refused. At most 0.1 rad per step and joint, and 400 steps.
+    The arm goes round a post; threads a slot of 20 cm in a wall, and a narrow one of 12 cm; unfolds close to
+    a wall; reaches through a pipe and hooks back beside it; is sent into a ball, before which it must stop;
+    turns a coil into its mirror image without touching itself; and leaves a ball in which it starts. Each
+    seed slightly varies start and target; draws without the required clearance are rejected. At most 0.1 rad
+    per step and joint, and 400 steps.
 
-    Room is the smallest distance, looked up at ten places of every step, minus the margin, in the worst run;
-    negative where the arm starts in collision. Such a run keeps its margin if the arm never goes deeper,
-    comes out, and keeps it from there on. The last four columns are median (90th percentile) of the number
-    of steps, of the length of the paths of the control points relative to straight lines, of the share
-    of steps in which the error may rise, and of the time of a run. Runs with faults are listed
-    one by one. All of it takes some ten minutes on two processes.
+    Room is the smallest distance, checked at ten points of every step, minus the margin, in the worst run;
+    negative if the arm starts in collision. Such a run keeps its margin if the arm never goes deeper, gets
+    out, and keeps the margin from then on. The last four columns are median (90th percentile) of the number
+    of steps, the path length of the control points relative to straight lines, the share of steps in which
+    the error may rise, and the run time. Runs with faults are listed individually. The study takes about ten
+    minutes on two processes.
     """
     from pinposture.study.scenes import SITUATIONS, by_scene, study_scenes
 
@@ -523,7 +510,7 @@ def run_scenes(
     options.show(found, [_table(_SCENE_COLUMNS, rows)])
     refused = [f"{row.scene} {row.refused}" for row in rows if row.refused]
     if refused:
-        print_note(f"starts and targets that were drawn and refused: {', '.join(refused)}")
+        print_note(f"starts and targets drawn and rejected: {', '.join(refused)}")
     for each in runs:
         if not each.as_it_should:
             print_warning(f"{each.scene}, seed {each.seed}: {_fault(each)}")
@@ -531,7 +518,7 @@ def run_scenes(
 
 
 def _fault(run: SceneRun) -> str:
-    """What a run did not do as it should, in words."""
+    """Describe the faults of a run."""
     faults = []
     if run.loss > 0.0 and not run.kept:
         faults.append(f"came {1e3 * run.loss:.3g} mm closer than it may")
@@ -543,8 +530,6 @@ def _fault(run: SceneRun) -> str:
         faults.append(f"names nothing that was in the way ({run.reason})")
     return "; ".join(faults)
 
-
-# `pinposture study clutter`: finding a path among obstacles.
 
 _CLUTTER_COLUMNS: Columns = {
     "kind": lambda row: row.kind,
@@ -571,16 +556,16 @@ def run_clutter(
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
-    """Plan and run with 20 RyRz modules, 1 m, among obstacles that have to be got past.
+    """Plan and run motions of 20 RyRz modules, 1 m, past obstacles.
 
     40 balls; 30 posts; a hole of 15 cm in a wall; two walls with offset holes; a shelf with 16 bays; a narrow
     corner; a pipe with two bends; a scanned machine with a hole in front; the arm itself, coiled. Start and
-    goal are drawn until they are clear, by code that plans nothing. A third of the starts are inside of the
+    goal are drawn until they are clear, by code that does not plan. A third of the starts are inside the
     hole, the pipe or the machine.
 
     Room is the smallest distance in runs that reached the goal, every 0.01 rad, minus the margin. Planning
-    time and path length ratio of the plans are median (90th percentile). Unsolved problems are listed.
-    With -o the first problem of each kind is left as an animation, too.
+    time and path length ratio of the plans are median (90th percentile). Unsolved problems are listed. With
+    -o, an animation of the first problem of each kind is also saved.
     """
     from pinposture.study.clutter import KINDS_OF_CLUTTER, by_kind, draw_problem, run_problem, study_clutter
     from pinposture.study.pictures import draw_clutter
@@ -604,9 +589,6 @@ def run_clutter(
             print_note(f"wrote {save_html(arm, run, options.output / f'{name}.html')}")
 
 
-# `pinposture study cycles`: closed cycles of postures, gone round again and again.
-
-
 @examples(
     "pinposture study cycles --arms ryrz20 --cycles 3",
     "pinposture study cycles --rounds 10 --jobs 2",
@@ -621,12 +603,12 @@ def run_cycles(
     seed0: SeedOption = 0,
     options: ShowOptions,
 ) -> None:
-    """Go round closed cycles of four random smooth postures, and say how far the joints drift.
+    """Repeat closed cycles of four random smooth postures, and report the drift of the joints.
 
-    The first round begins in the last posture. After each round, drift is how far the joint that is farthest
-    from where it began has moved [rad]; the table has that of the worst cycle. Postures are known by
-    their configurations, or by their control points alone. At most 0.1 rad per step and joint, and 400 steps
-    from one posture to the next, until the mean point error is below 1e-9 of the arm length.
+    The first round begins in the last posture. Drift is the largest distance of a joint from its start after
+    each round [rad], in the worst cycle. Postures are defined by their configurations, or only by their
+    control points. At most 0.1 rad per step and joint, and 400 steps from one posture to the next, until the
+    mean point error is below 1e-9 of the arm length.
     """
     from pinposture.study.cycles import CLOSE, CYCLE_KNOWLEDGE, study_cycles
 
@@ -646,9 +628,6 @@ def run_cycles(
     )
 
 
-# `pinposture study leader`: how far an arm is from the path of its tip.
-
-
 @examples(
     "pinposture study leader --arms ryrz --bendings 0.1,0.2,0.5",
     "pinposture study leader --json",
@@ -660,15 +639,15 @@ def run_leader(
     bendings: Annotated[str | None, MOTION("Curvature times module length of the paths.", "RAD,...")] = None,
     options: KeepOptions,
 ) -> None:
-    """Push arms on a feed along paths of constant curvature, and say how far off the path they are.
+    """Push arms on a feed along paths of constant curvature, and report their distance from the path.
 
-    The arms are 1 m long, of 20 modules: two crossed hinges half a module apart (ryrz), two in one place
-    (universal), or one alone (hinge, which stays in its plane). The paths are arcs of up to three quarters
+    The arms are 1 m long, with 20 modules: two crossed hinges half a module apart (ryrz), two in one place
+    (universal), or a single one (hinge, which stays in its plane). The paths are arcs of up to three quarters
     of a turn, and helices whose torsion is half their curvature; they begin to bend at the entry. Modules
     are placed closest to the path, the whole arm by least squares, or in sequential order as in Algorithm 1.
-    Numbers are percent of the arm length: the farthest that any part of the arm is from the path in any
-    posture, and behind it the farthest control point. The sagitta is how far the middle of a straight module
-    is from an arc if both its ends are on it.
+    Numbers are in percent of the arm length: the largest distance of any part of the arm from the path in any
+    posture, then that of the control points. The sagitta is the distance of the middle of a straight module
+    from an arc that passes through both its ends.
     """
     from pinposture.study.leader import ARMS, BENDINGS, Following, study_leader
     from pinposture.study.pictures import draw_leader
@@ -704,4 +683,4 @@ STUDIES: dict[str, Callable[..., None]] = {
     "cycles": run_cycles,
     "leader": run_leader,
 }
-"""The verbs `pinposture study ...` by name, in the order of the help."""
+"""The verbs `pinposture study ...` by name, in help order."""

@@ -74,7 +74,7 @@ def run(
         ),
     ] = "smooth",
     degrees: DegreesOption = False,
-    seed: Annotated[int, MOTION("What a smooth or random start is drawn from.")] = 0,
+    seed: Annotated[int, MOTION("Seed of a smooth or random start.")] = 0,
     steps: Annotated[int, MOTION("Number of steps after which to stop.")] = 300,
     tolerance: ToleranceOption = None,
     limit_options: LimitOptions,
@@ -82,28 +82,28 @@ def run(
     tip_options: TipOptions,
     output: Annotated[
         Path | None,
-        OUTPUT("Leave run.npz, run.png and run.html here; else nothing is kept.", "DIR", flags="--output -o"),
+        OUTPUT("Save run.npz, run.png and run.html here; else nothing is saved.", "DIR", flags="--output -o"),
     ] = None,
     as_json: JsonOption = False,
     view: ViewOption = False,
 ) -> None:
-    """Drive an arm to the shape of a curve, and say how it went.
+    """Drive an arm to the shape of a curve, and report the result.
 
-    Each control point gets its place on the curve, and the controller moves the arm there step by step; the
-    summary tells which method placed them and how far off the curve the farthest of them belongs.
+    Each control point is assigned a place on the curve, and the controller moves the arm there step by step;
+    the summary names the placement method and the largest distance of a target from the curve.
 
-    Limits hold for every controller. Only geodesic keeps clear of obstacles and of the arm itself, and can
-    bring or hold the tip somewhere; with others distances are only recorded. A scene file has a line for each
-    obstacle, in TOML: obstacles.post = {type = "cylinder", start = [0.3, 0.1, -1], end = [0.3, 0.1, 1],
-    radius = 0.02}. There are also sphere (center, radius), capsule (as cylinder), box (center, size,
-    rotation), half_space (point; normal, towards the free side), mesh (path, scale, center, rotation) and
-    scan (as mesh; of points or a surface). A rotation is roll, pitch, yaw in rad, or a 3x3 matrix. It may set
-    margin (the distance to keep; default 0.005), self_collision (true or false) and arm_radius (of capsules
-    that replace the geometry of the arm). Lengths are in metres, in the world frame.
+    All controllers keep the limits. Only geodesic avoids obstacles and self-collision, and can bring or hold
+    the tip somewhere; with others, distances are only recorded. A scene file has a line for each obstacle, in
+    TOML: obstacles.post = {type = "cylinder", start = [0.3, 0.1, -1], end = [0.3, 0.1, 1], radius = 0.02}.
+    There are also sphere (center, radius), capsule (as cylinder), box (center, size, rotation), half_space
+    (point; normal, towards the free side), mesh (path, scale, center, rotation) and scan (as mesh; of points
+    or a surface). A rotation is roll, pitch, yaw in rad, or a 3x3 matrix. The file may also set margin (the
+    clearance to keep; default 0.005), self_collision (true or false) and arm_radius (of capsules that replace
+    the geometry of the arm). Lengths are in metres, in the world frame.
 
-    With -o the run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in
-    any browser. The exit code is 0 if the arm converged within its limits without penetration, 1 if not, 2
-    if it could not start.
+    With -o the run is saved in a directory: run.npz contains everything, run.png is a plot, run.html is an
+    animation for any browser. The exit code is 0 if the arm converged within its limits without penetration,
+    1 if not, 2 if it could not start.
     """
     from pinposture.motion import track
     from pinposture.storage import check_writable
@@ -117,7 +117,7 @@ def run(
     chosen = controller_options.build(task)
     target = placement_options.place(arm, curve, surroundings)
     if output is not None:
-        check_writable(output)  # now, so that nobody waits for a run that cannot be kept
+        check_writable(output)  # before the run, which would be lost otherwise
     with step_progress(target, steps) as callback:
         motion = track(
             arm,
@@ -142,10 +142,9 @@ def run(
     end_with(motion.faults)
 
 
-# What is asked of the tip on the command line, besides the shape.
 @dataclass(frozen=True)
 class TipOptions:
-    """What is asked of the tip, besides the shape."""
+    """The tip task, in addition to the shape."""
 
     tip_position: Annotated[
         str | None, TIP("Bring the tip here, in metres, as the arm takes its shape.", "X,Y,Z")
@@ -153,14 +152,12 @@ class TipOptions:
     tip_pose: Annotated[
         str | None,
         TIP(
-            "Goal pose of the tip: its position, and its rotation in the world by roll about x, then pitch "
+            "Goal pose of the tip: its position, and its rotation in the world: roll about x, then pitch "
             "about y, then yaw about z, in rad.",
             "X,Y,Z,ROLL,PITCH,YAW",
         ),
     ] = None
-    hold_tip: Annotated[
-        str | None, TIP("Keep the position or the pose that the tip has at the start.", "WHAT")
-    ] = None
+    hold_tip: Annotated[str | None, TIP("Keep the position or pose of the tip at the start.", "WHAT")] = None
     tip_weight: Annotated[
         float | None, TIP("Weight of the tip task; a control point on the curve has weight 1. Default: 1.")
     ] = None
@@ -169,15 +166,14 @@ class TipOptions:
     )
 
     def read(self, start: ArmState) -> EndEffector | None:
-        """Return the tip task of these options; None without one.
+        """Return the tip task of these options, or None.
 
         Args:
             start: the start of the arm.
 
         Raises:
-            InvalidValue: more than one goal of the tip; a weight or a priority without a goal; invalid
-                numbers.
-            UnknownName: neither the position nor the pose is to be held.
+            InvalidValue: more than one tip goal, a weight or priority without a goal, or invalid numbers.
+            UnknownName: `hold_tip` is neither position nor pose.
         """
         from pinposture.control import EndEffector
 
@@ -225,11 +221,11 @@ def _placement(values: list[float]) -> Any:
 
 
 def tip_off(task: EndEffector, motion: Trajectory) -> dict[str, float | None]:
-    """How far the tip is from what was asked of it, at the end of a run.
+    """Return the error of the tip task at the end of a run.
 
     Returns:
-        "distance" [m], of a planar arm within its plane; and "turn" [rad], about axes about which the tip can
-        turn, or None if no pose was asked for.
+        "distance" [m], for a planar arm within its plane; and "turn" [rad], about axes about which the tip
+        can rotate, or None without a goal pose.
     """
     import numpy as np
 
@@ -242,11 +238,11 @@ def tip_off(task: EndEffector, motion: Trajectory) -> dict[str, float | None]:
 
 
 WORDY = 200
-"""Largest number of characters of a violated constraint that are printed."""
+"""Maximum number of printed characters of a violated constraint."""
 
 
 def summarize(motion: Trajectory) -> dict[str, Any]:
-    """A run in numbers that JSON can hold; lengths in metres."""
+    """Summarize a run as JSON-compatible data; lengths in metres."""
     import numpy as np
 
     from pinposture.motion.trajectory import closest
@@ -295,7 +291,7 @@ def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """Return a summary in words; the verdict comes with the colour in which to print it."""
+    """Return a summary in words; the verdict comes with the colour to print it in."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
     from pinposture.placement.target import Moved
 

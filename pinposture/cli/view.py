@@ -1,4 +1,4 @@
-"""`pinposture view`: look at a run or a motion that was kept."""
+"""`pinposture view`: show a saved run or motion."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, or the directory that holds its {RUN_FILE} or {MOTION_FILE}.",
+            help=f"A saved run or motion, or the directory of its {RUN_FILE} or {MOTION_FILE}.",
         ),
     ],
     html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the animation here, and show nothing.")
+        Path | None, typer.Option(metavar="FILE", help="Write the animation to a file; show nothing.")
     ] = None,
     png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the plot here, and show nothing.")
+        Path | None, typer.Option(metavar="FILE", help="Write the plot to a file; show nothing.")
     ] = None,
     no_browser: NoBrowserOption = False,
     viewer: Annotated[
@@ -60,12 +60,12 @@ def run(
         ),
     ] = None,
 ) -> None:
-    """Look at a run or a motion that was kept.
+    """Show a saved run or motion.
 
-    Of a directory that holds both, the newer one. It plays in the browser until Ctrl-C, a motion in real
-    time; its address is printed, so that another browser can watch as well. With --html or --png its
-    animation or its plot are written to files instead. Ellipsoids are red and flat where the arm is singular,
-    green far from that, yellow in between.
+    From a directory with both, the newer one is shown. It plays in the browser until Ctrl-C, a motion in real
+    time; the address is printed, so that other browsers can watch, too. With --html or --png, the animation
+    or the plot is written to a file instead. Ellipsoids are red and flat where the arm is singular, green far
+    from that, and yellow in between.
     """
     file, chosen = find_kept(path)
     if chosen:
@@ -90,13 +90,13 @@ def show(
     ellipsoids: Sequence[int] = (),
     viewer: str = "meshcat",
 ) -> None:
-    """Play a run or a motion in a viewer until Ctrl-C, which is the way to end it and no failure.
+    """Play a run or motion in a viewer until Ctrl-C, which is not a failure.
 
     Args:
-        motion: the run, or the motion.
-        open_browser: whether to open a browser at its address, too.
-        announce: called with that address.
-        ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
+        motion: the run or motion.
+        open_browser: whether to also open a browser.
+        announce: called with the address.
+        ellipsoids: 0-based indices of the control points whose manipulability ellipsoids are shown.
         viewer: the program that shows it, as for `pinposture.viz.view`.
     """
     from pinposture.viz import view

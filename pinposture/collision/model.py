@@ -254,8 +254,7 @@ class Distances(NamedTuple):
         jacobian: derivatives of the distances with respect to joint displacement, (k, nv) [m/rad or m/m].
             Where undefined, or where only motion out of a planar arm's plane increases the distance, the
             derivatives along another normal that separates the pair.
-        pairs: k pairs of names: the body, and the obstacle or the other body. Names repeat for bodies of
-            several solids.
+        pairs: k pairs of names: body, and obstacle or other body; repeated for bodies of several solids.
         numbers: indices of these pairs in `CollisionModel.pairs`, (k,).
         points: point of the body nearest to the other, (k, 3) [m], world frame.
         normals: unit vector along which the body moves straight away, (k, 3), world axes.
@@ -499,8 +498,7 @@ class CollisionModel:
     ) -> Closest:
         """Return the smallest distance on straight joint motions, also between their ends.
 
-        Motion bounds decide where to look (conservative advancement): nothing is missed by more than
-        `MOTION_TOLERANCE`.
+        Motion bounds guide the search (conservative advancement); errors are at most `MOTION_TOLERANCE`.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.

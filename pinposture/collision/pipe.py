@@ -108,7 +108,7 @@ def pipe(
         arm_radius: as in `Scene`.
 
     Raises:
-        InvalidValue: values that make no pipe, or a bend that is too tight for its radius.
+        InvalidValue: invalid values, or a bend that is too tight for the radius.
     """
     return Scene(pipe_walls(path, radius, sides, thickness), self_collision, margin, arm_radius)
 
@@ -130,7 +130,7 @@ def pipe_walls(path: Curve, radius: float, sides: int = 6, thickness: float = 0.
         Boxes by name: "pipe 1.1" (first ring, first side), "pipe 1.2", ...
 
     Raises:
-        InvalidValue: values that make no pipe, or a bend that is too tight for its radius.
+        InvalidValue: invalid values, or a bend that is too tight for the radius.
     """
     if not isinstance(path, Curve):
         raise InvalidValue("path", path, "a Curve")

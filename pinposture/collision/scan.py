@@ -214,8 +214,7 @@ class Scan(Surface):
             point_radius: as in `Scan`.
 
         Raises:
-            FileError: missing, in another format, malformed, without any finite point, too large, or with
-                excessive coordinates.
+            FileError: missing, in another format, malformed, without finite points, or too large.
             InvalidValue: an invalid argument.
         """
         factor, path = scale_factor(path, scale), Path(path)

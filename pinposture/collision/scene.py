@@ -123,8 +123,7 @@ class Scene:
 
         Args:
             placements: displacements relative to the first scene, by obstacle name: a `pin.SE3`, or a
-                translation, (3,) [m]. For an obstacle described in its own frame, this is the placement of
-                that frame.
+                translation, (3,) [m]. For an obstacle described in its own frame, it places that frame.
             velocities: as the attribute; obstacles without one stand still.
 
         Returns:
@@ -219,8 +218,8 @@ class Scene:
         Paths of meshes and scans are relative to the folder of the file.
 
         Raises:
-            FileError: missing, unreadable, malformed, or not a scene; names the line, or the key and what is
-                allowed.
+            FileError: missing, unreadable, malformed, or not a scene; names the line, or key and allowed
+                values.
         """
         path = Path(path)
         suffix = path.suffix.lower()

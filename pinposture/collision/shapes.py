@@ -41,8 +41,7 @@ class Tree:
     """Points or triangles in a tree of boxes; see `kernels.bounding_volumes`.
 
     Attributes:
-        corners: the points, (n, 1, 3), or the corners of the triangles, (n, 3, 3), in the order of the tree
-            [m].
+        corners: the points, (n, 1, 3), or the triangle corners, (n, 3, 3), in the order of the tree [m].
         boxes: minimum and maximum corner of each node; the first is unused, (nodes, 2, 3) [m].
         levels: number of levels.
         pieces: the nodes that count as obstacles; together they contain each item once.

@@ -87,8 +87,7 @@ class Curve(Geometry):
         side of the axis towards +z, or towards +x if the axis is along z. The curve (6.17), x = 0.6 t,
         y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), is `Curve.helix(0.06, 0.15, 4, handedness="left")`.
 
-        The helix is approximated by a quintic spline: points to 1e-10 of the radius, curvature and torsion to
-        1e-6.
+        The helix is a quintic spline, accurate to 1e-10 of the radius, in curvature and torsion to 1e-6.
 
         Args:
             radius: distance from the axis, at least 1e-6 [m].

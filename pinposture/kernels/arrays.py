@@ -63,8 +63,7 @@ class PointObjective(NamedTuple):
     """A weighted least-squares objective of points along a chain, and of chords between successive points.
 
     Attributes:
-        screws: linear and angular velocity of the first point that each joint carries, (n, 6), from
-            `find_screws`.
+        screws: linear and angular velocity of each joint's first point, (n, 6), from `find_screws`.
         ends: number of joints that carry each point, (p,); not decreasing.
         points: the points, (p, 3).
         weights: weights W of the points, (p,).
@@ -235,7 +234,7 @@ class Trees(NamedTuple):
     Attributes:
         boxes: lowest and highest corner of each node, tree after tree, (nodes, 2, 3).
         points: points in the order of their trees, (p, 3).
-        triangles: corners of triangles, likewise, (t, 3, 3).
+        triangles: corners of triangles, in the same order, (t, 3, 3).
         pieces: for each obstacle the index of its first box, its node, number of levels of its tree, index of
             its first point or triangle, their number in its tree, and 1 if these are points, (o, 6).
     """
@@ -254,8 +253,7 @@ class Pairs(NamedTuple):
         second: the other body, or b plus the index of the obstacle, (n,).
         kinds: kind of the second solid, `SEGMENT` for spheres, capsules and bodies, (n,).
         exact: False if the shapes given here only enclose the solids, (n,).
-        radii: radius of the capsule of each body, then of each obstacle that is a capsule, or of its points,
-            (b + o,).
+        radii: radii of body capsules, then of capsule obstacles or of the points of scans, (b + o,).
         lines: axis of the capsule of each obstacle, (o, 2, 3).
         centers: centre of each obstacle that is not a capsule, or of the box around it, (o, 3).
         frames: its axes, as columns; z is the normal of a half-space and the axis of a cylinder, (o, 3, 3).

@@ -578,8 +578,8 @@ def minimise_in_box(
         centre: z, (n,).
         lower: smallest x, (n,).
         upper: largest x, (n,).
-        sides: initial active set: -1 for a joint at its lower bound, 1 at its upper, else 0; filled with the
-            final one, (n,).
+        sides: initial active set: -1 at the lower bound, 1 at the upper, else 0; filled with the final one,
+            (n,).
         x: filled with the minimum, (n,).
 
     Returns:

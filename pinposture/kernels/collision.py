@@ -706,8 +706,7 @@ def smallest_distance(
         bounds: filled with lower bounds of their distances.
 
     Returns:
-        The smallest distance of the exact pairs and its pair: inf and -1 if there is none; and the number of
-        open pairs.
+        The smallest distance of exact pairs and its pair, inf and -1 if none; and the number of open pairs.
     """
     blocks = np.empty(((ends.shape[1] + BLOCK - 1) // BLOCK, 4))
     best, best_pair, opened = np.inf, -1, 0

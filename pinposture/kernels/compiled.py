@@ -113,8 +113,7 @@ _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[..., Any]:
     """Let one process compile a kernel while the others wait and then load it from the cache.
 
-    A kernel is locked after its caller, and numba's own lock comes first, so neither processes nor threads
-    can deadlock.
+    A kernel is locked after its caller, and numba's own lock first, so no process or thread can deadlock.
     """
 
     def compile_once(signature: Any) -> Any:

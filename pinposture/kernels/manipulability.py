@@ -103,8 +103,8 @@ def all_indices(b: Array2, ends: Ints1, points: Array2, plane: Array2, filled: A
         ends: number of joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
         plane: directions in which the points can move, (2, 3), or (3, 3) for any.
-        filled: zeros, filled with the index of each point i relative to each point s < i, (m + 1, m + 1);
-            0 is the base.
+        filled: zeros; filled with the index of point i relative to point s < i, (m + 1, m + 1); 0 is the
+            base.
     """
     for i in range(len(ends)):
         gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

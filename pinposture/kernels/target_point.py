@@ -228,8 +228,7 @@ def next_target_point(
         found: filled with the positions, (k,).
 
     Returns:
-        The arc length of the point; NaN if there is none; -1 if there is none and the curve ends within
-        reach.
+        The arc length of the point; NaN if there is none, or -1 if the curve also ends within reach.
     """
     k, n, reach, total = len(preferred), len(module.slides), module.reach[0], lengths[-1]
     work, points = np.empty((6, 3)), np.empty((MAX_CURVE_SAMPLES, 3))

@@ -27,8 +27,7 @@ class ConstantCurvature:
     """FK, IK and TP of an arc, in the frame at its base (x along the straight section).
 
     Joint positions are the bending about y and about z [rad] and, if the section can stretch, its elongation
-    [m]. The end turns by the rotation vector (0, q0, q1). The IK does not cover bending by a full turn or
-    more.
+    [m]. The end turns by the rotation vector (0, q0, q1). The IK is limited to bends below a full turn.
 
     Attributes:
         length: length of the section [m].

@@ -80,8 +80,7 @@ def fit_curve(
         arm: the arm.
         curve: the curve.
         start: arc length of the curve point for the base of the arm [m].
-        bending: weight of the joint positions, relative to the straight arm, against the distances, above 0
-            [m/rad].
+        bending: weight of joint positions relative to the straight arm, against distances, above 0 [m/rad].
         rough: stop after a few evaluations, once the arm winds in the right direction.
 
     Returns:

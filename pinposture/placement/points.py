@@ -257,8 +257,7 @@ def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
         near: preferred joint positions, (nv,) [rad or m].
 
     Yields:
-        Joint positions (nv,) [rad or m] within the limits, most promising first; only one if it reaches all
-        points.
+        Joint positions (nv,) [rad or m] within the limits, best first; only one if it reaches all points.
     """
     positions, complete = place_sequentially(arm, target.points, target.has_target, near)
     yield positions

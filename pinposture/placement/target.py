@@ -30,8 +30,8 @@ class Target:
         q: a configuration of the target posture, (nq,); None if unknown.
         curve: the curve as placed in the world, or None.
         parameters: arc length along the curve at each point, (m,) [m], or None.
-        residual: distance of each point from the curve, or of the posture at `q` from measured points, (m,)
-            [m], or None.
+        residual: distance of points from the curve, or of the posture `q` from measured points, (m,) [m], or
+            None.
         method: the placement method: "sequential", "smooth" or "closest"; or empty.
         moved: how the curve was moved from its position as drawn; None without a curve, or if unknown.
         incomplete: why some control points could not be placed on the curve; empty if all are. Those
@@ -40,8 +40,7 @@ class Target:
         placed_by: what placed each control point on the curve, (m,): the kinematics of its module,
             "Torus", "Circle", "RollPitch", "NumericModule" or a custom class; or "least squares" over the
             whole arm. Empty without a curve.
-        fallback: why `method="auto"` placed the whole arm by least squares instead of module by module; empty
-            otherwise.
+        fallback: why `method="auto"` placed the arm by least squares instead of module by module, or empty.
         approximate: by how much the posture at `q` misses given points (`fit_points`), which may be a local
             minimum; empty if it reaches them, or if `q` is unknown.
     """

@@ -186,7 +186,7 @@ def simulate_closed(
         progress: called after each cycle.
         scene: obstacles for the clearance of the arm; None: no obstacles.
         tolerance: mean distance of the control points from the last target that counts as arrived [m]; None:
-            1 % of the arm length.
+            1 % of the length.
 
     Returns:
         The recorded motion, with a status as in `simulate`.

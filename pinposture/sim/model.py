@@ -244,8 +244,8 @@ class PlantModel:
         arm: the arm.
         servos: its servos.
         gravity: gravitational acceleration, (3,) [m/s^2], world frame.
-        model: the `mujoco.MjModel`, with the joints of the arm and those that servos hold, n in total, named
-            as in the description.
+        model: the `mujoco.MjModel`, with the n joints of the arm and those held by servos, named as in the
+            description.
         columns: index of each degree of freedom of the arm among the n joints, (nv,).
         coupling: maps the motion of the i independent joints to that of all joints, (n, i).
         of_arm: columns of `coupling` that belong to the arm, (n, nv).
@@ -277,8 +277,7 @@ class PlantModel:
 def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | ArrayLike = True) -> PlantModel:
     """Build the MuJoCo model of an arm.
 
-    There are no contacts between links or with obstacles. Joint limits, damping and friction are those of the
-    description.
+    There are no contacts. Joint limits, damping and friction are those of the description.
 
     Args:
         arm: the arm, created from a URDF or from modules.

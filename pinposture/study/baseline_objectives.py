@@ -119,8 +119,8 @@ def measure_gradient(state: ArmState, point: int) -> Array:
     dw/dq_u = w tr(dJ/dq_u J^+); in w J^+ every singular value is replaced by the product of the others.
 
     Returns:
-        Array (nv,), per unit of joint motion. Zero if J is singular, where w is zero and not differentiable,
-        like |x| at 0.
+        Array (nv,), per unit joint motion. Zero if J is singular, where w is not differentiable, like |x| at
+        0.
     """
     gradient = np.zeros(state.arm.nv)
     known = _decomposed(state, point)
@@ -184,8 +184,7 @@ OBJECTIVES: tuple[Objective, ...] = ("manipulability", "joint_limits")
 "joint_limits" is minus (2.8): that expression grows without bound as a joint nears a limit, so it must be
 minimised, not maximised. Joint positions are in `Arm.joint_units`. Infinite limits add nothing, and joints
 that move no control point are ignored. At a limit (2.8) is undefined, and beyond it its gradient points
-outwards; so within `NEAREST` of a limit it is continued along its tangent, which is finite and pushes back on
-both sides.
+outwards; so within `NEAREST` of a limit it is continued along its tangent, which is finite and pushes back.
 """
 
 NEAREST = 0.1

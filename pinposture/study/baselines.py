@@ -34,8 +34,6 @@ from pinposture.study.baseline_objectives import (
     require_objective,
 )
 
-# Common parts of the baselines: the task and the completion of a step.
-
 Array = NDArray[np.float64]
 
 
@@ -245,8 +243,7 @@ class AugmentedJacobian(NullSpaceMethod):
 
     There are usually more rows than joints: the step is then the least-squares one. Nothing is damped, so the
     step is huge wherever rows of different points are nearly dependent, which is common even if each point
-    alone can move freely (an algorithmic singularity, Section 3.1.3). Its parameters are those of
-    `NullSpaceMethod`.
+    alone can move freely (an algorithmic singularity, Section 3.1.3). Parameters: see `NullSpaceMethod`.
     """
 
     name: str = "augmented"

@@ -107,9 +107,6 @@ def checksum(path: Path) -> str:
     return hashlib.sha256(read_text(path).encode()).hexdigest()
 
 
-# Results, and their score.
-
-
 class Score(NamedTuple):
     """Score of a program for the cases of one group.
 

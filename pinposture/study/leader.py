@@ -53,8 +53,7 @@ class Following(NamedTuple):
         method: how its modules were placed, as in `follow_leader`.
         points: largest distance of a control point from the path [% of the arm length]; None if refused.
         body: largest distance of any part of the arm from the path [% of the arm length]; None if refused.
-        sagitta: distance of the midpoint of a straight module from the arc, if both its ends are on it
-            [% of the arm length].
+        sagitta: distance of the midpoint of a straight module from an arc through its ends [% of arm length].
         joints: largest joint position [rad]; None if refused.
         refused: why the path cannot be followed, or empty.
     """

@@ -40,8 +40,7 @@ class MethodResult(NamedTuple):
             `Arm.joint_units`; median. 0 for a repeatable motion.
         peaks: largest joint motion requested in a step without limits, in `Arm.joint_units`, per mean point
             error of one arm length, at each of `DISTANCES` from the straight arm, (6,); largest over the
-            seeds. Unbounded growth means instability near singular postures. 0 if the method stands still at
-            every seed.
+            seeds. Unbounded growth means instability near singular postures. 0 if the method never moves.
     """
 
     controller: str

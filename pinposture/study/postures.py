@@ -49,8 +49,7 @@ def study_postures(
         progress: called with the numbers of finished and of all cases.
 
     Returns:
-        The records in the order of arms, then cases, then controllers; apart from `seconds`, they do not
-        depend on `jobs`.
+        The records, ordered by arm, case, controller; apart from `seconds`, independent of `jobs`.
 
     Raises:
         InvalidValue: no arm, no controller, or invalid numbers.

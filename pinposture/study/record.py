@@ -55,8 +55,8 @@ def run_all(
     Args:
         one: a function that can be pickled.
         cases: its arguments.
-        jobs: number of processes; joblib's backends apply, so `joblib.parallel_config` around a study runs it
-            on a cluster.
+        jobs: number of processes; joblib's backends apply, so `joblib.parallel_config` runs a study on a
+            cluster.
         progress: called with the numbers of finished and of all cases.
 
     Returns:

@@ -1,4 +1,4 @@
-"""How people see a run: figures, viewers in the browser, animations in a file."""
+"""Visualization of runs: figures, viewers in the browser, and animations in HTML files."""
 
 import logging
 
@@ -57,41 +57,40 @@ def view(
     ellipsoids: ControlPoints = (),
     scene: Scene | None = None,
 ) -> Viewer:
-    """Show an arm live in the browser: at a configuration, in a control loop, or playing a run or a motion.
+    """Show an arm in the browser: at a configuration, in a control loop, or playing a run or motion.
 
-    The arm is drawn with the visual meshes of its description where they can be read, elsewhere as bars, in
-    alternating shades for its modules. Active control points are coloured and large. One `PostureWarning`
+    Links are drawn with the visual meshes of the description, or as bars where these are unreadable, in
+    alternating shades for the modules. Active control points are coloured and large. One `PostureWarning`
     names the meshes that are not drawn.
 
-    A motion in time plays in real time, unless it takes longer than a minute: then 2, 5, 10, ... times as
-    fast. Hoops show where its control points should be, and thin lines its targets at named places.
+    A motion in time plays in real time, or 2, 5, 10, ... times as fast if it takes longer than a minute.
+    Hoops show the current targets of its control points, thin lines the targets at named places.
 
     Args:
         arm: the arm.
-        run: a run, or a motion in time, to play over and over; or a tracker, to `show` the arm in each cycle
-            of its loop; None to show the arm at rest.
-        target: a fixed target to show; if None that of the run, if there is one.
-        viewer: the program that draws it: "meshcat", or "foxglove", which also plots joint positions and the
-            status of a tracker, and needs the extra of that name; see `FoxgloveViewer`.
-        open_browser: whether to open a browser on this computer. Without, open the viewer's `url`.
-        fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s. Of a
-            motion in time, configurations shown per second.
-        url: address for commands of a running server, as in "tcp://127.0.0.1:6000"; None to start one. It
-            takes commands from this machine only, but shows its page to others, too. For Foxglove, the
-            address to listen at, "ws://127.0.0.1:8765" if None; port 0 is a free one.
-        ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
-            0-based or from the tip as -1, or by their names. In a singular posture they are red and flat, far
-            from one green, in between yellow.
-        scene: obstacles; if None those of the run, if there is one. They are translucent; a half-space is
-            drawn as a plate.
+        run: a run or motion in time to play in a loop; or a tracker: call `show` in each cycle of its loop.
+            None: show the arm at rest.
+        target: a fixed target to show; None: that of the run, if any.
+        viewer: the program that draws: "meshcat", or "foxglove", which also plots joint positions and the
+            status of a tracker, and requires the extra of that name; see `FoxgloveViewer`.
+        open_browser: whether to open a browser on this computer. Otherwise, open the viewer's `url`.
+        fps: steps of the run shown per second; fewer if a short run would last less than 2 s. For a motion in
+            time, configurations shown per second.
+        url: command address of a running server, such as "tcp://127.0.0.1:6000"; None starts a server, which
+            accepts commands from this machine only, but also shows its page to others. For Foxglove: the
+            address to listen at, by default "ws://127.0.0.1:8765"; port 0 selects a free one.
+        ellipsoids: control points whose manipulability ellipsoids (Section 3.3) are shown, by 0-based index,
+            negative index from the tip, or name. They are red and flat in a singular posture, green far from
+            one, and yellow in between.
+        scene: obstacles; None: those of the run, if any. They are translucent; half-spaces become plates.
 
     Returns:
         The viewer: `show(q)` shows a configuration, `play()` plays the run again, `close()` ends it, and
-        `meshcat` is the `meshcat.Visualizer` to draw more with. It lives until it is closed or Python ends.
+        `meshcat` is the `meshcat.Visualizer` for additional objects. It lives until closed or Python exits.
 
     Raises:
         UnknownName: an unknown viewer or control point.
-        InvalidValue: a run or target of another arm, `fps`, or no choice of control points.
+        InvalidValue: a run or target of another arm, or an invalid `fps` or choice of control points.
         ViewerError: the server cannot be started or reached.
     """
     if viewer not in VIEWERS:

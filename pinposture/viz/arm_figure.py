@@ -1,4 +1,4 @@
-"""The arm itself in one picture: its modules, its joint axes, its control points."""
+"""A figure of the arm: its modules, joint axes and control points."""
 
 from __future__ import annotations
 
@@ -26,41 +26,40 @@ from pinposture.viz.postures import (
 
 Array = NDArray[np.float64]
 
-TEXT_HEIGHT = 1.9  # of title, scales and legend [inch]
-HEIGHT_RANGE = (3.6, 8.0)  # of the figure [inch]; a stretched arm needs no more than the least
-MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer to another are left out
+TEXT_HEIGHT = 1.9  # height of title, scales and legend [inch]
+HEIGHT_RANGE = (3.6, 8.0)  # height of the figure [inch]; the minimum suffices for a straight arm
+MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer to each other are left out
 
 
 def plot_arm(
     arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = (), scene: Scene | None = None
 ) -> Figure:
-    """Draw how an arm is built: modules in two alternating shades, joint axes, numbered control points.
+    """Draw the structure of an arm: modules in two alternating shades, joint axes, numbered control points.
 
-    A revolute joint has a bar along its axis, or a ring in the plane of a planar arm; a prismatic joint has a
-    dotted bar. Where control points crowd, some have no number. Manipulability ellipsoids (Section 3.3) have
-    the colour of their index; the legend says at what scale.
+    A revolute joint is a bar along its axis, or a ring in the plane of a planar arm; a prismatic joint is a
+    dotted bar. Where control points are dense, some numbers are left out. Manipulability ellipsoids
+    (Section 3.3) are coloured by their index; the legend gives their scale.
 
     Args:
         arm: the arm.
-        q: configuration, (nq,) [rad or m]; the neutral one if None.
-        ellipsoids: control points to draw the manipulability ellipsoids of, by their indices, 0-based or from
-            the tip as -1, or by their names.
-        scene: obstacles; they are shown where they are near.
+        q: configuration, (nq,) [rad or m]; None: the neutral one.
+        ellipsoids: control points with manipulability ellipsoids, by 0-based or negative index, or by name.
+        scene: obstacles; shown where they are near.
 
     Returns:
-        A figure, 1200 pixels wide, as from `plot`; a planar arm is seen in its plane, others in space.
+        A figure, 1200 pixels wide, as from `plot`; in the plane for a planar arm, otherwise in space.
 
     Raises:
-        InvalidValue: a configuration of the wrong size, or not finite; or no choice of control points.
-        UnknownName: a name that no control point has.
+        InvalidValue: a configuration of the wrong size or not finite, or an invalid choice of control points.
+        UnknownName: an unknown control point.
     """
     shown = arm.neutral() if q is None else q
     forward, chosen = arm.at(shown).forward, arm.at(shown).ellipsoids(ellipsoids)
-    # Half of the length of the bars: short beside the links, and still visible beside the arm.
+    # Half the length of the bars: short compared to the links, but visible compared to the arm.
     half = float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
     planar = arm.dimension == 2
     figure = Figure(figsize=(FIGURE_WIDTH, HEIGHT_RANGE[0]))
-    # In space, too, the arm lies on top of what may be around it.
+    # The arm is drawn on top of its surroundings, also in space.
     ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
     panel = PosturePanel(arm, ax)
     draw_ellipsoids(panel, chosen)
@@ -87,14 +86,14 @@ def plot_arm(
 
 
 def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
-    """Set the height of the figure that the arm needs if it fills the width, within limits."""
+    """Set the figure height, within limits, such that the arm fills the width."""
     if not panel.spatial:
         wide, high = np.ptp(panel.drawn @ panel.screen.T, axis=0)
         slope = high / max(wide, 1e-9 * panel.arm.length)
         figure.set_figheight(float(np.clip(TEXT_HEIGHT + FIGURE_WIDTH * slope, *HEIGHT_RANGE)))
         figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
         return
-    # Axes in space are square: a picture that is wider than high leaves the figure above and below it.
+    # 3D axes are square: for a wide picture, they extend beyond the figure at the top and bottom.
     high = float(box_extent(panel.ax)[1])
     height = float(np.clip(TEXT_HEIGHT + FIGURE_WIDTH * high, *HEIGHT_RANGE))
     side = min(FIGURE_WIDTH, (height - TEXT_HEIGHT) / high)
@@ -125,7 +124,7 @@ def _draw_axes(panel: PosturePanel, origins: Array, axes: Array, half: float) ->
 
 
 def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
-    """Add the legend of the arm at the bottom, and that of ellipsoids at the top right."""
+    """Add the legend of the arm at the bottom and that of the ellipsoids at the top right."""
     shades = palette.MODULES[: panel.arm.n_modules]
     for name, shade in zip(("odd modules", "even modules"), shades, strict=False):
         panel.ax.plot([], [], color=shade, lw=5.0, label=name)
@@ -140,7 +139,7 @@ def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellip
 
 
 def _number_points(panel: PosturePanel, points: Array, base: Array, offset: float) -> None:
-    """Write the number of each control point beside the arm, the last one first, without overlap."""
+    """Write the numbers of control points beside the arm without overlap, starting with the last."""
     screen, ax = panel.screen, cast(Any, panel.ax)  # text in space has three coordinates
     flat = np.vstack([base, points]) @ screen.T
     size = float(np.ptp(flat, axis=0).max())
@@ -148,7 +147,7 @@ def _number_points(panel: PosturePanel, points: Array, base: Array, offset: floa
     beside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     lengths = np.linalg.norm(beside, axis=1, keepdims=True)
     beside = np.where(lengths > 1e-9 * size, beside / np.maximum(lengths, 1e-300), (0.0, 1.0))
-    beside[beside @ (0.5, 1.0) < 0.0] *= -1.0  # above the arm, or on the right of one that stands
+    beside[beside @ (0.5, 1.0) < 0.0] *= -1.0  # above the arm, or to the right of a vertical arm
     halo = {"path_effects": [withStroke(linewidth=2.0, foreground="white", alpha=0.7)]}
     written: list[Array] = []
     for k in (len(points), *range(1, len(points))):

@@ -1,4 +1,4 @@
-"""The bodies of an arm as they are drawn: lines along its links, and the visual meshes of its description."""
+"""The drawn bodies of an arm: lines along its links, and the visual meshes of its description."""
 
 from __future__ import annotations
 
@@ -22,23 +22,20 @@ from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
 from pinposture.errors import FileError, PostureWarning
 
-# Shape and pose of each body.
-
 Array = NDArray[np.float64]
 
 
 class DrawnBody(NamedTuple):
-    """What one joint of the chain moves, as a polyline.
+    """The body moved by one joint of the chain, as a polyline.
 
-    The body frame has its origin at the joint and, at the neutral configuration, the axes of the world.
+    The body frame has its origin at the joint and is aligned with the world at the neutral configuration.
 
     Attributes:
         joint: name of the joint.
         module: index of its module, 0-based.
-        nodes: the joint, the control point on the body if there is one, and the next joint, (p, 3) [m], body
-            frame.
-        point: the control point on the body, (3,) [m], body frame; None if there is none.
-        slide: how far back a prismatic joint reaches along its axis, (3,) [m], body frame; else zero.
+        nodes: the joint, the control point on the body (if any), and the next joint, (p, 3) [m], body frame.
+        point: the control point on the body, (3,) [m], body frame, or None.
+        slide: vector back along the axis of a prismatic joint, (3,) [m], body frame; otherwise zero.
     """
 
     joint: str
@@ -49,7 +46,7 @@ class DrawnBody(NamedTuple):
 
 
 def bodies(arm: Arm) -> tuple[DrawnBody, ...]:
-    """Return the moving bodies of an arm, from base to tip, one for each joint of the chain."""
+    """Return the moving bodies of an arm from base to tip, one per joint of the chain."""
     chain = arm.chain
     ends = {joints.stop - 1: k for k, joints in enumerate(chain.module_slices)}
     modules = np.repeat(np.arange(arm.n_modules), [len(joints) for joints in arm.module_joints])
@@ -62,7 +59,7 @@ def bodies(arm: Arm) -> tuple[DrawnBody, ...]:
         if u + 1 < len(chain.origins):
             nodes.append(chain.origins[u + 1] - origin)
         reach = chain.ratios[u] * arm.limits.upper[chain.columns[u]]
-        # Some models have the largest floating-point number where there is no limit.
+        # Some models represent a missing limit by the largest floating-point number.
         slides = not chain.revolute[u] and 0.0 < reach < 10.0 * arm.length
         slide = -reach * chain.axes[u] if slides else np.zeros(3)
         distinct = without_repeats(np.array(nodes), 1e-9 * arm.length)
@@ -71,17 +68,17 @@ def bodies(arm: Arm) -> tuple[DrawnBody, ...]:
 
 
 def body_poses(arm: Arm, q: ArrayLike) -> Array:
-    """Return the poses of the bodies, by the product of exponentials of the joint screws.
+    """Return the poses of the bodies, as products of exponentials of the joint screws.
 
     Args:
         arm: the arm.
-        q: a configuration (nq,), or several (f, nq) [rad or m].
+        q: one configuration, (nq,), or several, (f, nq) [rad or m].
 
     Returns:
-        Homogeneous transforms from body to world frame, (n, 4, 4), or (f, n, 4, 4) [m].
+        Homogeneous transforms from body to world frame, (n, 4, 4) or (f, n, 4, 4) [m].
 
     Raises:
-        InvalidValue: a configuration of the wrong size, or not finite.
+        InvalidValue: a configuration of the wrong size or not finite.
     """
     several = np.ndim(q) > 1
     rows = q if several else [q]
@@ -89,14 +86,14 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
     chain = arm.chain
     poses = np.zeros((len(positions), len(chain.joints), 4, 4))
     poses[..., 3, 3] = 1.0
-    # (f, n, 3, 3), all at once: one call per joint takes longer than everything else here.
+    # (f, n, 3, 3), vectorized: one call per joint would dominate the run time.
     amounts = positions[:, chain.columns] * chain.ratios
     vectors = (amounts[:, :, None] * chain.axes).reshape(-1, 3)
     turns = Rotation.from_rotvec(vectors).as_matrix().reshape(len(positions), -1, 3, 3)
     turn = np.broadcast_to(np.eye(3), (len(positions), 3, 3))
     shift = np.zeros((len(positions), 3))
     for u, (axis, origin) in enumerate(zip(chain.axes, chain.origins, strict=True)):
-        # The bodies before the joint carry it from its neutral position: p = R origin + shift.
+        # The preceding joints move this one from its neutral position: p = R origin + shift.
         place = turn @ origin + shift
         if chain.revolute[u]:
             turn = turn @ turns[:, u]
@@ -111,7 +108,7 @@ def backbone(arm: Arm, q: ArrayLike) -> Array:
     """Return the line from base through joints and control points to the tip, (p, 3) [m], world frame.
 
     Raises:
-        InvalidValue: a configuration of the wrong size, or not finite.
+        InvalidValue: a configuration of the wrong size or not finite.
     """
     stations = [arm.chain.base[None]]
     for body, pose in zip(bodies(arm), body_poses(arm, q), strict=True):
@@ -119,10 +116,10 @@ def backbone(arm: Arm, q: ArrayLike) -> Array:
     return np.vstack(stations)
 
 
-# Visual meshes. Only drawing reads them: a body whose mesh is missing or cannot be read is drawn as bars.
+# Visual meshes. A body whose mesh is missing or unreadable is drawn as bars.
 
-MAX_TRIANGLES = 200_000  # of all meshes together, so that a browser turns them smoothly
-_MAX_LISTED = 12  # files that a warning names
+MAX_TRIANGLES = 200_000  # for all meshes together, so that a browser renders them smoothly
+_MAX_LISTED = 12  # maximum number of files named in a warning
 
 
 class BodyMeshes(NamedTuple):
@@ -133,13 +130,13 @@ class BodyMeshes(NamedTuple):
 
 
 def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
-    """Read the visual meshes of an arm, merged to one surface for each body.
+    """Read the visual meshes of an arm, merged into one surface per body.
 
-    If there are too many triangles in all, the bodies with most of them are simplified. One `PostureWarning`
-    names their files, and those that are missing or cannot be read.
+    If there are too many triangles in total, the bodies with the most triangles are simplified. One
+    `PostureWarning` names their files and those that are missing or unreadable.
     """
     joints = arm.chain.joints
-    # Index of each body by the joint of the model that moves it; the base is last.
+    # Index of each body by the model joint that moves it; the base is last.
     owners = {arm.model.getJointId(name): u for u, name in enumerate(joints)} | {0: len(joints)}
     origins = np.vstack([arm.chain.origins, np.zeros(3)])
     parts: dict[int, list[TriangleMesh]] = {}
@@ -162,7 +159,7 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
     merged = {owner: merge(listed) for owner, listed in parts.items()}
     total = sum(len(mesh.faces) for mesh in merged.values())
     limit = _triangles_per_body([len(mesh.faces) for mesh in merged.values()], max_triangles)
-    many = f"all meshes together having {total} triangles, more than {max_triangles}"
+    many = f"because all meshes together have {total} triangles, more than {max_triangles}"
     for owner in [owner for owner, mesh in merged.items() if len(mesh.faces) > limit]:
         coarse = _simplify(merged.pop(owner), limit)
         if coarse is not None:
@@ -172,7 +169,7 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
     if faults:
         listed = [f"{name} {reason}" for name, reason in list(faults.items())[:_MAX_LISTED]]
         listed += [f"and {len(faults) - _MAX_LISTED} more"] if len(faults) > _MAX_LISTED else []
-        text = f"links are not drawn as their meshes have them: {'; '.join(listed)}"
+        text = f"links are not drawn with their original meshes: {'; '.join(listed)}"
         warnings.warn(text, PostureWarning, stacklevel=2)
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
@@ -200,17 +197,17 @@ def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Array]]:
 
 
 def _place_mesh(name: str, mesh: TriangleMesh, pose: pin.SE3, scale: Array, origin: Array) -> TriangleMesh:
-    """Scale a mesh and move it to its neutral pose in the world, relative to the origin of its body."""
-    with np.errstate(all="ignore"):  # refused below
+    """Scale a mesh and move it to its neutral pose, world axes, relative to the origin of its body."""
+    with np.errstate(all="ignore"):  # rejected below
         vertices = (mesh.vertices * scale) @ pose.rotation.T + (pose.translation - origin)
     if not np.all(np.isfinite(vertices)):
-        raise FileError(name, "has vertices, a scale or an origin that are no finite numbers")
-    # A mirrored triangle has its front on the other side.
+        raise FileError(name, "has vertices, a scale or an origin that are not finite")
+    # Mirroring reverses the orientation of triangles.
     return TriangleMesh(vertices, mesh.faces[:, ::-1] if np.prod(scale) < 0.0 else mesh.faces)
 
 
 def _triangles_per_body(counts: Sequence[int], max_triangles: int) -> int:
-    """Return the largest number of triangles of a body with which all together have few enough."""
+    """Return the limit of triangles per body that keeps the total within the maximum."""
     left, bodies = max_triangles, len(counts)
     for count in sorted(counts):
         if count * bodies > left:
@@ -220,7 +217,7 @@ def _triangles_per_body(counts: Sequence[int], max_triangles: int) -> int:
 
 
 def _simplify(mesh: TriangleMesh, limit: int) -> TriangleMesh | None:
-    """Merge vertices until at most `limit` triangles are left; None if none would be left."""
+    """Merge vertices until at most `limit` triangles remain; return None if none would remain."""
     points = min(limit, len(mesh.vertices) - 1)
     while points > 2:
         kept, cubes = representatives(mesh.vertices, points)
@@ -232,7 +229,7 @@ def _simplify(mesh: TriangleMesh, limit: int) -> TriangleMesh | None:
 
 
 def _three_numbers(text: str) -> Array:
-    """Parse three numbers; NaN, which is refused later, if the text is something else."""
+    """Parse three numbers; return NaN, which is rejected later, for any other text."""
     try:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:
@@ -240,17 +237,15 @@ def _three_numbers(text: str) -> Array:
     return numbers if numbers.shape == (3,) else np.full(3, np.nan)
 
 
-# Surfaces made of triangles.
-
-SIDES = 16  # of the polygon that stands for the section of a tube or disc
+SIDES = 16  # number of sides of the polygon that approximates the section of a tube or disc
 
 
 class TriangleMesh(NamedTuple):
-    """A surface made of triangles.
+    """A triangulated surface.
 
     Attributes:
         vertices: (n, 3) [m].
-        faces: indices of the corners of each triangle, counter-clockwise seen from outside, (k, 3).
+        faces: vertex indices of each triangle, counterclockwise from outside, (k, 3).
     """
 
     vertices: Array
@@ -258,7 +253,7 @@ class TriangleMesh(NamedTuple):
 
 
 def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Merge surfaces to one, so that one transform moves them all."""
+    """Merge surfaces into one, so that one transform moves them all."""
     shifts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + shift for mesh, shift in zip(meshes, shifts, strict=False)]
     return TriangleMesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces))
@@ -266,20 +261,20 @@ def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
 
 @cache
 def _unit_ball(subdivisions: int) -> TriangleMesh:
-    from trimesh.creation import icosphere  # imported here, because most figures need none
+    from trimesh.creation import icosphere  # imported here, because most figures do not need it
 
     sphere = icosphere(subdivisions=subdivisions)
     return TriangleMesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.intp))
 
 
 def ball(center: Array, radius: float, subdivisions: int = 2) -> TriangleMesh:
-    """Return a sphere about a centre (3,) [m], of 20 * 4^subdivisions triangles."""
+    """Return a sphere around a centre, (3,) [m], with 20 * 4^subdivisions triangles."""
     unit = _unit_ball(subdivisions)
     return TriangleMesh(np.asarray(center) + radius * unit.vertices, unit.faces)
 
 
 def tube(path: Array, radius: float) -> TriangleMesh:
-    """Return a tube with open ends along a path (n, 3) [m], n >= 2, without repeated points."""
+    """Return an open tube along a path, (n, 3) [m], n >= 2, without repeated points."""
     legs = np.diff(path, axis=0)
     legs /= np.linalg.norm(legs, axis=1, keepdims=True)
     inner = legs[:-1] + legs[1:]
@@ -290,7 +285,7 @@ def tube(path: Array, radius: float) -> TriangleMesh:
     around = 2.0 * np.pi * np.arange(SIDES) / SIDES
     rings = []
     for point, tangent in zip(path, tangents, strict=True):
-        # Transported along the path, so that the tube does not twist.
+        # Parallel transport along the path, so that the tube does not twist.
         side = side - tangent * (tangent @ side)
         length = np.linalg.norm(side)
         side = side / length if length > 1e-6 else _perpendicular(tangent)
@@ -304,7 +299,7 @@ def tube(path: Array, radius: float) -> TriangleMesh:
 
 
 def disc(center: Array, axis: Array, radius: float, thickness: float) -> TriangleMesh:
-    """Return a round plate about a centre (3,) [m] with a unit axis (3,)."""
+    """Return a round plate with a given centre, (3,) [m], and unit axis, (3,)."""
     from trimesh.creation import cylinder
 
     half = axis * thickness / 2.0
@@ -317,13 +312,11 @@ def _perpendicular(direction: Array) -> Array:
     return np.asarray(across / np.linalg.norm(across))
 
 
-# Convex solids, given by their corners.
-
-FLATNESS = 1e-7  # thickness relative to the size below which a solid counts as flat
+FLATNESS = 1e-7  # relative thickness below which a solid counts as flat
 
 
 def box_corners(low: Array, high: Array) -> Array:
-    """Return the corners of a box along the axes of the world, (8, 3) [m]."""
+    """Return the corners of an axis-aligned box, (8, 3) [m]."""
     return np.array(list(product(*zip(low, high, strict=True))))
 
 
@@ -336,7 +329,7 @@ def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
         offset: distance of the plane from the origin along the normal [m].
 
     Returns:
-        Corners of the part, (k, 3) [m]: `corners` itself if nothing is cut off, none if nothing is left.
+        Corners of the part, (k, 3) [m]: `corners` itself if nothing is cut off, empty if nothing remains.
     """
     heights = corners @ normal - offset
     if not np.any(heights > 0.0):
@@ -353,7 +346,7 @@ def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
 
 
 def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
-    """Return the part of a solid inside a box along the axes of the world, as corners (k, 3) [m]."""
+    """Return the part of a solid inside an axis-aligned box, as corners, (k, 3) [m]."""
     for axis in range(3):
         for sign, side in ((1.0, high), (-1.0, low)):
             if len(corners):
@@ -362,7 +355,7 @@ def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
 
 
 def hull_surface(corners: Array) -> TriangleMesh:
-    """Return the surface of a solid; triangles share no corners, so that they are shaded flat."""
+    """Return the surface of a solid; triangles do not share vertices, for flat shading."""
     from trimesh.convex import convex_hull
 
     triangles = np.asarray(convex_hull(corners).triangles)
@@ -370,7 +363,7 @@ def hull_surface(corners: Array) -> TriangleMesh:
 
 
 def facets(corners: Array) -> list[tuple[Array, Array]]:
-    """Return the faces of a solid: corners (k, 3), counter-clockwise from outside, and unit normal (3,)."""
+    """Return the faces of a solid: corners, (k, 3), counterclockwise from outside, and unit normal, (3,)."""
     hull = ConvexHull(corners)
     planes, which = np.unique(hull.equations.round(9), axis=0, return_inverse=True)
     listed = []
@@ -384,11 +377,11 @@ def facets(corners: Array) -> list[tuple[Array, Array]]:
 
 
 def section(corners: Array, origin: Array, plane: Array) -> Array:
-    """Return the section of a solid (n, 3) [m] with a plane, given by a point and orthonormal axes (2, 3).
+    """Return the section of a solid, (n, 3) [m], with a plane through a point with orthonormal axes (2, 3).
 
     Returns:
-        Corners of the section in order, (k, 2) [m], in the axes of the plane from the origin of the world;
-        none if the solid does not meet the plane.
+        Corners of the section in order, (k, 2) [m], along the axes of the plane from the world origin; empty
+        if the solid does not meet the plane.
     """
     normal = np.cross(*plane)
     offset = float(normal @ origin)
@@ -402,14 +395,14 @@ def section(corners: Array, origin: Array, plane: Array) -> Array:
 
 
 def convex_outline(flat: Array) -> Array:
-    """Return the corners of the convex hull of points (n, 2), in order; none if they lie on a line."""
+    """Return the corners of the convex hull of points, (n, 2), in order; empty if they are collinear."""
     return np.zeros((0, 2)) if _is_flat(flat) else np.asarray(flat[ConvexHull(flat).vertices])
 
 
 def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
-    """Return which points (n, 3) [m] a solid contains or hides from an eye in a direction (3,), far away."""
+    """Return which points, (n, 3) [m], a solid contains or hides from a distant eye in a direction, (3,)."""
     sides = ConvexHull(corners).equations
-    # The ray from a point to the eye crosses the plane of each side once, inwards or outwards.
+    # The ray from a point to the eye crosses the plane of each face once, inwards or outwards.
     above, rising = points @ sides[:, :3].T + sides[:, 3], sides[:, :3] @ eye
     along = np.abs(rising) < 1e-12
     passed = -above / np.where(along, 1.0, rising)
@@ -421,29 +414,27 @@ def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
 
 
 def _is_flat(points: Array) -> bool:
-    """Whether points (n, d) lie in a subspace of fewer than d dimensions."""
+    """Return whether points, (n, d), lie in an affine subspace of fewer than d dimensions."""
     if len(points) <= points.shape[1]:
         return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[-1] <= FLATNESS * spread[0])
 
 
-# Surfaces of obstacles.
-
-CYLINDER_SIDES = 48  # of the polygon that stands for the section of an obstacle, which may be large
-MAX_SHOWN = 20_000  # points of a mesh or a scan that are drawn
-DOT_SIZE = 2e-3  # smallest radius of a point of a cloud, relative to the width of the cloud
+CYLINDER_SIDES = 48  # number of sides of the polygon that approximates the section of an obstacle
+MAX_SHOWN = 20_000  # maximum number of points drawn of a mesh or scan
+DOT_SIZE = 2e-3  # minimum radius of a point of a cloud, relative to the width of the cloud
 
 
 def is_hollow(obstacle: Obstacle) -> bool:
-    """Return whether an obstacle is a scan, or a mesh that may have hollows."""
+    """Return whether an obstacle is a scan or a mesh that may have cavities."""
     return isinstance(obstacle, Scan) or (isinstance(obstacle, Mesh) and not obstacle.convex)
 
 
 def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan) -> TriangleMesh:
     """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m].
 
-    Large scans and meshes are thinned; a point of a cloud is an octahedron.
+    Large scans and meshes are thinned; the points of a cloud become octahedra.
     """
     if isinstance(obstacle, Sphere):
         center = np.array(obstacle.center)
@@ -453,7 +444,7 @@ def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan) -> Triang
         length = float(np.linalg.norm(np.subtract(obstacle.end, start)))
         if isinstance(obstacle, Capsule):
             profile = np.vstack([_arc(radius, -1.0, 0.0), _arc(radius, 0.0, 1.0) + (0.0, length)])
-        else:  # rims twice: an edge shared by two faces would be shaded as if it were round
+        else:  # rims twice: an edge shared by two faces would be shaded smoothly
             profile = np.array([[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length]])
             profile = np.vstack([profile, [[radius, length], [0.0, length]]])
         return _revolved(start, np.subtract(obstacle.end, start) / length, profile)
@@ -469,7 +460,7 @@ def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan) -> Triang
 
 
 def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:
-    """Return the surface of a mesh or a scan in its own frame, with at most `MAX_SHOWN` points."""
+    """Return the surface of a mesh or scan in its own frame, with at most `MAX_SHOWN` points."""
     points: Array = obstacle.content[0]
     faces: NDArray[np.integer] | None = obstacle.content[1]
     if len(points) > MAX_SHOWN:
@@ -485,14 +476,14 @@ def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:
 
 
 def _arc(radius: float, first: float, last: float) -> Array:
-    """Return distance from the axis and height, (n, 2), between two latitudes [quarter turns]."""
+    """Return distances from the axis and heights, (n, 2), between two latitudes [quarter turns]."""
     count = 1 + round(CYLINDER_SIDES / 4 * (last - first))
     latitude = np.pi / 2.0 * np.linspace(first, last, count)
     return radius * np.column_stack([np.cos(latitude), np.sin(latitude)])
 
 
 def _revolved(origin: Array, axis: Array, profile: Array) -> TriangleMesh:
-    """Return the surface of revolution of a profile (n, 2) [m]: distance from the axis, and height."""
+    """Return the surface of revolution of a profile, (n, 2) [m]: distances from the axis, and heights."""
     from trimesh.creation import revolve
     from trimesh.geometry import align_vectors
 

@@ -1,4 +1,4 @@
-"""What pictures of an arm show, and how it moves: view, target, surfaces of the arm, obstacles, playback."""
+"""The contents of pictures of an arm: view, target, surfaces of the arm, obstacles, and playback."""
 
 from __future__ import annotations
 
@@ -42,12 +42,10 @@ from pinposture.viz.body import (
 
 Array = NDArray[np.float64]
 
-# Camera.
-
-# Views to choose from: x to the right, z up, and none along an axis, where scales would coincide.
+# Candidate views: x to the right, z up, none along an axis, where scales would coincide.
 AZIMUTHS = np.radians([-70.0, -110.0, -45.0, -135.0])
 ELEVATIONS = np.radians([22.0, 38.0, 60.0])
-AREA_GAIN = 1.3  # factor in visible area for which a view is preferred to an earlier one of the list
+AREA_GAIN = 1.3  # gain in visible area for which a view is preferred to an earlier one in the list
 
 
 class Framing(NamedTuple):
@@ -55,8 +53,8 @@ class Framing(NamedTuple):
 
     Attributes:
         center: centre of the bounding box of the points, (3,) [m], world frame.
-        radius: distance of the farthest point from there, above 0 [m].
-        azimuth: direction of the eye about the vertical, from x towards y [rad].
+        radius: distance of the farthest point from the centre, above 0 [m].
+        azimuth: direction of the eye about the vertical axis, from x towards y [rad].
         elevation: elevation of the eye [rad].
     """
 
@@ -67,14 +65,14 @@ class Framing(NamedTuple):
 
     @property
     def axes(self) -> Array:
-        """Unit vectors to the right, up, and towards the eye, (3, 3), world frame."""
+        """Unit vectors to the right, upwards, and towards the eye, (3, 3), world frame."""
         return view_axes(self.azimuth, self.elevation)
 
     def distance(self, points: Array, opening: float, aspect: float) -> float:
-        """Return the distance of the eye from the centre [m] at which all points (n, 3) [m] are visible.
+        """Return the distance of the eye from the centre at which all points are visible [m].
 
         Args:
-            points: the points, world frame.
+            points: the points, (n, 3) [m], world frame.
             opening: vertical field of view [rad].
             aspect: width of the picture relative to its height.
         """
@@ -85,11 +83,11 @@ class Framing(NamedTuple):
 
 
 def frame_points(points: Array) -> Framing:
-    """Choose the view in which points (n, 3) [m], world frame, n >= 1, spread over the largest area."""
+    """Choose the view in which points, (n, 3) [m], world frame, n >= 1, cover the largest area."""
     center = (points.max(axis=0) + points.min(axis=0)) / 2.0
     offsets = points - center
     radius = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-9)
-    # A little spread in every direction: a line has no area in any view, but should show its length.
+    # Small isotropic spread: a line has no area in any view, but its length should be visible.
     scatter = offsets.T @ offsets / (len(points) * radius**2) + 1e-4 * np.eye(3)
     chosen, largest = (0.0, 0.0), 0.0
     for elevation in ELEVATIONS:
@@ -102,7 +100,7 @@ def frame_points(points: Array) -> Framing:
 
 
 def view_axes(azimuth: float, elevation: float) -> Array:
-    """Return unit vectors to the right, up, and towards an eye [rad], (3, 3), world frame."""
+    """Return unit vectors to the right, upwards, and towards an eye [rad], (3, 3), world frame."""
     eye = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     )
@@ -110,19 +108,16 @@ def view_axes(azimuth: float, elevation: float) -> Array:
     return np.array([right, np.cross(eye, right), eye])
 
 
-# Target.
-
 CURVE_SAMPLES = 400
-SHOWN_BEYOND = 0.6  # how much of a curve is shown beyond the last target point, in arm lengths
+SHOWN_BEYOND = 0.6  # length of a curve shown beyond the last target point, in arm lengths
 
 
 class Outline(NamedTuple):
-    """A target as lines, in pieces.
+    """A target as pieces of a line: the curve or, without one, the target posture.
 
     Attributes:
-        covered: where the arm should be: the curve, or without a curve the target posture, between
-            consecutive target points or base and first target point, each (n, 3) [m], world frame.
-        rest: the same line before, between and after these, each (k, 3) [m], world frame.
+        covered: the pieces between base and consecutive target points, each (n, 3) [m], world frame.
+        rest: the remaining pieces, each (k, 3) [m], world frame.
     """
 
     covered: tuple[Array, ...]
@@ -130,7 +125,7 @@ class Outline(NamedTuple):
 
 
 def outline(arm: Arm, target: Target) -> Outline:
-    """Return the line of a target posture, empty if only points are known."""
+    """Return the line of a target; empty if only points are known."""
     # Runs of consecutive points with a target; the base counts as point 0.
     targeted = np.flatnonzero(np.append(True, target.has_target))
     runs = np.split(targeted, np.flatnonzero(np.diff(targeted) > 1) + 1)
@@ -151,14 +146,14 @@ def outline(arm: Arm, target: Target) -> Outline:
     last = float(np.max(places[1:][target.has_target], initial=0.0))
     end = min(length, last + SHOWN_BEYOND * arm.length)
     curve_spans = [(float(places[run].min()), float(places[run].max())) for run in runs]
-    # A shorter piece is invisible, and may have no direction.
+    # Shorter pieces are invisible and may have no direction.
     return _cut(curve_spans, end, 1e-6 * length, lambda a, b: curve.at(np.linspace(a, b, CURVE_SAMPLES)))
 
 
 def _cut(
     spans: Sequence[tuple[float, float]], end: float, least: float, piece: Callable[[float, float], Array]
 ) -> Outline:
-    """Cut a line from 0 to `end` into the pieces in spans and those between them, longer than `least`."""
+    """Cut a line from 0 to `end` into the spans and the pieces between them, if longer than `least`."""
     covered: list[tuple[float, float]] = []
     for low, high in sorted(spans):
         if covered and low <= covered[-1][1]:
@@ -170,17 +165,14 @@ def _cut(
     return Outline(*(tuple(piece(a, b) for a, b in parts if b - a > least) for parts in (covered, between)))
 
 
-# Surfaces of the arm.
-
-
 def link_radius(arm: Arm) -> float:
-    """Return the radius of the bars that the arm is drawn with [m]."""
+    """Return the radius of the bars that represent the links [m]."""
     module = arm.length / arm.n_modules
     return min(0.25 * module, float(np.clip(0.16 * module, 0.004 * arm.length, 0.015 * arm.length)))
 
 
 def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | None) -> None:
-    """Raise InvalidValue unless a run or a motion and a target fit an arm."""
+    """Raise InvalidValue unless a run or motion and a target fit an arm."""
     if run is not None and not isinstance(run, (Trajectory, Motion)):
         raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
     if run is not None and run.q.shape[1] != arm.nq:
@@ -197,11 +189,11 @@ class Surfaces(NamedTuple):
 
 
 def arm_surfaces(arm: Arm) -> Surfaces:
-    """Return the surfaces of an arm: the meshes of its description where readable, else round bars."""
+    """Return the surfaces of an arm: the meshes of its description, or round bars where unreadable."""
     radius, own, listed = link_radius(arm), body_meshes(arm), bodies(arm)
     surfaces = []
     for u, body in enumerate(listed):
-        # The ball of the next joint closes a bar, unless that joint is prismatic or there is none.
+        # The ball of the next joint closes the bar, unless that joint is prismatic or missing.
         closed = u + 1 < len(listed) and bool(arm.chain.revolute[u + 1])
         surfaces.append(own.bodies[u] or _body_mesh(body, radius, closed))
     return Surfaces(own.base or _base_mesh(arm, radius), tuple(surfaces))
@@ -210,21 +202,20 @@ def arm_surfaces(arm: Arm) -> Surfaces:
 def visual_model(arm: Arm) -> pin.GeometryModel:
     """Return the drawn bodies of an arm as a geometry model for Pinocchio's visualizers.
 
-    For instance `pinocchio.visualize.MeshcatVisualizer(arm.model, visual_model=visual_model(arm))`. These
-    need a `pin.Data`, which takes 40 MB for 100 joints and seven times as much for twice as many; `view`
-    needs none.
+    For example `pinocchio.visualize.MeshcatVisualizer(arm.model, visual_model=visual_model(arm))`. These
+    visualizers need a `pin.Data`, which takes 40 MB for 100 joints and 280 MB for 200; `view` does not.
 
     Args:
         arm: the arm.
 
     Returns:
-        One object for the base and one for each joint of the chain, with the shapes and colours of `view`.
+        One object for the base and one per joint of the chain, with the shapes and colours of `view`.
     """
     surfaces, places, model = arm_surfaces(arm), neutral_placements(arm.model), pin.GeometryModel()
     drawn = [("base", 0, surfaces.base, palette.BASE, pin.SE3.Identity())]
     for u, (body, mesh) in enumerate(zip(bodies(arm), surfaces.bodies, strict=True)):
         joint, shade = arm.model.getJointId(body.joint), palette.MODULES[body.module % len(palette.MODULES)]
-        # Body frames have the axes of the world at the neutral configuration.
+        # Body frames are aligned with the world at the neutral configuration.
         placement = pin.SE3(places[joint].rotation.T, np.zeros(3))
         drawn.append((f"body_{u + 1:03d}", joint, mesh, shade, placement))
     for name, joint, mesh, color, placement in drawn:
@@ -240,7 +231,7 @@ def visual_model(arm: Arm) -> pin.GeometryModel:
 
 
 def scene_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
-    """Return the points that the camera should see: the motion and the target, (n, 3) [m], world frame."""
+    """Return the points that should be in view: motion and target, (n, 3) [m], world frame."""
     points = [arm.chain.base[None]]
     if run is not None:
         points.append(run.points.reshape(-1, 3))
@@ -249,7 +240,7 @@ def scene_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Arr
         points += [target.points[target.has_target], *lines.covered, *lines.rest]
     if run is None:
         points.append(backbone(arm, arm.neutral()))
-        # The arm may be shown in other configurations later; leave room around its base.
+        # Other configurations may be shown later: leave room around the base.
         points.append(arm.chain.base + 0.35 * arm.length * np.vstack([np.eye(3), -np.eye(3)]))
     return np.vstack(points)
 
@@ -264,7 +255,7 @@ def _body_mesh(body: DrawnBody, radius: float, closed: bool) -> TriangleMesh:
 
 
 def _base_mesh(arm: Arm, radius: float) -> TriangleMesh:
-    """Return a plate at the base link, with a bar to the first joint if that is elsewhere."""
+    """Return a plate at the base link, with a bar to the first joint if it is elsewhere."""
     foot, joint = np.asarray(arm.base_placement.translation), arm.chain.base
     gap = float(np.linalg.norm(joint - foot))
     if gap > 1e-6 * arm.length and arm.urdf is not None:
@@ -277,25 +268,23 @@ def _base_mesh(arm: Arm, radius: float) -> TriangleMesh:
     return disc(joint - axis * radius, axis, 3.0 * radius, radius)
 
 
-# Obstacles.
+# Relative to the size of the other contents of the picture:
+VIEW_MARGIN = 0.5  # margin by which the picture may grow to show obstacles
+SHOWN_PART = 0.25  # size of the shown part of an obstacle larger than the picture
+PLATE_THICKNESS = 0.02  # thickness of the plate that represents a half-space
+MIN_PLATE_WIDTH = 0.3  # minimum width of that plate
 
-# Relative to the size of what else the picture shows:
-VIEW_MARGIN = 0.5  # how far around that the picture may grow to show obstacles
-SHOWN_PART = 0.25  # how much is shown of an obstacle that is larger than the picture
-PLATE_THICKNESS = 0.02  # of the plate that stands for a half-space
-MIN_PLATE_WIDTH = 0.3  # of that plate
-
-MANY_OBSTACLES = 24  # number of obstacles above which they are drawn more transparent
+MANY_OBSTACLES = 24  # number of obstacles above which they are drawn more transparently
 
 
 class ShownObstacle(NamedTuple):
-    """An obstacle, and the part of it that the picture shows.
+    """An obstacle and its visible part.
 
     Attributes:
-        surface: its whole surface, world frame [m]; for a half-space a plate that fits the picture.
-        near: corners of the part in the picture, (k, 3) [m], world frame; none if it is far away.
-        cut: whether that is only a part.
-        hollow: whether the part is only what `near` has points of, rather than their convex hull.
+        surface: its whole surface, world frame [m]; for a half-space, a plate that fits the picture.
+        near: corners of the part in the picture, (k, 3) [m], world frame; empty if it is far away.
+        cut: whether only a part is in the picture.
+        hollow: whether the part is just the points `near`, rather than their convex hull.
     """
 
     surface: TriangleMesh
@@ -305,11 +294,11 @@ class ShownObstacle(NamedTuple):
 
 
 def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
-    """Return what a picture shows of a scene: near obstacles whole, huge ones in part, far ones not at all.
+    """Select what a picture shows of a scene: near obstacles, parts of huge ones, no distant ones.
 
     Args:
-        scene: the scene; None if there is none.
-        points: what else the picture shows, (n, 3) [m], world frame.
+        scene: the scene, or None.
+        points: the other contents of the picture, (n, 3) [m], world frame.
 
     Returns:
         The obstacles in the order of the scene, without half-spaces that are too far away.
@@ -346,7 +335,7 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
 
 
 def shown_corners(shown: Sequence[ShownObstacle]) -> Array:
-    """Return the corners of boxes around the shown parts of obstacles, (n, 3) [m], world frame."""
+    """Return the corners of the bounding boxes of the shown parts, (n, 3) [m], world frame."""
     parts = [each.near for each in shown if len(each.near)]
     return np.vstack([np.zeros((0, 3)), *(box_corners(part.min(axis=0), part.max(axis=0)) for part in parts)])
 
@@ -354,7 +343,7 @@ def shown_corners(shown: Sequence[ShownObstacle]) -> Array:
 def _half_space_plates(
     planes: dict[str, tuple[Array, float]], seen: Array, size: float, region: tuple[Array, Array]
 ) -> dict[str, Array]:
-    """Return the corners of a plate under the surface of each half-space that reaches into a region."""
+    """Return the corners of a plate below the surface of each half-space that reaches into a region."""
     middle, half = (seen.min(axis=0) + seen.max(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
     half = np.maximum(half, MIN_PLATE_WIDTH * size / 2.0)
     low, high = middle - half, middle + half
@@ -376,36 +365,34 @@ def _half_space_plates(
     return plates
 
 
-# Paths of objects in the viewer, and how their properties change with time.
-
 ROOT = "/pinposture"
-POINT_SIZE = 1.9  # radius of an active control point, relative to that of the bars of the arm
+POINT_SIZE = 1.9  # radius of an active control point, relative to `link_radius`
 IDLE_SIZE = 0.75  # size of an inactive control point, relative to an active one
 
 
 def body_path(index: int) -> str:
-    """Return the path of the body that joint `index` of the chain moves."""
+    """Return the path of the body moved by joint `index` of the chain."""
     return f"{ROOT}/arm/body_{index + 1:03d}"
 
 
 def point_path(index: int) -> str:
-    """Return the path of the control point on the body that joint `index` of the chain moves."""
+    """Return the path of the control point on the body moved by joint `index` of the chain."""
     return f"{body_path(index)}/point"
 
 
 class Track(NamedTuple):
-    """How one property of one object changes with time.
+    """The values of one property of one object over time.
 
     `meshcat.animation.AnimationTrack` takes three times the space, because it packs each number of each frame
-    separately, and it cannot hold a value until the next.
+    separately, and cannot hold a value until the next.
 
     Attributes:
         path: the object in the viewer.
-        name: the property, for instance "position".
+        name: the property, for example "position".
         kind: "vector3", "quaternion" (x, y, z, w) or "color" (red, green, blue in [0, 1]).
-        times: increasing, (n,) [frames].
+        times: increasing times, (n,) [frames].
         values: (n, 3) or (n, 4).
-        smooth: whether values are interpolated, or held until the next.
+        smooth: whether values are interpolated; otherwise each is held until the next.
     """
 
     path: str
@@ -416,7 +403,7 @@ class Track(NamedTuple):
     smooth: bool = True
 
     def lower(self) -> dict[str, Any]:
-        """Return the track as meshcat's viewer receives it: numbers packed in single precision."""
+        """Return the track in meshcat's format, with numbers packed in single precision."""
         lowered: dict[str, Any] = {"name": f".{self.name}", "type": self.kind}
         for name, numbers in (("times", self.times), ("values", self.values)):
             lowered[name] = umsgpack.Ext(0x17, numbers.astype("<f4").tobytes())
@@ -426,32 +413,30 @@ class Track(NamedTuple):
 
 
 def pose_tracks(path: str, times: Array, positions: Array, turns: Array) -> list[Track]:
-    """Return the motion of an object: positions (n, 3) [m] and quaternions (n, 4), (x, y, z, w)."""
+    """Return the tracks of an object with positions (n, 3) [m] and quaternions (n, 4), (x, y, z, w)."""
     return [
         Track(path, "position", "vector3", times, positions),
         Track(path, "quaternion", "quaternion", times, turns),
     ]
 
 
-# Which configurations are shown, and when.
-
-REST_BEFORE, REST_AFTER = 0.6, 1.6  # how long the first and the last posture are held [s]
-MIN_DURATION = 2.0  # of a run; one of few steps is shown slower [s]
-MAX_DURATION = 60.0  # of a motion in time; a longer one is shown faster [s]
+REST_BEFORE, REST_AFTER = 0.6, 1.6  # time for which the first and the last posture are held [s]
+MIN_DURATION = 2.0  # minimum duration of a run; short ones are shown more slowly [s]
+MAX_DURATION = 60.0  # maximum duration of a motion in time; longer ones are shown faster [s]
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """The configurations of a run or a motion that are shown, and when.
+    """The shown configurations of a run or motion, with their times.
 
     Attributes:
         run: the run, or that of the motion.
         motion: the motion; None for a run, whose steps have no time.
-        rows: rows of `run.q` that are shown, increasing, first and last included, (f,).
-        times: when each is reached, (f,) [frames].
-        end: when the animation is over and starts again [frames].
+        rows: shown rows of `run.q`, increasing, first and last included, (f,).
+        times: time of each of these rows, (f,) [frames].
+        end: time at which the animation ends and restarts [frames].
         fps: frames per second.
-        speedup: speed relative to that of the motion; 1 in real time.
+        speedup: playback speed relative to the motion; 1 is real time.
     """
 
     run: Trajectory
@@ -464,28 +449,28 @@ class Timeline:
 
     @property
     def key_rows(self) -> NDArray[np.intp]:
-        """Which of `rows` is shown at each of `key_times`, (f + 2,)."""
+        """Index into `rows` for each of `key_times`, (f + 2,)."""
         return np.concatenate([[0], np.arange(len(self.rows)), [len(self.rows) - 1]])
 
     @property
     def key_times(self) -> Array:
-        """`times` with beginning and end, where first and last configuration are held, (f + 2,) [frames]."""
+        """`times` with start and end added, to hold the first and last configurations, (f + 2,) [frames]."""
         return np.concatenate([[0.0], self.times, [self.end]])
 
 
 def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timeline:
-    """Choose what to show: every configuration, or as many as allowed, evenly spaced.
+    """Choose the configurations to show: all, or as many as allowed, evenly spaced.
 
-    A motion is shown in real time, or 2, 5, 10, ... times as fast if that takes longer than `MAX_DURATION`.
+    A motion is shown in real time, or 2, 5, 10, ... times as fast if that exceeds `MAX_DURATION`.
 
     Args:
         shown: a run, or a motion in time.
         fps: configurations of a motion per second of playback, fewer if it has fewer; steps of a run per
             second, fewer if it would take less than `MIN_DURATION`.
-        max_frames: largest number of configurations, at least 2.
+        max_frames: maximum number of configurations, at least 2.
 
     Raises:
-        InvalidValue: `fps` or `max_frames`.
+        InvalidValue: invalid `fps` or `max_frames`.
     """
     if not (np.isfinite(fps) and 0.0 < fps <= 120.0):
         raise InvalidValue("fps", fps, "a number above 0, at most 120 [1/s]")
@@ -501,7 +486,7 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timelin
 
 
 def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Timeline:
-    """Choose rows of a motion and when to show them; `fps` is only the unit of time here."""
+    """Choose the rows of a motion to show and their times, with 1 / `fps` as the unit of time."""
     factors = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
     end = float(motion.time[-1])
     speedup = next(factor for factor in factors if end <= MAX_DURATION * factor * (1.0 + 1e-9))
@@ -513,10 +498,10 @@ def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Timeline:
 
 
 def arm_tracks(arm: Arm, shown: Timeline) -> list[Track]:
-    """Return how the bodies of the arm move and its control points change.
+    """Return the tracks of the bodies of the arm and of its control points.
 
-    A control point counts as active at a configuration if it is active in the step from there; at the last
-    configuration, in the step to there.
+    A control point counts as active at a configuration if it is active in the following step; at the last
+    configuration, in the preceding step.
     """
     run = shown.run
     poses = body_poses(arm, run.q[shown.rows])  # (f, n, 4, 4)
@@ -534,9 +519,9 @@ def arm_tracks(arm: Arm, shown: Timeline) -> list[Track]:
 
 
 def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
-    """Return colour and size of a control point that is active at some times, with a key for each change."""
+    """Return colour and size tracks of a control point, with a key for each change of its activity."""
     changed = np.concatenate([[True], on[1:] != on[:-1]])
-    changed[-1] = True  # all tracks have to end together, because each starts again when it ends
+    changed[-1] = True  # all tracks must end together, because each restarts when it ends
     colors = np.where(on[changed, None], palette.rgb(palette.ACTIVE), palette.rgb(palette.IDLE))
     sizes = np.where(on[changed, None], 1.0, IDLE_SIZE) * np.ones(3)
     return [
@@ -545,13 +530,11 @@ def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Tra
     ]
 
 
-# The targets of a motion: a hoop for each control point, where it should be.
-
 NO_SIZE = 1e-3  # size of a hoop without a target
 
 
 def moving_target_tracks(motion: Motion, playback: Timeline) -> list[Track]:
-    """Return how the hoops of targets move, appear and disappear."""
+    """Return the tracks of the target hoops, which move, appear and disappear."""
     held, times = playback.key_rows, playback.key_times
     targets, mask = motion.targets[playback.rows], motion.target_mask[playback.rows]
     turns = hoop_turns(motion.arm, targets, mask)
@@ -571,14 +554,14 @@ def hoop_path(point: int) -> str:
 
 
 def hoop_turns(arm: Arm, targets: Array, mask: NDArray[np.bool_]) -> Array:
-    """Return orientations of hoops across the line through the targets, (f, m, 4), (x, y, z, w).
+    """Return orientations of hoops normal to the line through the targets, (f, m, 4), (x, y, z, w).
 
-    Each follows from the one before by the smallest rotation, so that hoops do not spin.
+    Each follows from the previous one by the smallest rotation, so that hoops do not spin.
 
     Args:
         arm: the arm.
-        targets: where control points should be, (f, m, 3) [m], world frame.
-        mask: which of them have a target, (f, m).
+        targets: targets of the control points, (f, m, 3) [m], world frame.
+        mask: True for control points with a target, (f, m).
     """
     turns = np.empty((*mask.shape, 4))
     normals = np.broadcast_to([0.0, 0.0, 1.0], (mask.shape[1], 3))
@@ -591,14 +574,14 @@ def hoop_turns(arm: Arm, targets: Array, mask: NDArray[np.bool_]) -> Array:
 
 
 def same_signs(turns: Array) -> Array:
-    """Choose the signs of quaternions (f, ..., 4) such that each is closest to the one before."""
+    """Choose the signs of quaternions, (f, ..., 4), such that each is closest to the previous one."""
     flips = np.ones(turns.shape[:-1])
     flips[1:] = np.where(np.sum(turns[1:] * turns[:-1], axis=-1) < 0.0, -1.0, 1.0)
     return np.asarray(turns * np.cumprod(flips, axis=0)[..., None])
 
 
 def _tangents(arm: Arm, points: Array, mask: NDArray[np.bool_], known: Array) -> Array:
-    """Return tangents of the line from the base through targets (m, 3); known ones where there are none."""
+    """Return tangents of the line from the base through targets, (m, 3); `known` ones without a target."""
     tangents: Array = known.copy()
     targeted = np.flatnonzero(mask)
     behind = _unit(np.diff(np.vstack([arm.chain.base, points[targeted]]), axis=0))
@@ -615,7 +598,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def _shortest_rotations(before: Array, after: Array) -> Rotation:
-    """Return the smallest rotations from unit vectors (m, 3) to others."""
+    """Return the smallest rotations between pairs of unit vectors, (m, 3)."""
     axes = np.cross(before, after)
     sines = np.linalg.norm(axes, axis=1, keepdims=True)
     angles = np.arctan2(sines, np.einsum("mi,mi->m", before, after)[:, None])
@@ -626,5 +609,5 @@ def _shortest_rotations(before: Array, after: Array) -> Rotation:
 
 
 def targeted_points(motion: Motion) -> NDArray[np.intp]:
-    """Return the control points, 0-based, that have a target at some time."""
+    """Return the 0-based indices of control points that have a target at some time."""
     return np.asarray(np.flatnonzero(motion.target_mask.any(axis=0)))

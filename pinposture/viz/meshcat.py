@@ -1,4 +1,4 @@
-"""An arm, its motion, targets and surroundings in meshcat, live or recorded for a page."""
+"""An arm, its motion, targets and surroundings in meshcat: live, or recorded in an HTML page."""
 
 from __future__ import annotations
 
@@ -66,19 +66,17 @@ from pinposture.viz.postures import (
 Array = NDArray[np.float64]
 
 FRAME = '<iframe {} style="width: 100%; height: 480px; border: 0"></iframe>'
-"""What a notebook shows of a page."""
+"""How a notebook embeds a page."""
 
-# Where meshcat's commands go: to a server, or into a list for a page.
-
-TIMEOUT = 10_000  # for answers of a server [ms]
+TIMEOUT = 10_000  # timeout for the answers of a server [ms]
 
 
 class Connection(ViewerWindow):  # type: ignore[misc]
     """meshcat's connection to its server, with a timeout.
 
     Args:
-        address: where a server listens for commands, as in "tcp://127.0.0.1:6000"; None to start one. That
-            takes commands from this machine only, but serves its page to others, too (see SECURITY.md).
+        address: address of a running server, such as "tcp://127.0.0.1:6000"; None starts a server, which
+            accepts commands from this machine only, but also serves its page to others (see SECURITY.md).
 
     Raises:
         ViewerError: the server cannot be started or does not answer.
@@ -99,7 +97,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
             raise ViewerError(self._name, f"cannot be started ({'; '.join([str(error), *last])})") from error
 
     def connect_zmq(self) -> None:
-        """Connect, or connect again."""
+        """Connect or reconnect."""
         self._disconnect()
         socket = self.zmq_socket = self.context.socket(zmq.REQ)
         for option, value in ((zmq.RCVTIMEO, TIMEOUT), (zmq.SNDTIMEO, TIMEOUT), (zmq.LINGER, 0)):
@@ -107,7 +105,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
         socket.connect(self.zmq_url)
 
     def send(self, command: Any) -> None:
-        """Send a command of meshcat to every browser, now and later.
+        """Send a meshcat command to all current and later browsers.
 
         Raises:
             ViewerError: the server does not answer, or the connection was closed.
@@ -118,7 +116,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
             super().send(command)
 
     def close(self) -> None:
-        """Disconnect, and stop the server if it was started here."""
+        """Disconnect, and stop the server if this connection started it."""
         self._disconnect()
         if self.server_proc is not None:
             self.server_proc.kill()
@@ -143,10 +141,10 @@ class Connection(ViewerWindow):  # type: ignore[misc]
 
 
 class CommandRecorder:
-    """Records the commands of a `meshcat.Visualizer` in place of a connection.
+    """Records the commands of a `meshcat.Visualizer` instead of sending them.
 
     Attributes:
-        packed: the commands as the viewer in a browser receives them.
+        packed: the commands in the format that a browser receives.
     """
 
     def __init__(self) -> None:
@@ -158,19 +156,19 @@ class CommandRecorder:
 
 
 class PlayAnimation(SetAnimation):  # type: ignore[misc]
-    """Play an animation over and over, in place of the one before.
+    """Play an animation in a loop, replacing the previous one.
 
-    A server keeps commands by path and sends them to later browsers parents first. The objects of an
-    animation have to exist before it, so its path comes after theirs.
+    A server stores commands by path and sends them to later browsers, parents first. The objects of an
+    animation must exist before it, so its path comes after theirs.
     """
 
     def lower(self) -> dict[str, Any]:
-        """Return the command as the viewer receives it."""
+        """Return the command in the viewer's format."""
         return {**super().lower(), "path": f"{ROOT}/animation"}
 
 
 def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> None:
-    """Play tracks over and over, in place of what was played before; without tracks, stop."""
+    """Play tracks in a loop, replacing the previous ones; without tracks, stop."""
     whole = Animation()
     for track in moving:
         clip = whole.clips.setdefault(TreePath().append(track.path), AnimationClip(fps=fps, name="run"))
@@ -178,30 +176,28 @@ def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> N
     viewer.window.send(PlayAnimation(whole, repetitions=float("inf")))
 
 
-# Objects of the scene.
-
 ELLIPSOID_OPACITY = 0.5
-HOOP_RADIUS, WIRE_RADIUS = 1.35, 0.14  # of a hoop and its wire, relative to that of a control point
-HOOP_SIDES = 32  # of the polygon that stands for a hoop
-LINE_RADIUS = 0.25  # of lines through targets, relative to that of the bars of the arm
+HOOP_RADIUS, WIRE_RADIUS = 1.35, 0.14  # radii of a hoop and its wire, relative to that of a control point
+HOOP_SIDES = 32  # number of sides of the polygon that approximates a hoop
+LINE_RADIUS = 0.25  # radius of lines through targets, relative to `link_radius`
 
 
 def add(
     viewer: Visualizer, path: str, shape: TriangleMesh | Geometry, color: str, opacity: float = 1.0
 ) -> None:
-    """Add a shape [m] of a colour "#RRGGBB"."""
+    """Add a shape [m] with a colour "#RRGGBB"."""
     geometry = TriangularMeshGeometry(*shape) if isinstance(shape, TriangleMesh) else shape
-    # A translucent object must not hide what is drawn later.
+    # Translucent objects must not hide objects drawn later.
     style = {"opacity": opacity, "shininess": 40, "depthWrite": opacity >= 1.0}
     material = MeshPhongMaterial(int(color.lstrip("#"), 16), **style)
     mesh = Mesh(geometry, material)
-    # With the random identifiers of meshcat the same scene would never give the same page.
+    # Replace meshcat's random identifiers, so that the same scene always gives the same page.
     mesh.uuid, geometry.uuid, material.uuid = (f"{path}/{part}" for part in ("mesh", "geometry", "material"))
     viewer[path].set_object(mesh)
 
 
 def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
-    """Draw the arm at a configuration (nq,): a mesh for each body, and control points fixed to bodies."""
+    """Draw the arm at a configuration, (nq,): a mesh per body, and control points fixed to the bodies."""
     radius, surfaces = drawing.link_radius(arm), drawing.arm_surfaces(arm)
     add(viewer, f"{ROOT}/arm/base", surfaces.base, palette.BASE)
     for u, body in enumerate(bodies(arm)):
@@ -214,13 +210,13 @@ def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
 
 
 def pose_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
-    """Move an arm that is drawn to a configuration (nq,)."""
+    """Move the drawn arm to a configuration, (nq,)."""
     for u, pose in enumerate(body_poses(arm, q)):
         viewer[drawing.body_path(u)].set_transform(pose)
 
 
 def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
-    """Draw the line of the target posture, as far as it is known, and the target points."""
+    """Draw the line of the target, if known, and the target points."""
     radius = 0.3 * drawing.link_radius(arm)
     colors = {"covered": palette.TARGET, "rest": palette.REST}
     for part, lines in drawing.outline(arm, target)._asdict().items():
@@ -233,7 +229,7 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
 
 
 def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Place]) -> None:
-    """Draw the targets at the start of a motion, and thin lines through those at named places."""
+    """Draw the targets at the start of a motion, and thin lines through the targets at named places."""
     arm, radius = motion.arm, drawing.link_radius(motion.arm)
     for number, place in enumerate(places, start=1):
         points = motion.targets[place.row][motion.target_mask[place.row]]
@@ -259,7 +255,7 @@ def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) ->
 
 
 def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
-    """Draw the ellipsoids of the first configuration in place of those before."""
+    """Draw the ellipsoids of the first configuration, replacing previous ones."""
     unit = ball(np.zeros(3), 1.0, 3)
     for p, point in enumerate(shown.points):
         path, axes = ellipsoid_path(point), (shown.frames[0, p] * shown.radii[0, p, :, None]).T
@@ -268,24 +264,22 @@ def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
 
 
 def _transform(position: Array, linear: Array | float = 1.0) -> Array:
-    """Return the homogeneous transform (4, 4) of a position (3,) [m] and a matrix (3, 3) or scale."""
+    """Return the homogeneous transform, (4, 4), with a position, (3,) [m], and a matrix, (3, 3), or scale."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear if np.ndim(linear) else linear * np.eye(3)
     matrix[:3, 3] = position
     return matrix
 
 
-# Light, floor and camera.
-
-FIELD_OF_VIEW = 35.0  # vertical [deg]; narrower than usual, for less distortion of what is near
-ASPECT = 4.0 / 3.0  # width relative to height of the narrowest window that shows everything
-CAMERA_MARGIN = 1.15  # factor of the distance of the camera
+FIELD_OF_VIEW = 35.0  # vertical [deg]; narrower than usual, to reduce the distortion of near objects
+ASPECT = 4.0 / 3.0  # aspect ratio of the narrowest window that shows everything
+CAMERA_MARGIN = 1.15  # factor applied to the camera distance
 
 
 def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
-    """Set up light, floor and camera so that points (n, 3) [m] of the world are in view.
+    """Set up light, floor and camera such that points, (n, 3) [m], world frame, are in view.
 
-    The camera turns about the origin of the scene, so the world is shifted by the centre of the points.
+    The camera orbits the origin of the scene, so the world is shifted by the centre of the points.
     """
     framing = drawing.frame_points(points)
     floor = points[:, 2].min() - framing.center[2] - 3.0 * drawing.link_radius(arm)
@@ -302,29 +296,26 @@ def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
         ("/Axes", "visible", False),
         ("/Lights/AmbientLight/<object>", "intensity", 0.42),
         ("/Lights/FillLight/<object>", "intensity", 0.25),
-        # By default these two fade out after 10 m.
+        # By default, these two lights fade out after 10 m.
         ("/Lights/PointLightNegativeX/<object>", "distance", 0.0),
         ("/Lights/PointLightPositiveX/<object>", "distance", 0.0),
         (camera, "fov", FIELD_OF_VIEW),
         (camera, "near", 0.01 * distance),
         (camera, "far", 100.0 * distance),
-        # In the axes of the camera y points up.
+        # In the camera frame, y points up.
         (camera, "position", [x, z, -y]),
     ]
     for path, name, value in properties:
         viewer[path].set_property(name, value)
 
 
-# The whole scene.
-
-
 class DrawnScene(NamedTuple):
-    """What was drawn.
+    """The result of `draw_scene`.
 
     Attributes:
-        tracks: how it moves; empty if there is nothing to play.
+        tracks: the animation; empty if there is nothing to play.
         obstacles: whether there are obstacles.
-        places: the named places of a motion that are drawn, grouped if they look alike.
+        places: the drawn named places of a motion, grouped if they look alike.
     """
 
     tracks: list[Track]
@@ -345,9 +336,9 @@ def draw_scene(
     Args:
         viewer: where to draw.
         arm: the arm.
-        shown: what to play; None to show the arm at its neutral configuration.
-        target: a fixed target; None if there is none.
-        scene: obstacles; None if there are none.
+        shown: the timeline to play; None: the arm at its neutral configuration.
+        target: a fixed target, or None.
+        scene: obstacles, or None.
         points: control points with an ellipsoid, 0-based.
     """
     rows = arm.neutral()[None] if shown is None else shown.run.q[shown.rows]
@@ -374,20 +365,18 @@ def draw_scene(
     return DrawnScene(moving, bool(obstacles), places)
 
 
-# The viewer.
-
-MAX_FRAMES = 2000  # configurations of a run or a motion that are sent to the browser
+MAX_FRAMES = 2000  # maximum number of configurations sent to the browser
 
 
 class Viewer:
     """An arm in the browser, shown by a meshcat server; see `pinposture.viz.view`.
 
-    It is also a context manager, which closes it.
+    As a context manager, it closes itself.
 
     Attributes:
         arm: the arm.
-        run: the run, or the motion in time, that `play` plays, or None.
-        target: the target shown, or None.
+        run: the run or motion in time that `play` plays, or None.
+        target: the shown target, or None.
         scene: the obstacles, or None.
         ellipsoids: indices of the control points with an ellipsoid, 0-based.
         meshcat: the `meshcat.Visualizer`, to draw more; objects below "/pinposture" are in the world frame.
@@ -422,7 +411,7 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """The address to open in a browser, or in several."""
+        """The address to open in one or more browsers."""
         return str(self.meshcat.url())
 
     def open(self) -> None:
@@ -430,9 +419,9 @@ class Viewer:
         webbrowser.open(self.url, new=2)
 
     def show(self, q: ArrayLike) -> None:
-        """Show the arm at a configuration, and stop playing the run.
+        """Show the arm at a configuration and stop playing the run.
 
-        It takes about a millisecond per joint and ellipsoid. Browsers follow about 20 calls per second.
+        Takes about a millisecond per joint and ellipsoid. Browsers keep up with about 20 calls per second.
 
         Args:
             q: configuration, (nq,) [rad or m].
@@ -449,7 +438,7 @@ class Viewer:
         add_ellipsoids(self.meshcat, ellipsoid_motion(self.arm, self.ellipsoids, q[None]))
 
     def play(self) -> None:
-        """Play the run from its start, over and over, in the browser.
+        """Play the run in a loop, from its start.
 
         Raises:
             InvalidValue: there is no run.
@@ -461,7 +450,7 @@ class Viewer:
         self._playing = True
 
     def close(self) -> None:
-        """Close the viewer, and stop its server if it started one."""
+        """Close the viewer, and stop the server if the viewer started it."""
         self.meshcat.close()
 
     def __enter__(self) -> Viewer:
@@ -481,7 +470,7 @@ class Viewer:
 
 
 def captions(shown: Timeline) -> list[str]:
-    """Return the text under each configuration that is shown."""
+    """Return the caption of each shown configuration."""
     listed, run = [], shown.run
     for row in shown.rows:
         text = _step_text(shown, row) if shown.motion is None else _motion_text(shown.motion, row)
@@ -515,13 +504,13 @@ def _motion_text(motion: Motion, row: int) -> str:
 
 
 def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) -> str:
-    """Return the legend, and the speed at which a motion is shown, as HTML.
+    """Return the legend, and the playback speed of a motion, as HTML.
 
     Args:
-        shown: what is shown.
-        drawn: what is drawn of it.
+        shown: the timeline.
+        drawn: the drawn scene.
         target: whether a fixed target is drawn.
-        scale: the scale of ellipsoids, in words; empty if there are none.
+        scale: the scale of ellipsoids in words; empty without ellipsoids.
     """
     entries = [("target", palette.TARGET)] if target else []
     if shown.motion is not None:
@@ -553,16 +542,14 @@ def _color_key(entries: Sequence[tuple[str, str]]) -> str:
     return "".join(dots)
 
 
-# The page.
-
 MAX_RUN_FRAMES, MAX_MOTION_FRAMES = 240, 1200
 
 
 @dataclass(frozen=True)
 class AnimationPage:
-    """An animation as an HTML page that contains everything, including the script of the viewer.
+    """An animation as a self-contained HTML page, including the script of the viewer.
 
-    A notebook shows it where it is the value of a cell.
+    A notebook displays it as the value of a cell.
 
     Attributes:
         html: the page, 2 MB.
@@ -574,7 +561,7 @@ class AnimationPage:
         """Write the page to one file, atomically.
 
         Args:
-            path: the file; ".html" is added to a name without suffix.
+            path: the file; ".html" is appended to a name without suffix.
 
         Returns:
             The path written.
@@ -601,28 +588,24 @@ def animate(
     max_frames: int | None = None,
     ellipsoids: ControlPoints = (),
 ) -> AnimationPage:
-    """Make an animation of a run or a motion that plays in any browser, offline, and in notebooks.
+    """Create an animation of a run or motion that plays in any browser, offline, and in notebooks.
 
-    The run plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and
-    large. Obstacles are translucent; a half-space is drawn as a plate. A motion in time plays as by `view`.
-    Its caption tells which of its named places it has reached.
+    The run plays in a loop; the mouse rotates, pans and zooms. Active control points are coloured and large.
+    Obstacles are translucent; a half-space is drawn as a plate. A motion in time plays as in `view`. Its
+    caption names the places that it has reached.
 
     Args:
         arm: the arm.
-        run: the run, or the motion in time, to show.
-        target: a fixed target to show; that of a run if None.
-        fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
-        max_frames: largest number of configurations shown; of longer runs some are skipped. None: 240 of a
-            run, 1200 of a motion.
-        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page explains
-            their colours and their scale.
-
-    Returns:
-        The animation.
+        run: the run or motion in time to show.
+        target: a fixed target to show; None: that of a run.
+        fps: configurations shown per second; fewer if a short run would last less than 2 s.
+        max_frames: maximum number of configurations shown. None: 240 for a run, 1200 for a motion.
+        ellipsoids: control points whose manipulability ellipsoids are shown, as in `view`; the page explains
+            their colours and scale.
 
     Raises:
-        InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
-        UnknownName: a name that no control point has.
+        InvalidValue: a run of another arm, or an invalid `fps`, `max_frames` or choice of control points.
+        UnknownName: an unknown control point.
     """
     target = run.target if target is None and isinstance(run, Trajectory) else target
     require_fitting(arm, run, target)
@@ -641,24 +624,24 @@ def save_html(
     max_frames: int | None = None,
     ellipsoids: ControlPoints = (),
 ) -> Path:
-    """Write a run or a motion as an animation to one HTML file, atomically; see `animate`.
+    """Write an animation of a run or motion to one HTML file, atomically; see `animate`.
 
     Args:
-        arm: as for `animate`.
-        run: likewise.
-        path: the file; ".html" is added to a name without suffix.
-        target: as for `animate`.
-        fps: likewise.
-        max_frames: likewise.
-        ellipsoids: likewise.
+        arm: as in `animate`.
+        run: as in `animate`.
+        path: the file; ".html" is appended to a name without suffix.
+        target: as in `animate`.
+        fps: as in `animate`.
+        max_frames: as in `animate`.
+        ellipsoids: as in `animate`.
 
     Returns:
         The path written.
 
     Raises:
         FileError: the name has another suffix, or the file cannot be written.
-        InvalidValue: as `animate`.
-        UnknownName: as `animate`.
+        InvalidValue: as in `animate`.
+        UnknownName: as in `animate`.
     """
     path = with_suffix(Path(path), ".html", ".htm")
     return animate(arm, run, target, fps, max_frames, ellipsoids).save(path)
@@ -682,11 +665,11 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
         end=shown.end / shown.fps,
         aspect=ASPECT,
         viewer=_viewer_script(),
-        run=json.dumps(described).replace("<", r"\u003c"),  # a name in it must not end the script
+        run=json.dumps(described).replace("<", r"\u003c"),  # names must not end the script
         commands=json.dumps(packed),
     )
 
 
 def _viewer_script() -> str:
-    """Return the script of the meshcat viewer, as meshcat ships it for its own pages."""
+    """Return the script of the meshcat viewer from the meshcat package."""
     return Path(VIEWER_ROOT, "main.min.js").read_text(encoding="utf-8")

@@ -1,7 +1,7 @@
-"""The look of all figures: colours that mean the same thing in every picture, scales, layout, titles.
+"""Common style of all figures: colours with the same meaning in every picture, scales, layout, titles.
 
-The colours are those of Okabe and Ito, which are distinct under every kind of colour blindness. Initial
-posture, target curve, Selection and Projection have the hues of the thesis: blue, black, red, green.
+The colours are those of Okabe and Ito, which people with any kind of colour blindness can distinguish.
+Initial posture, target curve, Selection and Projection have the hues of the thesis: blue, black, red, green.
 """
 
 from __future__ import annotations
@@ -24,47 +24,47 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import ENDINGS
 
 START = "#0072B2"  # initial posture
-FINAL = "#D55E00"  # final posture of a controller that has no colour of its own
+FINAL = "#D55E00"  # final posture of a controller without a colour of its own
 TARGET = "#000000"  # target curve and target points
-REST = "#9A9A9A"  # the target curve beyond the reach of the arm, and other things of no consequence
-CONTROLLERS = {  # by the name of the controller
+REST = "#9A9A9A"  # the target curve beyond the reach of the arm, and other secondary items
+CONTROLLERS = {  # by controller name
     "selection": "#D55E00",
     "projection": "#009E73",
     "switching": "#CC79A7",
     "geodesic": "#E69F00",
 }
-SPARE = ("#56B4E9", "#8C510A", "#6A51A3", "#666666")  # runs whose controllers have no colour, or share one
+SPARE = ("#56B4E9", "#8C510A", "#6A51A3", "#666666")  # runs whose controllers have no colour or share one
 
 MODULES = ("#4F779F", "#A3B8CC")  # odd and even modules
 ALONG = ("#440154", "#46327E", "#365C8D", "#277F8E", "#1FA187", "#4AC16D", "#A0DA39")  # from base to tip
 IN_TIME = ("#EDB458", "#DD6E42", "#B23A5B", "#6A2470", "#2A1350")  # from the first posture to the last
 TURN = "#B03A6F"  # axis of a revolute joint
 SLIDE = "#0B7A5B"  # axis of a prismatic joint
-BASE = "#4A5560"  # what the arm stands on
+BASE = "#4A5560"  # base of the arm
 ACTIVE = "#E69F00"  # a control point in the active control set
-IDLE = "#FFFFFF"  # a control point that is not active
+IDLE = "#FFFFFF"  # an inactive control point
 
 OBSTACLE = "#94897A"
-SEE_THROUGH, SHEER = 0.45, 0.18  # opacity of obstacles: of a few, and of many in front of each other
+SEE_THROUGH, SHEER = 0.45, 0.18  # opacity of obstacles: of a few, and of many behind each other
 
-# Manipulability ellipsoids of index 0, of a quarter of `REGULAR_INDEX`, and of that and more.
+# Manipulability ellipsoids with index 0, a quarter of `REGULAR_INDEX`, and `REGULAR_INDEX` or more.
 SINGULAR, WORSE, REGULAR = "#CC2A1E", "#D6CB2A", "#009E73"
 REGULAR_INDEX = 0.4
 
 ESCAPE = "#E4D9F2"  # background of steps in which the posture error may rise
-MARK = "#CC0000"  # steps that are pointed out, as on the step axis of Figure 6.12 of the thesis
+MARK = "#CC0000"  # marked steps, as on the step axis of Figure 6.12 of the thesis
 INK = "#333333"  # text and axes
 QUIET = "#707070"  # footnotes
 FAINT = "#DDDDDD"  # grid lines
 
 
 def controller_color(controller: str) -> str:
-    """Return the colour of a controller, given by name or by the description that a trajectory records."""
+    """Return the colour of a controller, given by name or by its description in a trajectory."""
     return CONTROLLERS.get(controller.partition("(")[0].strip().lower(), FINAL)
 
 
 def distinct_colors(controllers: Iterable[str]) -> list[str]:
-    """Return one colour for each of several runs, no two alike while the palette lasts."""
+    """Return one colour per run, distinct as far as the palette allows."""
     colors: list[str] = []
     for controller in controllers:
         own = controller_color(controller)
@@ -74,9 +74,9 @@ def distinct_colors(controllers: Iterable[str]) -> list[str]:
 
 
 def index_color(index: float) -> str:
-    """Return the colour of a manipulability ellipsoid with an index in [0, 1], with more contrast near 0.
+    """Return the colour of a manipulability ellipsoid by its index in [0, 1], with more contrast near 0.
 
-    It is one of 33 colours, so that small motions of the arm do not change it.
+    There are 33 colours, so that small motions of the arm do not change the colour.
     """
     share = round(32.0 * min(index / REGULAR_INDEX, 1.0) ** 0.5) / 16.0  # 0 to 1 to 2 along three colours
     before, after = SINGULAR, WORSE
@@ -86,46 +86,44 @@ def index_color(index: float) -> str:
 
 
 def in_time(share: float) -> str:
-    """Return the colour of a posture at a share of its motion in [0, 1]."""
+    """Return the colour of a posture at a fraction of its motion in [0, 1]."""
     along = share * (len(IN_TIME) - 1)
     before = min(int(along), len(IN_TIME) - 2)
     return mixed(IN_TIME[before], IN_TIME[before + 1], along - before)
 
 
 def mixed(color: str, other: str, share: float) -> str:
-    """Blend a colour "#RRGGBB" with a share in [0, 1] of another."""
+    """Blend a colour "#RRGGBB" with another, which has a share in [0, 1]."""
     parts = ((1.0 - share) * a + share * b for a, b in zip(rgb(color), rgb(other), strict=True))
     return "#" + "".join(f"{round(255.0 * part):02X}" for part in parts)
 
 
 def rgb(color: str) -> tuple[float, float, float]:
-    """Return red, green and blue of a colour "#RRGGBB", each in [0, 1]."""
+    """Return red, green and blue, each in [0, 1], of a colour "#RRGGBB"."""
     red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
     return red, green, blue
 
 
-# Scales, ticks and labels of axes against steps or time.
-
-LOG_DECADES = 1.5  # a range of values of so many powers of ten or more gets a logarithmic axis
-MAX_DECADES = 12.0  # powers of ten below the largest value that such an axis shows at most; below is rounding
+LOG_DECADES = 1.5  # decades spanned by the values from which the axis is logarithmic
+MAX_DECADES = 12.0  # maximum number of decades on such an axis; smaller values are rounding errors
 
 
 def format_step_axes(ax: Axes, label: str) -> None:
-    """Format axes against steps, from 0 to the last step drawn: ticks, grid and labels."""
+    """Format axes over steps, from 0 to the last step drawn: ticks, grid and labels."""
     steps = _format_axes(ax, "step", label)
     ax.set_xlim(0.0 if steps else -1.0, max(steps, 1.0))
     ax.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, min_n_ticks=1))
 
 
 def format_time_axes(ax: Axes, label: str) -> None:
-    """Format axes against time, from 0 to the last time drawn: ticks, grid and labels."""
+    """Format axes over time, from 0 to the last time drawn: ticks, grid and labels."""
     end = _format_axes(ax, "time [s]", label)
     ax.set_xlim(0.0 if end else -1.0, end or 1.0)
     ax.xaxis.set_major_locator(MaxNLocator(nbins=8, min_n_ticks=1))
 
 
 def _format_axes(ax: Axes, xlabel: str, ylabel: str) -> float:
-    """Format what all axes have in common; return the largest x that was drawn."""
+    """Apply the format common to all axes; return the largest x drawn."""
     ax.set_xlabel(xlabel, fontsize=9)
     ax.set_ylabel(ylabel, fontsize=9)
     add_grid(ax)
@@ -133,7 +131,7 @@ def _format_axes(ax: Axes, xlabel: str, ylabel: str) -> float:
 
 
 def add_grid(ax: Axes) -> None:
-    """Draw a grid behind everything, and axes without a frame."""
+    """Draw a grid behind everything else, and remove the frame."""
     ax.tick_params(labelsize=8)
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(color=FAINT, lw=0.6)
@@ -141,9 +139,9 @@ def add_grid(ax: Axes) -> None:
 
 
 def scale_values(ax: Axes) -> None:
-    """Fit the vertical axis to the lines drawn, logarithmic if that shows more.
+    """Fit the vertical axis to the lines drawn; it is logarithmic for values of several orders of magnitude.
 
-    On a logarithmic axis a line leaves the picture at the bottom where its value is exactly 0.
+    On a logarithmic axis, a line leaves the picture at the bottom where its value is exactly 0.
     """
     drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()]
     values = np.concatenate([*drawn, np.zeros(0)])
@@ -159,7 +157,7 @@ def scale_values(ax: Axes) -> None:
 
 
 def scale_counts(ax: Axes, largest: int) -> None:
-    """Fit the vertical axis to whole numbers from 0 to the largest possible one."""
+    """Fit the vertical axis to whole numbers from 0 to `largest`."""
     ax.set_ylim(-0.04 * largest, 1.06 * largest)
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
@@ -167,10 +165,10 @@ def scale_counts(ax: Axes, largest: int) -> None:
 def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: str) -> None:
     """Annotate the value at the "start" or "end" of a line, or its "least" value.
 
-    The last value is written in the right margin, above the axis if it is below that, the least one above it.
+    The last value is in the right margin (above the axis if below its range), the least above its point.
     """
     low, high = ax.get_ylim()
-    place = (x, float(np.clip(value, low, high)))  # a logarithmic axis has no place for 0
+    place = (x, float(np.clip(value, low, high)))  # a logarithmic axis cannot show 0
     ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5)
     ax.set_ylim(low, high)
     styles = {"start": (7, 4, "left", "bottom"), "least": (0, 8, "center", "bottom")}
@@ -192,7 +190,7 @@ def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: s
 
 
 def colors_along(count: int) -> tuple[LinearSegmentedColormap, Normalize]:
-    """Return the colours of things numbered from base to tip, 1 to `count`."""
+    """Return the colours of items numbered from base to tip, 1 to `count`."""
     return LinearSegmentedColormap.from_list("along the arm", ALONG), Normalize(1, max(count, 2))
 
 
@@ -207,13 +205,11 @@ def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any)
     bar.outline.set_visible(False)
 
 
-# Layout of figures: postures on the left, panels that share an axis on the right.
-
 FIGURE_WIDTH, FIGURE_HEIGHT = 12.0, 7.2  # [inch]; 1200 pixels wide at the default resolution
 
 
 def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
-    """Return a figure with axes for postures of an arm and so many panels beside them, from the top."""
+    """Return a figure, its axes for postures of an arm, and the panels beside them, from top to bottom."""
     size = FIGURE_WIDTH, FIGURE_HEIGHT + max(0, rows - 3)
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
     grid = figure.add_gridspec(rows, 2, width_ratios=(1.1, 1.0))
@@ -222,14 +218,14 @@ def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
 
 
 def share_axis(panels: Sequence[Axes]) -> None:
-    """Label the horizontal axis of the last of several stacked panels only."""
+    """Label only the horizontal axis of the last of several stacked panels."""
     for panel in panels[:-1]:
         panel.set_xlabel("")
         panel.tick_params(labelbottom=False)
 
 
 def add_title(figure: Figure, sentences: Sequence[str]) -> None:
-    """Write sentences above the panels, each on a line of its own, wrapped if it is long."""
+    """Write sentences above the panels, each on its own line, wrapped if long."""
     text = "\n".join(textwrap.fill(sentence, 145) for sentence in sentences)
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=INK, parse_math=False)
 
@@ -240,13 +236,11 @@ def add_footnote(figure: Figure, text: str) -> None:
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=QUIET, parse_math=False)
 
 
-# Words for titles.
-
-SLOWED = 1.001  # duration relative to the plan above which a motion counts as slowed down
+SLOWED = 1.001  # duration relative to the plan above which a motion counts as slowed
 
 
 def placement_text(run: Trajectory | Motion) -> str:
-    """Describe how curves were moved from where they were drawn; empty if none was."""
+    """Describe how curves were moved from their original placement; empty if none was moved."""
     if isinstance(run, Motion):
         moved = [f"{place.name} {place.moved}" for place in run.waypoints if place.moved]
         return f"curves: {', '.join(moved)}" if moved else ""
@@ -259,12 +253,12 @@ def controller_name(run: Trajectory) -> str:
 
 
 def ending_text(run: Trajectory) -> str:
-    """Return how and after how many steps a run ended, to follow the name of its controller."""
+    """Return how and after how many steps a run ended, as a phrase that follows the controller name."""
     return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
 
 
 def motion_ending_text(motion: Motion) -> str:
-    """Return how and when a motion ended, and by how much it was slowed down if it reached its end."""
+    """Return how and when a motion ended, and how much it was slowed if it reached its end."""
     text = f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s"
     if motion.plan_time[-1] < motion.planned or not is_slowed(motion):
         return text
@@ -273,14 +267,12 @@ def motion_ending_text(motion: Motion) -> str:
 
 
 def is_slowed(motion: Motion) -> bool:
-    """Whether a motion was slowed down visibly."""
+    """Return whether a motion was noticeably slowed."""
     return motion.time_scale > SLOWED
 
 
-# Named places of a motion.
-
-MAX_PLACES = 8  # that a picture shows
-MAX_NAME_LENGTH = 22  # of a place [characters]
+MAX_PLACES = 8  # maximum number of places in a picture
+MAX_NAME_LENGTH = 22  # maximum length of the name of a place [characters]
 SAME_POSTURE = 1e-4  # distance of control points below which postures look the same, in arm lengths
 
 
@@ -289,7 +281,7 @@ class Place(NamedTuple):
 
     Attributes:
         name: its name, shortened.
-        row: row of the motion at which the arm was there.
+        row: row of the motion at which the arm reached it.
         color: pale for an early place, dark for a late one.
     """
 
@@ -299,7 +291,7 @@ class Place(NamedTuple):
 
 
 def shown_places(motion: Motion) -> list[Place]:
-    """Return the places that a motion reached, in order; of too many, some from the first to the last."""
+    """Return the places that a motion reached, in order; at most `MAX_PLACES`, evenly spaced."""
     reached = [(place.name, place.row) for place in motion.waypoints if place.row is not None]
     if len(reached) > MAX_PLACES:
         reached = [reached[k] for k in np.round(np.linspace(0, len(reached) - 1, MAX_PLACES)).astype(int)]
@@ -309,7 +301,7 @@ def shown_places(motion: Motion) -> list[Place]:
 
 
 def group_alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
-    """Group places in which the arm looks the same, in order of the first of each group."""
+    """Group places with the same posture, ordered by the first place of each group."""
     points, tolerance = motion.run.points, SAME_POSTURE * motion.arm.length
     groups: list[list[Place]] = []
     for place in places:
@@ -323,7 +315,7 @@ def group_alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
 
 
 def _shorten(name: str) -> str:
-    """Cut the middle out of a long name: names may differ at either end."""
+    """Remove the middle of a long name: names may differ at either end."""
     name = " ".join(name.split())
     if len(name) <= MAX_NAME_LENGTH:
         return name

@@ -1,4 +1,4 @@
-"""Figures of runs and motions, and their panels: errors, control points, clearance, against steps or time."""
+"""Figures of runs and motions, and their panels: errors, control points, clearance, over steps or time."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ Array = NDArray[np.float64]
 
 
 def marker(count: int) -> str:
-    """Return the marker of a line through so many points: a single one would not be visible without."""
+    """Return the marker of a line with `count` points: without one, a single point would be invisible."""
     return "o" if count == 1 else ""
 
 
@@ -62,28 +62,25 @@ def _note(ax: Axes, text: str) -> None:
     ax.set_title(text, fontsize=8, loc="right", color=palette.INK)
 
 
-# A run against steps.
-
-
 def has_singular_values(run: Trajectory) -> bool:
-    """Whether the controller inverted a posture control matrix."""
+    """Return whether the controller inverted a posture control matrix."""
     return bool(np.any(run.sigma_max > 0.0))
 
 
 def chooses_points(run: Trajectory) -> bool:
-    """Whether the active control points changed, or their conditioning was recorded."""
+    """Return whether the active control points changed, or their conditioning was recorded."""
     counts = run.active.sum(axis=1)
     return not run.steps or has_singular_values(run) or bool(np.any(counts != counts[0]))
 
 
 def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
-    """Draw the posture error [m] against steps, annotated with its first and last value.
+    """Plot the posture error [m] over steps, annotated with its first and last values.
 
     Args:
         run: the run.
-        ax: where to draw. Lines that are there already stay, and count for the scale.
-        color: colour of the line; that of the controller if None.
-        label: name of the line in a legend. Only the last value of a named line is annotated.
+        ax: axes to draw into. Existing lines remain and count for the scale.
+        color: colour of the line; None: that of the controller.
+        label: label of the line in a legend. For a labelled line, only the last value is annotated.
     """
     color = palette.controller_color(run.controller) if color is None else color
     style: dict[str, Any] = {"lw": 1.8, "marker": marker(run.steps + 1), "clip_on": bool(run.steps)}
@@ -97,13 +94,13 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
 
 
 def plot_point_errors(run: Trajectory, ax: Axes) -> None:
-    """Draw the error [m] of every control point that has a target against steps.
+    """Plot the error [m] of every control point with a target over steps.
 
-    The colour of a line tells where along the arm its control point is; a colour bar explains it.
+    Lines are coloured by the position of the control point along the arm, with a colour bar.
 
     Args:
         run: the run.
-        ax: where to draw.
+        ax: axes to draw into.
     """
     m, targeted = run.arm.n_modules, np.flatnonzero(run.target.has_target)
     colors, norm = colors_along(m)
@@ -118,13 +115,13 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
 
 
 def plot_active_points(run: Trajectory, ax: Axes) -> None:
-    """Draw how many control points were active in each step, and how well conditioned they were.
+    """Plot the number of active control points in each step, and their conditioning.
 
-    A second axis holds the smallest singular value of the posture control matrix [m/rad], if it has one.
+    A second axis shows the smallest singular value of the posture control matrix [m/rad], if there is one.
 
     Args:
         run: the run.
-        ax: where to draw.
+        ax: axes to draw into.
     """
     plot_point_count(run, ax)
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
@@ -135,7 +132,7 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
 
 
 def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
-    """Draw how many control points were active in each step and, if recorded, the manipulability index."""
+    """Plot the number of active control points in each step and, if recorded, the manipulability index."""
     plot_point_count(run, ax)
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
     if has_singular_values(run) or not run.steps:
@@ -143,7 +140,7 @@ def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
 
 
 def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None, place: float = 0.0) -> None:
-    """Draw how many control points were active in each step; lines at other places lie beside each other."""
+    """Plot the number of active control points in each step; lines at other places lie beside each other."""
     color = palette.controller_color(run.controller) if color is None else color
     style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker(run.steps)}
     style["transform"] = ax.transData + ScaledTranslation(0.0, 1.6 / 72.0 * place, ax.figure.dpi_scale_trans)
@@ -153,7 +150,7 @@ def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None, place:
 
 
 def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
-    """Draw a value of each step as a dashed line, with an axis of its own on the right."""
+    """Plot a value per step as a dashed line with its own axis on the right."""
     other = ax.twinx()
     style: dict[str, Any] = {"lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker(run.steps), "ms": 3}
     other.plot(np.arange(1, run.steps + 1), values, color=palette.INK, **style)
@@ -164,7 +161,7 @@ def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -
 
 
 def plot_used_points(run: Trajectory, ax: Axes) -> None:
-    """Draw a dot for each control point that was active in a step."""
+    """Draw a dot for each active control point in each step."""
     steps, points = np.nonzero(run.active)
     style: dict[str, Any] = {"ls": "none", "marker": "o", "mew": 0.0}
     style["ms"] = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
@@ -176,7 +173,7 @@ def plot_used_points(run: Trajectory, ax: Axes) -> None:
 
 
 def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
-    """Mark the steps that a controller of several methods took by one of them, by red dots on the axis."""
+    """Mark the steps that a controller took with one of its methods, by red dots on the axis."""
     _mark_on_axis(ax, np.flatnonzero(run.method == method) + 1, method, marker="o", ms=3.2, mew=0.0)
 
 
@@ -185,13 +182,11 @@ def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **styl
     ax.plot(places, np.zeros(len(places)), transform=ax.get_xaxis_transform(), **style)
 
 
-# Clearance, rising errors and violated constraints, against steps or time.
-
-MAX_REASON_LENGTH = 44  # of a constraint in a legend [characters]
+MAX_REASON_LENGTH = 44  # maximum length of a constraint in a legend [characters]
 
 
 def has_clearance(run: Trajectory) -> bool:
-    """Whether a clearance was recorded."""
+    """Return whether a clearance was recorded."""
     return run.scene is not None and bool(np.isfinite(run.clearance).any())
 
 
@@ -202,16 +197,16 @@ def plot_clearance(
     label: str | None = None,
     time: Array | None = None,
 ) -> None:
-    """Draw the smallest distance [m] to an obstacle, or between parts of the arm, against steps or time.
+    """Plot the smallest distance [m] to an obstacle, or between parts of the arm, over steps or time.
 
-    Its least value is annotated; a dashed line is the margin that the scene asks to keep.
+    Its minimum is annotated; a dashed line shows the margin of the scene.
 
     Args:
         run: a run in a scene.
-        ax: where to draw. Lines that are there already stay, and count for the scale.
-        color: colour of the line; that of the controller if None.
-        label: name of the line in a legend.
-        time: time of each configuration, (steps + 1,) [s]; None to draw against steps.
+        ax: axes to draw into. Existing lines remain and count for the scale.
+        color: colour of the line; None: that of the controller.
+        label: label of the line in a legend.
+        time: time of each configuration, (steps + 1,) [s]; None: plot over steps.
     """
     places = np.arange(run.steps + 1) if time is None else time
     color = palette.controller_color(run.controller) if color is None else color
@@ -236,7 +231,7 @@ def plot_clearance(
 
 
 def mark_rising_steps(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
-    """Shade the steps of a run in which the controller lets the posture error rise."""
+    """Shade the steps of a run in which the controller allows the posture error to rise."""
     places = np.arange(run.steps + 1) if time is None else time
     steps = np.flatnonzero(run.error_increasing)
     if len(steps):
@@ -249,7 +244,7 @@ def mark_rising_steps(run: Trajectory, ax: Axes, time: Array | None = None) -> N
 
 
 def mark_violations(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
-    """Mark on the axis the steps that violate constraints; the legend quotes the first of them."""
+    """Mark steps that violate constraints on the axis; the legend quotes the first violation."""
     places = np.arange(run.steps + 1) if time is None else time
     steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
     if len(steps):
@@ -260,7 +255,7 @@ def mark_violations(run: Trajectory, ax: Axes, time: Array | None = None) -> Non
 
 
 def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
-    """Add a legend, above the axes or inside where there is most room, unless nothing has a label."""
+    """Add a legend, above the axes or at the best place inside, if anything has a label."""
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         style: dict[str, Any] = {"fontsize": 8, "borderaxespad": 0.2, "labelspacing": 0.3, "ncols": columns}
@@ -272,18 +267,16 @@ def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
             text.set_parse_math(False)
 
 
-# A motion against time.
-
-LETTER_WIDTH = 4.6  # of the names above the axes, on average [pt]
+LETTER_WIDTH = 4.6  # mean letter width of the names above the axes [pt]
 MIN_NAME_DISTANCE = 18.0  # [pt]
-NO_ERROR = 1e-9  # posture error that is shown as 0, in arm lengths
+NO_ERROR = 1e-9  # posture error shown as 0, in arm lengths
 DASHES = (0, (4, 2))
 
 
 def plot_error(motion: Motion, ax: Axes) -> None:
-    """Draw the posture error [m] of a motion against time, with violated constraints.
+    """Plot the posture error [m] of a motion over time, with violated constraints.
 
-    An error below `NO_ERROR` is not shown.
+    Errors below `NO_ERROR` are not shown.
     """
     run, color = motion.run, palette.controller_color(motion.run.controller)
     floor = NO_ERROR * motion.arm.length
@@ -297,7 +290,7 @@ def plot_error(motion: Motion, ax: Axes) -> None:
         text = f"below {floor:.2g} m throughout"
         ax.text(0.5, 0.5, text, fontsize=9, color=color, backgroundcolor="white", **where)
     else:
-        low, high = ax.get_ylim()  # names stand above, and the value at the start has to be below them
+        low, high = ax.get_ylim()  # leave room below the names for the first value
         ax.set_ylim(low, high * (high / low) ** 0.12 if low > 0.0 else 1.1 * high)
         if values[0]:
             mark_value(ax, 0, float(values[0]), color, "m", "start")
@@ -312,7 +305,7 @@ def plot_error(motion: Motion, ax: Axes) -> None:
 
 
 def plot_joint_rates(motion: Motion, ax: Axes) -> None:
-    """Draw the largest joint speed and acceleration relative to their limits, as far as there are limits."""
+    """Plot the largest joint speed and acceleration relative to their limits, if there are limits."""
     speeds, accelerations = limit_shares(motion.run)
     largest = 1.0
     if accelerations is not None:
@@ -330,7 +323,7 @@ def plot_joint_rates(motion: Motion, ax: Axes) -> None:
 
 
 def plot_plan_time(motion: Motion, ax: Axes) -> None:
-    """Draw the time of the plan against real time, as it was and as planned."""
+    """Plot plan time over real time, as executed and as planned."""
     begin = float(motion.time[motion.start_index])
     plan = [0.0, begin, begin + motion.planned]
     ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
@@ -342,7 +335,7 @@ def plot_plan_time(motion: Motion, ax: Axes) -> None:
 
 
 def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence[float]) -> None:
-    """Mark the times [s] of places by lines through stacked panels, with names above the first panel."""
+    """Mark the times of places [s] by lines through stacked panels, with names above the first panel."""
     if not places:
         return
     for ax in panels:
@@ -365,7 +358,7 @@ def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence
 
 
 def _merge_close_names(places: Sequence[Place], positions: Sequence[float]) -> list[tuple[float, str]]:
-    """Return the names to write at which positions [pt]; of names too close to another, as many as fit."""
+    """Return positions [pt] and names to write; names that are too close are joined as far as they fit."""
     names: list[tuple[float, str]] = []
     for place, at in zip(places, positions, strict=True):
         if not names or at - names[-1][0] >= MIN_NAME_DISTANCE:
@@ -375,15 +368,13 @@ def _merge_close_names(places: Sequence[Place], positions: Sequence[float]) -> l
     return names
 
 
-# A motion.
-
-MIN_PLACES = 3  # a motion with fewer named places is shown with intermediate postures
-LEGEND_WIDTH, HANDLE_WIDTH = 84, 8  # of the legend above the postures, and of a symbol in it [characters]
-MAX_DETOURS = 2  # in a title
+MIN_PLACES = 3  # motions with fewer named places are shown with intermediate postures
+LEGEND_WIDTH, HANDLE_WIDTH = 84, 8  # widths of the legend above the postures and of its symbols [characters]
+MAX_DETOURS = 2  # maximum number of detours in a title
 
 
 def plot_motion(motion: Motion) -> Figure:
-    """Draw a motion in time in one figure; see `pinposture.viz.plot`."""
+    """Plot a motion in time in one figure; see `pinposture.viz.plot`."""
     run, time = motion.run, motion.time
     draws: list[Callable[[Motion, Axes], None]] = [plot_error]
     if any(share is not None for share in limit_shares(run)):
@@ -405,12 +396,12 @@ def plot_motion(motion: Motion) -> Figure:
     ending = f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}"
     add_title(figure, [ending, *deviations])
     add_footnote(figure, "; ".join(filter(None, [placement_text(motion), run.controller])))
-    figure.draw_without_rendering()  # the layout of a high legend needs two passes
+    figure.draw_without_rendering()  # the layout of a tall legend needs two passes
     return figure
 
 
 def plot_places(motion: Motion, ax: Axes) -> None:
-    """Draw the postures at the named places of a motion, from pale to dark, and the targets there.
+    """Draw the postures at the named places of a motion, from pale to dark, and their targets.
 
     Raises:
         InvalidValue: plain axes for an arm that moves in space.
@@ -444,11 +435,8 @@ def plot_places(motion: Motion, ax: Axes) -> None:
         text.set_parse_math(False)
 
 
-# Runs.
-
-
 def plot_joints(trajectory: JointTrajectory) -> Figure:
-    """Draw positions, velocities and accelerations of joints over time; see `plot`."""
+    """Plot joint positions, velocities and accelerations over time; see `plot`."""
     count = len(trajectory.joint_names)
     figure = Figure(figsize=(FIGURE_WIDTH, FIGURE_HEIGHT), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
@@ -474,25 +462,25 @@ def plot_joints(trajectory: JointTrajectory) -> Figure:
 
 
 def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
-    """Draw a run in one figure: postures, posture error, point errors, active points, clearance.
+    """Plot a run in one figure: postures, posture error, point errors, active points, clearance.
 
-    Active points are left out if the controller does not choose any, clearance if there was no scene. For a
+    Active points are omitted if the controller does not choose any, clearance if there was no scene. For a
     switching controller, red dots on the axis mark the steps by Projection. Shading behind the posture
     error marks steps in which it may rise; red bars below it mark violated constraints.
 
-    A motion in time is drawn by the postures at its named places, and over time by the posture error, joint
-    speeds and accelerations relative to their limits, delays, and clearance. A joint trajectory is drawn by
-    positions, velocities and accelerations, a line for each joint.
+    For a motion in time, the figure shows the postures at its named places and, over time, the posture error,
+    joint speeds and accelerations relative to their limits, delays, and clearance. For a joint trajectory, it
+    shows positions, velocities and accelerations, with a line per joint.
 
     Args:
-        run: the run, the motion, or the joint trajectory.
+        run: the run, motion, or joint trajectory.
 
     Returns:
-        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
-        know of it.
+        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown or registered with
+        pyplot.
 
     Raises:
-        InvalidValue: it is none of these.
+        InvalidValue: none of these types.
     """
     if isinstance(run, Motion):
         return plot_motion(run)
@@ -522,16 +510,16 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
 
 
 def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
-    """Draw several runs to one target in one figure: postures, posture errors, active points, clearance.
+    """Plot several runs to one target in one figure: postures, posture errors, active points, clearance.
 
     Args:
-        runs: the runs by their names in the figure.
+        runs: the runs by their labels in the figure.
 
     Returns:
         A figure, 1200 pixels wide, as from `plot`.
 
     Raises:
-        InvalidValue: no run at all, or runs of different arms or targets.
+        InvalidValue: no runs, or runs with different arms or targets.
     """
     if not runs:
         raise InvalidValue("runs", dict(runs), "at least one run")

@@ -1,4 +1,4 @@
-"""Postures of an arm, its targets, obstacles and manipulability ellipsoids."""
+"""Drawing postures of an arm, targets, obstacles and manipulability ellipsoids."""
 
 from __future__ import annotations
 
@@ -37,31 +37,29 @@ from pinposture.viz.drawing import (
 )
 from pinposture.viz.palette import add_grid
 
-# Postures and target, in space or in the plane of a planar arm.
-
 Array = NDArray[np.float64]
 
-PLOT_SHARE = 0.78  # of three-dimensional axes; the rest is for the scales
+PLOT_SHARE = 0.78  # share of the plot in 3D axes; the rest is for the scales
 
 
 class DrawnLine(NamedTuple):
-    """A line in a panel: points (n, 3) [m], world frame, and its style as for `Axes.plot`."""
+    """A line in a panel: points, (n, 3) [m], world frame, and style arguments of `Axes.plot`."""
 
     points: Array
     style: dict[str, Any]
 
 
 class PosturePanel:
-    """Draws postures and targets into one axes: in space, or for a planar arm in its plane.
+    """Draws postures and targets into axes: in space, or in the plane of a planar arm.
 
     Attributes:
         arm: the arm.
-        ax: axes with projection "3d"; for a planar arm also plain ones.
-        spatial: whether they are in space.
-        lines: what was drawn so far.
+        ax: axes with projection "3d"; for a planar arm, 2D axes are also allowed.
+        spatial: whether the axes are 3D.
+        lines: the lines drawn so far.
 
     Raises:
-        InvalidValue: plain axes for an arm that moves in space.
+        InvalidValue: 2D axes for a spatial arm.
     """
 
     def __init__(self, arm: Arm, ax: Axes) -> None:
@@ -70,19 +68,19 @@ class PosturePanel:
         if not self.spatial and arm.dimension == 3:
             allowed = 'axes made with projection="3d", for an arm that moves in space'
             raise InvalidValue("ax (projection)", ax.name, allowed)
-        # The plane is seen from the side from which its axes point like those of the world.
+        # The plane is viewed from the side on which its axes have the directions of the world axes.
         signs = np.sign(arm.plane[np.arange(arm.dimension), np.abs(arm.plane).argmax(axis=1)])
         self._plane: Array = arm.plane * signs[:, None]
         self.lines: list[DrawnLine] = []
         self._obstacle_corners: Array = np.zeros((0, 3))
 
     def coordinates(self, points: Array) -> tuple[Array, ...]:
-        """Return points (n, 3) [m] of the world in the coordinates of the axes, each (n,) [m]."""
+        """Return points, (n, 3) [m], world frame, in the coordinates of the axes, each (n,) [m]."""
         return tuple(points.T) if self.spatial else tuple(self._plane @ points.T)
 
     @property
     def screen(self) -> Array:
-        """Unit vectors to the right and up in the finished picture, (2, 3), world frame."""
+        """Unit vectors to the right and upwards in the finished picture, (2, 3), world frame."""
         if not self.spatial:
             return self._plane
         view: Any = self.ax
@@ -95,27 +93,27 @@ class PosturePanel:
 
     @property
     def drawn(self) -> Array:
-        """The points that the picture has to show, (n, 3) [m], world frame."""
+        """The points that the picture must show, (n, 3) [m], world frame."""
         points = np.vstack([*(line.points for line in self.lines), self._obstacle_corners])
-        return points[np.isfinite(points).all(axis=1)]  # a line may have gaps
+        return points[np.isfinite(points).all(axis=1)]  # lines may have gaps
 
     def line(self, points: Array, **style: Any) -> None:
-        """Draw a line through points (n, 3) [m], world frame."""
+        """Draw a line through points, (n, 3) [m], world frame."""
         self.lines.append(DrawnLine(points, style))
         self.ax.plot(*self.coordinates(points), **style)
 
     def posture(self, q: Array, color: str, label: str, width: float) -> None:
-        """Draw the arm at a configuration (nq,): its bodies, and its control points as dots."""
-        # Thin lines go on top of thick ones, so that postures that coincide are both visible.
+        """Draw the arm at a configuration, (nq,): its bodies, and its control points as dots."""
+        # Thin lines are drawn on top of thick ones, so that coinciding postures are all visible.
         self.line(backbone(self.arm, q), color=color, lw=width, solid_capstyle="round", zorder=6 - width / 4)
         dots: dict[str, Any] = {"marker": "o", "ms": 2.2 + 0.8 * width, "mec": "white", "mew": 0.4}
         self.line(self.arm.at(q).points, color=color, ls="none", zorder=6.01 - width / 4, **dots)
         self.ax.plot([], [], color=color, lw=width, label=label, **dots)
 
     def target(self, target: Target) -> None:
-        """Draw the target curve, or without one the target posture, and the target points.
+        """Draw the target curve (or, without one, the target posture) and the target points.
 
-        Only the line between consecutive target points is bold.
+        The line is bold only between consecutive target points.
         """
         lines = outline(self.arm, target)
         style: dict[str, Any] = {"color": palette.TARGET, "zorder": 3, "solid_capstyle": "round"}
@@ -133,7 +131,7 @@ class PosturePanel:
         self.line(target.points[target.has_target], label="target points", zorder=3, **rings)
 
     def finish(self, *scenes: Scene | None) -> None:
-        """Fit view, scales and labels to what was drawn, and draw the obstacles of distinct scenes."""
+        """Fit view, scales and labels to the contents, and draw the obstacles of distinct scenes."""
         base = self.arm.chain.base[None]
         distinct = list(dict.fromkeys(scene for scene in scenes if scene is not None))
         points = np.vstack([self.drawn, base]) if distinct else base
@@ -159,7 +157,7 @@ class PosturePanel:
 
 
 def _join(lines: tuple[Array, ...]) -> Array:
-    """Join lines to one with gaps, for one entry in the legend."""
+    """Join lines into one with gaps, for a single entry in the legend."""
     gap = np.full((1, 3), np.nan)
     return np.vstack([part for line in lines for part in (gap, line)][1:])
 
@@ -167,7 +165,7 @@ def _join(lines: tuple[Array, ...]) -> Array:
 def _frame_space(ax: Any, points: Array) -> None:
     framing = frame_points(points)
     low, high = points.min(axis=0), points.max(axis=0)
-    # An axis without extent still needs some room for its ticks.
+    # An axis without extent still needs room for its ticks.
     half = np.maximum((high - low) / 2.0, 0.2 * framing.radius) * 1.04
     middle = (low + high) / 2.0
     for name, center, size in zip("xyz", middle, half, strict=True):
@@ -175,42 +173,40 @@ def _frame_space(ax: Any, points: Array) -> None:
         axis = getattr(ax, f"{name}axis")
         locator = MaxNLocator(max(2, round(7 * size / half.max())), steps=[1, 2, 5, 10])
         places = locator.tick_values(center - size, center + size)
-        # Without ticks at the corners, where the scales of two axes meet.
+        # No ticks at the corners, where the scales of two axes meet.
         axis.set_ticks(places[np.abs(places - center) < 0.9 * size])
         axis.pane.set(facecolor="none", edgecolor=palette.FAINT)
         axis._axinfo["grid"].update(color=palette.FAINT, linewidth=0.6)  # there is no public method
         axis.set_label_text(f"{name} [m]", fontsize=9)
-        # Labels are shifted by these shares of the other two scales, which may be short.
+        # Labels are shifted relative to the other two scales, which may be short.
         slender = float(half.max() / np.delete(half, "xyz".index(name)).max())
         axis.set_tick_params(labelsize=8, pad=3.0 * (slender - 1.0))
         axis.labelpad = 8.0 * (slender - 1.0) if name == "z" else 12.0 * slender
     ax.set_proj_type("ortho")
     ax.view_init(elev=np.degrees(framing.elevation), azim=np.degrees(framing.azimuth))
-    ax.set_box_aspect(tuple(half))  # a copy: it scales an array in place
+    ax.set_box_aspect(tuple(half))  # a copy, because it scales arrays in place
     ax.set_box_aspect(tuple(half), zoom=PLOT_SHARE / box_extent(ax).max())
 
 
 def box_extent(ax: Any) -> Array:
-    """Return the share that the plot takes of the width and height of three-dimensional axes, (2,)."""
+    """Return the shares of the plot in the width and height of 3D axes, (2,)."""
     corners = np.array(np.meshgrid(ax.get_xlim(), ax.get_ylim(), ax.get_zlim())).reshape(3, -1).T
     projected = np.hstack([corners, np.ones((8, 1))]) @ ax.get_proj().T
     flat = ax.transLimits.transform(projected[:, :2] / projected[:, 3:])
     return np.asarray(np.ptp(flat, axis=0))
 
 
-# Obstacles: shaded in space, cut open in the plane.
-
-VEIL_SHARE = 0.6  # share of the colour of an obstacle in that of a line behind it
-VEIL_SEGMENTS = 400  # a line is split into pieces of the picture size over this to find its hidden parts
-MAX_DOTS = 4000  # points that are drawn of a scan or a hollow mesh
+VEIL_SHARE = 0.6  # share of the obstacle colour in that of a line behind it
+VEIL_SEGMENTS = 400  # number of segments per picture size into which lines are split to find hidden parts
+MAX_DOTS = 4000  # number of points drawn of a scan or a hollow mesh, at most about this
 EDGE_COLOR = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)  # colour of outlines
 
 
 def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None:
-    """Draw obstacles into a panel that is framed, with an entry for the legend.
+    """Draw obstacles into a framed panel, with a legend entry.
 
-    In space they are translucent, and lines that they hide are veiled. For a planar arm their sections with
-    its plane are drawn; those that do not meet the plane have a dotted outline.
+    In space they are translucent, and lines behind them are veiled. For a planar arm, their sections with the
+    plane are drawn; obstacles that do not meet the plane have a dotted outline.
     """
     if not shown:
         return
@@ -232,7 +228,7 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
 
 
 def _draw_dots(panel: PosturePanel, points: Array) -> None:
-    """Draw points of a scan or a hollow mesh."""
+    """Draw the points of a scan or a hollow mesh."""
     shown = points[:: 1 + len(points) // MAX_DOTS]
     style: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 2.0, "mew": 0.0, "zorder": 0.55}
     panel.ax.plot(*panel.coordinates(shown), color=palette.OBSTACLE, alpha=palette.SEE_THROUGH, **style)
@@ -240,7 +236,7 @@ def _draw_dots(panel: PosturePanel, points: Array) -> None:
 
 def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:
     ax: Any = panel.ax
-    ax.computed_zorder = False  # otherwise they cover lines that are in front of them
+    ax.computed_zorder = False  # otherwise solids cover lines in front of them
     right, up = panel.screen
     light = 0.5 * panel.eye + 0.8 * up - 0.4 * right
     light /= np.linalg.norm(light)
@@ -263,7 +259,7 @@ def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:
 
 
 def _shade(level: float) -> tuple[float, float, float, float]:
-    """Return the colour of a face by the cosine between its normal and the light."""
+    """Return the colour of a face from the cosine between its normal and the light."""
     other = "#FFFFFF" if level > 0.0 else palette.INK
     return (*palette.rgb(palette.mixed(palette.OBSTACLE, other, 0.55 * abs(level))), palette.SEE_THROUGH)
 
@@ -274,7 +270,7 @@ def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
     for line in list(panel.lines):
         dots = line.style.get("ls") == "none"
         dashed = not dots and line.style.get("ls", "-") != "-"
-        if dashed or "alpha" in line.style:  # too faint already to be veiled
+        if dashed or "alpha" in line.style:  # already faint
             continue
         points = line.points if dots else _subdivide(line.points, finest)
         behind = np.zeros(len(points), dtype=np.bool_)
@@ -290,7 +286,7 @@ def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
 
 
 def _subdivide(points: Array, finest: float) -> Array:
-    """Insert points into a line until consecutive ones are no farther apart than `finest` [m]."""
+    """Insert points into a line until the spacing is at most `finest` [m]."""
     pieces = [points[:1]]
     for a, b in pairwise(points):
         length = float(np.linalg.norm(b - a))
@@ -312,18 +308,15 @@ def _draw_sections(panel: PosturePanel, solids: Sequence[Array]) -> None:
             ax.fill(*rim.T, fill=False, ls=(0, (1, 2)), **edge)
 
 
-# Runs.
-
-
 def plot_postures(run: Trajectory, ax: Axes) -> None:
-    """Draw the postures at the start and the end of a run, and the target.
+    """Draw the postures at the start and end of a run, and the target.
 
     Args:
         run: the run.
-        ax: axes with projection "3d"; for a planar arm also plain ones.
+        ax: axes with projection "3d"; for a planar arm, 2D axes are also allowed.
 
     Raises:
-        InvalidValue: plain axes for an arm that moves in space.
+        InvalidValue: 2D axes for a spatial arm.
     """
     draw_runs([(run, "final posture", palette.controller_color(run.controller))], ax)
 
@@ -332,8 +325,8 @@ def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
     """Draw several runs of one arm to one target; each distinct start is drawn once.
 
     Args:
-        runs: run, label and colour of each.
-        ax: as for `plot_postures`.
+        runs: (run, label, colour) tuples.
+        ax: as in `plot_postures`.
     """
     first, _, first_color = runs[0]
     panel = PosturePanel(first.arm, ax)
@@ -352,7 +345,7 @@ def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
 
 
 def evenly_spaced_rows(run: Trajectory, count: int = 8) -> NDArray[np.intp]:
-    """Return inner rows of `run.q` between which the control points move about equally far."""
+    """Return inner rows of `run.q` between which the control points move about the same distance."""
     moved = np.linalg.norm(np.diff(run.points, axis=0), axis=2).mean(axis=1)
     path = np.concatenate([[0.0], np.cumsum(moved)])
     rows = np.searchsorted(path, np.linspace(0.0, path[-1], count + 2)[1:-1])
@@ -362,17 +355,15 @@ def evenly_spaced_rows(run: Trajectory, count: int = 8) -> NDArray[np.intp]:
 def draw_intermediate_postures(
     panel: PosturePanel, run: Trajectory, color: str, rows: NDArray[np.intp]
 ) -> None:
-    """Draw the postures at some rows of `run.q` as pale lines."""
+    """Draw the postures at given rows of `run.q` as pale lines."""
     pale: dict[str, Any] = {"color": color, "lw": 0.7, "alpha": 0.35, "zorder": 1}
     for k, row in enumerate(rows):
         panel.line(backbone(run.arm, run.q[row]), label="_" if k else "postures on the way", **pale)
 
 
-# Manipulability ellipsoids: scale, colours and figures.
-
-LARGEST_RADIUS = 0.2  # that is drawn, approximately, relative to the length of the arm
-ELLIPSE_SIDES = 48  # of the polygon that stands for an ellipse
-INDEX_LABELS = {  # what the colours of ellipsoids say of their index (4.4)
+LARGEST_RADIUS = 0.2  # approximate maximum drawn radius, relative to the arm length
+ELLIPSE_SIDES = 48  # number of sides of the polygon that approximates an ellipse
+INDEX_LABELS = {  # index (4.4) by the colour of an ellipsoid
     palette.SINGULAR: "0, singular",
     palette.WORSE: f"{palette.REGULAR_INDEX / 4:g}",
     palette.REGULAR: f"{palette.REGULAR_INDEX:g} and more",
@@ -380,20 +371,20 @@ INDEX_LABELS = {  # what the colours of ellipsoids say of their index (4.4)
 
 
 def drawn_length(arm: Arm, points: Sequence[int]) -> float:
-    """Return the length that stands for 1 m/rad [m], the same in every posture.
+    """Return the length that represents 1 m/rad [m], the same in every posture.
 
-    It is a round number with which the largest ellipsoid of the control points (indices, 0-based) is well
+    It is a round number with which the largest ellipsoid of the control points (0-based indices) is clearly
     visible beside the arm.
     """
-    # Per radian, a revolute joint moves a point by at most the length of the arm between them.
+    # Per radian, a revolute joint moves a point by at most the arm length between them.
     fastest = max((float(np.linalg.norm(_lever_arms(arm, point))) for point in points), default=0.0)
-    # In space the motions of the joints spread over two directions across the arm.
+    # In space, joint motions are distributed over two directions across the arm.
     radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
     return round_down(LARGEST_RADIUS * arm.length / radius, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 
 
 def round_down(length: float, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> float:
-    """Return the next smaller of some first digits times a power of ten."""
+    """Round down to one of the given leading digits times a power of ten."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(max(digit for digit in digits if digit * power <= length * (1.0 + 1e-9)) * power)
 
@@ -404,14 +395,14 @@ def scale_in_words(arm: Arm, points: Sequence[int]) -> str:
 
 
 def draw_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
-    """Draw the ellipse of each pair of principal axes, below the arm, before the panel is finished."""
+    """Draw the ellipses of all pairs of principal axes, below the arm; call before the panel is finished."""
     for color, center, axes in _scaled_axes(panel, ellipsoids):
         for pair in combinations(axes, 2):
             panel.line(center + _circle() @ pair, color=color, lw=0.9, zorder=1.9)
 
 
 def shade_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
-    """Shade ellipsoids within their outlines, after the panel is finished."""
+    """Shade ellipsoids within their outlines; call after the panel is finished."""
     ax: Any = panel.ax
     for color, center, axes in _scaled_axes(panel, ellipsoids):
         outline = center + silhouette(axes, panel.screen)
@@ -424,19 +415,19 @@ def shade_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> No
 
 
 def silhouette(axes: Array, screen: Array) -> Array:
-    """Return the closed line (n, 3) [m] where rays to a far eye touch an ellipsoid about the origin.
+    """Return the closed line, (n, 3) [m], where rays to a distant eye touch an ellipsoid at the origin.
 
     Args:
         axes: its semi-axes, (d, 3) [m], world frame.
-        screen: unit vectors to the right and up, (2, 3), world frame.
+        screen: unit vectors to the right and upwards, (2, 3), world frame.
     """
-    # The line consists of the images of those points of the unit sphere that are across the line of sight.
+    # The line is the image of the great circle of the unit sphere that maps to the outline.
     _, _, rim = np.linalg.svd(screen @ axes.T, full_matrices=False)
     return np.asarray(_circle() @ rim @ axes)
 
 
 def ellipsoid_key() -> list[Patch]:
-    """Return the entries of a legend for the colours of ellipsoids."""
+    """Return legend entries for the colours of ellipsoids."""
     listed = []
     for color, meaning in INDEX_LABELS.items():
         red, green, blue = palette.rgb(color)
@@ -445,14 +436,14 @@ def ellipsoid_key() -> list[Patch]:
 
 
 def _scaled_axes(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> Iterator[tuple[str, Array, Array]]:
-    """Yield the colour, centre (3,) [m] and drawn semi-axes (d, 3) [m] of each."""
+    """Yield the colour, centre, (3,) [m], and drawn semi-axes, (d, 3) [m], of each ellipsoid."""
     length = drawn_length(panel.arm, [one.point for one in ellipsoids])
     for one in ellipsoids:
         yield palette.index_color(one.index), one.center, length * one.semi_axes
 
 
 def _lever_arms(arm: Arm, point: int) -> Array:
-    """Return how far each joint moves a control point per unit of its motion at most, (n,) [m]."""
+    """Return upper bounds of the motion of a control point per unit of joint motion, (n,) [m]."""
     chain = arm.chain
     end = chain.module_slices[point].stop
     legs = np.linalg.norm(np.diff(np.vstack([chain.origins[:end], chain.points[point]]), axis=0), axis=1)
@@ -466,22 +457,20 @@ def _circle() -> Array:
     return np.column_stack([np.cos(around), np.sin(around)])
 
 
-# In the browser: unit spheres that are scaled and turned as the arm moves.
+MIN_ELLIPSOID_RADIUS = 0.3  # relative to `link_radius`; flat ellipsoids become discs or rods
 
-MIN_ELLIPSOID_RADIUS = 0.3  # relative to that of the bars of the arm; flat ones are discs or rods
-
-# Permutations of the axes of a right-handed frame, signs included, as rotations (24, 3, 3).
+# Signed permutations of the axes of a right-handed frame, as rotations (24, 3, 3).
 _AXIS_PERMUTATIONS = np.rint(Rotation.create_group("O").as_matrix())
 
 
 class EllipsoidMotion(NamedTuple):
-    """Ellipsoids of p control points at f configurations, as unit spheres that are scaled and turned.
+    """Ellipsoids of p control points at f configurations, as scaled and rotated unit spheres.
 
     Attributes:
         points: indices of the control points, 0-based, (p,).
         centers: (f, p, 3) [m], world frame.
-        frames: principal axes in rows, right-handed, (f, p, 3, 3), world frame, in the order and with the
-            signs that change least from each configuration to the next.
+        frames: principal axes in rows, right-handed, (f, p, 3, 3), world frame, with order and signs chosen
+            to change least from one configuration to the next.
         radii: drawn radii along these axes, (f, p, 3) [m].
         indices: manipulability indices, (f, p).
     """
@@ -494,12 +483,12 @@ class EllipsoidMotion(NamedTuple):
 
 
 def ellipsoid_motion(arm: Arm, points: tuple[int, ...], rows: Array) -> EllipsoidMotion:
-    """Return the ellipsoids of control points, 0-based, at consecutive configurations (f, nq)."""
+    """Return the ellipsoids of control points (0-based) at consecutive configurations, (f, nq)."""
     shape = (len(rows), len(points))
     listed = [one for q in rows for one in arm.at(q).ellipsoids(points)] if points else []
     centers = np.array([one.center for one in listed]).reshape(*shape, 3)
     frames = np.array([principal_frame(one) for one in listed]).reshape(*shape, 3, 3)
-    # An ellipse in a plane has no third radius.
+    # A planar ellipse has no third radius.
     radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]).reshape(*shape, 3)
     indices = np.array([one.index for one in listed]).reshape(shape)
     drawn = np.maximum(drawn_length(arm, points) * radii, MIN_ELLIPSOID_RADIUS * link_radius(arm))
@@ -514,7 +503,7 @@ def axis_ends(shown: EllipsoidMotion) -> Array:
 
 
 def ellipsoid_tracks(shown: EllipsoidMotion, playback: Timeline) -> list[Track]:
-    """Return how ellipsoids move, stretch and change their colour in a playback."""
+    """Return the tracks of ellipsoids, which move, stretch and change colour."""
     held, times = playback.key_rows, playback.key_times
     listed = []
     for p, point in enumerate(shown.points):
@@ -530,16 +519,16 @@ def ellipsoid_tracks(shown: EllipsoidMotion, playback: Timeline) -> list[Track]:
 
 
 def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
-    """Reorder and reverse the axes of each frame such that they continue those of the one before.
+    """Reorder and flip the axes of each frame to continue those of the previous one.
 
-    Order and signs of the principal axes of an ellipsoid are arbitrary, so they could jump otherwise.
+    Otherwise they could jump, because order and signs of the principal axes of an ellipsoid are arbitrary.
 
     Args:
-        frames: right-handed, axes in rows, (f, p, 3, 3).
-        radii: radii along them, (f, p, 3).
+        frames: right-handed frames, axes in rows, (f, p, 3, 3).
+        radii: radii along the axes, (f, p, 3).
 
     Returns:
-        Frames, still right-handed, and radii.
+        Right-handed frames, and radii.
     """
     frames, radii = frames.copy(), radii.copy()
     for before, now, lengths in zip(frames[:-1], frames[1:], radii[1:], strict=True):
@@ -551,12 +540,12 @@ def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
 
 
 def ellipsoid_path(point: int) -> str:
-    """Return the path of the ellipsoid of a control point, 0-based."""
+    """Return the path of the ellipsoid of a control point (0-based)."""
     return f"{ROOT}/ellipsoids/point_{point + 1:03d}"
 
 
 def principal_frame(one: Ellipsoid) -> Array:
-    """Return the principal axes in rows, right-handed, (3, 3); those of an ellipse with its normal."""
+    """Return the right-handed principal axes in rows, (3, 3); for an ellipse, the third is its normal."""
     if len(one.directions) == 3:
         return one.directions
     return np.vstack([one.directions, np.cross(*one.directions)])

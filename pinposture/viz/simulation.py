@@ -1,4 +1,4 @@
-"""A simulated motion in one figure: joint errors, posture error and torques."""
+"""The figure of a simulated motion: joint errors, posture error and torques."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from pinposture.viz.panels import add_legend, marker
 
 
 def plot_simulation(simulation: Simulation) -> Figure:
-    """Draw a simulated motion in one figure: joint errors, posture error and torques over time.
+    """Plot a simulated motion in one figure: joint errors, posture error and torques over time.
 
-    Each joint has a line, darkest at the base. Torques are relative to their limits, which a grey line marks;
-    where no joint has a limit they are in N m (N where joints slide).
+    Each joint has a line, darkest at the base. Torques are relative to their limits, which grey lines mark;
+    if no joint has a limit, they are in N m (N for prismatic joints).
 
     Args:
         simulation: the simulated motion.
 
     Returns:
-        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
-        know of it.
+        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown or registered with
+        pyplot.
     """
     figure = Figure(figsize=(FIGURE_WIDTH, FIGURE_HEIGHT), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
@@ -55,14 +55,14 @@ def plot_simulation(simulation: Simulation) -> Figure:
 
 
 def _plot_joint_error(simulation: Simulation, ax: Axes) -> None:
-    """Draw the distance of each joint from its set point, whose dips would hide all else on a log axis."""
+    """Plot the distance of each joint from its set point, on a linear axis."""
     _plot_joints(simulation, simulation.joint_error, ax)
     format_time_axes(ax, f"joint error [{_unit(simulation, 'rad', 'm')}]")
     ax.set_ylim(bottom=0.0)
 
 
 def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
-    """Draw the posture error relative to the set points, and to the targets if there are any."""
+    """Plot the posture error relative to the set points and, if any, to the targets."""
     lines = {"to the set points": (simulation.posture_error, palette.FINAL)}
     if simulation.target_errors is not None:
         lines["to the targets"] = (simulation.target_errors.sum(axis=1), palette.TARGET)
@@ -78,7 +78,7 @@ def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
 
 
 def _plot_torques(simulation: Simulation, ax: Axes) -> None:
-    """Draw the torque of each servo, relative to its limit if there are limits."""
+    """Plot the torque of each servo, relative to its limit if there are limits."""
     limited = np.isfinite(simulation.torque_limits)
     if not np.any(limited[simulation.arm.columns]):
         _plot_joints(simulation, simulation.torques, ax)

@@ -112,7 +112,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
         (("--jobs", 0), "jobs"),
         (("--curve", "line", "--count", 3), r"(2, 3)"),
         (("-o", "TEXT/many"), "is a file"),
-        (("-o", "many.npz"), "a directory, in which batch.npz is left"),
+        (("-o", "many.npz"), "a directory, in which batch.npz is saved"),
         (("--controller", "lm", "--joint-weight", 1), "--joint-weight"),
     ],
 )

@@ -88,7 +88,7 @@ def test_runs_that_did_not_do_as_they_should_are_named(command, runs, found):
     runs[:] = [inside, post]
     assert found
     assert done.err.splitlines() == [
-        "starts and targets that were drawn and refused: inside 3, post 1",
+        "starts and targets drawn and rejected: inside 3, post 1",
         "note: inside, seed 1: reached its target (stalled)",
         "note: inside, seed 2: came 2 mm closer than it may",
         "note: inside, seed 3: ended 4 mm apart, within the margin",

@@ -26,7 +26,7 @@ def test_a_start_in_degrees_is_refused_with_the_option_that_takes_it(command, ar
         found = pp.load(tmp_path / "run.npz", pp.Trajectory).q[0]
         np.testing.assert_allclose(found, DEGREES * np.pi / 180.0, rtol=1e-15)
     named = command(*asked, "--start", "smooth", "--degrees")
-    assert (named.code, "only where numbers are given" in named.err) == (2, True)
+    assert (named.code, "only with numbers" in named.err) == (2, True)
 
 
 def test_continuous_joints_in_degrees_are_angles(command, arm_file, tmp_path):

@@ -181,10 +181,12 @@ def test_the_largest_bodies_are_drawn_coarser_when_there_are_too_many_triangles(
     ball.export(find_mesh("../meshes/wedge.obj", arm.package_dirs))
     whole = body_meshes(arm)
     assert [len(mesh.faces) for mesh in whole.bodies] == [4, 20484]
-    with pytest.warns(PostureWarning, match=r"wedge\.obj is drawn with \d+ triangles, all meshes") as caught:
+    with pytest.warns(
+        PostureWarning, match=r"wedge\.obj is drawn with \d+ triangles, because all meshes"
+    ) as caught:
         meshes = body_meshes(arm, 5000)
     assert len(caught) == 1
-    assert "having 20492 triangles, more than 5000" in str(caught[0].message)
+    assert "have 20492 triangles, more than 5000" in str(caught[0].message)
     assert len(meshes.base.faces) == len(meshes.bodies[0].faces) == 4
     coarse = meshes.bodies[1]
     assert 1000 < len(coarse.faces) <= 4992

@@ -204,7 +204,7 @@ class JointPath:
 SPEED_SHARE, ACCELERATION_SHARE = 0.98, 0.97
 """Shares of the limits of speed and acceleration that the profile uses; the rest is for corrections."""
 
-LEAST_PARTS = 64
+LEAST_PARTS = 128
 """Least number of parts of a path on which its acceleration is constant."""
 
 ZERO_SLOPE = 1e-12

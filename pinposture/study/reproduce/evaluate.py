@@ -330,7 +330,7 @@ def gather(
         seeds: number of seeds.
         max_steps: maximum number of steps of a run.
         jobs: number of processes; the result does not depend on it.
-        progress: called with the number of newly finished runs, of `seeds` for each set of BATCHES and
+        progress: called with the number of new finished runs, of `seeds` per set of BATCHES and
             `own_batches`.
         first: the first seed.
         own: the user's own controllers to judge as well, by name.

@@ -61,8 +61,7 @@ class FigureSettings:
         step_limit: largest |dq| of a joint in one step [rad].
         methods: controllers to use instead of "selection", "projection" or "switching".
         formats: file formats, of FORMATS.
-        width: print width [mm]: smaller type, no title, panels stacked below 120 mm. None for the screen, 12
-            inches.
+        width: print width [mm]: smaller type, no title, panels stacked below 120 mm. None: screen, 12 inches.
 
     Raises:
         InvalidValue: an invalid number, or no format.

@@ -371,14 +371,12 @@ class MeasuredRun(NamedTuple):
         points: number of active control points in each step, (steps,).
         modules: number of control points.
         descent: counts of rising errors.
-        deficient: steps whose control set had a posture control matrix of less than full row rank, before
-            points were dropped.
+        deficient: steps in which the posture control matrix was rank-deficient before points were dropped.
         dropping: steps in which points were dropped because that matrix was too close to singular.
         path_length_ratio: path length of the control points relative to straight lines.
         steps: measurements at each step.
         by_projection: share of the steps that a switching controller left to Projection; 0 for others.
-        separation: largest distance from a twin whose start differs by 1e-6 rad, per arm length; None
-            without a twin.
+        separation: largest distance from a twin whose start differs by 1e-6 rad, per arm length, or None.
         goal_nearness: nearness of the target posture to a singular one, as `Steps.nearness`; None if no
             configuration of the target is known.
     """
