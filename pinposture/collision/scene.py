@@ -273,7 +273,7 @@ class Scene:
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = dict(self.obstacles), self.self_collision, self.margin, self.arm_radius, dict(self.velocities)
-        return Scene, given
+        return Scene, given, {"_first": self._first}
 
     def _key(self) -> tuple[Any, ...]:
         obstacles, velocities = frozenset(self.obstacles.items()), frozenset(self.velocities.items())

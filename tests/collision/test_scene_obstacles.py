@@ -163,6 +163,10 @@ def test_scenes_are_values():
     same = Scene(dict(reversed(KINDS.items())), self_collision=True, margin=0.01, arm_radius=0.02)
     assert one == same and hash(one) == hash(same) and pickle.loads(pickle.dumps(one)) == one
     assert Scene.from_dict(json.loads(json.dumps(one.to_dict()))) == one
+    moved = one.moved({"sphere": (0.1, 0.0, 0.0)}, velocities={"capsule": (0.0, 1.0, 0.0)})
+    again = pickle.loads(pickle.dumps(moved))
+    assert again == moved and again.moving == moved.moving == {"sphere", "capsule"}
+    assert again.moved({"sphere": (0.0, 0.0, 0.0)}) == one and again.first == one
     assert one != Scene(KINDS) and one != "scene" and Scene() == Scene({})
     assert pp.Scene is Scene and pp.Sphere is Sphere and pp.Mesh is Mesh
     with pytest.raises(TypeError):
