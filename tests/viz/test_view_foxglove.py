@@ -42,7 +42,7 @@ class Client:
         self._socket = client.connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None)
         self._channels: dict[int, tuple[str, Callable[[bytes], Any]]] = {}
         while {topic for topic, _ in self._channels.values()} != TOPICS:
-            for each in json.loads(self._socket.recv(timeout=10)).get("channels", ()):
+            for each in json.loads(self._socket.recv(timeout=60)).get("channels", ()):
                 self._channels[int(each["id"])] = each["topic"], decoder(each)
         wanted = [{"id": number, "channelId": number} for number in self._channels]
         self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
@@ -51,7 +51,7 @@ class Client:
         """Return the next messages of a time that are wanted, by topic; /status is the last of them."""
         found: dict[str, Any] = {}
         while True:
-            data = self._socket.recv(timeout=10)
+            data = self._socket.recv(timeout=60)
             if isinstance(data, bytes) and data[0] == 1:
                 number, found["time"] = struct.unpack("<IQ", data[1:13])
                 topic, decode = self._channels[number]
