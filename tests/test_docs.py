@@ -91,7 +91,8 @@ def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> No
     (placement,) = re.findall(r"^# (placement = \{[^#]*\})", text, re.MULTILINE)
     (both,) = re.findall(r"or (\{ turning = .*\})", text)
     fed = text.replace(f"# {feed}", feed).replace(f"# {placement}", placement)
-    for old, new in (('"90 deg/s"', "2"), ('"360 deg/s^2"', both), ('"2 deg"', "0")):
+    per_kind = (('"360 deg/s^2"', both), ('"3600 deg/s^3"', both.replace("^2", "^3")))
+    for old, new in (('"90 deg/s"', "2"), *per_kind, ('"2 deg"', "0")):
         fed = fed.replace(old, new)
     file.write_text(fed)
     arm = pp.Task.load(file).arm
