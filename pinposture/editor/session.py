@@ -281,7 +281,8 @@ class Session:
             task = edit(self.task)
         except PostureError as error:
             self.say(str(error), "error" if final else "warning")
-            self.touch()  # the previous proposal is gone
+            self._set_selected(self.selected)  # the previous proposal is gone, perhaps with points
+            self.touch()
             return
         self.touch()
         self.proposal = Proposal(task, what, final, self.number, note)
@@ -354,7 +355,7 @@ class Session:
         self.history = History(task)
         self.path, self.saved = path, task if saved else None
         self.selected, self.handle, self.obstacle, self.proposal = 0, None, None, None
-        self.tip = False
+        self.tip, self.grid = False, 0.0
         self.touch()
 
     def take_up(self, task: Task, selected: int) -> None:
@@ -376,10 +377,10 @@ class Session:
 
     def _go(self, entry: HistoryEntry | None, selected: int | None, text: str, otherwise: str) -> None:
         self.proposal = None
-        if entry is None or selected is None:
+        self._set_selected(self.selected if selected is None else selected)
+        if entry is None:
             self.say(otherwise, "warning")
         else:
-            self._set_selected(selected)
             self.say(f"{text}: {entry.what}")
         self.touch()
 

@@ -94,3 +94,21 @@ def test_copies_are_selected_and_all_are_deleted_at_once(session: Session) -> No
     assert np.allclose(session.shape.points[:3], points[:3])
     curve.insert_point(session)
     assert session.handles == (3,)
+
+
+def test_selected_points_that_a_dropped_proposal_had_are_selected_no_more(session: Session) -> None:
+    session.take_all()
+    curve.duplicate_points(session)
+    assert session.handles == (2, 4, 6, 8)
+    curve.move_point(2, np.full(3, np.nan), True, session)
+    assert (session.proposal, session.handles) == (None, (2, 4))
+    session.take_all()
+    curve.duplicate_points(session)
+    session.undo()  # there is nothing
+    assert (session.proposal, session.handles) == (None, (2, 4))
+
+
+def test_another_task_begins_without_a_grid(session: Session) -> None:
+    curve.set_grid(0.02, session)
+    session.replace(task(), None, saved=False)
+    assert session.grid == 0.0

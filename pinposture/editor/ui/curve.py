@@ -420,6 +420,7 @@ class ShapeTab:
         place = session.shape.points[self._index] if handle is not None else self._place.control.value
         shown = tuple(round(float(x), SHOWN_DIGITS) for x in place)
         self._place.show(shown, disabled=handle is None or handle == 0)
+        put(self._snap, value=session.grid > 0.0)
 
     def _select(self, name: str) -> None:
         index = None if name == "none" else int(name.split(maxsplit=1)[0]) - 1

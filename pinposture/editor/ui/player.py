@@ -402,7 +402,7 @@ class TimeAxis:
             seek(at, session)
         elif what == "select":
             session.select(index)
-        elif what == "move" and 0 <= index < len(self._times):
+        elif what == "move" and 0 <= index < min(len(self._times), len(keyframes_of(session.task))):
             drag_keyframe(index, at - (self._times[index] or 0.0), step, session)
 
 

@@ -47,7 +47,6 @@ def test_the_tip_is_dragged_up(edit: Edit, look: Look, file: Path) -> None:
         return False
 
     wait_until(pulled, "the tip is dragged")
-    window.picture("tip")
     wait_until(lambda: editor.live.state.points[-1][2] > tip[2] + 0.5 * up[2], "the arm follows")
     assert session.task is before
     mouse.up()

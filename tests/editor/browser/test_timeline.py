@@ -28,19 +28,13 @@ def keyframe(number: int) -> str:
 
 def drag(window: Window, number: int, by: float) -> None:
     """Drag a keyframe along the timeline [s]."""
+    begin, end = (window.middle(f'#timeline :text-is("{at} s")')[0] for at in (0, 1))
     x, y = window.middle(keyframe(number))
     window.page.mouse.move(x, y)
     window.page.mouse.down()
     for share in (0.3, 0.7, 1.0):
-        window.page.mouse.move(x + share * by * second(window), y + 30.0 * share)  # the hand may leave it
+        window.page.mouse.move(x + share * by * (end - begin), y + 30.0 * share)  # the hand may leave it
     window.page.mouse.up()
-
-
-def second(window: Window) -> float:
-    """How long a second is at the timeline [pixels]."""
-    ticks = window.page.locator("#timeline").get_by_text(" s")
-    ends = [ticks.get_by_text(f"{at} s", exact=True).bounding_box() for at in (0, 1)]
-    return float(ends[1]["x"] - ends[0]["x"])
 
 
 def test_keyframes_are_chosen_and_dragged_at_the_timeline(edit: Edit, look: Look, file: Path) -> None:
@@ -90,11 +84,17 @@ def test_a_keyframe_is_dragged_while_the_motion_is_played(edit: Edit, look: Look
     editor = edit(task.edited(motion=keyframes_of(task)[:2]), file)
     window, session = look(editor), editor.session
     arrived(editor)
-    height = window.middle("#timeline")[1]
+
+    def rests() -> tuple[float, float] | None:
+        before = window.middle("#timeline")
+        window.page.wait_for_timeout(500)
+        return before if window.middle("#timeline") == before else None
+
+    place = wait_until(rests, "the panel is laid out")
     window.press("Loop: off")
     window.press("Play")
     wait_until(lambda: session.playback.shown and session.playback.time > 0.1, "it is played")
-    assert window.middle("#timeline")[1] == height  # nothing jumps
+    assert window.middle("#timeline") == place  # nothing jumps
     window.middle("#playhead")
     drag(window, 2, 0.1)
     window.says("keyframe 2 is now at 1.1 s")
