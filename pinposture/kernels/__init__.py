@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.path_following import next_path_speed as next_path_speed
     from pinposture.kernels.path_following import position_excess as position_excess
     from pinposture.kernels.path_following import shorten_step as shorten_step
+    from pinposture.kernels.path_following import spline_slopes as spline_slopes
     from pinposture.kernels.path_following import step_along as step_along
     from pinposture.kernels.path_following import step_box as step_box
     from pinposture.kernels.path_following import step_to as step_to
@@ -68,7 +69,6 @@ if TYPE_CHECKING:
     from pinposture.kernels.path_following import sum_point_errors as sum_point_errors
     from pinposture.kernels.path_relaxation import find_direct_waypoints as find_direct_waypoints
     from pinposture.kernels.path_relaxation import refine_waypoints as refine_waypoints
-    from pinposture.kernels.path_relaxation import spline_slopes as spline_slopes
     from pinposture.kernels.path_relaxation import step_waypoints as step_waypoints
     from pinposture.kernels.posture_matrix import eliminated as eliminated
     from pinposture.kernels.posture_matrix import extreme_value as extreme_value
@@ -104,9 +104,9 @@ _KERNELS = {
     ),
     "path_following": (
         "advance find_speed_profile joint_distance look_ahead next_path_speed position_excess shorten_step "
-        "step_along step_box step_to stoppable_steps sum_point_errors"
+        "spline_slopes step_along step_box step_to stoppable_steps sum_point_errors"
     ),
-    "path_relaxation": "find_direct_waypoints refine_waypoints spline_slopes step_waypoints",
+    "path_relaxation": "find_direct_waypoints refine_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",
     "spline": (
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "

@@ -23,6 +23,40 @@ UNMET_LIMITS, OUTSIDE_LIMITS = 1, 2
 """Flags that `step_box` returns: limits that cannot be met, and a joint of the chain outside its limits."""
 
 
+# The curve through the waypoints of a path.
+
+
+@subkernel
+def spline_bends(x: Array2) -> Array2:
+    """Return the second derivatives of natural cubic splines through waypoints x, (N + 1, n) each."""
+    last, n = len(x) - 1, x.shape[1]
+    bends, pivots = np.zeros((last + 1, n)), np.zeros(last + 1)
+    for i in range(1, last):  # bends[i - 1] + 4 bends[i] + bends[i + 1] = 6 (x[i - 1] - 2 x[i] + x[i + 1])
+        pivots[i] = 1.0 / (4.0 - pivots[i - 1])
+        for u in range(n):
+            curved = 6.0 * (x[i - 1, u] - 2.0 * x[i, u] + x[i + 1, u])
+            bends[i, u] = (curved - bends[i - 1, u]) * pivots[i]
+    for i in range(last - 1, 0, -1):
+        for u in range(n):
+            bends[i, u] -= pivots[i] * bends[i + 1, u]
+    return bends
+
+
+@compiled
+def spline_slopes(x: Array2, slopes: Array2) -> None:
+    """Fill in the slopes of natural cubic splines at their waypoints, for each joint.
+
+    Args:
+        x: waypoints, (N + 1, n), N > 0.
+        slopes: change per waypoint, (N + 1, n).
+    """
+    last, bends = len(x) - 1, spline_bends(x)
+    for i in range(last):
+        for u in range(x.shape[1]):
+            slopes[i, u] = x[i + 1, u] - x[i, u] - (2.0 * bends[i, u] + bends[i + 1, u]) / 6.0
+    slopes[last] = x[last] - x[last - 1] + bends[last - 1] / 6.0
+
+
 # How fast a path can be followed. Between two waypoints it is a cubic curve, divided into parts of length h;
 # on each the path acceleration u is constant, and so x = speed^2 is linear: x' = x + 2 h u. The joint
 # acceleration f = q'(s) u + q''(s) x(s) is a polynomial of second degree there. It is within a limit where

@@ -30,6 +30,7 @@ from pinposture.kernels.chain_solver import (
 )
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
+from pinposture.kernels.path_following import spline_bends
 
 MAX_RELAXATION = 1.85  # largest over-relaxation of a waypoint; 1 moves it to its own minimum
 
@@ -189,37 +190,6 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
     return energy
 
 
-@subkernel
-def _spline_bends(x: Array2) -> Array2:
-    """Return the second derivatives of natural cubic splines through waypoints x, (N + 1, n) each."""
-    last, n = len(x) - 1, x.shape[1]
-    bends, pivots = np.zeros((last + 1, n)), np.zeros(last + 1)
-    for i in range(1, last):  # bends[i - 1] + 4 bends[i] + bends[i + 1] = 6 (x[i - 1] - 2 x[i] + x[i + 1])
-        pivots[i] = 1.0 / (4.0 - pivots[i - 1])
-        for u in range(n):
-            curved = 6.0 * (x[i - 1, u] - 2.0 * x[i, u] + x[i + 1, u])
-            bends[i, u] = (curved - bends[i - 1, u]) * pivots[i]
-    for i in range(last - 1, 0, -1):
-        for u in range(n):
-            bends[i, u] -= pivots[i] * bends[i + 1, u]
-    return bends
-
-
-@compiled
-def spline_slopes(x: Array2, slopes: Array2) -> None:
-    """Fill in the slopes of natural cubic splines at their waypoints, for each joint.
-
-    Args:
-        x: waypoints, (N + 1, n), N > 0.
-        slopes: change per waypoint, (N + 1, n).
-    """
-    last, bends = len(x) - 1, _spline_bends(x)
-    for i in range(last):
-        for u in range(x.shape[1]):
-            slopes[i, u] = x[i + 1, u] - x[i, u] - (2.0 * bends[i, u] + bends[i + 1, u]) / 6.0
-    slopes[last] = x[last] - x[last - 1] + bends[last - 1] / 6.0
-
-
 @compiled
 def refine_waypoints(x: Array2, finer: Array2) -> None:
     """Refine waypoints with a natural cubic spline for each joint.
@@ -229,7 +199,7 @@ def refine_waypoints(x: Array2, finer: Array2) -> None:
         finer: filled with the refined waypoints, (k N + 1, n); every k-th is one of x.
     """
     last, n = len(x) - 1, x.shape[1]
-    factor, bends = (len(finer) - 1) // last, _spline_bends(x)
+    factor, bends = (len(finer) - 1) // last, spline_bends(x)
     for i in range(last):
         for part in range(factor):
             t = part / factor
