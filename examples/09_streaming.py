@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import pinposture as pp
+from pinposture.viz.palette import format_time_axes
 
 DT, LAG = 0.01, 0.05  # cycle time, and time constant of the drives [s]
 
@@ -50,7 +51,8 @@ print(f"mean point error at the end: {1e6 * final:.0f} um, with sag and noise")
 
 figure, ax = plt.subplots(figsize=(8, 3), layout="constrained")
 ax.semilogy(DT * np.arange(len(errors)), errors)
-ax.set(xlabel="time [s]", ylabel="mean error [mm]", title="a target at 0.2 s, another at 5 s, a push at 8 s")
+ax.set_title("a target at 0.2 s, another at 5 s, a push at 8 s", fontsize=10, loc="left")
+format_time_axes(ax, "mean error [mm]")
 out = Path("out/streaming")
 out.mkdir(parents=True, exist_ok=True)
 figure.savefig(out / "errors.png", dpi=120)

@@ -10,6 +10,8 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.viz.palette import add_colorbar, colors_along
+from pinposture.viz.postures import PosturePanel
 
 if __name__ == "__main__":  # worker processes import this file
     # An arm of 10 modules, 20 degrees of freedom, 0.5 m long, and 40 reachable postures.
@@ -25,13 +27,14 @@ if __name__ == "__main__":  # worker processes import this file
     pp.save(batch, out / "batch.npz")
     print(batch.summary())
 
-    # Plot each final posture, darker for more steps; a cross marks the target of the tip.
+    # Plot each final posture, coloured by its number of steps; a cross marks the target of the tip.
     figure, axes = plt.subplots(subplot_kw={"projection": "3d"}, figsize=(7, 6))
+    panel, (colors, norm) = PosturePanel(arm, axes), colors_along(batch.steps.max())
     for number, run in enumerate(batch):
-        points = np.vstack([arm.chain.base, run.points[-1]])
-        axes.plot(*points.T, color=plt.cm.viridis_r(run.steps / batch.steps.max()), linewidth=1)
+        panel.posture(run.q[-1], colors(norm(run.steps)), "_", width=1)
         axes.scatter(*batch.target(number).points[-1], marker="x", color="black", s=12)
-    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", aspect="equal")
+    panel.finish()
+    add_colorbar([axes], batch.steps.max(), "steps", shrink=0.6)
     figure.savefig(out / "reached.png", dpi=120)
 
     # The runs with the most steps.
