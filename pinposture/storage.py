@@ -81,7 +81,7 @@ def write_figure(path: Path, figure: Figure) -> None:
     write_bytes(path, picture.getvalue())
 
 
-def with_suffix(path: Path, *allowed: str) -> Path:
+def with_suffix(path: Path, *allowed: str, hint: str = "") -> Path:
     """The path of a file that is to be written: with the first of these endings if it has none.
 
     Raises:
@@ -93,7 +93,7 @@ def with_suffix(path: Path, *allowed: str) -> Path:
         return path.with_name(path.name + allowed[0])
     if path.suffix.lower() not in allowed:
         listed = ", ".join(allowed)
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {listed}, or no ending")
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {listed}, or no ending{hint}")
     return path
 
 

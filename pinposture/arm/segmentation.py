@@ -455,7 +455,9 @@ def _explain(
     bounds = np.cumsum([0, *sizes])
     bound = [k for k, (a, b) in enumerate(pairwise(bounds), 1) if not mobility.can_place(a, b)]
     if found is None:
-        does = "these are the most modules that do that" + (", and pieces of others" if bound else "")
+        does = "this is the largest number of modules that do that" + (
+            ", and pieces of others" if bound else ""
+        )
         parts = [need, f"no pattern of joints repeats; {does}"]
     else:
         first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]

@@ -133,7 +133,8 @@ def read_task(
     suffix = Path(source).suffix.lower()
     if suffix in SUFFIXES:
         arm_options.refuse("nothing: the task file defines it")
-        refuse_given({"--save-as": save_as}, "nothing: the task file defines it")
+        saves = f"nothing: the page saves {source}, and others by File > Save under this name"
+        refuse_given({"--save-as": save_as}, saves)
         path = Path(source).absolute()
         # If the file was never saved or is gone, restore the automatically saved changes.
         left = None if version_of(path) else recover(path)

@@ -220,8 +220,7 @@ def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
 
 
 def _saturated(summary: dict[str, Any]) -> str:
-    joints = summary["saturated_joints"]
-    return (
-        f"{len(joints)} servos were at their limit, up to {100 * summary['saturated_share']:.3g} % of the "
-        f"time: {', '.join(joints[:6])}{', ...' if len(joints) > 6 else ''}"
-    )
+    joints, share = summary["saturated_joints"], 100.0 * summary["saturated_share"]
+    count = "1 servo was at its limit" if len(joints) == 1 else f"{len(joints)} servos were at their limit"
+    listed = f"{', '.join(joints[:6])}{', ...' if len(joints) > 6 else ''}"
+    return f"{count}, up to {share:.3g} % of the time: {listed}"

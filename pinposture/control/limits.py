@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
 
@@ -280,7 +281,8 @@ class Limits:
 
     Attributes:
         step: largest |dq| of each joint in one step [rad or m]; one number or (nv,). None: no limit.
-        velocity: largest joint velocity [rad/s or m/s]; one number or (nv,). Needs `dt`. None: the arm's.
+        velocity: largest joint velocity [rad/s or m/s]; one number or (nv,). Needs `dt`. None: that of the
+            arm; a larger one replaces it, with a `PostureWarning`.
         dt: duration of a step, the cycle time [s]. None: velocities are not limited.
         position_margin: distance to keep from each joint position limit [rad or m].
         acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. In one
@@ -416,6 +418,7 @@ class Limits:
                 known.clear()
             values = (self.step, self.velocity, self.acceleration, self.dt, self.position_margin)
             bounds = known[self._key] = joint_bounds(arm, *values, self.jerk)
+            _warn_of_speed(arm, self.velocity)
         return bounds
 
 
@@ -512,6 +515,25 @@ def cycle_of(limits: object) -> float:
         raise InvalidValue("limits", limits, "Limits(dt=...), with the duration of a control cycle")
     return limits.dt
 
+
+def _warn_of_speed(arm: Arm, velocity: float | Array | None) -> None:
+    """Warn of limits of velocity above those of the arm, which they replace."""
+    if velocity is None:
+        return
+    speed, known = np.broadcast_to(velocity, arm.nv), arm.limits.velocity
+    faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SPEED_ROUNDING) * known))
+    if len(faster):
+        worst = int(faster[np.argmax(speed[faster] / known[faster])])
+        unit, more = "m/s" if arm.slides[worst] else "rad/s", len(faster) - 1
+        text = (
+            f"velocity {speed[worst]:.4g} {unit} is above the {known[worst]:.4g} {unit} that the description "
+            f"of the arm allows joint {arm.joint_names[worst]!r}" + (f", and {more} others" if more else "")
+        )
+        warnings.warn(f"{text}; is it in degrees?", PostureWarning, stacklevel=4)
+
+
+SPEED_ROUNDING = 1e-6
+"""Relative excess of a speed over that of the description that is not reported."""
 
 _NO_BOUND = np.empty(0)
 _MAX_CACHED = 16  # limits of one arm that are remembered

@@ -40,7 +40,7 @@ OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 _NOTICE = "compiling kernels, once per installation and user; `pinposture compile` compiles all of them now"
 
-_NOTICE_INTERVAL = 3600.0  # time before another process repeats the notice [s]
+_NOTICE_INTERVAL = 120.0  # time before another process repeats the notice [s]
 
 _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 

@@ -103,7 +103,7 @@ def save(result: Any, path: str | Path) -> Path:
             _TEXT_FILES[suffix][0](result, path)
             return path
     else:
-        path = with_suffix(Path(path), ".npz")
+        path = with_suffix(Path(path), ".npz", hint="; for other formats, save its `joint_trajectory()`")
     about, arrays = form.pack(result)
     content = io.BytesIO()
     described = json.dumps({"format": form.name, "version": form.version, **about})

@@ -207,6 +207,10 @@ class Peaks(NamedTuple):
     speeds: Array
     accelerations: Array
 
+    def __repr__(self) -> str:
+        speed, change = (float(values.max(initial=0.0)) for values in self)
+        return f"Peaks(speeds up to {speed:.4g}, accelerations up to {change:.4g}, {len(self.speeds)} joints)"
+
 
 def compute_rates(time: Array, positions: Array) -> Rates:
     """Central and second differences: exact where a joint moves with constant acceleration.

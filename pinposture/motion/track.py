@@ -320,6 +320,19 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
     return f"; held by {', '.join(held[:MAX_NAMED_LIMITS])}{more}"
 
 
+def describe_blocked_goal(arm: Arm, target: Target, scene: Scene) -> str:
+    """Say so if the configuration of a target is too close to an obstacle."""
+    if target.q is None:
+        return ""
+    closest = CollisionModel(arm, scene).minimum(target.q)
+    if closest.pair is None or closest.distance >= scene.margin:
+        return ""
+    pair, distance = " to ".join(closest.pair), 1e3 * closest.distance
+    return (
+        f"; in the target posture, {pair} are {distance:.3g} mm apart: the margin is {1e3 * scene.margin:.3g}"
+    )
+
+
 logger = logging.getLogger(__name__)
 
 
@@ -378,6 +391,8 @@ def track(
     loop.brake_to_rest()
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
         reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
+    if status in ("stalled", "max_steps") and target.q is not None and scene is not None:
+        reason += describe_blocked_goal(arm, target, scene)
     record = loop.record
     logger.info("%s: %s after %d steps: %s", controller.name, status, record.steps, reason)
     return record.trajectory(arm, controller, limits, status, reason)

@@ -399,6 +399,12 @@ class Report(NamedTuple):
     violated_constraints: tuple[str, ...] = ()
     step: Step | None = None
 
+    def __repr__(self) -> str:
+        why = f": {self.reason}" if self.reason else ""
+        error = "" if self.mean_error is None else f", mean error {self.mean_error:.3g} m"
+        violated = f", violates {'; '.join(self.violated_constraints)}" if self.violated_constraints else ""
+        return f"Report({self.status}{why}{error}{violated})"
+
 
 class Tracker:
     """Moves an arm towards its latest target, one step per cycle, in closed loop.
@@ -694,5 +700,7 @@ def _duration(dt: float) -> float:
 
 def _positive(name: str, value: float) -> None:
     """Raise InvalidValue unless a number is positive, or infinite."""
+    if value is None:
+        raise InvalidValue(name, value, "a positive number, or inf")
     if value != float("inf"):
         require_positive(name, value)

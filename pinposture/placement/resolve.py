@@ -240,15 +240,18 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
     module, at, slack = unit.module + 1, float(state[0]), ON_CURVE * arm.length
     reach = unit.kinematics.reach
     off_axis = unit.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0])) > 1e-6
+    left = curve.length - at
+    if (found and left < reach - slack) or not (found or beyond):  # where it could only fold, it also ends
+        away = "" if found else f", {np.linalg.norm(last):.4g} m away from it"
+        text = (
+            f"the curve ends {left:.4g} m beyond its base{away}" if left > slack else "the curve ends there"
+        )
+        advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
+        return CurveEndsEarly(module, at, f"{text}; {advice}")
     if found:
         advice = "use a gentler curve, wider joint limits or shorter modules"
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
         return kind(module, at, f"its joint limits do not allow it to follow the curve; {advice}")
-    if not beyond:
-        left, distance = curve.length - at, float(np.linalg.norm(last))
-        advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
-        text = f"the curve ends {left:.4g} m beyond its base, {distance:.4g} m away from it; {advice}"
-        return CurveEndsEarly(module, at, f"the curve ends there; {advice}" if left <= slack else text)
     gap = float(np.linalg.norm(first))
     if gap > reach:
         advice = 'use placement="translate" or "align"'

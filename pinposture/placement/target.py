@@ -67,6 +67,15 @@ class Target:
                 array.flags.writeable = False
                 object.__setattr__(self, name, array)
 
+    def __repr__(self) -> str:
+        placed = int(np.count_nonzero(self.weights > 0.0))
+        count = (
+            f"{placed} points" if placed == len(self.weights) else f"{placed} of {len(self.weights)} points"
+        )
+        known = "no configuration" if self.q is None else "a configuration"
+        curve = "" if self.curve is None else f", {self.method or 'on'} a curve of {self.curve.length:.4g} m"
+        return f"Target({count}, {known}{curve})"
+
     @property
     def has_target(self) -> NDArray[np.bool_]:
         """True for control points with a target, (m,)."""

@@ -461,6 +461,8 @@ def replan(
     else:
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
+        if prompt and avoidance is not None:  # the search can take long; the previous goal will do
+            return path.revised(objective=objective), bend
         start = arm.at(before).compiled
         first = start if objective.target.q is None else None
         enough = _achievable_error(path.objective, objective, start)
