@@ -151,6 +151,8 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     # As text, because a table shows infinite numbers as missing.
     told = [{**one, "condition": f"{one['condition']:.4g}"} for one in about["manipulability"]]
     print_table(tuple(_MEASURES), [[one[key] for key in _MEASURES.values()] for one in told])
+    if any(one["condition"] == float("inf") for one in about["manipulability"]):
+        print_facts({"measures": "a straight arm is singular: that is usual"})
 
 
 def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:

@@ -125,6 +125,8 @@ def run(
         print_json({**asked, "scene": scene_options.file, "postures": postures, "files": kept})
     else:
         _print_postures(found)
+        if output is None:
+            print_note("--output DIR (-o) writes the postures, and --json prints them")
     for written in files:
         print_note(f"wrote {written}")
     end_with([hindrance] if hindrance else [])

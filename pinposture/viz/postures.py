@@ -221,7 +221,7 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
     else:
         _draw_sections(panel, solids)
     label = "obstacle" if len(shown) == 1 else "obstacles"
-    label += ", cut off" if any(each.cut for each in near) else ""
+    label += " (clipped)" if any(each.cut for each in near) else ""
     label += f", {len(shown) - len(near)} far off" if len(near) < len(shown) else ""
     square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": EDGE_COLOR, "mew": 0.7}
     panel.ax.plot([], [], mfc=(*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH), label=label, **square)

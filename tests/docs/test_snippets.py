@@ -48,7 +48,7 @@ def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def view(*shown: Any, viewer: str = "") -> viz.Viewer | None:
         return original(*shown, **foxglove) if viewer else None
 
-    for module in (viz, pp):
+    for module in (pp, viz):  # pp looks it up in viz when it is first asked
         monkeypatch.setattr(module, "view", view)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.control.planner import geodesic
+from pinposture.control.planner import geodesic, plan
 from pinposture.errors import UnknownName
 from pinposture.motion.processes import BackgroundProcess
 
@@ -72,6 +72,29 @@ def test_no_path_is_planned_in_the_loop_and_the_arm_takes_each_posture(
             loop.run("moving")
     loop.run("converged")
     assert np.abs(arm.at(loop.q).points - targets[-1].points).max() <= 1e-5 * arm.length
+
+
+def test_no_goal_is_sought_in_the_loop_while_an_obstacle_passes_over_it(
+    arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(geodesic, "find_path", refuse)
+    monkeypatch.setattr(plan, "find_goal", refuse)
+    goal = smooth_configuration(arm, np.random.default_rng(1), 0.5)
+    ball = pp.Scene({"ball": pp.Sphere((0.0, 0.0, 0.0), 0.03)}, margin=0.005, arm_radius=0.005)
+    tracker = pp.Tracker(arm, limits=LIMITS, scene=ball, deadline=0.002)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    tip, q, statuses = arm.at(goal).points[-1], arm.neutral(), set()
+    end = time.monotonic() + PATIENCE
+    for cycle in range(1500):
+        ahead = np.array([0.5 - 0.0005 * cycle, 0.0, 0.02])  # over the tip of the goal, and on
+        moment = ball.moved({"ball": tip + ahead}, velocities={"ball": (-0.05, 0.0, 0.0)})
+        tracker.step(q, scene=moment)
+        q = q + 0.3 * (tracker.command - q)  # drives that lag, so that the target moves in each cycle
+        statuses.add(tracker.report.status)
+        if tracker.report.status == "holding" and time.monotonic() < end:
+            time.sleep(0.002)
+    assert "moving" in statuses and tracker.report.status != "holding"
+    assert np.abs(q - goal).max() < 0.05
 
 
 def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:

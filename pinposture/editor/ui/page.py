@@ -94,7 +94,7 @@ class Toolbar:
         edit = server.gui.add_button_group("Edit", tuple(actions), hint="Ctrl Z, Ctrl Shift Z, Ctrl S")
         on_choice(edit, lambda label: post(actions[label]))
         view = server.gui.add_button_group(
-            "View", tuple(DIRECTIONS), hint="All that is edited, from a side; F"
+            "View", tuple(DIRECTIONS), hint="Frame all that is edited, from a side (F)"
         )
         on_choice(view, frame)
 
