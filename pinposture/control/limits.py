@@ -58,7 +58,7 @@ def joint_bounds(
     acceleration: float | Array | None,
     dt: float | None,
     position_margin: float,
-    jerk: float | Array | None = None,
+    jerk: float | Array | None,
 ) -> JointBounds:
     """Return the bounds for the joints of an arm; the arguments are the attributes of `Limits`.
 
@@ -416,9 +416,10 @@ class Limits:
         if bounds is None:
             if len(known) >= _MAX_CACHED:
                 known.clear()
-            values = (self.step, self.velocity, self.acceleration, self.dt, self.position_margin)
-            bounds = known[self._key] = joint_bounds(arm, *values, self.jerk)
-            _warn_of_speed(arm, self.velocity)
+            rates = (self.step, self.velocity, self.acceleration)
+            bounds = known[self._key] = joint_bounds(arm, *rates, self.dt, self.position_margin, self.jerk)
+            if self.velocity is not None:
+                _warn_of_speed(arm, self.velocity)
         return bounds
 
 
@@ -516,27 +517,28 @@ def cycle_of(limits: object) -> float:
     return limits.dt
 
 
-def _warn_of_speed(arm: Arm, velocity: float | Array | None) -> None:
-    """Warn of limits of velocity above those of the arm, which they replace."""
-    if velocity is None:
-        return
-    speed, known = np.broadcast_to(velocity, arm.nv), arm.limits.velocity
-    faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SPEED_ROUNDING) * known))
-    if len(faster):
-        worst = int(faster[np.argmax(speed[faster] / known[faster])])
-        unit, more = "m/s" if arm.slides[worst] else "rad/s", len(faster) - 1
-        text = (
-            f"velocity {speed[worst]:.4g} {unit} is above the {known[worst]:.4g} {unit} that the description "
-            f"of the arm allows joint {arm.joint_names[worst]!r}" + (f", and {more} others" if more else "")
-        )
-        warnings.warn(f"{text}; is it in degrees?", PostureWarning, stacklevel=4)
-
-
 SPEED_ROUNDING = 1e-6
 """Relative excess of a speed over that of the description that is not reported."""
 
 _NO_BOUND = np.empty(0)
 _MAX_CACHED = 16  # limits of one arm that are remembered
+
+
+def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
+    """Warn once of limits of velocity above those of the arm, which they replace."""
+    speed, known = np.broadcast_to(velocity, arm.nv), arm.limits.velocity
+    faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SPEED_ROUNDING) * known))
+    warned: set[bytes] = arm.cache.setdefault(_warn_of_speed, set())
+    if not len(faster) or speed.tobytes() in warned:
+        return
+    warned.add(speed.tobytes())
+    worst = int(faster[np.argmax(speed[faster] / known[faster])])
+    unit, more = "m/s" if arm.slides[worst] else "rad/s", len(faster) - 1
+    text = (
+        f"velocity {speed[worst]:.4g} {unit} is above the {known[worst]:.4g} {unit} that the description "
+        f"of the arm allows joint {arm.joint_names[worst]!r}" + (f", and {more} others" if more else "")
+    )
+    warnings.warn(f"{text}; is it in degrees?", PostureWarning, stacklevel=4)
 
 
 def _previous(arm: Arm, previous: Array | None) -> Array:

@@ -320,17 +320,15 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
     return f"; held by {', '.join(held[:MAX_NAMED_LIMITS])}{more}"
 
 
-def describe_blocked_goal(arm: Arm, target: Target, scene: Scene) -> str:
+def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:
     """Say so if the configuration of a target is too close to an obstacle."""
-    if target.q is None:
+    if target.q is None or scene is None:
         return ""
     closest = CollisionModel(arm, scene).minimum(target.q)
     if closest.pair is None or closest.distance >= scene.margin:
         return ""
-    pair, distance = " to ".join(closest.pair), 1e3 * closest.distance
-    return (
-        f"; in the target posture, {pair} are {distance:.3g} mm apart: the margin is {1e3 * scene.margin:.3g}"
-    )
+    pair, distance, margin = " to ".join(closest.pair), 1e3 * closest.distance, 1e3 * scene.margin
+    return f"; in the target posture, {pair} are {distance:.3g} mm apart, and the margin is {margin:.3g} mm"
 
 
 logger = logging.getLogger(__name__)
@@ -391,7 +389,7 @@ def track(
     loop.brake_to_rest()
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
         reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
-    if status in ("stalled", "max_steps") and target.q is not None and scene is not None:
+    if status in ("stalled", "max_steps"):
         reason += describe_blocked_goal(arm, target, scene)
     record = loop.record
     logger.info("%s: %s after %d steps: %s", controller.name, status, record.steps, reason)

@@ -616,6 +616,8 @@ class Tracker:
             memory = step.memory
         self._memory, self._dt, dq = memory, dt, self._filter.apply(memory.dq)
         self._feedback.apply_step(dq)
+        if step is not None and self._filter.moving:
+            reason = ""  # the arm ahead has come to its end; this one has not
         self.report = self._make_report(feedback, step, reason, compensated, dq)
         return np.array(dq)
 

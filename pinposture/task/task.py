@@ -15,7 +15,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicSpline
 
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
@@ -301,9 +301,7 @@ def slowed(reference: Reference, limits: Limits) -> tuple[Reference, Array]:
     if all(mark.speed == 1.0 for mark in marks):
         return reference, reference.times
     per_cycle = cycle_of(limits) / reference.interval
-    spline = CubicHermiteSpline(
-        np.arange(rows + 1), reference.offsets, np.gradient(reference.offsets, axis=0)
-    )
+    spline = CubicSpline(np.arange(rows + 1), reference.offsets, bc_type="natural")
     slopes = np.abs(spline(0.5 * np.arange(2 * rows + 1), 1)) * (reference.arm.moved > 0.0)
     shares = (per_cycle * slopes / (SPEED_SHARE * limits.for_arm(reference.arm).bound)).max(axis=1)
     used = np.maximum(np.maximum(shares[:-1:2], shares[1::2]), shares[2::2])

@@ -102,7 +102,7 @@ def test_a_path_that_bends_is_cut_by_no_more_than_derived(arm: pp.Arm) -> None:
 def test_the_tracker_keeps_them_whatever_happens(arm: pp.Arm, interface: str) -> None:
     rng, limits = np.random.default_rng(1), limited(60.0)
     tracker = pp.Tracker(arm, limits=limits, interface=interface)
-    q, steps = arm.neutral(), []
+    q, steps, statuses = arm.neutral(), [], set()
     for cycle in range(900):
         if cycle % 60 == 0 and cycle < 600:
             goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.9))
@@ -110,12 +110,26 @@ def test_the_tracker_keeps_them_whatever_happens(arm: pp.Arm, interface: str) ->
         measured = None if rng.random() < 0.05 and cycle < 600 else q + 1e-5 * rng.normal(size=arm.nv)
         dq = tracker.step(measured)
         steps.append(dq)
+        statuses.add(tracker.report.status)
         q = q + dq if interface == "velocity" else q + 0.5 * (tracker.command - q)
+    assert "stalled" not in statuses
     taken = np.array(steps)
     rates = np.pad(taken, ((3, 0), (0, 0))) / DT
     found = [np.abs(np.diff(rates, order, axis=0)).max() / DT**order for order in range(3)]
     assert np.all(np.array(found) <= np.array([1.0, 5.0, 60.0]) * (1.0 + 1e-9))
     assert np.abs(arm.at(q).points - arm.at(goal).points).max() <= 1e-3 * arm.length
+
+
+def test_cycles_of_other_durations_keep_speed_and_arrive(arm: pp.Arm) -> None:
+    rng, limits, q = np.random.default_rng(4), limited(60.0), arm.neutral()
+    tracker, goal = pp.Tracker(arm, limits=limits), smooth_configuration(arm, rng, 0.6)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    for cycle in range(900):
+        dt = DT * rng.uniform(0.3, 3.0) if cycle < 300 else DT
+        dq = tracker.step(q, dt)
+        assert np.abs(dq).max() <= limits.velocity * min(dt, DT) * (1.0 + 1e-9)
+        q = tracker.command
+    np.testing.assert_allclose(q, goal, atol=1e-5)
 
 
 def test_a_tracker_that_starts_in_motion_goes_on_smoothly(arm: pp.Arm) -> None:

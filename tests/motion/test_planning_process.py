@@ -97,6 +97,29 @@ def test_no_goal_is_sought_in_the_loop_while_an_obstacle_passes_over_it(
     assert np.abs(q - goal).max() < 0.05
 
 
+def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
+    arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan, "find_goal", refuse)
+    goal = smooth_configuration(arm, np.random.default_rng(1), 0.5)
+    place = tuple(arm.at(goal).points[-1])
+    scene = pp.Scene({"ball": pp.Sphere(place, 0.02)}, margin=0.005, arm_radius=0.005)
+    tracker = pp.Tracker(arm, limits=LIMITS, scene=scene, deadline=0.002)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    q, end, taken = arm.neutral(), time.monotonic() + PATIENCE, 0
+    while taken < 500 and time.monotonic() < end:
+        tracker.step(q)
+        q = q + 0.3 * (
+            tracker.command - q
+        )  # the target moves in each cycle, and is blocked from the first on
+        waits = tracker.report.status == "holding"
+        taken += not waits
+        time.sleep(0.002 if waits else 0.0)
+    there = arm.at(goal).points
+    apart = [np.linalg.norm(arm.at(each).points - there, axis=1).mean() for each in (arm.neutral(), q)]
+    assert apart[1] < 0.3 * apart[0]
+
+
 def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
     start, goal = (smooth_configuration(arm, np.random.default_rng(seed), 0.6) for seed in (1, 2))
     target, reached = pp.Target.from_configuration(arm, goal), []

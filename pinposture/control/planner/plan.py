@@ -47,7 +47,7 @@ class PlanNeeded(Exception):
     """
 
     def __init__(self, attempt: int = 0) -> None:
-        super().__init__("the path is still being planned")
+        super().__init__(attempt)
         self.attempt = attempt
 
 
@@ -462,7 +462,7 @@ def replan(
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
         if prompt and avoidance is not None:  # the search can take long; the previous goal will do
-            return path.revised(objective=objective), bend
+            return path.revised(objective=objective), np.zeros(arm.nv) if bend is None else bend
         start = arm.at(before).compiled
         first = start if objective.target.q is None else None
         enough = _achievable_error(path.objective, objective, start)

@@ -48,11 +48,8 @@ NO_TIMES = np.zeros(0)
 
 PANEL_WIDTH, PANEL_HEIGHT, PANEL_GAP = 440, 260, 8  # of the panel; from the edges of the picture [pixels]
 ROOM_BEHIND = 0.15  # the end of the motion, on the timeline, relative to its duration
-MIN_LENGTH, TICKS, DRAG_STEPS = (
-    1.0,
-    7,
-    100,
-)  # of the timeline [s]; about how many times are written at it; and can be dragged to
+MIN_LENGTH = 1.0  # of the timeline [s]
+TICKS, DRAG_STEPS = 7, 100  # about how many times are written at it; and can be dragged to
 MAX_NUMBERED = 24  # keyframes with numbers at the timeline
 
 
