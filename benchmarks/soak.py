@@ -25,7 +25,7 @@ from pinposture.motion import Tracker
 
 DT, LAG, SAG = 0.01, 0.05, 0.02
 SPEED, ACCELERATION = 2.0, 10.0
-OVERRUN = 5e-3  # time of a cycle that is counted [s]
+OVERRUN = 5e-3  # time of a cycle that is counted, if there is no deadline [s]
 
 
 def targets(arm: pp.Arm, rng: np.random.Generator, count: int) -> list[pp.Target]:
@@ -111,6 +111,7 @@ def main() -> None:  # noqa: PLR0915
         q = q + (command + sag - q) * (DT / LAG)
         if (step + 1) % max(given.steps // 10, 1) == 0:
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    overrun = min(given.deadline, OVERRUN)
     found = {
         "steps": given.steps,
         "controller": given.controller,
@@ -122,7 +123,7 @@ def main() -> None:  # noqa: PLR0915
         "microseconds p99": 1e6 * float(np.percentile(taken, 99)),
         "microseconds p99.9": 1e6 * float(np.percentile(taken, 99.9)),
         "microseconds max": 1e6 * float(taken[10:].max()),
-        f"overruns of {1e3 * OVERRUN:g} ms": int(np.sum(taken > OVERRUN)),
+        f"overruns of {1e3 * overrun:g} ms": int(np.sum(taken > overrun)),
         "memory [MB], ten times on the way": [round(each) for each in memory],
         **{f"cycles {status}": count for status, count in sorted(outcome.items())},
     }

@@ -325,7 +325,8 @@ class PlannedStep:
         if self._request is not None:
             if not self._process.done():
                 return None, memory
-            memory = self._take_plan(self._request, memory)
+            # One step to the target that the path leads to; the next cycle bends the path, or plans again.
+            target, memory = self._request.target, self._take_plan(self._request, memory)
         try:
             return self._prompt.step(state, target, limits, memory), memory
         except PlanNeeded as needed:

@@ -162,14 +162,19 @@ class PathProgress(NamedTuple):
             taken: number of those that have been taken.
         """
         idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.path.end
-        return self._replace(
-            place=place,
-            speed=place - self.place,
-            progress_place=self.progress_place if idle else place,
-            idle_travel=self.idle_travel + travel if idle else 0.0,
-            expected=expected,
-            ahead=ahead,
-            taken=taken,
+        return PathProgress(  # quicker than `_replace`, in nearly each cycle
+            self.timed,
+            place,
+            place - self.place,
+            self.progress_place if idle else place,
+            self.idle_travel + travel if idle else 0.0,
+            self.arrived,
+            self.damping,
+            expected,
+            self.bend,
+            self.timed_bend,
+            ahead,
+            taken,
         )
 
     def matches(self, state: ArmState) -> bool:
