@@ -41,6 +41,7 @@ def save(found: dict[str, Any], path: Path) -> None:
     axes.set_xticks(sizes, [str(size) for size in sizes])
     axes.minorticks_off()
     axes.spines[["top", "right"]].set_visible(False)
+    axes.set_ylim(top=4.0 * axes.get_ylim()[1])  # room for names that are moved up
     _label(axes, ends)
     figure.savefig(path, dpi=150)
     plt.close(figure)
