@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -154,6 +155,10 @@ def _one_thread_each() -> AbstractContextManager[object]:
 # One call at a time, in a process that stays.
 
 
+class Interrupted(BaseException):
+    """A call was interrupted. Handlers of `Exception` do not catch it."""
+
+
 class BackgroundProcess:
     """A process that makes one call at a time, while this one goes on without a pause.
 
@@ -167,6 +172,7 @@ class BackgroundProcess:
 
     def _start(self) -> None:
         self._connection, other = Pipe()
+        self._running = False
         # `multiprocessing` by itself would run the script of the user again.
         self._process = get_context("loky").Process(
             target=_answer_calls, args=(other,), daemon=True, env=dict.fromkeys(THREAD_COUNTS, "1")
@@ -187,17 +193,28 @@ class BackgroundProcess:
         """Whether `result` returns at once."""
         return self._connection.poll()
 
+    def interrupt(self) -> None:
+        """Interrupt the call, if it can be: its result is then `Interrupted`.
+
+        The first call of a process cannot be interrupted, and no call where there is no SIGUSR1 (Windows).
+        """
+        if self._running and INTERRUPT is not None:
+            with suppress(OSError):  # it has ended; `result` says so
+                os.kill(self._process.pid, INTERRUPT)
+
     def result(self) -> Any:
         """Return the result, or raise what the call raised.
 
         Raises:
             EOFError: the process was ended from outside.
+            Interrupted: the call was interrupted.
         """
         try:
             value, error = pickle.loads(self._connection.recv_bytes())
         except (EOFError, OSError):
             self._start()
             raise EOFError from None
+        self._running = True
         if error is not None:
             raise error
         return value
@@ -211,16 +228,36 @@ THREAD_COUNTS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that set the number of threads of a process."""
 
 
+INTERRUPT: signal.Signals | None = getattr(signal, "SIGUSR1", None)
+"""Signal that interrupts a call; SIGINT goes to all processes of a terminal."""
+
+
 def _answer_calls(connection: Connection) -> None:
     """Make calls until the other end is closed."""
+    busy = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal busy
+        if busy:  # else the result is on its way
+            busy = False
+            raise Interrupted
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that sends the calls decides
+    if INTERRUPT is not None:
+        signal.signal(INTERRUPT, interrupt)
     kernels.load()
     with suppress(EOFError, OSError):
         while True:
             function, arguments = pickle.loads(connection.recv_bytes())
-            value = error = None
+            value: object = None
+            error: BaseException | None = None
             try:
-                value = function(*arguments)
-            except Exception as raised:  # `result` raises it
-                error = raised
+                busy = True
+                try:
+                    value = function(*arguments)
+                except Exception as raised:  # `result` raises it
+                    error = raised
+                busy = False
+            except Interrupted as raised:
+                value, error = None, raised
             connection.send_bytes(pickle.dumps((value, error)))

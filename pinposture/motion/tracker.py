@@ -29,9 +29,9 @@ from pinposture.control import (
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
-from pinposture.control.planner.plan import PlanNeeded
+from pinposture.control.planner.plan import PlanNeeded, is_small_change
 from pinposture.errors import InvalidValue, PostureError, UnknownName
-from pinposture.motion.processes import BackgroundProcess, Shared
+from pinposture.motion.processes import BackgroundProcess, Interrupted, Shared
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
@@ -299,6 +299,7 @@ class PlannedStep:
     def __init__(self, arm: Arm, controller: Geodesic) -> None:
         self._arm, self._process = arm, BackgroundProcess()
         self._request: Request | None = None
+        self._may_interrupt = True
         self.controller = controller
 
     @property
@@ -324,9 +325,16 @@ class PlannedStep:
         """
         if self._request is not None:
             if not self._process.done():
+                self._interrupt_for(target, self._request.target)
                 return None, memory
             # One step to the target that the path leads to; the next cycle bends the path, or plans again.
-            target, memory = self._request.target, self._take_plan(self._request, memory)
+            planned, self._request = self._request, None
+            try:
+                target, memory = planned.target, self._take_plan(planned, memory)
+            except Interrupted:
+                pass
+            else:
+                self._may_interrupt = True
         try:
             return self._prompt.step(state, target, limits, memory), memory
         except PlanNeeded as needed:
@@ -338,9 +346,23 @@ class PlannedStep:
             self._process.submit(_plan, self._shared, q, target, limits, previous, needed.attempt)
             return None, memory
 
+    def _interrupt_for(self, target: Target, planned: Target) -> None:
+        """Interrupt a plan whose path cannot be bent to the current target.
+
+        The plan after it is not interrupted: an arm whose target keeps jumping would never move.
+        """
+        if self._may_interrupt and target is not planned:
+            one, other = (self._controller.objective(self._arm, each) for each in (planned, target))
+            if not is_small_change(one, other):
+                self._may_interrupt = False
+                self._process.interrupt()
+
     def _take_plan(self, request: Request, memory: Memory | None) -> Memory | None:
-        """Return the memory with the path that was planned."""
-        self._request = None
+        """Return the memory with the path that was planned.
+
+        Raises:
+            Interrupted: the plan was interrupted.
+        """
         try:
             progress = self._process.result()
         except EOFError:

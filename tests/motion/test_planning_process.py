@@ -11,7 +11,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control.planner import geodesic, plan
 from pinposture.errors import UnknownName
-from pinposture.motion.processes import BackgroundProcess
+from pinposture.motion.processes import BackgroundProcess, Interrupted
 
 LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.01)
 PATIENCE = 60.0  # for a process to start on a busy machine [s]
@@ -155,6 +155,60 @@ def test_errors_and_results_come_back_in_order() -> None:
         process.result()
     process.submit(divmod, 9, 2)
     assert process.result() == (4, 1)
+
+
+def test_a_call_is_interrupted_and_the_next_one_answered() -> None:
+    process = BackgroundProcess()
+    process.submit(divmod, 7, 3)
+    assert process.result() == (2, 1)
+    process.interrupt()  # of no call: nothing happens
+    for _ in range(20):
+        began = time.monotonic()
+        process.submit(time.sleep, PATIENCE)
+        time.sleep(0.01)
+        process.interrupt()
+        with pytest.raises(Interrupted):
+            process.result()
+        assert time.monotonic() - began < PATIENCE / 2
+        process.submit(divmod, 9, 2)
+        assert process.result() == (4, 1)
+
+
+class EndlessPlanning:
+    """A planning process whose plans end only when they are interrupted."""
+
+    def __init__(self) -> None:
+        self.targets: list[pp.Target] = []
+        self.interrupted = False
+
+    def submit(self, _plan: object, _shared: object, _q: object, target: pp.Target, *_: object) -> None:
+        self.targets.append(target)
+        self.interrupted = False
+
+    def interrupt(self) -> None:
+        self.interrupted = True
+
+    def done(self) -> bool:
+        return self.interrupted
+
+    def result(self) -> None:
+        raise Interrupted
+
+
+def test_a_plan_for_an_outdated_target_is_interrupted_but_not_the_one_after_it(arm: pp.Arm) -> None:
+    rng = np.random.default_rng(5)
+    tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
+    process = EndlessPlanning()
+    tracker._steps._process = process
+    q = smooth_configuration(arm, rng, 0.5)
+    targets = [pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5)) for _ in range(3)]
+    nearly = pp.Target.from_configuration(arm, arm.integrate(targets[0].q, np.full(arm.nv, 1e-4)))
+    for target, plans in ((targets[0], 1), (nearly, 1), (targets[1], 2), (targets[2], 2)):
+        tracker.update(target)
+        for _ in range(3):
+            tracker.step(q)
+        assert len(process.targets) == plans
+    assert process.targets == targets[:2]
 
 
 def test_where_to_plan_is_checked(arm: pp.Arm) -> None:
