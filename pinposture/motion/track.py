@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.control.limits import JerkFilter, require_limits
@@ -327,8 +328,8 @@ def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:
     closest = CollisionModel(arm, scene).minimum(target.q)
     if closest.pair is None or closest.distance >= scene.margin:
         return ""
-    pair, distance, margin = " to ".join(closest.pair), 1e3 * closest.distance, 1e3 * scene.margin
-    return f"; in the target posture, {pair} are {distance:.3g} mm apart, and the margin is {margin:.3g} mm"
+    apart = describe_distance(closest.pair, closest.distance)
+    return f"; in the target posture, {apart} (the margin is {1e3 * scene.margin:.3g} mm)"
 
 
 logger = logging.getLogger(__name__)

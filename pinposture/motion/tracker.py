@@ -17,6 +17,7 @@ from pinposture import kernels
 from pinposture._validation import finite_vector, float_array, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import describe_distance
 from pinposture.control import (
     Controller,
     Geodesic,
@@ -708,8 +709,7 @@ class Tracker:
         closest = CollisionModel(self.arm, self.scene).minimum(command)
         if closest.distance >= (1.0 - MARGIN_ROUNDING) * self.scene.margin:
             return ()
-        pair = " to ".join(closest.pair or ())
-        return (f"margin from {pair}: {1e3 * closest.distance:.3g} mm are left",)
+        return (f"margin from {describe_distance(closest.pair or (), closest.distance)}",)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

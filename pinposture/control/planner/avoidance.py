@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Distances, Scene
-from pinposture.collision.model import MOTION_TOLERANCE
+from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
@@ -400,6 +400,11 @@ class Avoidance:
         more = (f"and {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
         return (*words[:MAX_NAMED_PAIRS], *more)
 
+    def describe_closest(self, state: ArmState) -> str:
+        """Describe the closest pair."""
+        near = self.near(state)
+        return self._describe(state, near.distances == near.minimum)[0]
+
     def describe_obstruction(
         self, state: ArmState, solution: Solution | None, stuck: bool
     ) -> tuple[str, ...]:
@@ -414,4 +419,4 @@ class Avoidance:
         """Describe some of the pairs in sight."""
         near = self.near(state)
         chosen = np.flatnonzero(which)
-        return tuple(f"{' to '.join(near.pairs[k])}: {1e3 * near.distances[k]:.3g} mm apart" for k in chosen)
+        return tuple(describe_distance(near.pairs[k], near.distances[k]) for k in chosen)

@@ -152,7 +152,10 @@ class Geodesic:
             step = fast_step(progress, state, bounds)
             if step is not None:
                 return step
-        return advance(progress, state, limits, box, avoidance)
+        step = advance(progress, state, limits, box, avoidance)
+        if avoidance is not None and not (step.diagnostics.reason or np.any(step.dq)):
+            step = _explain_collision(step, avoidance, state)
+        return step
 
     def start(self, path: TimedPath, state: ArmState, memory: Memory | None = None) -> GeodesicMemory:
         """Return the memory with which the next steps follow a given path.
@@ -417,6 +420,14 @@ def _step_before_planning(
         following_path=True,
     )
     return Step(dq, active, diagnostics, GeodesicMemory(dq, stopping))
+
+
+def _explain_collision(step: Step, avoidance: Avoidance, state: ArmState) -> Step:
+    """Return a step that does not move; if the arm is in collision, it says that no step leads out."""
+    if avoidance.near(state).minimum >= 0.0:
+        return step
+    reason = f"the arm is in collision, and no step leads out: {avoidance.describe_closest(state)}"
+    return step._replace(diagnostics=step.diagnostics._replace(reason=reason))
 
 
 def _are_alike(one: Target, other: Target) -> bool:

@@ -15,6 +15,7 @@ from pinposture import kernels
 from pinposture._validation import require_positive
 from pinposture.arm import ArmState
 from pinposture.collision import Closest, Scene
+from pinposture.collision.model import describe_distance
 from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
@@ -367,9 +368,8 @@ def _clearest_path(
 
 def _hindered(path: JointPath, closest: Closest) -> JointPath:
     """Return the path with the pair that comes too close as its hindrance."""
-    pair = " to ".join(closest.pair or ())
-    words = f"no clear path was found; on the best, {pair} are {1e3 * closest.distance:.3g} mm apart"
-    return replace(path, hindrance=words)
+    apart = describe_distance(closest.pair or (), closest.distance)
+    return replace(path, hindrance=f"no clear path was found; on the best, {apart}")
 
 
 def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], None]) -> Iterator[JointPath]:
