@@ -194,9 +194,9 @@ class BackgroundProcess:
         return self._connection.poll()
 
     def interrupt(self) -> None:
-        """Interrupt the call, if it can be: its result is then `Interrupted`.
+        """Interrupt the call if it has begun: its result is then `Interrupted`. Repeat this until it is done.
 
-        The first call of a process cannot be interrupted, and no call where there is no SIGUSR1 (Windows).
+        The first call of a process cannot be interrupted, nor any call on Windows, which has no SIGUSR1.
         """
         if self._running and INTERRUPT is not None:
             with suppress(OSError):  # it has ended; `result` says so

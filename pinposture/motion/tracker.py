@@ -300,7 +300,7 @@ class PlannedStep:
     def __init__(self, arm: Arm, controller: Geodesic) -> None:
         self._arm, self._process = arm, BackgroundProcess()
         self._request: Request | None = None
-        self._may_interrupt = True
+        self._outdated, self._interrupted = False, False  # this plan; the one before
         self.controller = controller
 
     @property
@@ -326,16 +326,16 @@ class PlannedStep:
         """
         if self._request is not None:
             if not self._process.done():
-                self._interrupt_for(target, self._request.target)
+                if self._is_outdated(target, self._request.target):
+                    self._process.interrupt()
                 return None, memory
             # One step to the target that the path leads to; the next cycle bends the path, or plans again.
             planned, self._request = self._request, None
+            self._interrupted = self._outdated = False
             try:
                 target, memory = planned.target, self._take_plan(planned, memory)
             except Interrupted:
-                pass
-            else:
-                self._may_interrupt = True
+                self._interrupted = True
         try:
             return self._prompt.step(state, target, limits, memory), memory
         except PlanNeeded as needed:
@@ -347,16 +347,15 @@ class PlannedStep:
             self._process.submit(_plan, self._shared, q, target, limits, previous, needed.attempt)
             return None, memory
 
-    def _interrupt_for(self, target: Target, planned: Target) -> None:
-        """Interrupt a plan whose path cannot be bent to the current target.
+    def _is_outdated(self, target: Target, planned: Target) -> bool:
+        """Whether a plan is to be interrupted, since its path cannot be bent to the current target.
 
         The plan after it is not interrupted: an arm whose target keeps jumping would never move.
         """
-        if self._may_interrupt and target is not planned:
+        if not (self._outdated or self._interrupted or target is planned):
             one, other = (self._controller.objective(self._arm, each) for each in (planned, target))
-            if not is_small_change(one, other):
-                self._may_interrupt = False
-                self._process.interrupt()
+            self._outdated = not is_small_change(one, other)
+        return self._outdated
 
     def _take_plan(self, request: Request, memory: Memory | None) -> Memory | None:
         """Return the memory with the path that was planned.
