@@ -281,7 +281,7 @@ def step_box(
     previous: Array1,
     rounding: float,
     columns: Ints1,
-    leaning: Array1,
+    slack: Array1,
     limits: Array2,
 ) -> int:
     """Compute the smallest and largest step of each joint; see `Limits.box`.
@@ -294,7 +294,7 @@ def step_box(
         previous: the step before, (nv,); empty without `brake`.
         rounding: tolerance of a limit.
         columns: which of the joints are on the chain, (n,).
-        leaning: tolerated excess of each of them over its limits, (n,).
+        slack: tolerated excess of each of them over its limits, (n,).
         limits: filled with smallest and largest step, (2, nv).
 
     Returns:
@@ -319,7 +319,7 @@ def step_box(
             found = UNMET_LIMITS
     for i in range(len(columns)):
         u = columns[i]
-        if positions[u] < edges[0, u] - leaning[i] or positions[u] > edges[1, u] + leaning[i]:
+        if positions[u] < edges[0, u] - slack[i] or positions[u] > edges[1, u] + slack[i]:
             return found + OUTSIDE_LIMITS
     return found
 
@@ -524,7 +524,7 @@ def advance(
     chain: ChainArrays,
     endless: Flags1,
     units: Array1,
-    leaning: Array1,
+    slack: Array1,
     edges: Array2,
     bound: Array1,
     positions: Array1,
@@ -561,7 +561,7 @@ def advance(
         return 0
     here = positions
     for i in range(len(places)):
-        if step_box(here, edges, bound, none, none, rounding, chain.inputs, leaning, limits) != 0:
+        if step_box(here, edges, bound, none, none, rounding, chain.inputs, slack, limits) != 0:
             return i
         place, left, inside = step_along(
             offsets, start, here, endless, chain.inputs, units, place, limits, max_motion, dq[i]
@@ -584,7 +584,7 @@ def step_to(
     chain: ChainArrays,
     turns: Flags1,
     units: Array1,
-    leaning: Array1,
+    slack: Array1,
     edges: Array2,
     bound: Array1,
     positions: Array1,
@@ -609,7 +609,7 @@ def step_to(
         Whether limits allow it, and something moves; and the sums of distances before and after the step.
     """
     none, limits, columns = np.empty(0), np.empty((2, len(positions))), chain.inputs
-    if step_box(positions, edges, bound, none, none, rounding, columns, leaning, limits) != 0:
+    if step_box(positions, edges, bound, none, none, rounding, columns, slack, limits) != 0:
         return False, 0.0, 0.0
     dq[:] = 0.0
     moves = False
