@@ -134,7 +134,7 @@ def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, t
     for path, reader in ((run, "as a Trajectory"), (batch, "as a Batch")):
         with pytest.raises(FileError, match=reader):
             pp.load(path, Motion)
-    with pytest.raises(FileError, match=r"holds a motion in time; its run is pp.load\(file\)\.run"):
+    with pytest.raises(FileError, match=r"contains a motion in time; its run is pp.load\(file\)\.run"):
         pp.load(whole, pp.Trajectory)
     with pytest.raises(FileError):
         pp.load(whole, pp.Batch)
