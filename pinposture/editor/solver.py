@@ -28,6 +28,7 @@ from pinposture.errors import (
     TaskError,
 )
 from pinposture.motion import Tracker
+from pinposture.motion.tracker import NOT_DONE
 from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.keyframe import resolve_keyframe
@@ -46,6 +47,7 @@ STEP_TIME = 0.02  # of a step [s]: the arm moves in real time, within its limits
 CONTROLLER_DEADLINE = 0.02  # after which the arm keeps clear while the controller goes on computing [s]
 HAND_SIGHT = 0.1  # for which a dragged obstacle is taken to move on after the last move of the hand [s]
 REST_INTERVAL = 0.25  # between steps while the arm is at rest and nothing is asked [s]
+STOP_TIME = 0.5  # for which the arm stands still before it is said to have stopped [s]
 RESTING = ("converged", "stalled")
 TRACKER_FIELDS = ("controller", "limits", "scene")  # of a problem; a change of them needs a new tracker
 
@@ -308,7 +310,7 @@ class Solver:
         self._tracker, self._verdict = _tracker(first, start), Verdict(None)
         self._lag: float | None = None
         self._last_target: tuple[Arm, Target] | None = None
-        self._steps = 0
+        self._steps, self._moved = 0, time.monotonic()  # when it moved, arrived, or was asked last [s]
         self._dq, self._fault = np.zeros(first.arm.nv), ""
         self._live = self._look(first.arm.at(start))
         self._thread = Thread(target=self._run, name="pinposture-solver", daemon=True)
@@ -357,7 +359,7 @@ class Solver:
 
     def _take(self, problem: Problem, new: bool = False) -> None:
         """Turn to another problem; if something is wrong with it the verdict says so, and the arm stays."""
-        self._problem, self._lag = problem, None
+        self._problem, self._lag, self._moved = problem, None, time.monotonic()
         before = self._tracked
         try:
             self._verdict = self._judge(problem)
@@ -438,6 +440,11 @@ class Solver:
         active = np.zeros(tracker.arm.n_modules, dtype=np.bool_)
         if report.step is not None:
             active[list(report.step.active)] = True
+        status, reason = ("holding", self._fault) if self._fault else (report.status, report.reason)
+        if status in ("moving", "converged"):
+            self._moved = time.monotonic()
+        elif not self._fault and reason != NOT_DONE and time.monotonic() - self._moved < STOP_TIME:
+            status, reason = "moving", ""  # it may only be turning round
         return Live(
             number=problem.number,
             arm=tracker.arm,
@@ -448,8 +455,8 @@ class Solver:
             tip_error=None if target is None else tip_off(problem.keyframe.tip, target, state),
             active=active,
             at_limit=at_limit(state, self._dq, tracker.limits.bound(state)),
-            status="holding" if self._fault else report.status,
-            reason=self._fault or report.reason,
+            status=status,
+            reason=reason,
             lag=self._lag,
             steps=self._steps,
         )

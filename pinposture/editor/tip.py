@@ -1,4 +1,4 @@
-"""The tip of the arm, dragged: the shape becomes that of a posture that brings it there."""
+"""Postures that become keyframes: with the tip where it is dragged, taught, and as curves."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.control.reach import ReachedPosture, reach, reach_from
+from pinposture.control.reach import reach, reach_from
 from pinposture.curve import Curve
-from pinposture.editor.edits import required_length, with_keyframe
-from pinposture.editor.session import JOINT_DIGITS, Session
+from pinposture.editor import edits
+from pinposture.editor.session import Session
 from pinposture.errors import PostureError, ReachError
+from pinposture.task import Task
 
 Array = NDArray[np.float64]
 
@@ -18,7 +19,7 @@ REACH_BUDGET = 1.0  # of the search when the tip is let go and no clear posture 
 
 
 def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe: int | None = None) -> None:
-    """Propose the shape of a clear posture that has the tip at a place.
+    """Propose the shape of a clear posture that has the tip at a place; a taught keyframe stays one.
 
     While the hand is dragging, only the posture that is near the present one is looked for; where there is
     none, the arm stays at the last one. When it lets go, others are tried, too.
@@ -42,7 +43,9 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
             found = reach(arm, place, scene=scene, limits=limits, budget=REACH_BUDGET)[0]
         if found is None:
             raise ReachError(place, "no clear posture is near; let go there to have others tried")
-        curve = posture_curve(arm, found)
+        edit = edits.taught(session.selected, found.q)
+        if session.keyframe.curve is not None:
+            edit = with_posture_curve(arm, session.selected, found.q)
     except PostureError as error:
         if final:
             session.proposal = None
@@ -51,22 +54,51 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
         elif session.notice.text != " ".join(str(error).split()):
             session.say(str(error), "warning")
         return
-    joints = tuple(np.round(arm.positions(found.q), JOINT_DIGITS).tolist())
-    edit = with_keyframe(session.selected, curve=curve, placement="as_is", roll=0.0, trim=True, joints=joints)
     at = ", ".join(f"{each:.4g}" for each in place)
     session.propose(edit, f"reached for ({at}) m", final)
 
 
-def posture_curve(arm: Arm, posture: ReachedPosture) -> Curve:
-    """Return a curve from the base through all control points of a posture, and a little straight on.
+def with_posture_curve(arm: Arm, index: int, q: Array) -> edits.Edit:
+    """Give a keyframe, 0-based, a curve through all control points at a configuration (nq,).
+
+    The curve begins at the base, and goes straight on a little behind the tip.
 
     Raises:
         CurveError: control points that coincide.
     """
-    points = np.vstack([arm.chain.base, posture.target.points])
+    points = np.vstack([arm.chain.base, arm.at(q).points])
     ahead = (points[-1] - points[-2]) / np.linalg.norm(points[-1] - points[-2])
-    more = required_length(arm) - arm.length
-    return Curve.spline(np.vstack([points, points[-1] + more * ahead]), through=True)
+    more = edits.required_length(arm) - arm.length
+    through = Curve.spline(np.vstack([points, points[-1] + more * ahead]), through=True)
+    curve = Curve(through.knots, edits.rounded(through.coefficients), through.degree)
+    joints = edits.joints_at(arm, q)
+    return edits.with_keyframe(index, curve=curve, placement="as_is", roll=0.0, trim=True, joints=joints)
+
+
+def draw_curve(session: Session) -> None:
+    """Propose a curve through the posture of the selected keyframe, in place of a taught configuration."""
+    index, keyframe = session.selected, session.keyframe
+    if keyframe.curve is not None:
+        session.say(f"keyframe {index + 1} already has a curve", "warning")
+        return
+    edit = with_posture_curve(session.arm, index, edits.configuration_of(session.arm, keyframe))
+    session.propose(edit, f"drew a curve through keyframe {index + 1}")
+
+
+def teach(q: Array, session: Session) -> None:
+    """Teach the selected keyframe a configuration (nq,), in place of its curve if it has one."""
+    index = session.selected
+    session.edit(edits.taught(index, q), f"taught keyframe {index + 1} the present posture")
+
+
+def add_taught(q: Array, session: Session) -> None:
+    """Add a keyframe after the selected one, taught a configuration (nq,)."""
+    index = session.selected
+
+    def edit(task: Task) -> Task:
+        return edits.taught(index + 1, q)(edits.added(index)(task))
+
+    session.edit(edit, f"added keyframe {index + 2}, taught the present posture", select=index + 1)
 
 
 def hold_tip(session: Session) -> None:

@@ -53,8 +53,8 @@ class ArmDrawing:
         surfaces = arm_surfaces(arm)
         shades = [palette.MODULES[body.module % len(palette.MODULES)] for body in bodies(arm)]
         self.shades: Colors = np.array([color(tint or shade) for shade in shades], dtype=np.uint8)
-        self._colors, self._q = self.shades.copy(), arm.straight()
-        poses = body_poses(arm, self._q)
+        self._colors, self.q = self.shades.copy(), arm.straight()
+        poses = body_poses(arm, self.q)
         self._base = server.scene.add_mesh_simple(
             f"{name}/base",
             surfaces.base.vertices,
@@ -79,9 +79,9 @@ class ArmDrawing:
 
     def move(self, q: Array) -> None:
         """Show it at another configuration, (nq,)."""
-        if np.array_equal(q, self._q):
+        if np.array_equal(q, self.q):
             return
-        self._q = np.array(q)
+        self.q = np.array(q)
         poses = body_poses(self.arm, q)
         wxyzs = quaternions(poses[:, :3, :3]).astype(np.float32)
         for handle, members in self._kinds:
