@@ -8,8 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from pinposture.arm import Arm
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import Edit, Shape, joints_at, keyframes_of, reshaped, with_keyframe

@@ -315,7 +315,7 @@ def test_a_measured_arm_stands_where_it_is_measured(arm, live, server, desk):
     assert "3 s old" in part._about.content
     assert "line 7: nonsense" in part._about.content
     assert part._drawing._base.visible
-    np.testing.assert_allclose(part._drawing._q, q)
+    np.testing.assert_allclose(part._drawing.q, q)
 
 
 def test_without_joint_states_nothing_is_shown(arm, live, server, desk):

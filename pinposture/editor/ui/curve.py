@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.editor.edits import configuration_of, keyframes_of, required_length
+from pinposture.editor.postures import drag_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
-from pinposture.editor.tip import drag_tip
 from pinposture.editor.ui.parts import (
     Post,
     Typed,
@@ -31,8 +31,8 @@ from pinposture.editor.ui.parts import (
 from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
-from pinposture.viz.body import ball as ball_mesh
 from pinposture.viz.body import backbone, tube
+from pinposture.viz.body import ball as ball_mesh
 from pinposture.viz.drawing import link_radius
 
 Array = NDArray[np.float64]

@@ -15,9 +15,9 @@ from pinposture.control import EndEffector
 from pinposture.editor import edits
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.postures import add_taught, draw_curve, teach
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
-from pinposture.editor.tip import add_taught, draw_curve, teach
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
 from pinposture.placement.resolve import METHODS
 from pinposture.task import Keyframe
@@ -144,7 +144,6 @@ class KeyframesTab:
     def _set_hold(self, hold: float, _: bool) -> None:
         edit, what = edits.held(self._index, float(hold)), f"keyframe {self._index + 1} held {hold:g} s"
         self._post(lambda session: session.edit(edit, what))
-
 
     def _set_speed(self, share: float, _: bool) -> None:
         edit = edits.with_keyframe(self._index, speed=float(share) / 100.0)

@@ -18,10 +18,10 @@ from pinposture.arm import Arm
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import Surroundings
-from pinposture.editor.tip import hold_tip
 from pinposture.editor.ui.arm import ArmDrawing, ArmTab, MeasuredArm
 from pinposture.editor.ui.curve import (
     CurveDrawing,
