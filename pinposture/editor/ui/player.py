@@ -251,7 +251,7 @@ class Plots:
         words = "".join(f'<span style="{style}:{color}">{text}</span>' for color, text in entries)
         style = f"font-size:11px;line-height:1.2;padding:2px 10px;height:{LEGEND_HEIGHT}px"
         style += ";display:flex;flex-wrap:wrap;align-content:flex-start"
-        put(self._legend, content=f'<div style="{style}">{words}</div>')
+        put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
 
     def _in_words(self, error: float) -> str:
         return "0 mm" if error < SMALLEST_SHOWN_ERROR * self._length else f"{MILLI * error:.3g} mm"
