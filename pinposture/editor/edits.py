@@ -65,7 +65,7 @@ def list_keyframes(task: Task, index: int) -> list[Keyframe]:
 class Shape:
     """Control points of a target curve in the world frame.
 
-    The first stands at the base of the arm and stays there. For a planar arm, the others stay in its plane.
+    The first is at the base of the arm and stays there. For a planar arm, the others stay in its plane.
 
     Attributes:
         points: (n, 3) [m], world frame; none for a taught configuration.
@@ -158,7 +158,7 @@ class Shape:
         return after._lengthened(arm)
 
     def inserted(self, arm: Arm, after: int) -> Shape:
-        """Return the same curve with a further point on the line to the next one; points beside it give way.
+        """Return the same curve with a further point on the line to the next one; neighbours are adjusted.
 
         Behind the last point it is before that one.
 
@@ -225,7 +225,7 @@ class Shape:
         """Return the shape without a point, and without a knot if it has its own.
 
         Where a knot near the point can go without changing the curve by more than a tolerance [m], it does;
-        the other points give way for that. Otherwise they stay.
+        the other points are adjusted. Otherwise they stay.
         """
         rest = np.delete(self.points, index, axis=0)
         if self.knots is None:
@@ -375,7 +375,7 @@ def retimed(index: int, time: float) -> Edit:
 def dragged(index: int, time: float) -> Edit:
     """Move a keyframe to another time [s], perhaps past others; these keep their times, and the first stays.
 
-    Where others are in the way, by a hold or as near as can be, it comes to the nearest time that is free.
+    Where another one, or its hold, is in the way, it goes to the nearest free time.
     """
 
     def edit(task: Task) -> Task:

@@ -377,7 +377,7 @@ def export(motion: Motion, kind: str, stem: str) -> Export:
         write(motion, path)
         content = path.read_bytes()
     size = f"{len(content) / 1000.0:,.0f} kB" if len(content) >= 1000 else f"{len(content)} bytes"
-    end = "" if motion.converged else "; it does not end as it should"
+    end = "" if motion.converged else "; it does not arrive at its last posture"
     return Export(
         name, content, f"{name}: {noun} of {motion.time[-1]:.4g} s, {motion.steps} cycles, {size}{end}"
     )
@@ -417,7 +417,7 @@ BENDS = (1.4, 0.8, 0.4, 0.2)  # turn of the curve between its ends [rad]; the fi
 CONTROL_POINTS = 6
 JOINT_SHARES = (0.3, 0.15, 0.05, 0.0)  # of joint ranges, for a shape where no bent line can be taken
 CURVE_LENGTH = 1.08  # relative to the arm, since modules cut corners
-ACCELERATION = 20.0  # limit of each joint [rad/s^2 or m/s^2]: smooth, and fast enough for a hand
+ACCELERATION = 20.0  # limit of each joint [rad/s^2 or m/s^2]: smooth, and fast enough to follow a drag
 BENT_TIME = 3.0  # of the second keyframe [s]
 
 
@@ -434,7 +434,7 @@ def first_task(arm: Arm, name: str = "") -> Task:
     straight = _first_feasible(arm, [_line(arm), *_along_arm(arm, (0.0,))])
     bent = _first_feasible(arm, [*(_arc(arm, bend) for bend in BENDS), *_along_arm(arm, JOINT_SHARES)])
     if straight is None or bent is None:
-        raise TaskError("the arm", "no curve was found that it can take; begin with a task file")
+        raise TaskError("the arm", "no curve was found that it can take; start from a task file")
     keyframes = (
         Keyframe(straight.curve, name="straight", placement="as_is", trim=True),
         Keyframe(bent.curve, time=BENT_TIME, name="bent", placement="as_is", trim=True),

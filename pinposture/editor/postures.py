@@ -15,19 +15,19 @@ from pinposture.task import Task
 
 Array = NDArray[np.float64]
 
-REACH_BUDGET = 1.0  # of the search when the tip is let go and no clear posture is near [s]
+REACH_BUDGET = 1.0  # of the search on release, if no clear posture is close [s]
 
 
 def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe: int | None = None) -> None:
     """Propose the shape of a clear posture that has the tip at a place; a taught keyframe stays one.
 
-    While the hand is dragging, only the posture that is near the present one is looked for; where there is
-    none, the arm stays at the last one. When it lets go, others are tried, too.
+    During a drag only a posture close to the present one is searched for; where there is none, the arm stays
+    at the last one. On release, others are tried, too.
 
     Args:
         place: where the tip should be, (3,) [m], world frame.
         start: the present posture, (nq,).
-        final: whether it is to be accepted; else the hand is still dragging.
+        final: whether it is to be accepted; else the drag continues.
         session: the session.
         keyframe: the one that is dragged; nothing is done if another was selected meanwhile. None: the one
             that is selected.
@@ -42,7 +42,9 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
         if found is None and final:
             found = reach(arm, place, scene=scene, limits=limits, budget=REACH_BUDGET)[0]
         if found is None:
-            raise ReachError(place, "no clear posture is near; let go there to have others tried")
+            raise ReachError(
+                place, "no clear posture is close to the present one; release the tip to search for others"
+            )
         edit = edits.taught(session.selected, found.q)
         if session.keyframe.curve is not None:
             edit = with_posture_curve(arm, session.selected, found.q)

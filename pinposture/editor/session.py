@@ -87,7 +87,7 @@ class Proposal(NamedTuple):
 
     task: Task  # the task with the change
     what: str  # the change in words
-    final: bool  # whether it is to be accepted; else the hand is still dragging
+    final: bool  # whether it is to be accepted; else the drag continues
     number: int  # of its problem to the solver
     note: str = ""  # a further message when it is accepted
 
@@ -100,7 +100,7 @@ class Session:
         path: the task file; None if it was never saved.
         selected: the keyframe that is edited, 0-based.
         handles: the selected control points of its curve, 0-based, in the order in which they were selected.
-        grid: of the grid to which points that are dragged are snapped, the step [m]; 0 for no grid.
+        grid: step of the grid to which dragged points snap [m]; 0 for no grid.
         obstacle: the name of the selected obstacle; None if there is none.
         tip: whether the tip of the arm is selected, to be dragged.
         proposal: a change that is not accepted yet; None if there is none.

@@ -25,7 +25,7 @@ from pinposture.viz.postures import MIN_ELLIPSOID_RADIUS, drawn_length, principa
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
-COLORINGS = ("limits that bind", "nearness to singular", "modules only")
+COLORINGS = ("joints at limits", "distance from singularity", "modules only")
 NEAR_SINGULAR = 0.02  # manipulability index below which a stretch is near singular
 STRETCH_SHARE = 0.2  # of the arm that a stretch is
 MAX_STRETCHES_NAMED = 4
@@ -242,16 +242,20 @@ class ArmTab:
         self._ellipsoids = Ellipsoids(server, drawing.arm)
         self._steps, self._due = -1, 0.0
         self._facts = gui.add_markdown("")
-        self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="What moves the arm")
+        self._controller = gui.add_dropdown(
+            "Controller", tuple(CONTROLLERS), hint="The controller that moves the arm"
+        )
         speed = gui.add_number(
-            "Speed [rad/s]", 0.0, min=0.0, step=0.1, hint="Of each joint at most; 0: as the arm is described"
+            "Speed [rad/s]",
+            0.0,
+            min=0.0,
+            step=0.1,
+            hint="Limit of each joint; 0: that of the robot description",
         )
         acceleration = gui.add_number(
-            "Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint="Of each joint at most; 0: no limit"
+            "Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint="Limit of each joint; 0: none"
         )
-        self._at_once = gui.add_checkbox(
-            "At once", False, hint="Take each shape at once, whatever the limits"
-        )
+        self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
         self._with_ellipsoids = gui.add_checkbox(
             "Ellipsoids", False, hint="Manipulability; red and flat: singular"
@@ -283,7 +287,7 @@ class ArmTab:
 
     def _set_limit(self, key: str, what: str, value: float, _: bool) -> None:
         limit = None if value == 0.0 else float(value)
-        text = f"{what} {value:g}" if limit else f"no limit of {what} of our own"
+        text = f"{what} {value:g}" if limit else f"no {what} limit in the task"
         self._post(lambda session: session.edit(with_limits(**{key: limit}), text))
 
     def _set_at_once(self, value: bool) -> None:

@@ -106,11 +106,11 @@ def move_point(
     Args:
         index: of the point, 0-based.
         position: where to, (3,) [m], world frame.
-        final: whether it is to be accepted; else the hand is still dragging.
+        final: whether it is to be accepted; else the drag continues.
         session: the session.
         keyframe: the one that is dragged; nothing is done if another was selected meanwhile, perhaps in
             another window. None: the one that is selected.
-        snap: whether the point comes to the grid of the session, if there is one.
+        snap: whether the point snaps to the grid of the session, if there is one.
     """
     if keyframe is not None and keyframe != session.selected:
         if final:
@@ -402,11 +402,13 @@ class ShapeTab:
             visible=False,
         )
         self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
-        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="In the world")
+        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="World frame")
         self._place = Typed(place, self._move, preview=True)
-        hint = "Insert after keeps the curve as it is, Duplicate keeps all other points where they are"
+        hint = "Insert after keeps the curve, Duplicate keeps the other points"
         edit = gui.add_button_group("Points", tuple(POINT_ACTIONS), hint=hint)
-        self._snap = gui.add_checkbox("Snap to a grid", False, hint="Points that are dragged, in the world")
+        self._snap = gui.add_checkbox(
+            "Snap to a grid", False, hint="Snap dragged points to a grid in the world frame"
+        )
         self._step = gui.add_number(
             "Grid [mm]", round(1e3 * round_number(GRID * arm.length), 1), min=0.1, step=1.0
         )

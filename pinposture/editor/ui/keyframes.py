@@ -44,7 +44,7 @@ class KeyframesTab:
         self._below = gui.add_button("", icon=viser.Icon.CHEVRON_DOWN, color="gray", visible=False)
         hint = "Add a keyframe after this one, with its shape; delete it; move it earlier or later"
         actions = gui.add_button_group("Keyframe", tuple(ACTIONS), hint=hint)
-        hint = "By the present posture: of the measured arm if there is one, else of the arm in the picture"
+        hint = "Uses the posture of the measured arm if there is one, else of the arm shown"
         taught = gui.add_button_group("Taught", tuple(TAUGHT_ACTIONS), hint=hint)
         name = gui.add_text("Name", "", hint="Empty: its number")
         when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When the arm reaches it")

@@ -94,7 +94,7 @@ class Toolbar:
         edit = server.gui.add_button_group("Edit", tuple(actions), hint="Ctrl Z, Ctrl Shift Z, Ctrl S")
         on_choice(edit, lambda label: post(actions[label]))
         view = server.gui.add_button_group(
-            "View", tuple(DIRECTIONS), hint="Frame all that is edited, from a side (F)"
+            "View", tuple(DIRECTIONS), hint="Frame the arm and its curve, seen from a side (F)"
         )
         on_choice(view, frame)
 
@@ -329,7 +329,7 @@ class Page:
     """What browsers show, all of them the same.
 
     Attributes:
-        url: where a browser on this machine finds it; whoever has it can edit.
+        url: where a browser on this machine finds it; anyone who has it can edit.
 
     Raises:
         ViewerError: it cannot be served.

@@ -319,7 +319,7 @@ for (const kind of ['pointerup', 'pointercancel']) window.addEventListener(kind,
 event.preventDefault();
 if (!keyframe) tell('seek', event);
 """
-"""What a press on the timeline does: a text in a field that is not shown tells the editor what a hand wants.
+"""What a press on the timeline does: it writes the request into a hidden field.
 
 The text is what to do, the keyframe, the share of the timeline, and the time, so that no two are the same.
 The timeline may be drawn anew at any time, even between the press and this script: what is pressed is then in
@@ -412,7 +412,7 @@ class Player:
         panel = server.gui.add_panel()
         tab = panel.add_tab("Motion", viser.Icon.PLAYER_PLAY)
         with tab:
-            hint = "Of the whole task as it stands, in real time at 1x"
+            hint = "Motion of the whole task; 1x is real time"
             self._buttons = server.gui.add_button_group("Motion", _labels(Playback()), hint=hint, order=0.0)
             self._timeline = TimeAxis(server, post)
         self._plots = Plots(server, tab, arm.length)

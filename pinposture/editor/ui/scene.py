@@ -113,7 +113,7 @@ class ScanControls:
             hint="Scale factor of an obstacle: 0.001 for a file in millimetres",
             visible=False,
         )
-        self._path = gui.add_text("File", "", hint="Its name, relative to the folder of the task")
+        self._path = gui.add_text("File", "", hint="File name, relative to the folder of the task")
         load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN)
         upload = gui.add_upload_button(
             "Upload", icon=viser.Icon.UPLOAD, hint="It is stored next to the task file"
@@ -182,13 +182,13 @@ MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the a
 
 KIND_LABELS = {kind.replace("_", "-").capitalize(): kind for kind in obstacles.NEW_OBSTACLE_KINDS}
 VECTOR_LABELS = {
-    "center": ("Centre [m]", "Of the obstacle, in the world"),
-    "start": ("Start [m]", "Middle of one end, in the world"),
-    "end": ("End [m]", "Middle of the other end"),
-    "point": ("Point [m]", "Any point of its surface"),
-    "normal": ("Normal", "Away from the solid, to the side that is free"),
+    "center": ("Centre [m]", "World frame"),
+    "start": ("Start [m]", "Centre of one end, world frame"),
+    "end": ("End [m]", "Centre of the other end"),
+    "point": ("Point [m]", "Any point on its surface"),
+    "normal": ("Normal", "Points out of the solid"),
     "size": ("Size [m]", "Edges along its own axes"),
-    "rotation": ("Turned [deg]", "Roll, pitch, yaw"),
+    "rotation": ("Rotation [deg]", "Roll, pitch, yaw"),
 }
 """Labels and hints of values of three numbers, by attribute."""
 
@@ -449,7 +449,7 @@ class SceneTab:
             )
             self._margin = Typed(margin, self._set_margin)
             self._self_collision = gui.add_checkbox(
-                "Self-collision", False, hint="Whether the arm avoids itself too"
+                "Self-collision", False, hint="Avoid collisions of the arm with itself, too"
             )
             hint = "Radius of its links; 0: as in its description"
             thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=0.001, hint=hint)
@@ -521,7 +521,7 @@ class SceneTab:
         self._post(lambda session: session.edit(edit, text))
 
     def _set_self_collision(self, value: bool) -> None:
-        text = "the arm avoids itself" if value else "the arm may touch itself"
+        text = "self-collision avoided" if value else "self-collision not avoided"
         self._post(lambda session: session.edit(with_scene(self_collision=value), text))
 
 
