@@ -34,7 +34,7 @@ FIT_TOLERANCE = 0.02  # deviation of a fitted curve, relative to the mean module
 MIN_POINT_DISTANCE = 0.2  # between control points, relative to the shortest module
 EXTRA_LENGTH = 1.0  # of a lengthened curve over the arm, in mean module lengths: modules cut corners
 MAX_EXTENSIONS = 20  # of the last point before a curve counts as too short
-COORDINATE_DIGITS = 9  # of control points that are moved [m]
+POINT_DIGITS = 9  # of control points that are moved [m]
 JOINT_DIGITS = 6  # of joint positions [rad or m]
 
 
@@ -277,7 +277,7 @@ class Shape:
 
 def rounded(points: Array) -> Array:
     """Round coordinates [m] for task files, far below the accuracy of an arm."""
-    return np.asarray(np.round(points, COORDINATE_DIGITS) + 0.0)  # no -0.0
+    return np.asarray(np.round(points, POINT_DIGITS) + 0.0)  # no -0.0
 
 
 def most_points(arm: Arm) -> int:

@@ -20,6 +20,7 @@ from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, keyframes_of
+from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
 from pinposture.errors import FileError, PostureError, TaskError, UnknownName
@@ -28,7 +29,6 @@ from pinposture.placement.target import arm_axis
 from pinposture.storage import settled
 from pinposture.task import Keyframe, Task
 from pinposture.task.specification import DEFAULT_CYCLE
-from pinposture.viz.body import backbone
 
 logger = logging.getLogger(__name__)
 
@@ -490,10 +490,9 @@ def _along_arm(arm: Arm, shares: tuple[float, ...]) -> list[Shape]:
     for share in shares:
         middle = np.clip(0.5 * (lower + upper) - arm.positions(start), -1.0, 1.0) * arm.moved
         try:
-            line = backbone(arm, arm.integrate(start, share * middle))
-            kept = line[np.append(True, np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-6 * arm.length)]
-            end = kept[-1] + (kept[-1] - kept[-2]) / np.linalg.norm(kept[-1] - kept[-2]) * 0.05 * arm.length
-            through = Curve.points(np.vstack([kept, end]))
+            line = arm_line(arm, arm.integrate(start, share * middle))
+            end = line[-1] + (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2]) * 0.05 * arm.length
+            through = Curve.points(np.vstack([line, end]))
             tolerance = 2.0 * FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
             fitted = through.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
             shapes.append(Shape(np.array(fitted.coefficients)))

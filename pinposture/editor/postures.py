@@ -12,6 +12,7 @@ from pinposture.editor import edits
 from pinposture.editor.session import Session
 from pinposture.errors import PostureError, ReachError
 from pinposture.task import Task
+from pinposture.viz.body import backbone
 
 Array = NDArray[np.float64]
 
@@ -75,6 +76,13 @@ def with_posture_curve(arm: Arm, index: int, q: Array) -> edits.Edit:
     curve = Curve(through.knots, edits.rounded(through.coefficients), through.degree)
     joints = edits.joints_at(arm, q)
     return edits.with_keyframe(index, curve=curve, placement="as_is", roll=0.0, trim=True, joints=joints)
+
+
+def arm_line(arm: Arm, q: Array) -> Array:
+    """Return the line along an arm at a configuration (nq,), without repeated points, (p, 3) [m]."""
+    line = backbone(arm, q)
+    apart = np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-6 * arm.length
+    return np.asarray(line[np.append(True, apart)])
 
 
 def draw_curve(session: Session) -> None:

@@ -120,9 +120,8 @@ def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
         return colors
     if coloring == COLORINGS[1]:
         indices = stretch_indices(live.state)
-        by_module: Colors = np.array(
-            [color(palette.index_color(float(index))) for index in indices], dtype=np.uint8
-        )
+        shown = [color(palette.index_color(float(index))) for index in indices]
+        by_module: Colors = np.array(shown, dtype=np.uint8)
         return np.repeat(by_module, [len(joints) for joints in live.arm.module_joints], axis=0)
     return shades
 
@@ -242,24 +241,15 @@ class ArmTab:
         self._ellipsoids = Ellipsoids(server, drawing.arm)
         self._steps, self._due = -1, 0.0
         self._facts = gui.add_markdown("")
-        self._controller = gui.add_dropdown(
-            "Controller", tuple(CONTROLLERS), hint="The controller that moves the arm"
-        )
-        speed = gui.add_number(
-            "Speed [rad/s]",
-            0.0,
-            min=0.0,
-            step=0.1,
-            hint="Limit of each joint; 0: that of the robot description",
-        )
-        acceleration = gui.add_number(
-            "Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint="Limit of each joint; 0: none"
-        )
+        self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
+        hint = "Limit of each joint; 0: that of the robot description"
+        speed = gui.add_number("Speed [rad/s]", 0.0, min=0.0, step=0.1, hint=hint)
+        hint = "Limit of each joint; 0: none"
+        acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
         self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
-        self._with_ellipsoids = gui.add_checkbox(
-            "Ellipsoids", False, hint="Manipulability; red and flat: singular"
-        )
+        hint = "Manipulability; red and flat: singular"
+        self._with_ellipsoids = gui.add_checkbox("Ellipsoids", False, hint=hint)
         on_change(self._controller, self._set_controller)
         self._limits = (
             Typed(speed, partial(self._set_limit, "velocity", "speed")),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.editor.edits import configuration_of, keyframes_of, required_length
-from pinposture.editor.postures import drag_tip
+from pinposture.editor.postures import arm_line, drag_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
@@ -31,8 +31,8 @@ from pinposture.editor.ui.parts import (
 from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
-from pinposture.viz.body import backbone, tube
 from pinposture.viz.body import ball as ball_mesh
+from pinposture.viz.body import tube
 from pinposture.viz.drawing import link_radius
 
 Array = NDArray[np.float64]
@@ -52,9 +52,7 @@ def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
     """Return the curve of a keyframe in the world; of a taught configuration, the line along the arm."""
     if keyframe.curve is not None:
         return place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)[0]
-    line = backbone(arm, configuration_of(arm, keyframe))
-    apart = np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-6 * arm.length
-    return Curve.spline(line[np.append(True, apart)], degree=1)
+    return Curve.spline(arm_line(arm, configuration_of(arm, keyframe)), degree=1)
 
 
 class CurveDrawing:
@@ -347,9 +345,8 @@ def error_colors(errors: Array, unit: float) -> Colors:
     sizes = np.clip(errors / unit, SMALL_ERROR, LARGE_ERROR)
     shares = 1.0 - np.log(sizes / SMALL_ERROR) / np.log(LARGE_ERROR / SMALL_ERROR)
     # Squared, since `index_color` takes the square root of the index.
-    return np.array(
-        [color(palette.index_color(palette.REGULAR_INDEX * s * s)) for s in shares], dtype=np.uint8
-    )
+    colors = [color(palette.index_color(palette.REGULAR_INDEX * s * s)) for s in shares]
+    return np.array(colors, dtype=np.uint8)
 
 
 class OtherCurves:
@@ -409,9 +406,8 @@ class ShapeTab:
         self._snap = gui.add_checkbox(
             "Snap to a grid", False, hint="Snap dragged points to a grid in the world frame"
         )
-        self._step = gui.add_number(
-            "Grid [mm]", round(1e3 * round_number(GRID * arm.length), 1), min=0.1, step=1.0
-        )
+        first = round(1e3 * round_number(GRID * arm.length), 1)
+        self._step = gui.add_number("Grid [mm]", first, min=0.1, step=1.0)
         self._step.precision = 1
         for control in (self._snap, self._step):
             on_change(control, lambda _: post(partial(set_grid, self._grid)))

@@ -75,9 +75,8 @@ class Status:
         notice, message = session.notice, ""
         if notice.text:
             style = f"color:{STATUS_COLORS[notice.kind]};margin-top:4px"
-            message = (
-                f'<div id="notice" data-kind="{notice.kind}" style="{style}">{escape(notice.text)}</div>'
-            )
+            about = f'id="notice" data-kind="{notice.kind}" style="{style}"'
+            message = f"<div {about}>{escape(notice.text)}</div>"
         content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)
         # Of fixed height, so that nothing below it jumps.
         put(self._html, content=f'<div style="height:{STATUS_HEIGHT}px;overflow-y:auto">{content}</div>')
@@ -93,9 +92,7 @@ class Toolbar:
         actions = {"Undo": Session.undo, "Redo": Session.redo, "Save": files.save}
         edit = server.gui.add_button_group("Edit", tuple(actions), hint="Ctrl Z, Ctrl Shift Z, Ctrl S")
         on_choice(edit, lambda label: post(actions[label]))
-        view = server.gui.add_button_group(
-            "View", tuple(DIRECTIONS), hint="Frame the arm and its curve, seen from a side (F)"
-        )
+        view = server.gui.add_button_group("View", tuple(DIRECTIONS), hint="Frame the arm and its curve (F)")
         on_choice(view, frame)
 
     def show(self, session: Session, _: Live) -> None:
@@ -286,11 +283,10 @@ def framing(points: Array, direction: Array, aspect: float, covered: float) -> V
     # Rays through the edges of the part to fill, at the left and right, and below and above [tangents].
     edges = slope * np.array([[-aspect, aspect], [2.0 * covered - 1.0, 1.0]])
     edges = edges.mean(axis=1, keepdims=True) + inside * (edges - edges.mean(axis=1, keepdims=True))
-    low, high = (seen[:, :2] - seen[:, 2:] * edges.T[k] for k in range(2))
-    low, high = low.min(axis=0), high.max(axis=0)
+    low = (seen[:, :2] - seen[:, 2:] * edges[:, 0]).min(axis=0)
+    high = (seen[:, :2] - seen[:, 2:] * edges[:, 1]).max(axis=0)
     # All points are within the rays from a camera at this depth, or farther back.
-    depth = float(((low - high) / (edges[:, 1] - edges[:, 0])).min())
-    depth = min(depth, float(middle[2]) - 1e-3)
+    depth = float(np.min((low - high) / (edges[:, 1] - edges[:, 0]), initial=middle[2] - 1e-3))
     across = 0.5 * (low + high + depth * edges.sum(axis=1))
     position = np.append(across, depth) @ axes
     return Viewpoint(position, position + (middle[2] - depth) * ahead, float(np.radians(FIELD_OF_VIEW)))
