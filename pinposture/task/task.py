@@ -28,7 +28,7 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
-from pinposture.motion.trajectory import Motion, Waypoint
+from pinposture.motion.trajectory import Motion, Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.storage import settled
 from pinposture.task.follow_leader import Leader, follow_leader
@@ -265,11 +265,14 @@ Progress = Callable[[float, float], object]
 logger = logging.getLogger(__name__)
 
 MAX_MEAN_LAG = 0.1
-"""Mean distance of the control points from their targets beyond which time waits for the arm, in module
-lengths; for controllers that do not look ahead."""
+"""Mean distance of the control points from their targets, in module lengths, beyond which the plan waits for
+a controller that does not look ahead, and beyond which a named posture is missed."""
 
 ROW_TOLERANCE = 1e-9
 """Distance before a row, in rows, at which it counts as reached."""
+
+LIMIT_ROUNDING = 1e-9
+"""Distance beyond a position limit that is due to rounding [rad or m]."""
 
 STOPPED = "stopped by the callback"
 
@@ -379,6 +382,11 @@ class ReferencePath:
         """Number of cycles that it takes at least."""
         return self._profile.steps
 
+    def is_within_limits(self, row: int) -> bool:
+        """Whether the path goes through a row of the reference, which the position limits may prevent."""
+        offset = self.reference.offsets[row] * (self.reference.arm.moved > 0.0)
+        return bool(np.abs(offset - self.path.offsets[row]).max() <= LIMIT_ROUNDING)
+
     def time(self, place: float | Array) -> Array:
         """Return the time of the plan at places [s]."""
         return np.asarray(np.interp(place, self._rows, self.times))
@@ -440,8 +448,9 @@ def perform(
             returns True.
 
     Returns:
-        The motion. `run.status` is "converged" if the arm reached its last posture, else as for `track`;
-        `time_scale` is its duration relative to the plan.
+        The motion. `run.status` is "converged" if the arm took all named postures, "missed" if it passed one
+        of them at a mean distance of more than a tenth of a module and half a cycle's motion, else as for
+        `track`; `time_scale` is its duration relative to the plan.
 
     Raises:
         InvalidValue: limits without dt, or so tight that it would never end; q0 or the tolerance do not fit.
@@ -461,9 +470,10 @@ def perform(
         raise InvalidValue("cycles of the motion", round(guide.steps), allowed)
     loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress)
-    status, reason = performance.run()
-    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * loop.record.steps, reason)
-    return performance.motion(status, reason)
+    motion = performance.motion(*performance.run())
+    status, reason = motion.run.status, motion.run.reason
+    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * motion.steps, reason)
+    return motion
 
 
 def move_through(
@@ -509,6 +519,7 @@ class _Performance:
     ) -> None:
         self.guide, self.loop, self.tolerance, self.progress = guide, loop, tolerance, progress
         self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
+        self._max_lag = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
         self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
         self._set_place(0.0)
         self._places, self._targets = [0.0], [guide.target(0.0)]
@@ -537,10 +548,17 @@ class _Performance:
         return self._go_to(self.guide.end) if ended is None else ended
 
     def motion(self, status: str, reason: str) -> Motion:
-        """Return everything so far as a result."""
+        """Return everything so far as a result; "missed" if only the last of its postures was reached."""
         reference, loop, places = self.guide.reference, self.loop, np.array(self._places)
         run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
-        dt = reference.duration if loop.limits.dt is None else loop.limits.dt
+        nexts = [*(mark.row for mark in reference.marks[1:]), np.inf]
+        waypoints = tuple(
+            self._waypoint(mark, until, places, run)
+            for mark, until in zip(reference.marks, nexts, strict=False)
+        )
+        if status == "converged" and any(waypoint.missed for waypoint in waypoints):
+            reason = f"{self._describe_missed(waypoints)}; at the end, {run.reason}"
+            run = replace(run, status="missed", reason=reason)
         return Motion(
             run=run,
             targets=np.array([target.points for target in self._targets]),
@@ -548,12 +566,15 @@ class _Performance:
             plan_time=self.guide.time(places),
             start_index=len(places) - 1 if self._start_index is None else self._start_index,
             planned=float(self.guide.times[-1]),
-            waypoints=tuple(self._waypoint(mark, places, run.q, run.points, dt) for mark in reference.marks),
+            waypoints=waypoints,
             deviations=tuple(self._notes),
         )
 
-    def _waypoint(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
-        """Return how a named place was passed, at the step nearest to it in time."""
+    def _waypoint(self, mark: Mark, until: float, places: Array, run: Trajectory) -> Waypoint:
+        """Return how a named place was passed, before the next one, which is at `until`.
+
+        That is at the first step at which the arm is near it; at the step nearest in time if it never is.
+        """
         reference, begun, moved = self.guide.reference, self._start_index, mark.target.moved
         planned, off = float(self.guide.times[mark.row]), off_curve(mark)
         there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
@@ -562,10 +583,33 @@ class _Performance:
         row = begun + int(there[0])
         if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
             row -= 1
-        errors = np.linalg.norm((mark.target.points - points[row])[mark.target.has_target], axis=1)
-        tip = tip_off(mark.tip, mark.target, reference.arm.at(q[row]))
-        reached, error = (row - begun) * dt, float(errors.mean())
-        return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed)
+        end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - ROW_TOLERANCE)))
+        chosen, first = mark.target.has_target, max(row - 1, 0)
+        points = run.points[first : end + 1, chosen]
+        errors = np.linalg.norm(mark.target.points[chosen] - points, axis=2).mean(axis=1)
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+        allowed = self._max_lag + 0.5 * np.maximum(np.append(0.0, steps), np.append(steps, 0.0))
+        near = (errors <= allowed)[row - first : end - first]
+        row, missed = row + int(np.argmax(near)), not np.any(near)
+        reached, error = (row - begun) * cycle_of(run.limits), float(errors[row - first])
+        tip = tip_off(mark.tip, mark.target, reference.arm.at(run.q[row]))
+        return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed, missed)
+
+    def _describe_missed(self, waypoints: tuple[Waypoint, ...]) -> str:
+        """Say which named postures the arm passed at a distance, and why if that is known."""
+        missed = [waypoint for waypoint in waypoints if waypoint.missed]
+        worst = max(missed, key=lambda waypoint: waypoint.mean_error or 0.0)
+        one, number = len(missed) == 1, f"{len(missed)} of {len(waypoints)} postures"
+        text = f"{number} {'is' if one else 'are'} missed, {'' if one else 'most '}{worst.name}, by "
+        text += f"{worst.mean_error:.3g} m on average (allowed: {self._max_lag:.3g} m)"
+        limits, cycles = self.loop.limits, self.loop.filter.cycles
+        row = self.guide.reference.marks[waypoints.index(worst)].row
+        if not self.guide.is_within_limits(row):
+            text += "; it is outside the joint limits, or within their position margin"
+        elif cycles > 1:
+            text += f"; the jerk limit smooths the motion over {cycles * cycle_of(limits):.3g} s: hold the "
+            text += "posture for that long, allow more time, or raise the limit"
+        return text
 
     def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
         """Come to rest at a place, by any path, but not before step `due`; returns status and reason."""
@@ -650,7 +694,7 @@ class _Performance:
                 if ended is not None:
                     return ended
             else:
-                return None
+                return self._catch_up()
             mark = guide.next_mark(self._place)
             left = self._place
             # A shorter path does not make time run faster.
@@ -662,14 +706,24 @@ class _Performance:
             self._note(left, f"the arm left the path, and came to {mark.name} by another")
         return None
 
+    def _catch_up(self) -> tuple[str, str] | None:
+        """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""
+        ended = None
+        while ended is None and self.loop.filter.moving:
+            place = self._advance(self._place)
+            target = self.guide.target(place)
+            self.loop.record.set_target(target)
+            self.loop.brake()
+            ended = self._record(place, target)
+        return ended
+
     def _lead(self) -> tuple[str, str] | None:
         """Move the target of a controller that does not look ahead; time waits where it is behind."""
         loop, guide = self.loop, self.guide
         speed, patient = 0.0, True
-        allowed = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
         target = guide.target(self._place)
         while self._place < guide.end:
-            place, behind = self._place, loop.record.mean_error > allowed
+            place, behind = self._place, loop.record.mean_error > self._max_lag
             if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
                 error = loop.record.mean_error
                 self._note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")
