@@ -17,7 +17,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp
 from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, is_whole
 from pinposture.arm import Arm
-from pinposture.arm.configurations import SLACK
+from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
@@ -152,7 +152,7 @@ def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
 
     Raises:
         InvalidValue: fewer than two, or something else among them.
-        TaskError: a region that the arm does not have; names the keyframe.
+        TaskError: a region that the arm does not have, or a curve far too long; names the keyframe.
     """
     if len(keyframes) < 2 or not all(isinstance(each, Keyframe) for each in keyframes):
         raise InvalidValue("keyframes", keyframes, "two or more of Keyframe(...)")
@@ -160,6 +160,22 @@ def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
         if keyframe.region is not None and keyframe.region[1] >= arm.n_modules:
             reason = f"its region is {keyframe.region}; the arm has control points 0 to {arm.n_modules - 1}"
             raise TaskError(title(keyframes, index), reason)
+        misfit = curve_misfit(arm, keyframe)
+        if misfit:
+            raise TaskError(title(keyframes, index), f"the curve {misfit}")
+
+
+MAX_LENGTH_RATIO = 100
+"""Longest curve of a keyframe, in arm lengths."""
+
+
+def curve_misfit(arm: Arm, keyframe: Keyframe) -> str:
+    """Say that the curve of a keyframe is far too long for the arm; empty if it is not."""
+    longest = MAX_LENGTH_RATIO * arm.length
+    if keyframe.curve is None or keyframe.curve.length <= longest:
+        return ""
+    allowed = f"{longest:.4g} m at most, {MAX_LENGTH_RATIO} times the arm"
+    return f"is {keyframe.curve.length:.4g} m long; allowed: {allowed}; is it in millimetres, not metres?"
 
 
 @contextmanager
@@ -251,6 +267,9 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
         where, before = title(keyframes, index), f"keyframe {index}"
         time, given = keyframe.time, keyframe.time or keyframe.duration or 0.0
         if index == 0:
+            if keyframe.duration:
+                reason = f"its duration is {given:g} s, the time to return to it in a repeated tour"
+                raise TaskError(where, f"{reason}; leave it out, or set repeat to 2 or more")
             if given != 0.0:
                 reason = f"it is at {given:g} s; the first keyframe is at 0, leave its time out"
                 raise TaskError(where, reason)
@@ -562,14 +581,24 @@ def joints_misfit(arm: Arm, keyframe: Keyframe) -> str:
     if keyframe.joints is None:
         return ""
     if len(keyframe.joints) != arm.nv:
-        return f"has {len(keyframe.joints)} values, and the arm {arm.nv} joints"
+        return joint_count_misfit(arm, len(keyframe.joints))
     positions = np.array(keyframe.joints)
     over = np.maximum(positions - arm.limits.upper, arm.limits.lower - positions)
     worst = int(np.argmax(over))
     if over[worst] <= SLACK:
         return ""
-    low, high = arm.limits.lower[worst], arm.limits.upper[worst]
-    return f"is {positions[worst]:.4g} for joint {worst + 1}, whose limits are {low:.4g} and {high:.4g}"
+    low, high, unit = arm.limits.lower[worst], arm.limits.upper[worst], "m" if arm.slides[worst] else "rad"
+    joint, value = f"joint {worst + 1} {arm.joint_names[worst]!r}", positions[worst]
+    text = f"is {value:.4g} {unit} for {joint}, whose limits are {low:.4g} and {high:.4g} {unit}"
+    if unit == "rad" and abs(value) > FULL_TURN:
+        text += f'; is it in degrees? np.deg2rad converts to radians; in a task file, write "{value:.4g} deg"'
+    return text
+
+
+def joint_count_misfit(arm: Arm, count: int) -> str:
+    """Say that there are more or fewer joint positions than the arm needs."""
+    unit = "rad, m for joints that slide" if np.any(arm.slides) else "rad"
+    return f"has {count} value{'s' * (count != 1)}; needed: {arm.nv}, one for each joint [{unit}]"
 
 
 # Joint positions for curves that change a little from one row to the next.

@@ -33,6 +33,7 @@ from pinposture.task.keyframe import (
     CONTINUITIES,
     Keyframe,
     check_keyframes,
+    curve_misfit,
     joints_misfit,
     naming,
     title,
@@ -306,9 +307,11 @@ def _make_keyframe(
             raise document.fault((*where, "region"), reason)
     with document.blaming(where):
         keyframe = Keyframe(**values)
-    misfit = joints_misfit(arm, keyframe) if keyframe.curve is None else ""
+    key, misfit = "curve", curve_misfit(arm, keyframe)
+    if keyframe.curve is None:
+        key, misfit = "joints", joints_misfit(arm, keyframe)
     if misfit:
-        raise document.fault((*where, "joints"), misfit)
+        raise document.fault((*where, key), misfit)
     if keyframe.tip is not None:
         _check_point(document, (*where, "tip"), keyframe.tip.point, arm)
     return keyframe

@@ -31,7 +31,7 @@ from pinposture.curve import CURVES
 from pinposture.errors import UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
-from pinposture.task.keyframe import CONTINUITIES, OF_A_CURVE
+from pinposture.task.keyframe import CONTINUITIES, OF_A_CURVE, joint_count_misfit
 from pinposture.task.toml import Place
 
 MOST_MODULES = 1000
@@ -256,7 +256,10 @@ def _read_quantities(value: object, kinds: Sequence[str], unlimited: bool = Fals
 
 
 def _read_joints(value: Any, info: ValidationInfo) -> list[float]:
-    return _read_quantities(value, ["length" if slides else "angle" for slides in _arm(info).slides])
+    arm = _arm(info)
+    if isinstance(value, list) and len(value) != arm.nv:
+        raise ValueError(joint_count_misfit(arm, len(value)))
+    return _read_quantities(value, ["length" if slides else "angle" for slides in arm.slides])
 
 
 def _read_joints_of_any_arm(value: Any, info: ValidationInfo) -> list[float]:

@@ -128,7 +128,8 @@ class Task(TaskParts):
         try:
             task = cls(**vars(parts))
         except PostureError as error:
-            raise document.fault((), str(error)) from error
+            start = isinstance(error, InvalidValue) and error.name.startswith("start")
+            raise document.fault(("start", "joints") if start else (), str(error)) from error
         task._set("_document", document)
         if document.toml is not None:
             task._set("layout", layout_of(parts, document.path, document.toml))
