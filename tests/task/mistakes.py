@@ -24,7 +24,7 @@ hold = 0.1 -> tip = { positon = [0, 0, 0] } :: tip.positon | 'position'
 modules = 6 + feed = { strok = 1 } :: feed.strok | 'stroke'
 "90 deg/s" -> { turn = 1 } :: velocity.turn | 'turning'
 "20 ms" -> "20 mm" :: limits.cycle: is '20 mm', of the kind length |  s, ms, min
-"20 ms" -> "20 sec" :: '20 sec' | 'sec' is no unit that is known
+"20 ms" -> "20 sec" :: '20 sec' | 'sec' is not a known unit
 "20 ms" -> "20" :: '20', without a unit |  s, ms, min
 "20 ms" -> "soon" :: is 'soon'; allowed: a number in SI units
 "20 ms" -> true :: limits.cycle: is True; allowed: a number
@@ -196,7 +196,7 @@ LED -> :: leader: the key 'path' is missing @ none
     :: keyframes: goes with kind = 'keyframes'; the kind is 'follow_leader'
 speed = "5 cm/s"\n -> :: leader: the key 'speed' is missing @ [leader]
 "5 cm/s" -> "0 cm/s" :: leader.speed: is '0 cm/s'; allowed: more than 0
-"45 mm" -> "1 um" :: leader.pipe: is '1 um' | 'um' is no unit
+"45 mm" -> "1 um" :: leader.pipe: is '1 um' | 'um' is not a known unit
 "45 mm" -> "0.01 mm" :: leader.pipe: is '0.01 mm'; allowed: 0.00025 m or more, 1/1000 of the arm
 PATH -> path = { type = "line", a = [0, 0, 0], b = [9e3, 0, 0] } :: leader.path: is 9000 m long
 depth = 0.1 -> depth = -0.1 :: leader.depth: is -0.1; allowed: more than 0

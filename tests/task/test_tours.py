@@ -263,7 +263,7 @@ def test_arms_placed_by_least_squares_come_back_to_where_they_began() -> None:
 
 def test_repetitions_that_make_no_sense_are_refused(arm: pp.Arm) -> None:
     tour = [Keyframe(line(arm), duration=0.001), Keyframe(bow(arm), duration=1.0, trim=True)]
-    with pytest.raises(TaskError, match=r"keyframe 1: its duration is 0.001 s; to go back"):
+    with pytest.raises(TaskError, match=r"keyframe 1: its duration is 0.001 s; the return to it takes"):
         keyframe_reference(arm, tour, 0.02, repeat=2)
     with pytest.raises(TaskError, match=r"keyframe 1: its duration is 0.001 s, .* or set repeat to 2"):
         keyframe_reference(arm, tour, 0.02)
