@@ -168,6 +168,8 @@ def task_errors(state: ArmState, target: Target) -> Array:
     Returns:
         Array (m, d) [m]: in world axes, or in the plane of a planar arm.
     """
+    if target.points.shape != state.points.shape:
+        target.check(state.arm)
     errors = (target.points - state.points) * target.has_target[:, None]
     return errors if state.arm.dimension == 3 else errors @ state.arm.plane.T
 

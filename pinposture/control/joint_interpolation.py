@@ -35,6 +35,7 @@ class JointInterpolation:
             allowed = "a target with a known configuration, as `resolve_targets` returns it"
             raise InvalidValue("target.q", None, allowed)
         limits = require_limits(limits)
+        target.check(state.arm)
         way = state.arm.difference(state.q, state.arm.nearest_turns(target.q, state.q))
         previous = memory.dq if memory is not None else None
         # Joints off the chain stay.

@@ -328,10 +328,7 @@ def _unpack_motion(about: About, arrays: Arrays) -> Motion:
         start_index=timed["start_index"],
         planned=timed["planned"],
         waypoints=tuple(
-            Waypoint(*place[:7])._replace(
-                moved=_unpack_moved(place[7] if len(place) > 7 else None),
-                speed=place[8] if len(place) > 8 else 1.0,
-            )
+            Waypoint(*place)._replace(moved=_unpack_moved(place[7] if len(place) > 7 else None))
             for place in timed["waypoints"]
         ),
         deviations=tuple(timed["deviations"]),

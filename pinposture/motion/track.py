@@ -363,15 +363,16 @@ def track(
         (by the callback); `reason` explains it.
 
     Raises:
-        InvalidValue: q0, the target, max_steps or the tolerance is invalid, or q0 or the configuration of the
-            target is so far outside the limits that it may be in degrees.
+        InvalidValue: q0, the target, max_steps or the tolerance is invalid, the target belongs to another
+            arm, or q0 or the configuration of the target is so far outside the limits that it may be in
+            degrees.
         UnknownName: there is no controller of that name.
     """
     controller, scene = in_scene(controller_named(controller), scene)
     limits = require_limits(limits)
     if not isinstance(target, Target):
         raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
-    target.check(arm)
+    target.check_arm(arm)
     if target.q is not None:
         arm.checked_start(target.q, "target.q")
     require_whole("max_steps", max_steps, 1)

@@ -157,7 +157,7 @@ def track_many(
 def _targets(arm: Arm, targets: Target | Sequence[Target]) -> list[Target]:
     """Return the checked targets; errors name the one that does not fit."""
     if isinstance(targets, Target):
-        targets.check(arm)
+        targets.check_arm(arm)
         return [targets]
     try:
         listed = list(targets)
@@ -167,9 +167,9 @@ def _targets(arm: Arm, targets: Target | Sequence[Target]) -> list[Target]:
         if not isinstance(target, Target):
             raise InvalidValue(f"targets[{k}]", target, "a Target, as `resolve_targets` returns it")
         try:
-            target.check(arm)
+            target.check_arm(arm)
         except InvalidValue as error:
-            name = error.name.replace("target", f"targets[{k}]", 1)
+            name = error.name.replace("target.", f"targets[{k}].")
             raise InvalidValue(name, error.value, error.allowed) from None
     return listed
 

@@ -561,7 +561,7 @@ class Tracker:
             raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
         if velocity is not None:
             target = replace(target, velocity=finite_vector("velocity", velocity, self.arm.nv))
-        target.check(self.arm)
+        target.check_arm(self.arm)
         before = self._target.q if self._target is not None else None
         near = self._feedback.command if before is None else before
         given = with_configuration(self.arm, target, near)

@@ -81,6 +81,16 @@ def limit_shares(run: Trajectory) -> Shares:
     )
 
 
+def largest_shares(run: Trajectory) -> dict[str, float | None]:
+    """Return the largest speed, acceleration and jerk relative to their limits; None without a limit."""
+    bounds = run.limits.for_arm(run.arm)
+    limits = {"speed": bounds.bound, "acceleration": bounds.brake, "jerk": bounds.jerk}
+    return {
+        kind: None if limit is None or np.all(np.isinf(limit)) else float(shares.max(initial=0.0))
+        for (kind, limit), shares in zip(limits.items(), _joint_shares(run), strict=True)
+    }
+
+
 def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     """Return the violations of velocity, acceleration and jerk limits in a run, from and to rest."""
     if not run.steps:
@@ -136,7 +146,7 @@ ENDINGS: Mapping[str, str] = MappingProxyType(
         "no_control_points": "found no control point that it may move",
         "max_steps": "ran out of steps",
         "stopped": "was stopped",
-        "missed": "ended away from its target",
+        "missed": "missed a target",
         "unstable": "became unstable",
         "failed": "failed",
     }
@@ -145,8 +155,8 @@ ENDINGS: Mapping[str, str] = MappingProxyType(
 
 "converged": the arm reached its target. "stalled": no step reduces the error. "no_control_points": the
 controller found none that it can move. "max_steps": no steps or cycles are left. "stopped": by the user.
-"missed": a simulation ended with the arm away from its target. "unstable": the simulation diverged.
-"failed": an error ended the run.
+"missed": a simulation ended with the arm away from its target, or a motion passed a keyframe at a distance.
+"unstable": the simulation diverged. "failed": an error ended the run.
 """
 
 CONTACT_TOLERANCE = 1e-6
@@ -281,7 +291,7 @@ class Trajectory:
         target: the target posture.
         controller: name and parameters of the controller.
         limits: the limits of each step.
-        status: how it ended: "converged", "stalled", "no_control_points", "max_steps" or "stopped"; see
+        status: how it ended, such as "converged", "stalled" or "max_steps": one of `ENDINGS`; see
             `pinposture.motion.trajectory`.
         reason: why the run ended.
         q: configurations, (steps + 1, nq).
@@ -426,6 +436,7 @@ class Waypoint(NamedTuple):
         tip_off: error of the tip task at that time [m]; None without a tip task, or if never reached.
         moved: how its curve was moved from its original position; None without a curve.
         speed: largest share of the velocity limits for the motion to it.
+        missed: whether the arm passed it at a distance.
     """
 
     name: str
@@ -437,6 +448,7 @@ class Waypoint(NamedTuple):
     tip_off: float | None = None
     moved: Moved | None = None
     speed: float = 1.0
+    missed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -493,7 +505,7 @@ class Motion:
 
     @property
     def converged(self) -> bool:
-        """Whether the arm reached the last posture."""
+        """Whether the arm took all named postures, the last of them to within the tolerance."""
         return self.run.converged
 
     @property
