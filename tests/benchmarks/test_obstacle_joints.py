@@ -7,11 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from PIL import Image
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "obstacle_joints.py"
 
 
+@pytest.mark.studies
 def test_every_problem_is_solved_and_drawn(tmp_path: Path) -> None:
     plot = tmp_path / "joints.png"
     options = ["--joints", "20,40", "--draws", "2", "--json", "-o", str(plot)]

@@ -12,6 +12,7 @@ import pytest
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "scan_obstacles.py"
 
 
+@pytest.mark.studies
 def test_boxes_and_scans_of_them_are_equally_far() -> None:
     command = [sys.executable, str(SCRIPT), "--boxes", "5", "--items", "4000", "--json"]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
