@@ -9,7 +9,7 @@ import pytest
 from chain_arms import ARMS, arm_called, branched, state_of
 from hypothesis import given
 from hypothesis import strategies as st
-from sampling import examples, seeds
+from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
@@ -180,7 +180,7 @@ def test_points_are_chosen_if_their_singular_values_admit_it(
 
 def test_few_points_are_dropped_on_long_arms() -> None:
     """One after the other, those most to blame: no more have to go than from base to tip, within a tenth."""
-    for seed in seeds(3):
+    for seed in range(3):
         arm = pp.Arm.from_template("RyRz", 120)
         wave = 0.1 * np.sin(np.linspace(0, 9, 120) + np.random.default_rng(seed).uniform(0, 6, (2, 1)))
         state, points = arm.at(arm.configuration(wave.T.ravel())), np.arange(1, 120, 2)
