@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mutation
 import pytest
 from sampling import examples, seeds
 
@@ -26,6 +27,13 @@ def test_the_quick_set_draws_a_few_cases_of_each(pytestconfig) -> None:
 def test_numbers_of_examples_are_left_to_the_sets() -> None:
     for path in TESTS.rglob("test_*.py"):
         assert not re.search(r"max_examples ?=", path.read_text(encoding="utf-8")), path.name
+
+
+def test_faults_are_seeded_in_packages_that_have_tests() -> None:
+    for package in mutation.PACKAGES:
+        assert list((TESTS.parent / "pinposture" / package).glob("*.py")), package
+        for folder in mutation.FIRST.get(package, (package,)):
+            assert list((TESTS / folder).glob("test_*.py")), folder
 
 
 @pytest.mark.process
