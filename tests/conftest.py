@@ -69,6 +69,9 @@ def pytest_collection_finish() -> None:
         kind.__init__ = original
     _untouched.clear()
     gc.freeze()  # thousands of tests that stay: not to be looked through again and again
+    gc.set_threshold(
+        50_000, 20, 20
+    )  # hypothesis counts each collection; the usual 700 make up 5 % of the time
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
