@@ -16,6 +16,7 @@ from pinposture import kernels
 from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows
+from pinposture.kernels.posture_matrix import _reflect
 
 COUPLINGS = {"full": FULL, "relative": RELATIVE, "local": LOCAL}
 kinds = st.sampled_from(sorted(ARMS))
@@ -209,3 +210,19 @@ def test_joints_off_the_chain_stay_where_they_are() -> None:
         assert one.active == other.active
         np.testing.assert_allclose(one.dq[on_chain], other.dq, atol=1e-12)
         assert np.delete(one.dq, on_chain) == 0.0
+
+
+reflect = _reflect.py_func
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-8, 1e-29, 1e-40, 1e-120, 1e-161, 0.0])
+def test_the_reflection_that_zeroes_a_row_keeps_lengths_and_stays_finite(size: float) -> None:
+    rng = np.random.default_rng(0)
+    before = rng.normal(size=(6, 5))
+    before[0] *= size
+    after = before.copy()
+    with np.errstate(all="ignore"):
+        reflect(after, 0, 0, 5)
+    assert np.all(np.isfinite(after))
+    np.testing.assert_allclose(after @ after.T, before @ before.T, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(after[0, 1:], 0.0, atol=1e-29)
