@@ -106,6 +106,7 @@ def test_limits_of_a_controller_hold_on_what_is_exported(hinges: pp.Arm) -> None
     assert np.abs(found.accelerations).max() <= 2.0 + 1e-9
     assert found.peaks.speeds.max() <= 0.8 + 1e-9
     assert found.peaks.speeds.max() > 0.3
+    assert "4 joints" in repr(found.peaks)
     # What a run does in its last step is told as well: it may end before the arm has stopped.
     moved = np.diff(np.pad(np.diff(run.q, axis=0), ((1, 1), (0, 0))), axis=0) / 0.02**2
     np.testing.assert_allclose(found.peaks.accelerations, np.abs(moved).max(axis=0), rtol=1e-9)
