@@ -161,6 +161,7 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
         "tip_off": None,
         "moved": None,
         "speed": 1.0,
+        "missed": False,
     }
     closest = pp.CollisionModel(five_modules(), around_a_ball()).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
