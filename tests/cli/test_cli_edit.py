@@ -101,7 +101,6 @@ def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_pa
         begin(*others, None if save_as is None else tmp_path / save_as)
 
 
-@pytest.mark.process
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -111,12 +110,11 @@ def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_pa
         (("--host", "no host"), "cannot serve at 'no host'"),
     ],
 )
-def test_an_address_that_is_not_to_be_had_is_told_at_once(options, words):
+def test_an_address_that_is_not_to_be_had_is_told_at_once(command, options, words):
     pytest.importorskip("viser", reason="viser is not installed")
-    command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", *options]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
-    assert words in ended.stderr
+    ended = command("edit", "--no-browser", *options)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert words in ended.err
 
 
 @pytest.mark.process

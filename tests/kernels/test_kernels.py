@@ -94,6 +94,7 @@ print(Count.names.count("sum_point_errors"))
 """
 
 
+@pytest.mark.process
 def test_processes_that_want_a_kernel_at_the_same_time_compile_it_once(tmp_path: Path) -> None:
     line = [sys.executable, "-c", COMPILED_HERE]
     there = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

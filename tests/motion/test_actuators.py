@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import continuum_section
@@ -126,6 +127,7 @@ def test_what_no_actuator_determines_is_named(arm: pp.Arm, tendons: dict[str, Te
         pulled.configuration(np.zeros(3))
 
 
+@examples(40)
 @given(st.integers(0, 1000))
 def test_limits_of_actuators_hold_on_runs(arm: pp.Arm, tendons: dict[str, Tendon], seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
@@ -33,6 +34,7 @@ def largest(steps: np.ndarray, limits: pp.Limits) -> np.ndarray:
     return np.array(found) / [limits.velocity, limits.acceleration, limits.jerk]
 
 
+@examples(40)
 @given(
     seed=st.integers(0, 10_000),
     velocity=st.floats(0.2, 3.0),

@@ -107,7 +107,7 @@ def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
     tracker = pp.Tracker(arm, limits=LIMITS, scene=scene, deadline=0.002)
     tracker.update(pp.Target.from_configuration(arm, goal))
     q, end, taken = arm.neutral(), time.monotonic() + PATIENCE, 0
-    while taken < 500 and time.monotonic() < end:
+    while taken < 250 and time.monotonic() < end:
         tracker.step(q)
         q = q + 0.3 * (
             tracker.command - q

@@ -8,6 +8,7 @@ import pytest
 from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.curve import HELIX, LINE
@@ -47,6 +48,7 @@ def assert_consistent(arm: pp.Arm, target: pp.Target, tolerance: float) -> None:
 
 @pytest.mark.parametrize("template", ["RyRz", "RzRy"])
 @pytest.mark.parametrize("lengths", [(0.025, 0.025), (0.02, 0.03), (0.01, 0.04), (0.0, 0.05)])
+@examples(20)
 @given(roll=st.floats(-3.2, 3.2))
 def test_the_helix_is_taken_wherever_the_arm_stands(
     template: str, lengths: tuple[float, float], roll: float
@@ -85,6 +87,7 @@ def test_a_smooth_posture_of_the_arm_itself_is_found_again(arm: pp.Arm) -> None:
     assert_consistent(arm, target, 1e-5)
 
 
+@examples(50)
 @given(st.integers(0, 10**6))
 def test_random_gentle_splines_resolve_for_planar_and_spatial_arms(
     arm: pp.Arm, planar_turned: pp.Arm, seed: int

@@ -7,6 +7,7 @@ import pytest
 from analytic import ryrz, torus
 from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.placement.module_kinematics import Circle, Torus
 
@@ -44,6 +45,7 @@ def test_points_off_the_torus_have_no_ik() -> None:
     assert Circle(0.1).inverse(np.array([0.06, 0.02, 0.0])) == []
 
 
+@examples(50)
 @given(
     st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
     st.sampled_from(LENGTHS),

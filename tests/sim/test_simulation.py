@@ -196,6 +196,7 @@ def test_a_file_gives_it_back(make, tmp_path):
         back.q[0, 0] = 1.0
 
 
+@pytest.mark.process
 def test_a_process_that_knows_no_simulation_reads_one_without_mujoco(tmp_path):
     path = pp.save(open_loop(), tmp_path / "sim")
     code = "import sys, pinposture as pp; print(type(pp.load(sys.argv[1])).__name__, 'mujoco' in sys.modules)"
