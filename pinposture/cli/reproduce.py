@@ -197,7 +197,9 @@ def run_score(
     from pinposture.study.benchmark import score
 
     if results.exists() and not cases.exists():
-        raise InvalidValue("--cases", str(cases), "the file of cases; the repository has it in benchmarks/cases")
+        raise InvalidValue(
+            "--cases", str(cases), "the file of cases; the repository has it in benchmarks/cases"
+        )
     program, scores = score(results, cases)
     if as_json:
         print_json({"program": program, "scores": [each._asdict() for each in scores]})

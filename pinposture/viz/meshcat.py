@@ -611,6 +611,7 @@ def animate(
         InvalidValue: a run of another arm, or an invalid `fps`, `max_frames` or choice of control points.
         UnknownName: an unknown control point.
     """
+    drawing.require_type("run", run, Trajectory, Motion)
     target = run.target if target is None and isinstance(run, Trajectory) else target
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)

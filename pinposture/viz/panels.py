@@ -18,6 +18,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
 from pinposture.viz import palette
+from pinposture.viz.drawing import require_type
 from pinposture.viz.palette import (
     FIGURE_HEIGHT,
     FIGURE_WIDTH,
@@ -511,8 +512,7 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
         return plot_motion(run)
     if isinstance(run, JointTrajectory):
         return plot_joints(run)
-    if not isinstance(run, Trajectory):
-        raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
+    require_type("run", run, Trajectory, Motion, JointTrajectory)
     draws = [plot_mean_error, plot_point_errors]
     if chooses_points(run):
         draws.append(plot_active_points)
@@ -544,10 +544,12 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
         A figure, 1200 pixels wide, as from `plot`.
 
     Raises:
-        InvalidValue: no runs, or runs with different arms or targets.
+        InvalidValue: no runs by label, or runs with different arms or targets.
     """
-    if not runs:
-        raise InvalidValue("runs", dict(runs), "at least one run")
+    if not (isinstance(runs, Mapping) and runs):
+        raise InvalidValue("runs", runs, "at least one run by its label, as in {label: run, ...}")
+    for label, run in runs.items():
+        require_type(f"runs[{label!r}]", run, Trajectory)
     first_label, first = next(iter(runs.items()))
     for label, run in runs.items():
         same = run.target.points.shape == first.target.points.shape

@@ -370,9 +370,29 @@ def test_several_runs_in_one_panel_all_fit():
     assert high > run.posture_error.max()
 
 
-def test_what_is_no_run_is_not_drawn():
-    with pytest.raises(InvalidValue, match=r"run is .*Target.*allowed: a Trajectory"):
-        pp.plot(helix())
+@pytest.mark.parametrize(
+    ("show", "words"),
+    [
+        (lambda: pp.plot(helix()), r"run is Target.*a Trajectory or .*pp\.view\(arm, target=target\)"),
+        (lambda: pp.plot(six_modules()), r"run is Arm.*pp\.plot_arm\(arm\)"),
+        (lambda: pp.plot([some_run()]), r"run is \[Traj.*pp\.plot_comparison"),
+        (lambda: pp.plot("run.npz"), r"run is 'run.npz'.*pp\.load"),
+        (lambda: pp.plot_arm(some_run()), r"arm is Traj.*an Arm; pp\.plot\(run\)"),
+        (lambda: pp.plot_comparison([some_run()]), r"runs is \[.*\{label: run"),
+        (lambda: pp.plot_comparison({"a": six_modules()}), r"runs\['a'\] is Arm.*a Trajectory; pp\.plot_arm"),
+        (lambda: pp.view(helix()), r"arm is Target.*an Arm; pp\.view\(arm, target=target\)"),
+        (lambda: pp.view(six_modules(), helix()), r"run is Target.*or None; pp\.view\(arm, target=target\)"),
+        (lambda: pp.view(six_modules(), scene="a.toml"), r"scene is 'a.toml'.*pp\.Scene\.load"),
+        (lambda: pp.animate(six_modules(), None), "run is None; allowed: a Trajectory or a Motion"),
+        (
+            lambda: pp.animate(six_modules(), some_run(), pp.Curve.line((0, 0), (1, 0))),
+            "target is Curve.*resolve",
+        ),
+    ],
+)
+def test_what_a_viewer_cannot_show_is_refused_with_the_function_that_can(show, words):
+    with pytest.raises(InvalidValue, match=words):
+        show()
 
 
 def test_runs_that_have_nothing_in_common_are_not_compared():
