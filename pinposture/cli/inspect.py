@@ -218,7 +218,7 @@ def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
     """Describe how well an arm can follow a curve at its base, as JSON-compatible data; lengths in metres."""
     from pinposture.placement import resolve_targets
 
-    target = resolve_targets(arm, read_curve(curve), incomplete="partial")
+    target = resolve_targets(arm, read_curve(curve, arm), incomplete="partial")
     if target.curve is None or target.residual is None:
         raise InvalidValue("--curve", curve, "one on which the control points can be placed")
     return {

@@ -254,15 +254,15 @@ FULL = 1.0 - 1e-6
 def summarize_motion(motion: Motion) -> dict[str, Any]:
     """Summarize a motion as JSON-compatible data; lengths in metres, times in seconds.
 
-    Errors are those along the plan, from its start to its end. The posture error is the sum of the distances
-    of the control points from their targets, the mean error is their mean.
+    Errors are those along the plan, from its start to its end. The posture error, and the final error, is the
+    sum of the distances of the control points from their targets, the mean error is their mean.
     """
     from pinposture.motion.trajectory import closest, limit_shares
 
     run, begun = motion.run, motion.start_index
     errors, means = run.posture_error[begun:], motion.mean_error[begun:]
     speeds, accelerations = limit_shares(motion.run)
-    worst = begun + int(errors.argmax())
+    worst, worst_mean = begun + int(errors.argmax()), begun + int(means.argmax())
     return {
         "verdict": motion.verdict,
         "status": run.status,
@@ -291,8 +291,11 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "worst_at": float(motion.time[worst]),
         "mean_posture_error": float(errors.mean()),
         "worst_mean_error": float(means.max()),
+        "worst_mean_at": float(motion.time[worst_mean]),
         "mean_error": float(means.mean()),
         "final_error": float(errors[-1]),
+        "mean_final_error": float(means[-1]),
+        "largest_error": float(run.point_errors[begun:].max()),
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
         "clearance": closest(run),
@@ -312,14 +315,11 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
             words[name] = f"at most {100.0 * summary[kind]:.4g} % of the limit{reached}"
     if summary["keyframes"]:
         words["keyframes"] = _keyframes(summary["keyframes"])
-    words["posture error"] = (
-        f"at most {summary['worst_posture_error']:.4g} m along the way, at {summary['worst_at']:.4g} s; "
-        f"{summary['mean_posture_error']:.4g} m on average, {summary['final_error']:.4g} m at the end"
-    )
-    words["mean error"] = (
-        f"at most {summary['worst_mean_error']:.4g} m for each point, "
-        f"{summary['worst_mean_error'] / summary['arm_length']:.2g} of the arm length; "
-        f"{summary['mean_error']:.4g} m on average"
+    worst = summary["worst_mean_error"]
+    words["point errors"] = (
+        f"mean at most {worst:.4g} m along the way, at {summary['worst_mean_at']:.4g} s, "
+        f"{worst / summary['arm_length']:.2g} of the arm length; {summary['mean_error']:.4g} m on average, "
+        f"{summary['mean_final_error']:.4g} m at the end; largest {summary['largest_error']:.4g} m"
     )
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])

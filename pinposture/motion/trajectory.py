@@ -84,6 +84,16 @@ def limit_shares(run: Trajectory) -> Shares:
     )
 
 
+def largest_shares(run: Trajectory) -> dict[str, float | None]:
+    """Return the largest speed, acceleration and jerk relative to their limits; None without a limit."""
+    bounds = run.limits.for_arm(run.arm)
+    limits = {"speed": bounds.bound, "acceleration": bounds.brake, "jerk": bounds.jerk}
+    return {
+        kind: None if limit is None or np.all(np.isinf(limit)) else float(shares.max(initial=0.0))
+        for (kind, limit), shares in zip(limits.items(), _joint_shares(run), strict=True)
+    }
+
+
 def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     """Return where a run, from and to rest, exceeds a limit of velocity, acceleration or jerk."""
     if not run.steps:
