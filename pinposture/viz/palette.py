@@ -301,20 +301,21 @@ def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator
 def limits_text(run: Trajectory) -> str:
     """Return the limits of the steps of a run in words."""
     limits, slides = run.limits, run.arm.slides[run.arm.columns]
-    unit = "m" if slides.all() else "rad or m" if slides.any() else "rad"
+    units = ["m"] * bool(slides.any()) + ["rad"] * (not slides.all())
 
     def most(value: float | NDArray[np.float64], per: str) -> str:
         low, high = float(np.min(value)), float(np.max(value))
-        return (f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}") + f" {unit}{per}"
+        text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        return f"{text} {' or '.join(unit + per for unit in units)}"
 
-    found = [] if limits.step is None else [most(limits.step, " per step")]
+    found = [] if limits.step is None else [f"{most(limits.step, '')} per step"]
     if limits.dt is not None:
         found.append("speeds of the arm" if limits.velocity is None else most(limits.velocity, "/s"))
         rates = ((limits.acceleration, "/s²"), (limits.jerk, "/s³"))
         found += [most(value, per) for value, per in rates if value is not None]
         found.append(f"steps of {limits.dt:.3g} s")
     if limits.position_margin:
-        found.append(f"{limits.position_margin:.3g} {unit} from the ends of the joints")
+        found.append(f"{most(limits.position_margin, '')} from the ends of the joints")
     return f"limits: {', '.join(found) or 'joint positions only'}"
 
 

@@ -40,6 +40,7 @@ from pinposture.viz.palette import add_grid
 Array = NDArray[np.float64]
 
 PLOT_SHARE = 0.78  # share of the plot in the room for 3D axes; the rest is for the scales
+MAX_PLOT_SHARE = 0.98  # share of the plot in 3D axes, which clip it
 
 
 class DrawnLine(NamedTuple):
@@ -100,7 +101,7 @@ class PosturePanel:
     def line(self, points: Array, **style: Any) -> None:
         """Draw a line through points, (n, 3) [m], world frame."""
         self.lines.append(DrawnLine(points, style))
-        self.ax.plot(*self.coordinates(points), clip_on=not self.spatial, in_layout=not self.spatial, **style)
+        self.ax.plot(*self.coordinates(points), **style)
 
     def posture(self, q: Array, color: str, label: str, width: float) -> None:
         """Draw the arm at a configuration, (nq,): its bodies, and its control points as dots."""
@@ -186,8 +187,9 @@ def _frame_space(ax: Any, points: Array) -> None:
     ax.view_init(elev=np.degrees(framing.elevation), azim=np.degrees(framing.azimuth))
     ax.set_box_aspect(tuple(half))  # a copy, because it scales arrays in place
     room = ax.get_position(original=True).size * ax.figure.get_size_inches()
-    # 3D axes are square, but lines are drawn beyond them, in all the room that the axes have.
-    ax.set_box_aspect(tuple(half), zoom=PLOT_SHARE * (room / room.min() / box_extent(ax)).min())
+    # 3D axes are square: where they have more room to the sides, the scales may use that.
+    share = np.minimum(PLOT_SHARE * room / room.min(), MAX_PLOT_SHARE)
+    ax.set_box_aspect(tuple(half), zoom=(share / box_extent(ax)).min())
 
 
 def box_extent(ax: Any) -> Array:
