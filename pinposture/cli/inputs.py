@@ -426,6 +426,8 @@ class LimitOptions:
         for option, text in given.items():
             if self.dt is None and text is not None:
                 raise InvalidValue("--dt", None, f"the duration of a step [s], required with {option}")
+        if self.jerk is not None and self.acceleration is None:
+            raise InvalidValue("--acceleration", None, "the acceleration limit, required with --jerk")
         speed, change, jerk = (_for_joints(option, text) for option, text in given.items())
         return Limits(
             step=self.step_limit,

@@ -111,7 +111,10 @@ def _print(content: RenderableType) -> None:
 
     # Not the console's own terminal detection, which forced colours would change.
     width = None if sys.stdout.isatty() else UNLIMITED
-    Console(width=width, highlight=False).print(content)
+    console = Console(width=width, highlight=False)
+    with console.capture() as printed:
+        console.print(content)
+    typer.echo("\n".join(line.rstrip() for line in printed.get().splitlines()), color=True)
 
 
 def print_note(text: str) -> None:

@@ -50,7 +50,10 @@ def plot_simulation(simulation: Simulation) -> Figure:
     strength = float(np.linalg.norm(simulation.gravity))
     weight = f"gravity {strength:.4g} m/s²" if strength else "no gravity"
     add_title(figure, [f"{simulation.loop} loop, {weight}: {simulation.status}, {simulation.reason}"])
-    add_footnote(figure, str(simulation.servos))
+    servos = simulation.servos
+    compensated = f"{'with' if servos.gravity_compensation else 'without'} gravity compensation"
+    described = f"servos of {servos.frequency:g} Hz, damping ratio {servos.damping:g}, {compensated}"
+    add_footnote(figure, described, f"physics steps of at most {servos.timestep:g} s")
     return figure
 
 

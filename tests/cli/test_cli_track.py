@@ -75,6 +75,7 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
     assert not {"speed", "acceleration", "jerk"} & set(facts)  # without a duration of steps
     first, last = summary["first_active_points"], summary["last_active_points"]
     assert facts["active points"] == f"{first} at the first step, {last} at the last, of 6"
+    assert all(line == line.rstrip() for line in result.out.splitlines())
     # What it says besides the result goes to stderr, and no progress bar when that is no terminal.
     assert result.err.splitlines() == [f"wrote {tmp_path / name}" for name in NAMES]
 

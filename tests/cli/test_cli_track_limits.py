@@ -78,7 +78,7 @@ def test_an_infinite_step_is_no_limit(track):
     [
         (("--velocity", 1), ("--dt is None", "with --velocity")),
         (("--acceleration", 1), ("--dt is None", "with --acceleration")),
-        (("--jerk", 1, "--dt", 1), ("acceleration is None", "needed to limit the jerk")),
+        (("--jerk", 1, "--dt", 1), ("--acceleration is None", "required with --jerk")),
         (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "numbers separated by commas")),
         (("--velocity", 0, "--dt", 1), ("velocity is 0", "positive")),
         (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),
