@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 export MPLBACKEND := Agg
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all mutation lint edit docs pictures urdf bench clean
+.PHONY: demo test test-all test-rest mutation lint edit docs pictures urdf bench clean
 
 demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
@@ -19,6 +19,10 @@ test: $(VENV)/test.stamp
 # Everything, with many and random examples; what needs a browser is skipped where there is no Chromium.
 test-all: $(VENV)/test-all.stamp
 	$(PYTEST) --full $(ARGS)
+
+# What `make test-all` adds to `make test`: the two of them run each test once.
+test-rest: $(VENV)/test-all.stamp
+	$(PYTEST) --rest $(ARGS)
 
 # Seeded faults in the library: does the quick set catch what the full set catches? Half an hour.
 mutation: $(VENV)/test-all.stamp

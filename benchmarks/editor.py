@@ -45,8 +45,8 @@ import pinposture as pp
 from pinposture.editor import Editor
 from pinposture.editor.edits import with_obstacle
 from pinposture.editor.files import first_task
+from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
-from pinposture.editor.tip import hold_tip
 
 PACES = {"as browsers": 0.05, "at will": 0.01}
 """How often the client tells of a drag [s]."""

@@ -1,4 +1,4 @@
-"""What every test shares: the reference in `tests/analytic`, and the quick and the full set."""
+"""What every test shares: the reference in `tests/analytic`, and the sets of tests."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TESTS = str(Path(__file__).resolve().parent)
 if TESTS not in sys.path:  # so that `from analytic import ryrz` works from any test, in any import mode
     sys.path.insert(0, TESTS)
 
-from sampling import draw_fully  # noqa: E402
+from sampling import draw_fully, draws_more  # noqa: E402
 
 from pinposture.arm import Arm  # noqa: E402
 from pinposture.curve import Curve  # noqa: E402
@@ -39,6 +39,7 @@ SLOW = {
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full", action="store_true", help="every test, with many and random examples")
+    parser.addoption("--rest", action="store_true", help="what --full adds to the quick tests")
 
 
 BUILT_EARLY = pytest.StashKey[list[str]]()
@@ -51,7 +52,7 @@ def pytest_configure(config: pytest.Config) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs would ignore it
     for name, meaning in SLOW.items():
         config.addinivalue_line("markers", f"{name}: {meaning}; only with --full")
-    draw_fully(config.getoption("full"))
+    draw_fully(config.getoption("full") or config.getoption("rest"))
     built = config.stash[BUILT_EARLY] = []
     for kind in (Arm, Curve):
         original = _untouched[kind] = kind.__init__
@@ -68,15 +69,27 @@ def pytest_collection_finish() -> None:
         kind.__init__ = original
     _untouched.clear()
     gc.freeze()  # thousands of tests that stay: not to be looked through again and again
+    gc.set_threshold(
+        50_000, 20, 20
+    )  # hypothesis counts each collection; the usual 700 make up 5 % of the time
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the slow tests, unless all are asked for, or one of them by its name."""
+    """Leave out tests that are not of the chosen set, unless one of them is asked for by its name."""
     if config.getoption("full") or any("::" in argument for argument in config.args):
         return
-    slow = {item for item in items if any(mark.name in SLOW for mark in item.iter_markers())}
-    items[:] = [item for item in items if item not in slow]
-    config.hook.pytest_deselected(items=list(slow))
+    chosen = in_the_rest if config.getoption("rest") else in_the_quick_set
+    left_out = [item for item in items if not chosen(item)]
+    items[:] = [item for item in items if chosen(item)]
+    config.hook.pytest_deselected(items=left_out)
+
+
+def in_the_quick_set(test: pytest.Item) -> bool:
+    return not any(mark.name in SLOW for mark in test.iter_markers())
+
+
+def in_the_rest(test: pytest.Item) -> bool:
+    return draws_more(test) or not in_the_quick_set(test)
 
 
 @pytest.fixture

@@ -32,20 +32,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("kernels", "arm", "curve", "target", "control", "motion")
-COPIED = (
-    "pinposture",
-    "tests",
-    "examples",
-    "benchmarks",
-    "docs",
-    "urdf",
-    "pyproject.toml",
-    "README.md",
-    "Makefile",
-    "mkdocs.yml",
-)
-FIRST = {"kernels": ("kernels", "control", "target"), "target": ("target", "kernels")}
+PACKAGES = ("kernels", "arm", "curve", "placement", "control", "motion")
+NOT_COPIED = (".git", ".venv", "build", "dist", "out")
+FIRST = {"kernels": ("kernels", "control", "placement"), "placement": ("placement", "kernels")}
 """Folders of tests that see a fault in a package soonest; else the folder of its name."""
 
 MEMORY = 8 << 30
@@ -185,8 +174,7 @@ class Copy:
 
     def __init__(self, folder: Path, timeout: float) -> None:
         self._folder, self._timeout = folder, timeout
-        for name in COPIED:
-            (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, folder / name)
+        shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*NOT_COPIED), dirs_exist_ok=True)
 
     def failing(self, faults: Sequence[Fault], *arguments: str) -> list[str]:
         """Tests that fail with some faults; "timeout" alone if they do not end.

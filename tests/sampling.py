@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from types import CodeType
 from typing import Any, TypeVar
 
+import pytest
 from hypothesis import settings
 
 Case = TypeVar("Case")
@@ -35,12 +37,40 @@ def examples(count: int, **others: Any) -> settings:
     return settings(max_examples=count if _full else quick, **others)
 
 
-def seeds(count: int) -> range:
-    """Seeds for a loop or for `parametrize`: `count` in the full set, the first three in the quick one."""
-    return range(count if _full else min(count, 3))
+class Cases(list[Case]):
+    """Cases of a test; `quick` is how many of them the quick set has, from the first."""
+
+    quick: int
 
 
-def cases(every: Iterable[Case], quick: int) -> list[Case]:
-    """Cases of a parametrized test: all of them in the full set, the first few in the quick one."""
+def cases(every: Iterable[Case], quick: int) -> Cases[Case]:
+    """Cases of a test, for `parametrize`: all of them in the full set, the first few in the quick one."""
     listed = list(every)
-    return listed if _full else listed[:quick]
+    chosen = Cases(listed if _full else listed[:quick])
+    chosen.quick = quick
+    return chosen
+
+
+def seeds(count: int) -> Cases[int]:
+    """Seeds for `parametrize`, or for a loop in a test: `count` in the full set, three in the quick one."""
+    return cases(range(count), 3)
+
+
+def draws_more(test: pytest.Item) -> bool:
+    """Whether the full set runs more of a test than the quick set: other cases, or more of them."""
+    if not isinstance(test, pytest.Function):
+        return False
+    if getattr(test.function, "is_hypothesis_test", False) or "seeds" in names_in(test.function.__code__):
+        return True
+    for mark in test.iter_markers("parametrize"):
+        names, values = mark.args
+        first = names.split(",")[0].strip() if isinstance(names, str) else names[0]
+        if isinstance(values, Cases) and test.callspec.indices[first] >= values.quick:
+            return True
+    return False
+
+
+def names_in(code: CodeType) -> set[str]:
+    """Names that a function uses, also in comprehensions."""
+    inner = (names_in(each) for each in code.co_consts if isinstance(each, CodeType))
+    return set(code.co_names).union(*inner)

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
+import mutation
+import pytest
 from sampling import examples, seeds
 
 TESTS = Path(__file__).parent
@@ -15,7 +19,7 @@ def test_nothing_is_built_while_tests_are_collected(built_early: list[str]) -> N
 
 
 def test_the_quick_set_draws_a_few_cases_of_each(pytestconfig) -> None:
-    full = pytestconfig.getoption("full")
+    full = pytestconfig.getoption("full") or pytestconfig.getoption("rest")
     assert [examples(count).max_examples for count in (3, 40, 700)] == ([3, 40, 700] if full else [3, 6, 8])
     assert [len(seeds(count)) for count in (2, 40)] == ([2, 40] if full else [2, 3])
 
@@ -23,3 +27,27 @@ def test_the_quick_set_draws_a_few_cases_of_each(pytestconfig) -> None:
 def test_numbers_of_examples_are_left_to_the_sets() -> None:
     for path in TESTS.rglob("test_*.py"):
         assert not re.search(r"max_examples ?=", path.read_text(encoding="utf-8")), path.name
+
+
+def test_faults_are_seeded_in_packages_that_have_tests() -> None:
+    for package in mutation.PACKAGES:
+        assert list((TESTS.parent / "pinposture" / package).glob("*.py")), package
+        for folder in mutation.FIRST.get(package, (package,)):
+            assert list((TESTS / folder).glob("test_*.py")), folder
+
+
+@pytest.mark.process
+def test_the_quick_tests_and_the_rest_are_all_tests() -> None:
+    folder = TESTS / "kernels"
+    every, quick, rest = (collected(folder, *options) for options in (["--full"], [], ["--rest"]))
+    assert quick | rest == every
+    drawn = {test.partition("::")[2].partition("[")[0] for test in quick & rest}
+    source = "".join(path.read_text(encoding="utf-8") for path in folder.glob("test_*.py"))
+    assert drawn == set(re.findall(r"@given(?:.*\n)+?def (\w+)", source))
+    assert drawn and len(rest - quick) > 20
+
+
+def collected(folder: Path, *options: str) -> set[str]:
+    command = [sys.executable, "-m", "pytest", "--collect-only", *options, str(folder)]
+    done = subprocess.run(command, cwd=TESTS.parent, check=True, capture_output=True, text=True, timeout=120)
+    return {line for line in done.stdout.splitlines() if "::" in line}

@@ -51,7 +51,7 @@ class TrackerNode(Node):
         """Take a step, and command the positions that it leads to."""
         self.age += 1
         self.tracker.step(self.measured if self.age <= MAX_AGE else None)
-        if self.tracker.report.status == "holding":
+        if self.tracker.report.reason:  # it holds, or is stalled
             self.get_logger().warning(self.tracker.report.reason, throttle_duration_sec=1.0)
         if self.measured is not None:
             positions = self.arm.positions(self.tracker.command)

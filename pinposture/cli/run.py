@@ -24,6 +24,7 @@ from pinposture.cli.output import (
     print_note,
     print_result,
     print_table,
+    shares_in_words,
     time_progress,
     verdict_in_colour,
 )
@@ -247,21 +248,16 @@ def _kept_in(folder: Folder) -> Iterator[None]:
         raise
 
 
-FULL = 1.0 - 1e-6
-"""Fraction of a limit that counts as reached."""
-
-
 def summarize_motion(motion: Motion) -> dict[str, Any]:
     """Summarize a motion as JSON-compatible data; lengths in metres, times in seconds.
 
     Errors are those along the plan, from its start to its end. The posture error, and the final error, is the
     sum of the distances of the control points from their targets, the mean error is their mean.
     """
-    from pinposture.motion.trajectory import closest, limit_shares
+    from pinposture.motion.trajectory import closest, largest_shares
 
     run, begun = motion.run, motion.start_index
     errors, means = run.posture_error[begun:], motion.mean_error[begun:]
-    speeds, accelerations = limit_shares(motion.run)
     worst, worst_mean = begun + int(errors.argmax()), begun + int(means.argmax())
     return {
         "verdict": motion.verdict,
@@ -278,8 +274,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "time_scale": motion.time_scale,
         "slowdown": motion.slowdown,
         "done": float(motion.plan_time[-1]),
-        "largest_speed": None if speeds is None else float(speeds.max(initial=0.0)),
-        "largest_acceleration": None if accelerations is None else float(accelerations.max(initial=0.0)),
+        **{f"largest_{kind}": share for kind, share in largest_shares(run).items()},
         "keyframes": [
             {
                 **{name: value for name, value in place._asdict().items() if name not in ("row", "moved")},
@@ -308,11 +303,8 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
     words: dict[str, str | tuple[str, str]] = {
         "verdict": verdict_in_colour(summary),
         "duration": _duration(summary),
+        **shares_in_words(summary),
     }
-    for name, kind in (("speed", "largest_speed"), ("acceleration", "largest_acceleration")):
-        if summary[kind] is not None:
-            reached = ", which is reached" if FULL <= summary[kind] <= 2.0 - FULL else ""
-            words[name] = f"at most {100.0 * summary[kind]:.4g} % of the limit{reached}"
     if summary["keyframes"]:
         words["keyframes"] = _keyframes(summary["keyframes"])
     worst = summary["worst_mean_error"]
@@ -351,7 +343,8 @@ def _keyframes(places: list[dict[str, Any]]) -> str:
         if place["reached"] is None:
             line += "not reached"
         else:
-            line += f"passed {place['reached']:8.4g} s, mean error {place['mean_error']:.2g} m"
+            passed = "missed" if place["missed"] else "passed"
+            line += f"{passed} {place['reached']:8.4g} s, mean error {place['mean_error']:.2g} m"
         if place["off_curve"] is not None:
             line += f", at most {place['off_curve']:.2g} m off its curve"
         if place["tip_off"] is not None:

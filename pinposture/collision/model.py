@@ -246,6 +246,13 @@ class Closest(NamedTuple):
     pair: Pair | None
 
 
+def describe_distance(pair: Sequence[str], distance: float) -> str:
+    """Return the distance of a pair [m] in words."""
+    millimetres = 1e3 * abs(distance)
+    words = f"{millimetres:.3g} mm apart" if distance >= 0.0 else f"overlapping by {millimetres:.3g} mm"
+    return f"{' to '.join(pair)}: {words}"
+
+
 class Distances(NamedTuple):
     """The near pairs, nearest first, and the derivatives of their distances.
 

@@ -145,11 +145,6 @@ def set_fields(frozen: object, **values: object) -> None:
         object.__setattr__(frozen, name, value)
 
 
-def _check_apart(start: Vector, end: Vector, instead: str) -> None:
-    if np.linalg.norm(np.subtract(end, start)) < SMALLEST_LENGTH:
-        raise InvalidValue("end", end, f"another point than start; {instead}")
-
-
 @dataclass(frozen=True)
 class Described:
     """Base class of shapes with a description that `obstacle_from_dict` reads.
@@ -191,7 +186,23 @@ class Sphere(Described):
 
 
 @dataclass(frozen=True)
-class Capsule(Described):
+class Rounded(Described):
+    """Base class of capsules and cylinders: a line from start to end, and a radius."""
+
+    advice: ClassVar[str]
+    start: Vector
+    end: Vector
+    radius: float
+
+    def __post_init__(self) -> None:
+        set_fields(self, start=point("start", self.start), end=point("end", self.end))
+        set_fields(self, radius=length("radius", self.radius))
+        if np.linalg.norm(np.subtract(self.end, self.start)) < SMALLEST_LENGTH:
+            raise InvalidValue("end", self.end, f"another point than start; {self.advice}")
+
+
+@dataclass(frozen=True)
+class Capsule(Rounded):
     """All points within a radius of a line: a cylinder with round ends.
 
     Attributes:
@@ -201,18 +212,11 @@ class Capsule(Described):
     """
 
     type: ClassVar[str] = "capsule"
-    start: Vector
-    end: Vector
-    radius: float
-
-    def __post_init__(self) -> None:
-        set_fields(self, start=point("start", self.start), end=point("end", self.end))
-        set_fields(self, radius=length("radius", self.radius))
-        _check_apart(self.start, self.end, "a capsule without length is a Sphere")
+    advice: ClassVar[str] = "a capsule without length is a Sphere"
 
 
 @dataclass(frozen=True)
-class Cylinder(Described):
+class Cylinder(Rounded):
     """A cylinder with flat ends.
 
     Attributes:
@@ -222,14 +226,7 @@ class Cylinder(Described):
     """
 
     type: ClassVar[str] = "cylinder"
-    start: Vector
-    end: Vector
-    radius: float
-
-    def __post_init__(self) -> None:
-        set_fields(self, start=point("start", self.start), end=point("end", self.end))
-        set_fields(self, radius=length("radius", self.radius))
-        _check_apart(self.start, self.end, "a cylinder has a length")
+    advice: ClassVar[str] = "a cylinder has a length"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The protocol of a controller: what it takes, returns and remembers."""
+"""The controller protocol: its arguments, the step it returns, and its memory between steps."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ Array = NDArray[np.float64]
 SomeMemory = TypeVar("SomeMemory", bound="Memory")
 
 OWN = "pinposture."
-"""What the modules of the library begin with."""
+"""Prefix of the module names of this library."""
 
 
 class Spectrum(Protocol):
-    """Extreme singular values of a matrix, perhaps computed only when they are read."""
+    """Extreme singular values of a matrix; may be computed lazily."""
 
     @property
     def smallest(self) -> float:
-        """The smallest."""
+        """Smallest singular value."""
 
     @property
     def largest(self) -> float:
-        """The largest."""
+        """Largest singular value."""
 
 
 class SingularValues(NamedTuple):
-    """Extreme singular values that are known already."""
+    """Extreme singular values, already computed."""
 
     smallest: float
     largest: float
@@ -45,25 +45,25 @@ class Diagnostics(NamedTuple):
 
     Attributes:
         clipped: which joints were clipped at a position limit, (nv,).
-        reason: why the controller does not move; empty if it does.
+        reason: why the arm does not move; empty if it does.
         manipulability: smallest manipulability index of an active point, relative to the base and to the
-            active point before, in [0, 1]; of Projection, of a section within its manipulability space. 0 if
-            no control point is active.
-        spectrum: singular values of the posture control matrix; None if it is empty, or not formed.
+            previous active point, in [0, 1]; for Projection, that of a section within its manipulability
+            space. 0 if no control point is active.
+        spectrum: singular values of the posture control matrix; None if it is empty or not formed.
         rows: number of rows of the posture control matrix.
-        dropped: control points that met their conditions and were dropped because the stacked matrix was too
+        dropped: control points that met their conditions but were dropped because the stacked matrix was too
             close to singular, 0-based.
-        scale: factor by which the step was shortened to meet the step limit, in (0, 1]; to avoid obstacles,
-            in [0, 1].
-        method: name of the method, if the controller has several; else empty.
-        switched: why it switched to that method in this step; empty if it did not.
+        scale: factor by which the step was shortened to meet the step limit, in (0, 1], or to avoid
+            obstacles, in [0, 1].
+        method: method that computed the step, if the controller has several; else empty.
+        switched: why the controller switched to that method in this step; empty if it did not.
         error_increasing: whether the posture error rises in this step, or may rise because the step leaves a
             local minimum.
-        violated_constraints: constraints that this step violates because not all could hold, in words, in
-            the order in which they were relaxed.
-        near: distances to obstacles that limit the step, in words.
-        following_path: whether the step makes progress along a path to the target; the posture error may
-            rise on it.
+        violated_constraints: messages naming the constraints that this step violates because not all could
+            be met, in the order in which they were relaxed.
+        near: messages naming the distances to obstacles that limit the step.
+        following_path: whether the step makes progress along a path to the target, on which the posture
+            error may rise.
     """
 
     clipped: NDArray[np.bool_]
@@ -93,14 +93,12 @@ class Diagnostics(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """State of a controller between steps.
-
-    A controller that keeps more state derives its own class.
+    """State of a controller between steps; derive a class to keep more.
 
     Attributes:
         dq: the previous step, (nv,) [rad or m].
-        stopping: steps that then bring the arm to rest, within its limits and clear of the known obstacles,
-            (k, nv) [rad or m]. None, or after the last of them: `Limits.hold` brakes.
+        stopping: steps that bring the arm to rest from there, within its limits and clear of the known
+            obstacles, (k, nv) [rad or m]. If None or used up, `Limits.hold` brakes.
     """
 
     dq: Array
@@ -113,7 +111,7 @@ class Memory:
         return replace(self, dq=self.stopping[0], stopping=self.stopping[1:])
 
     def with_motion_of(self: SomeMemory, other: Memory) -> SomeMemory:
-        """Return the same memory with the motion of another one."""
+        """Return this memory with `dq` and `stopping` of another one."""
         return replace(self, dq=other.dq, stopping=other.stopping)
 
 
@@ -122,8 +120,8 @@ class Step(NamedTuple):
 
     Attributes:
         dq: joint displacement within the limits, (nv,) [rad or m].
-        active: the active control set, indices of control points, 0-based and increasing.
-        diagnostics: its diagnostics.
+        active: the active control set: indices of control points, 0-based, increasing.
+        diagnostics: diagnostics of the step.
         memory: the memory to pass to the next step.
     """
 
@@ -134,7 +132,7 @@ class Step(NamedTuple):
 
 
 class Controller(Protocol):
-    """Interface of a controller: moves an arm one step towards a target."""
+    """Interface of controllers: `step` moves an arm one step towards a target."""
 
     @property
     def name(self) -> str:
@@ -149,27 +147,29 @@ class Controller(Protocol):
             state: the state of the arm.
             target: the target posture.
             limits: the limits of the step; `Limits()` if None.
-            memory: `memory` of the previous step; None at the first. Without it the controller replans, or
-                starts with its first method, and assumes that the arm is at rest.
+            memory: `memory` of the previous step. None: the arm is at rest, and the controller replans or
+                starts with its first method.
         """
 
 
 def require_step_arguments(state: object, target: object, memory: object = None) -> None:
-    """Raise InvalidValue for arguments of a step of a wrong type."""
+    """Raise InvalidValue if an argument of a step has the wrong type."""
     if not isinstance(state, ArmState):
         raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
     if not isinstance(target, Target):
         raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
     if not (memory is None or isinstance(memory, Memory)):
-        raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
+        raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
 
 
 def task_errors(state: ArmState, target: Target) -> Array:
-    """Errors c_k - p_k of all control points, zero for those without a target.
+    """Return the errors c_k - p_k of all control points, zero for those without a target.
 
     Returns:
-        Array (m, d) [m]: in world axes, or along the plane of a planar arm.
+        Array (m, d) [m]: in world axes, or in the plane of a planar arm.
     """
+    if target.points.shape != state.points.shape:
+        target.check(state.arm)
     errors = (target.points - state.points) * target.has_target[:, None]
     return errors if state.arm.dimension == 3 else errors @ state.arm.plane.T
 
@@ -182,41 +182,40 @@ def stack_rows(jacobians: Array) -> Array:
 def next_step(
     controller: Controller, state: ArmState, target: Target, limits: Limits | None, memory: Memory | None
 ) -> Step:
-    """Return the step of a controller; if it keeps no memory, add one with the displacement.
+    """Return the step of a controller; if it has no memory, add one with its displacement.
 
     Raises:
-        InvalidValue: the controller returns something other than a `Step` for this arm.
+        InvalidValue: the controller returned something other than a valid `Step` for this arm.
     """
     step = controller.step(state, target, limits, memory)
     if not isinstance(step, Step):
         allowed = "a Step, for instance Step(limited.dq, (), Diagnostics(limited.clipped), None)"
         raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
-    if not type(controller).__module__.startswith(OWN):  # those of the library are tested for this
-        _require_fitting(controller, state, step)
+    if not type(controller).__module__.startswith(OWN):  # ours are tested for this; checks cost time
+        _require_valid(controller, state, step)
     return step if step.memory is not None else step._replace(memory=Memory(step.dq))
 
 
-def _require_fitting(controller: Controller, state: ArmState, step: Step) -> None:
-    """Raise InvalidValue unless the fields of a step are of the right kind and fit the arm."""
+def _require_valid(controller: Controller, state: ArmState, step: Step) -> None:
+    """Raise InvalidValue unless the fields of a step have the right types and fit the arm."""
     dq, active, diagnostics, remembered = step
     nv = state.arm.nv
     if not (
         isinstance(dq, np.ndarray) and dq.shape == (nv,) and (isfinite(dq @ dq) or np.isfinite(dq).all())
     ):
-        raise _unfit(
-            controller, "dq", dq, f"an array of {nv} finite numbers, as `limits.apply(state, dq).dq`"
-        )
+        allowed = f"an array of {nv} finite numbers, as `limits.apply(state, dq).dq`"
+        raise _invalid(controller, "dq", dq, allowed)
     if not isinstance(diagnostics, Diagnostics) or np.shape(diagnostics.clipped) != (nv,):
         allowed = "Diagnostics(clipped=...), as `limits.apply(state, dq).clipped`"
-        raise _unfit(controller, "diagnostics", diagnostics, allowed)
+        raise _invalid(controller, "diagnostics", diagnostics, allowed)
     if not isinstance(active, tuple) or (
         active and not 0 <= min(active) <= max(active) < state.arm.n_modules
     ):
-        allowed = f"a tuple of control points from 0 to {state.arm.n_modules - 1}; () if that means nothing"
-        raise _unfit(controller, "active", active, allowed)
+        allowed = f"a tuple of control points from 0 to {state.arm.n_modules - 1}; () if none are active"
+        raise _invalid(controller, "active", active, allowed)
     if not (remembered is None or isinstance(remembered, Memory)):
-        raise _unfit(controller, "memory", remembered, "a Memory(dq), or a class derived from it; or None")
+        raise _invalid(controller, "memory", remembered, "a Memory(dq), or a class derived from it; or None")
 
 
-def _unfit(controller: Controller, field: str, value: object, allowed: str) -> InvalidValue:
+def _invalid(controller: Controller, field: str, value: object, allowed: str) -> InvalidValue:
     return InvalidValue(f"{type(controller).__name__}.step(...).{field}", value, allowed)

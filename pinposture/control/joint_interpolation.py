@@ -1,4 +1,4 @@
-"""Straight through joint space to the configuration that takes the target posture."""
+"""Joint interpolation: a straight line in joint space to the target configuration."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pinposture.placement import Target
 
 @dataclass(frozen=True)
 class JointInterpolation:
-    """Moves all joints at once towards the resolved configuration, on a straight line through joint space.
+    """Moves all joints along a straight line in joint space to the configuration of the target.
 
-    It gets there in few steps and exactly, and needs no Jacobian. What the control points do on the way is
-    nobody's concern: they sweep wide, and the posture error can grow before it falls.
+    It arrives exactly, in few steps and without a Jacobian, but ignores the motion of the control points:
+    they sweep wide, and the posture error can grow before it falls.
     """
 
     name: str = "joint"
@@ -35,6 +35,7 @@ class JointInterpolation:
             allowed = "a target with a known configuration, as `resolve_targets` returns it"
             raise InvalidValue("target.q", None, allowed)
         limits = require_limits(limits)
+        target.check(state.arm)
         way = state.arm.difference(state.q, state.arm.nearest_turns(target.q, state.q))
         previous = memory.dq if memory is not None else None
         # Joints off the chain stay.

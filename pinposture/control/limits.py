@@ -18,11 +18,10 @@ from pinposture.errors import InvalidValue, PostureWarning
 Array = NDArray[np.float64]
 
 USUAL_STEP = 0.1
-"""Joint travel of a step where limits allow more, or where there are none [rad]."""
-
+"""Upper bound of the joint travel that a step counts as, whatever the limits allow [rad]."""
 
 POSITION_SLACK = 1e-6
-"""How far outside its limits a joint may be before it is brought back, in `Arm.joint_units`."""
+"""Excess over a position limit beyond which a joint is brought back, in `Arm.joint_units`."""
 
 
 class JointBounds(NamedTuple):
@@ -32,13 +31,13 @@ class JointBounds(NamedTuple):
         bound: largest |dq|, (nv,) [rad or m]; infinite where there is no limit.
         travel: joint travel per step, median over the joints, at most `USUAL_STEP` [rad].
         edges: position limits with the margin, (2, nv) [rad or m].
-        brake: largest change of dq from one step to the next, (nv,) [rad or m]; None: any.
+        brake: largest change of dq between steps, (nv,) [rad or m]; None: no limit.
         units: unit of motion of each joint of the chain, (n,) [rad or m].
-        leaning: how far outside its limits each may be before it is brought back, (n,) [rad or m].
+        slack: excess over a position limit beyond which a joint is brought back, (n,) [rad or m].
         dt: duration of a step [s]; None: undefined.
-        jerk: largest change of that change from one step to the next, (nv,) [rad or m]; None: any.
+        jerk: largest change between steps of the change of dq, (nv,) [rad or m]; None: no limit.
 
-    Kernels take the arrays. Do not write to them.
+    The arrays are passed to kernels. Do not write to them.
     """
 
     bound: Array
@@ -46,7 +45,7 @@ class JointBounds(NamedTuple):
     edges: Array
     brake: Array | None
     units: Array
-    leaning: Array
+    slack: Array
     dt: float | None
     jerk: Array | None
 
@@ -60,7 +59,7 @@ def joint_bounds(
     position_margin: float,
     jerk: float | Array | None,
 ) -> JointBounds:
-    """Return the bounds for the joints of an arm; the arguments are the attributes of `Limits`.
+    """Return the bounds for the joints of an arm, from the attributes of `Limits`.
 
     Raises:
         InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
@@ -73,19 +72,18 @@ def joint_bounds(
         bound = np.minimum(bound, speed * dt)
         if acceleration is not None:
             change = _per_joint("acceleration", acceleration, arm) * dt**2
-            brake = np.clip(change, 1e-100, 1e200)  # so that nothing made of it overflows, or divides by zero
+            brake = np.clip(change, 1e-100, 1e200)  # neither overflow nor division by zero
             if jerk is not None:
                 change_of_brake = np.maximum(_per_joint("jerk", jerk, arm) * dt**3, 1e-100)
     edges = _edges(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
-    leaning = POSITION_SLACK * units
-    return JointBounds(bound, travel, edges, brake, units, leaning, dt, change_of_brake)
+    return JointBounds(bound, travel, edges, brake, units, POSITION_SLACK * units, dt, change_of_brake)
 
 
 def _edges(arm: Arm, margin: float) -> Array:
     limits, moved = arm.limits, arm.moved > 0.0
-    # Joints that move no control point are left where they are.
+    # Joints that move no control point stay where they are.
     lower = np.where(moved, limits.lower + margin, -np.inf)
     upper = np.where(moved, limits.upper - margin, np.inf)
     if np.any(lower > upper):
@@ -97,27 +95,26 @@ def _edges(arm: Arm, margin: float) -> Array:
 
 
 def _per_joint(name: str, value: float | Array, arm: Arm) -> Array:
-    """A limit as one number for each degree of freedom, (nv,)."""
+    """Return a limit as one number for each degree of freedom, (nv,)."""
     if np.ndim(value) == 1 and len(np.asarray(value)) != arm.nv:
         raise InvalidValue(f"{name} (shape)", np.shape(value), f"one number or ({arm.nv},)")
     return np.broadcast_to(np.asarray(value, dtype=np.float64), arm.nv)
 
 
-# How far a joint may go in one step and still stop in time: braking in discrete time.
+# Braking in discrete time: the largest step from which a joint can still stop in time.
 #
-# A joint that moves by d in this step may move by d - A, d - 2A, ... in the next ones, until less than A is
-# left and it stands: A is the acceleration limit times the square of the duration of a step. From d > 0 on,
-# this step included, it covers at least
+# Let A be the acceleration limit times the square of the duration of a step. A joint that moves by d in this
+# step may move by d - A, d - 2A, ... in the next ones, and stops once less than A is left. For d > 0 it
+# covers, this step included, at least
 #
 # S(d) = sum over j >= 0 of max(d - j A, 0) = max over n >= 1 of (n d - A n (n - 1) / 2).
 #
-# S grows with d, so that the joint stops within a room r >= 0 if and only if S(d) <= r, that is, if d is at
-# most
+# S increases with d, so the joint stops within a distance r >= 0 if and only if S(d) <= r, i.e. d is at most
 #
 # g(r) = min over n >= 1 of (r / n + A (n - 1) / 2), taken at n = max(1, ceil(sqrt(1/4 + 2 r / A) - 1/2)).
 #
-# To the other side all signs change: let g(-r) = -g(r). Call L and U the displacements to the lower and the
-# upper limit, b the largest |d| of a step, and p the step before. The joint may take any d with
+# In the other direction all signs change: g(-r) = -g(r). Let L and U be the displacements to the lower and
+# the upper limit, b the largest |d| of a step, and p the previous step. The joint may take any d with
 #
 # g(L) <= d <= g(U), p - A <= d <= p + A, -b <= d <= b.
 #
@@ -125,32 +122,31 @@ def _per_joint(name: str, value: float | Array, arm: Arm) -> Array:
 # and S(-p - A) <= -L if p < -A.
 #
 # * From a viable state there is such a d: full braking, d = p - A, or 0 if 0 <= p <= A. It is at most g(U)
-# because S(d) <= U, not below g(L) <= 0, and not above b; for p < 0 the same with the signs changed. *
-# Whichever is taken, the next state is viable. Take d >= 0: S(d) <= U gives d <= U and, if d > A, S(d - A) =
-# S(d) - d <= U - d, which is what viability asks of the next state; L - d <= 0 and |d| <= b hold. * No
-# larger box will do: beyond g(U) the joint leaves its limits however it brakes.
+#   because S(d) <= U, at least g(L) <= 0, and at most b; for p < 0 the same with the signs changed.
+# * After any such d the next state is viable. Take d >= 0: S(d) <= U gives d <= U and, if d > A, S(d - A) =
+#   S(d) - d <= U - d, the condition for the next state; L - d <= 0 and |d| <= b hold.
+# * No larger box has this property: beyond g(U) the joint exceeds its limits however it brakes.
 #
-# Among obstacles it matters along what path the arm stops, not only how far each joint goes. It goes
-# straight on if all joints slow down in proportion: with r = max_j |d_j| / A_j, the step
-# d is followed by (1 - 1/r) d, (1 - 2/r) d, ... and rest. No joint then changes by more than its A, and none
-# slows down faster than in full braking. One that would so go beyond g(L) or g(U) is held there, as its A
-# allows.
+# Among obstacles, the path along which the arm stops matters as well. It is straight if all joints slow down
+# in proportion: with r = max_j |d_j| / A_j, the step d is followed by (1 - 1/r) d, (1 - 2/r) d, ... and rest.
+# Then no joint changes by more than its A, and none brakes harder than in full braking. A joint that would
+# exceed g(L) or g(U) is held there, as far as its A allows.
 
 MAX_STOPPING_STEPS = 5000
 """Largest number of braking steps that are computed."""
 
 
 def farthest(room: Array, brake: Array) -> Array:
-    """Return the largest step towards a place from which a joint can still stop there, g(r) above.
+    """Return the largest step towards a position from which a joint can still stop there, g(r) above.
 
-    A joint that takes it again and again comes to rest there, as fast as it can.
+    Repeated, these steps bring the joint to rest there in the shortest time.
 
     Args:
-        room: displacement to that place, with its sign, (..., nv) [rad or m]; may be infinite.
-        brake: the most that a step may differ from the one before, A, (nv,) [rad or m]; finite, > 0.
+        room: signed displacement to that position, (..., nv) [rad or m]; may be infinite.
+        brake: largest change between steps, A, (nv,) [rad or m]; finite, > 0.
 
     Returns:
-        Steps of the signs of `room`, none longer than it, (..., nv) [rad or m].
+        Steps in the direction of `room`, none longer than it, (..., nv) [rad or m].
     """
     rooms = np.ascontiguousarray(np.atleast_2d(room), dtype=np.float64)
     steps = np.empty_like(rooms)
@@ -159,17 +155,17 @@ def farthest(room: Array, brake: Array) -> Array:
 
 
 def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -> Array:
-    """Return the steps that bring an arm to rest after a step, straight on, as derived above.
+    """Return the steps that stop an arm after a step, on a straight line in joint space if possible.
 
     Args:
-        rooms: displacements to the lower and the upper position limits after that step, (2, nv) [rad or m]. A
-            joint outside of them stops as well, and is not brought back.
+        rooms: displacements to the lower and the upper position limits after that step, (2, nv) [rad or m].
+            A joint outside them stops too, but is not brought back.
         dq: that step, (nv,) [rad or m].
         bound: largest |dq|, (nv,) [rad or m].
-        brake: the most that a step may differ from the one before, (nv,) [rad or m]; None: any.
+        brake: largest change between steps, (nv,) [rad or m]; None: no limit.
 
     Returns:
-        Steps, (k, nv) [rad or m]; k = 0 if the arm can rest at once.
+        Steps, (k, nv) [rad or m]; k = 0 if the arm can stop at once.
     """
     found = [np.empty((0, len(dq)))]
     while brake is not None and (ratio := float(np.max(np.abs(dq) / brake))) > 1.0:
@@ -183,7 +179,7 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
         found.append(steps[:first])
         if first == len(steps):
             break
-        # Here a joint has to brake harder than the others; they go on from there in proportion again.
+        # A joint has to brake harder than the others here; from there they slow down in proportion again.
         before = steps[first - 1] if first else dq
         held = np.minimum(np.maximum(steps[first], low[first]), high[first])
         dq = np.minimum(np.maximum(held, before - brake), before + brake)
@@ -193,7 +189,7 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
 
 
 def full_braking(previous: Array, brake: Array) -> Array:
-    """Return the step closest to rest that can follow the step before, (nv,) [rad or m]."""
+    """Return the smallest step that can follow the previous one, (nv,) [rad or m]."""
     return previous - np.minimum(np.maximum(previous, -brake), brake)
 
 
@@ -207,9 +203,9 @@ def violated_limits(
         positions: joint positions, (nv,) [rad or m].
         edges: joint positions to stay between, (2, nv) [rad or m].
         bound: largest |dq|, (nv,) [rad or m].
-        brake: largest change of dq from one step to the next, (nv,) [rad or m]; empty: any.
-        previous: the step before, (nv,) [rad or m]; empty where any change is allowed.
-        rounding: excess over a limit that is not named [rad or m].
+        brake: largest change of dq between steps, (nv,) [rad or m]; empty: no limit.
+        previous: the previous step, (nv,) [rad or m]; empty without a limit on its change.
+        rounding: excess over a limit that is ignored [rad or m].
     """
     words, names = [], arm.joint_names
     sides, slowest = edges - positions, np.zeros(arm.nv)
@@ -229,7 +225,7 @@ def violated_limits(
             edge, most = (high, sides[1, joint]) if step > 0.0 else (low, -sides[0, joint])
             words.append(
                 f"position limit {edge:.4g} {unit} of joint {name!r}: at {at:.4g} it is too fast to stop; "
-                f"the slowest that it can go in this step is {abs(step):.4g}, at most {most:.4g} would do"
+                f"its smallest step is {abs(step):.4g}, and it can stop from at most {most:.4g}"
             )
         if abs(slowest[joint]) > bound[joint] + rounding:
             words.append(
@@ -240,7 +236,7 @@ def violated_limits(
 
 
 LIMIT_ROUNDING = 1e-9
-"""Excess over a limit that counts as rounding [rad or m]."""
+"""Excess over a limit that is attributed to rounding [rad or m]."""
 
 
 class StepBox(NamedTuple):
@@ -249,8 +245,8 @@ class StepBox(NamedTuple):
     Attributes:
         lower: smallest joint displacement, (nv,) [rad or m].
         upper: largest joint displacement, (nv,) [rad or m].
-        violated_constraints: the limits that cannot be kept from here on, in words; see `Limits.box`.
-        outside: whether a joint of the chain is outside its position limits, by more than rounding.
+        violated_constraints: messages naming the limits that can no longer be kept; see `Limits.box`.
+        outside: whether a joint of the chain is outside its position limits by more than its slack.
         sides: lower and upper, (2, nv), for kernels.
     """
 
@@ -267,7 +263,7 @@ class LimitedStep(NamedTuple):
     Attributes:
         dq: joint displacement, (nv,) [rad or m].
         scale: factor by which the whole step was shortened to meet the step limit, in (0, 1].
-        clipped: which joints were clipped at a position limit, or before it to stop there, (nv,).
+        clipped: which joints were clipped at a position limit or slowed down to stop there, (nv,).
     """
 
     dq: Array
@@ -277,7 +273,7 @@ class LimitedStep(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits of one control step. Joint position limits of the arm always hold as well.
+    """Limits of one control step. The joint position limits of the arm always apply as well.
 
     Attributes:
         step: largest |dq| of each joint in one step [rad or m]; one number or (nv,). None: no limit.
@@ -285,12 +281,12 @@ class Limits:
             arm; a larger one replaces it, with a `PostureWarning`.
         dt: duration of a step, the cycle time [s]. None: velocities are not limited.
         position_margin: distance to keep from each joint position limit [rad or m].
-        acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. In one
-            step dq changes by at most acceleration * dt^2, and joints brake early enough to stop at their
-            position limits. None: no limit.
+        acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. dq
+            changes by at most acceleration * dt^2 between steps, and joints brake early enough to stop at
+            their position limits. None: no limit.
         jerk: largest joint jerk [rad/s^3 or m/s^3]; one number or (nv,). Needs `acceleration`. `track`,
-            motions and `Tracker` keep it (see `JerkFilter`); a single step of a controller, and `retime`, do
-            not know it. None: no limit.
+            motions and `Tracker` keep it (see `JerkFilter`); `Controller.step` and `retime` do not. None: no
+            limit.
     """
 
     step: float | Array | None = 0.1
@@ -335,24 +331,24 @@ class Limits:
         return bound
 
     def travel(self, state: ArmState) -> float:
-        """Return the joint travel that the limits allow in a step, median over joints, at most 0.1 [rad]."""
+        """Return the joint travel that a step may cover, median over joints, at most `USUAL_STEP` [rad]."""
         return self.for_arm(state.arm).travel
 
     def box(self, state: ArmState, previous: Array | None = None) -> StepBox:
-        """Return the steps with which each joint keeps its limits now and can keep them later.
+        """Return the steps after which each joint keeps its limits and can continue to keep them.
 
-        It keeps its step, velocity, acceleration and position limits, and can still stop before its position
-        limit after the step; the derivation is in `control.limits`. In some states no such step exists. Then
-        limits are relaxed:
+        After such a step a joint can still stop before its position limit; `control.limits` has the
+        derivation. In some states no such step exists, and limits are relaxed:
 
-        * Never the step and velocity limits: drives cannot exceed them, and safety depends on them.
-        * The acceleration limit, if the joint was faster than its bound before. It then takes the bound.
-        * The position limit, if the joint cannot stop before it. It then brakes at the acceleration limit: a
-          real joint cannot brake harder.
-        * The position limit, if the joint starts outside it. It then returns, at least as fast as it can
+        * The step and velocity limits are never relaxed: drives cannot exceed them, and safety depends on
+          them.
+        * The acceleration limit is, if the joint exceeded its bound before. It then moves at the bound.
+        * The position limit is, if the joint cannot stop before it. It then brakes at the acceleration limit,
+          because a real joint cannot brake harder.
+        * The position limit is, if the joint starts outside it. It then returns, at least as fast as it can
           come to rest at the limit. From rest it never moves farther out.
 
-        Joints that move no control point have no position limits here: they do not move.
+        Joints that move no control point do not move, and have no position limits here.
 
         Args:
             state: the state of the arm.
@@ -367,7 +363,7 @@ class Limits:
         sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
         brake = _NO_BOUND if bounds.brake is None else bounds.brake
         given = bounds.edges, bounds.bound, brake, before
-        found = kernels.step_box(positions, *given, LIMIT_ROUNDING, columns, bounds.leaning, sides)
+        found = kernels.step_box(positions, *given, LIMIT_ROUNDING, columns, bounds.slack, sides)
         relaxed = violated_limits(arm, positions, *given, LIMIT_ROUNDING) if found % 2 else ()
         return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
@@ -376,9 +372,9 @@ class Limits:
 
         A joint that starts outside its position limits is brought back, no faster than the step limit allows.
 
-        With an acceleration limit, the requested step is the distance that each joint has to travel: it moves
-        no faster than it can stop at the end of it, or it would oscillate about its goal. The step is then
-        moved into the `box`.
+        With an acceleration limit, the requested step is the distance that each joint has to travel. A joint
+        moves no faster than it can stop at the end of it, so that it does not oscillate about its goal. The
+        step is then clipped to the `box`.
 
         Args:
             state: the state of the arm.
@@ -394,10 +390,9 @@ class Limits:
         return LimitedStep(cut, scale, clipped)
 
     def hold(self, state: ArmState, previous: Array | None = None) -> LimitedStep:
-        """Return the step that holds: joints stop as soon as the limits allow.
+        """Return the step that stops the arm as soon as the acceleration limit, if any, allows.
 
-        Without an acceleration limit they stop at once. Joints outside their position limits are not brought
-        back.
+        Joints outside their position limits are not brought back.
 
         Args:
             state: the state of the arm.
@@ -423,35 +418,34 @@ class Limits:
         return bounds
 
 
-# Limits of jerk: the arm follows another one that runs ahead.
+# Jerk limits: a moving average over the steps.
 #
-# Let an arm that runs ahead take steps d_k within limits of speed, acceleration and position, and let the arm
-# take their mean over the last w cycles, e_k = (d_k + ... + d_(k-w+1)) / w. Its position, step and change of
-# step are means of those of the arm ahead, and every such limit is an interval; the states from which it can
-# still stop are a convex set, too, since S above is convex. So the arm keeps what the arm ahead keeps. With
+# Let d_k be steps within the limits of speed, acceleration and position. The arm takes their mean over the
+# last w cycles, e_k = (d_k + ... + d_(k-w+1)) / w. Its position, step and change of step are then means of
+# the unfiltered ones, and each of these limits is an interval; the states from which a joint can still stop
+# are a convex set as well, since S above is convex. So the filtered motion keeps the same limits. With
 # a_k = d_k - d_(k-1), its change of step changes by (a_k - a_(k-w)) / w, which is at most 2 A / w. Hence
-# w = ceil(2 A / J) for the joint with the largest ratio, the same for all: each configuration is then a mean
-# of configurations of the arm ahead, and on a straight path in joint space the arm stays on that. On a curved
-# one it cuts the corner, by at most A w^2 / 24 for a joint: a^3 / (6 j^2). The arm comes w - 1 steps later.
-# (Moving averages as generators of smooth motions: Biagiotti and Melchiorri, Control Engineering Practice
-# 20, 2012.)
+# w = ceil(2 A / J) for the joint with the largest ratio, the same for all joints: each configuration is then
+# a mean of unfiltered ones, and a straight path in joint space stays straight. On a curved one the arm cuts
+# the corner, by at most A w^2 / 24 = a^3 / (6 j^2) for a joint. It arrives w - 1 steps later.
+# (Moving averages for smooth motions: Biagiotti and Melchiorri, Control Engineering Practice 20, 2012.)
 
 MAX_JERK_CYCLES = 10_000
 """Largest number of cycles over which steps are averaged."""
 
 
 class JerkFilter:
-    """Limits the jerk of an arm: its steps are means of the last steps of one that runs ahead.
+    """Limits the jerk of an arm by a moving average of its steps.
 
     Args:
         arm: the arm.
         limits: the limits.
 
     Attributes:
-        cycles: number of steps that are averaged; 1 without a limit of jerk: steps pass unchanged.
+        cycles: number of steps that are averaged; 1 without a jerk limit, which leaves steps unchanged.
 
     Raises:
-        InvalidValue: a jerk so small that steps would be averaged over more than `MAX_JERK_CYCLES`.
+        InvalidValue: a jerk limit that needs an average over more than `MAX_JERK_CYCLES` steps.
     """
 
     def __init__(self, arm: Arm, limits: Limits) -> None:
@@ -470,16 +464,16 @@ class JerkFilter:
 
     @property
     def ahead(self) -> Array:
-        """How far the arm ahead is ahead, (nv,) [rad or m]."""
+        """Motion still to come from the steps filtered so far, (nv,) [rad or m]."""
         return np.asarray((self._owed * self._steps).sum(axis=0))
 
     @property
     def moving(self) -> bool:
-        """Whether the arm still moves if the one ahead stands."""
+        """Whether the arm still moves if all further steps are zero."""
         return bool(np.any(self._steps[1:]))
 
     def apply(self, dq: Array) -> Array:
-        """Return the step of the arm, (nv,), while the arm ahead takes the step `dq`."""
+        """Filter a step `dq`, (nv,), and return the step of the arm, (nv,)."""
         if self.cycles == 1:
             return dq
         self._steps[:-1] = self._steps[1:]
@@ -487,20 +481,16 @@ class JerkFilter:
         return np.asarray(self._steps.mean(axis=0))
 
     def restart(self, dq: Array | None = None) -> None:
-        """Begin at rest, or at the speed of a step dq, (nv,)."""
+        """Restart from rest, or from the speed of a step dq, (nv,)."""
         self._steps[:] = 0.0 if dq is None else dq
 
     def rescale(self, ratio: float) -> None:
-        """Go on with cycles of another duration."""
+        """Scale the past steps by a ratio of cycle times."""
         self._steps *= ratio
 
 
 def require_limits(limits: Limits | None) -> Limits:
-    """Return limits; `Limits()` for None.
-
-    Raises:
-        InvalidValue: another type.
-    """
+    """Return the limits, or `Limits()` for None; raise InvalidValue for anything else."""
     if not (limits is None or isinstance(limits, Limits)):
         raise InvalidValue("limits", limits, "Limits(...), or None")
     return Limits() if limits is None else limits
@@ -518,14 +508,14 @@ def cycle_of(limits: object) -> float:
 
 
 SPEED_ROUNDING = 1e-6
-"""Relative excess of a speed over that of the description that is not reported."""
+"""Relative excess over the velocity limit of the description that is not reported."""
 
 _NO_BOUND = np.empty(0)
-_MAX_CACHED = 16  # limits of one arm that are remembered
+_MAX_CACHED = 16  # limits cached per arm
 
 
 def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
-    """Warn once of limits of velocity above those of the arm, which they replace."""
+    """Warn once about velocity limits above those of the arm, which they replace."""
     speed, known = np.broadcast_to(velocity, arm.nv), arm.limits.velocity
     faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SPEED_ROUNDING) * known))
     warned: set[bytes] = arm.cache.setdefault(_warn_of_speed, set())
@@ -542,7 +532,7 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
 
 
 def _previous(arm: Arm, previous: Array | None) -> Array:
-    """Return the step before, (nv,); zero if there was none."""
+    """Return the previous step, (nv,); zero if there was none."""
     return np.zeros(arm.nv) if previous is None else finite_vector("previous", previous, arm.nv)
 
 

@@ -1,4 +1,4 @@
-"""Find clear postures that bring the tip to a given place, and the paths to them."""
+"""Inverse kinematics of the tip: clear postures with the tip at a goal, and the paths to them."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ TIP_TOLERANCE = 1e-6
 """Default tolerance of the tip position, in arm lengths."""
 
 DISTINCT = 0.05
-"""Distance between points of two postures beyond which they are distinct, in arm lengths."""
+"""Largest distance between corresponding points beyond which two postures are distinct, in arm lengths."""
 
 SEEDS_PER_WAVE, CHOSEN, MAX_WAVES, MAX_IDLE_WAVES = 24, 6, 40, 3
-"""Seed postures per wave, how many of them are made clear, the largest number of waves, and how many waves
-in a row may find nothing new after the first find."""
+"""Seed postures per wave, how many of them are pushed clear, the largest number of waves, and the number of
+consecutive waves without a new posture that end the search once one is known."""
 
 SPARE = 3
-"""Number of postures sought beyond `count`, to choose from."""
+"""Number of postures searched beyond `count`, to choose from."""
 
 SEED_AMPLITUDES = 0.15, 1.3
 """Range of the amplitudes of smooth seed postures, in `Arm.joint_units`."""
@@ -50,22 +50,22 @@ MAX_JOINT_MOTION = 0.3
 """Largest joint motion of one iteration, in `Arm.joint_units`."""
 
 TIP_ITERATIONS, CLEAR_ITERATIONS, POLISH_ITERATIONS = 40, 80, 12
-"""Iterations to bring the tip to its goal, to make the arm clear, and to improve a posture."""
+"""Iterations to bring the tip to its goal, to push the arm clear, and to improve a posture."""
 
 BUFFER = 1e-4
-"""Clearance sought beyond the margin, in arm lengths, so that the margin is kept exactly."""
+"""Clearance sought beyond the margin, in arm lengths, so that rounding does not violate the margin."""
 
 AMPLE = 0.05
-"""Clearance beyond which more is not better, in arm lengths."""
+"""Clearance beyond which more does not raise the score, in arm lengths."""
 
 NEAR_LIMIT_SHARE = 0.7
-"""Distance from the middle of its range beyond which a joint is drawn back, in halves of the range."""
+"""Distance from mid-range beyond which a joint is pulled back, in half ranges."""
 
 MANIPULABILITY_GAIN = 2e-3
 """Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
 
 DECREASE, INCREASE, MAX_DAMPING = 0.2, 5.0, 1e6
-"""Factors of the damping after a step that reduces the error or not, and its value that ends the search."""
+"""Damping factors after a step that reduces the error and one that does not; damping that ends the search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,19 +74,19 @@ class ReachedPosture:
 
     Attributes:
         q: the configuration, (nq,) [rad or m].
-        target: the posture as a target, for `plan`, `track` and the rest of the library.
+        target: the posture as a target, for `plan` and `track`.
         path: the path to it from the start; None without a start. If no clear path was found, its
-            `hindrance` names what the path comes too close to.
+            `hindrance` names the pair that comes too close.
         error: distance of the tip from its goal [m].
-        clearance: smallest distance from obstacles, and of the arm from itself if the scene says so [m];
-            infinite without a scene.
-        limit_distance: how far the joint nearest its limit is from it, in halves of its range, in [0, 1];
-            1 if no joint has limits.
+        clearance: smallest distance from obstacles, and between parts of the arm if the scene includes
+            self-collision [m]; infinite without a scene.
+        limit_distance: smallest distance of a joint from its limit, in half ranges, in [0, 1]; 1 if no joint
+            has limits.
         manipulability: index of the tip (see `Ellipsoid.index`), in [0, 1]; 0 in a singular posture.
         path_ratio: length of the path in joint space over that of the straight line; None without a path.
-        score: rank of the posture, in [0, 1]: mean of clearance (1 from a twentieth of the arm's length),
-            limit distance, manipulability, and the inverse of the path ratio if there is a path. Postures
-            with a clear path come before those without.
+        score: in [0, 1]: mean of clearance (1 from a twentieth of the arm length), limit distance,
+            manipulability, and the inverse of the path ratio if there is a path. Postures with a clear path
+            rank before those without.
     """
 
     q: Array
@@ -115,9 +115,9 @@ def reach(
 ) -> tuple[ReachedPosture, ...]:
     """Find clear postures that bring the tip to a position or a pose, and the paths to them.
 
-    Damped least squares bring many postures, among them the start, to the goal, first without obstacles.
-    Those that intrude least are pushed clear, then improved in the null space: clearance, distance from joint
-    limits, manipulability. This is a search: if it finds nothing, a posture may still exist.
+    Damped least squares bring the tip to the goal from many postures, including the start, first without
+    obstacles. The postures that intrude least are pushed clear, then improved in the null space: clearance,
+    distance from joint limits, manipulability. The search is not complete: it can miss postures.
 
     Args:
         arm: the arm.
@@ -125,18 +125,18 @@ def reach(
             world frame.
         direction: direction of the last link at the goal, (3,), world frame, if the goal is a position.
         scene: the obstacles and their margin; None: no obstacles.
-        start: the current configuration, (nq,), where the paths begin. None: no paths.
+        start: the current configuration, (nq,), at which the paths begin. None: no paths.
         count: number of distinct postures wanted. Fewer are returned if no more are found.
         seed: seed of the random numbers.
-        budget: time for everything [s]. If it ends the search, the result depends on the machine; otherwise
-            it is the same for a given seed.
+        budget: total time [s]. If it ends the search, the result depends on the speed of the machine;
+            otherwise it is reproducible for a given seed.
         tolerance: largest distance of the tip from its goal [m]; a rotation counts as the arc at a radius of
-            `Arm.characteristic_length`. A millionth of the arm's length if None.
+            `Arm.characteristic_length`. A millionth of the arm length if None.
         limits: the margin to position limits, also for the paths; `Limits()` if None.
 
     Returns:
-        At most `count` postures, the best first, at least one. In any two of them, some points of the arm are
-        at least a twentieth of its length apart.
+        1 to `count` postures, the best first. In any two of them, some point of the arm differs by at least
+        a twentieth of the arm length.
 
     Raises:
         InvalidValue: an argument of the wrong type, or one that does not fit the arm.
@@ -183,9 +183,7 @@ def reach_from(
     scene: Scene | None = None,
     limits: Limits | None = None,
 ) -> ReachedPosture | None:
-    """Find a clear posture with the tip at a goal by a single descent from a given posture.
-
-    `reach` runs many such descents; one is quick enough while a user drags the goal.
+    """Find a clear posture with the tip at a goal by one descent, fast enough to drag the goal.
 
     Args:
         arm: the arm.
@@ -228,7 +226,7 @@ def _place_of(task: EndEffector) -> Array:
 
 
 def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | None) -> None:
-    """Refuse goals that no posture can take."""
+    """Refuse goals that no posture can reach."""
     slides = arm.columns[arm.slides[arm.columns]]
     travel = np.maximum(np.abs(arm.limits.lower[slides]), np.abs(arm.limits.upper[slides])).sum()
     away, most = float(np.linalg.norm(place - arm.chain.base)), arm.length + float(travel)
@@ -244,7 +242,7 @@ def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | Non
 
 
 def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
-    """Refuse orientations that the tip never has, because it turns about one axis or not at all."""
+    """Refuse orientations that are impossible because the tip turns about one axis or not at all."""
     known = link_axes(arm)
     if task.pose is None or known.turns[-1] > 1:
         return
@@ -258,13 +256,13 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
         off = float(np.linalg.norm(change @ axis if turns else change))
     if off * arm.characteristic_length > tolerance:
         how = "turns about one axis" if turns else "does not turn"
-        raise OutOfReach(_place_of(task), f"the tip {how}, and never points there")
+        raise OutOfReach(_place_of(task), f"the tip {how}, and cannot take this orientation")
 
 
 def _with_path(
     arm: Arm, posture: ReachedPosture, start: Array, scene: Scene | None, limits: Limits, budget: float
 ) -> ReachedPosture:
-    """Return the posture with the path to it, and the ratio of its length and the score that follow."""
+    """Return the posture with the path to it, the path ratio and the updated score."""
     path = plan(arm.at(start), posture.target, scene, limits, budget=budget)
     units = arm.joint_units
     direct = float(np.linalg.norm(path.offsets[-1] / units))
@@ -277,7 +275,7 @@ def _with_path(
 
 
 class _Rows(NamedTuple):
-    """What a step x should do: matrix @ x = errors, the rows of the tip first.
+    """Equations matrix @ x = errors that a step x should satisfy, the rows of the tip first.
 
     Attributes:
         matrix: (r, n) [m per `Arm.joint_units`].
@@ -315,12 +313,12 @@ class _Search:
         columns = arm.columns
         self.columns = columns[self.edges[1, columns] > self.edges[0, columns]]
         self.units = arm.joint_units[self.columns]
-        self.target = Target.from_configuration(arm, arm.straight())  # tasks of the tip do not read it
+        self.target = Target.from_configuration(arm, arm.straight())  # required, but unused by the task
 
     def find(
         self, start: Array | None, wanted: int, rng: np.random.Generator, until: float
     ) -> list[ReachedPosture]:
-        """Return different clear postures, the best first; raise ReachError if there is none."""
+        """Return distinct clear postures, the best first; raise ReachError if there is none."""
         found: list[ReachedPosture] = []
         shapes: list[Array] = []
         idle, nearest, intruding = 0, inf, 0
@@ -332,13 +330,13 @@ class _Search:
                 error = self._rows(state, None).tip_error
                 nearest = min(nearest, error)
                 if error <= self.tolerance or (self.model is not None and error <= AMPLE * self.arm.length):
-                    near = start is not None and wave == number == 0  # comes first, whatever it meets
+                    near = start is not None and wave == number == 0  # tried first, even if it intrudes
                     intrusion = 0.0 if near else self._rows(state, self.margin).intrusion
                     settled.append((intrusion, number, state))
                 if perf_counter() >= until:
                     break
             for _, _, begin in sorted(settled, key=lambda each: each[:2])[:CHOSEN]:
-                state = self._settled_clear(begin)
+                state = self._push_clear(begin)
                 posture = self._judge(state)
                 if posture is None:
                     intruding += 1
@@ -353,26 +351,26 @@ class _Search:
             if len(found) >= wanted or perf_counter() >= until or (found and idle >= MAX_IDLE_WAVES):
                 break
         if not found:
-            raise ReachError(_place_of(self.task), self._why_none(nearest, intruding))
+            raise ReachError(_place_of(self.task), self._explain_failure(nearest, intruding))
         return sorted(found, key=lambda each: -each.score)
 
     def descend(self, state: ArmState) -> ReachedPosture | None:
-        """Return the clear posture that is found from another; None if there is none."""
-        return self._judge(self._settled_clear(state))
+        """Return the clear posture found from another; None if there is none."""
+        return self._judge(self._push_clear(state))
 
-    def _settled_clear(self, state: ArmState) -> ArmState:
-        return self._settle(state, self.margin + BUFFER * self.arm.length, CLEAR_ITERATIONS)
+    def _push_clear(self, state: ArmState, iterations: int = CLEAR_ITERATIONS) -> ArmState:
+        return self._settle(state, self.margin + BUFFER * self.arm.length, iterations)
 
-    def _why_none(self, nearest: float, intruding: int) -> str:
+    def _explain_failure(self, nearest: float, intruding: int) -> str:
         if nearest > self.tolerance:
             return f"the closest posture found leaves the tip {nearest:.3g} m from its goal"
         return (
-            f"no clear posture was found: each of the {intruding} postures tried either violates the margin "
-            "or misses the goal; a larger budget tries more"
+            f"no clear posture was found: all {intruding} postures tried violate the margin or miss the "
+            "goal; a larger budget tries more"
         )
 
     def _seeds(self, start: Array | None, first: bool, rng: np.random.Generator) -> Iterator[Array]:
-        """Yield the postures that a wave begins with, that of the start in the first."""
+        """Yield the seed postures of a wave; the first wave begins with the start."""
         arm, few = self.arm, len(self.columns) <= FEW_JOINTS
         here = arm.positions(arm.neutral() if start is None else start)
         if first and start is not None:
@@ -384,7 +382,7 @@ class _Search:
             yield arm.configuration(np.where(arm.moved > 0.0, drawn, here))
 
     def _rows(self, state: ArmState, clearance: float | None) -> _Rows:
-        """Return the rows of the tip, and of the distances below a clearance [m]; None: no distances."""
+        """Return the rows of the tip and of the distances below a clearance [m], if one is given."""
         tip = self.task.rows(state, self.target)
         matrix, errors = tip.jacobian, tip.error
         if clearance is not None and self.model is not None:
@@ -412,7 +410,7 @@ class _Search:
         return state
 
     def _step(self, state: ArmState, rows: _Rows, damping: float) -> Array:
-        """Return the damped step, (n,), with joints at their limits held that would leave them."""
+        """Return the damped step, (n,); joints that would exceed their limits are held."""
         lower, upper = self._room(state)
         free = np.ones(len(self.columns), dtype=np.bool_)
         x = np.zeros(len(free))
@@ -438,7 +436,7 @@ class _Search:
         return self._limited(x, lower, upper)
 
     def _limited(self, x: Array, lower: Array, upper: Array) -> Array:
-        """Return a step shortened to `MAX_JOINT_MOTION`, and within what the limits leave."""
+        """Return a step scaled to `MAX_JOINT_MOTION` and clipped at the limits."""
         scale = min(1.0, MAX_JOINT_MOTION / max(float(np.abs(x).max(initial=0.0)), 1e-300))
         return np.asarray(np.clip(scale * x, lower, upper))
 
@@ -452,7 +450,7 @@ class _Search:
         return self.arm.at(self.arm.integrate(state.q, dq)).compiled
 
     def _polish(self, posture: ReachedPosture, state: ArmState) -> tuple[ReachedPosture, ArmState]:
-        """Use the freedom that the tip leaves for clearance, distance from limits and manipulability."""
+        """Improve clearance, distance from limits and manipulability in the null space of the tip."""
         wanted, moved = self.margin + AMPLE * self.arm.length, state
         for _ in range(POLISH_ITERATIONS):
             rows = self._rows(moved, wanted)
@@ -468,12 +466,12 @@ class _Search:
             if float(np.abs(x).max(initial=0.0)) < 1e-4:
                 break
             moved = self._moved(moved, self._limited(x, *self._room(moved)))
-        moved = self._settle(moved, self.margin + BUFFER * self.arm.length, CLEAR_ITERATIONS // 2)
+        moved = self._push_clear(moved, CLEAR_ITERATIONS // 2)
         better = self._judge(moved)
         return (posture, state) if better is None or better.score < posture.score else (better, moved)
 
     def _limit_rows(self, state: ArmState) -> tuple[Array, Array]:
-        """Return the rows that draw joints back from their limits, (n, n), and their errors, (n,) [m]."""
+        """Return the rows that pull joints back from their limits, (n, n), and their errors, (n,) [m]."""
         middle, half = self._ranges
         share = (state.positions[self.columns] - middle) / half
         excess = np.sign(share) * np.maximum(np.abs(share) - NEAR_LIMIT_SHARE, 0.0)
@@ -483,7 +481,7 @@ class _Search:
 
     @cached_property
     def _ranges(self) -> tuple[Array, Array]:
-        """Middle and half of the range of each joint, (n,) [rad or m]; half is infinite without limits."""
+        """Middle and half range of each joint, (n,) [rad or m]; the latter is infinite without limits."""
         lower, upper = self.arm.limits.lower[self.columns], self.arm.limits.upper[self.columns]
         endless = self.arm.unlimited[self.columns]
         lower, upper = np.where(endless, 0.0, lower), np.where(endless, 0.0, upper)
@@ -492,8 +490,8 @@ class _Search:
     def _manipulability(self, state: ArmState) -> Array:
         """Return the gradient of the logarithm of the manipulability measure of the tip, (n,).
 
-        A joint moves the column of another joint by a x J: a the axis of the one nearer to the base, J the
-        column of the other.
+        A joint changes the Jacobian column of another by a x J, where a is the axis of the joint nearer to
+        the base and J the column of the other one.
         """
         plane, columns = self.arm.plane, self.columns
         jacobian, axes = state.jacobians[-1][:, columns].T, state.axes[:, columns].T
@@ -504,7 +502,7 @@ class _Search:
         return np.asarray(np.einsum("ijd,id,i->j", changes, inverse, self.units) * self.units)
 
     def _judge(self, state: ArmState) -> ReachedPosture | None:
-        """Return the posture with what it is ranked by; None if it is not clear or not at the goal."""
+        """Return the posture with its criteria and score; None if it is not clear or not at the goal."""
         arm, q = self.arm, np.array(state.q)
         at = arm.at(q)
         error = float(np.linalg.norm(self.task.rows(at, self.target).error))

@@ -24,49 +24,45 @@ CONTROLLERS: dict[str, Callable[[], Controller]] = {
     "switching": Switching,
     "joint": JointInterpolation,
 }
-"""Every controller with its default parameters, by the name that `track` and the command line take.
+"""All controllers with their default parameters, by the names that `track` and the command line accept.
 
-Add your own: `CONTROLLERS["mine"] = Mine`. `pinposture.study.register_baselines` adds those that exist to be
-compared with."""
+Add your own with `CONTROLLERS["mine"] = Mine`. `pinposture.study.register_baselines` adds the baselines."""
 
 ENTRY_POINTS = "pinposture.controllers"
-"""Group of the entry points by which installed packages offer controllers under names of theirs."""
+"""Entry point group in which installed packages register their controllers."""
 
 
 def controller_named(controller: str | Controller) -> Controller:
-    """The controller of that name with its defaults, or the controller itself.
+    """Return the controller of a name with its defaults; a controller is returned as it is.
 
     Args:
-        controller: a name of CONTROLLERS or of an entry point in the group ENTRY_POINTS; or where a class or
-            function is that makes one, as "package.module:Class". Modules are found in the working directory,
-            too.
+        controller: a key of CONTROLLERS; the name of an entry point in the group ENTRY_POINTS; or the class
+            or function that creates one, as "package.module:Class", from the working directory too.
 
     Raises:
-        UnknownName: no controller has that name, or nothing of that name is in the module.
-        InvalidValue: neither a name nor a controller; or what was named cannot be imported, or makes none.
+        UnknownName: no controller has that name, or the module has no such attribute.
+        InvalidValue: neither a name nor a controller; the import fails; or the call creates no controller.
     """
     if isinstance(controller, str):
         make = CONTROLLERS.get(controller) or _found(controller)
         try:
             made = make()
         except TypeError as error:
-            raise InvalidValue(
-                "controller", controller, f"what can be called without arguments ({error})"
-            ) from error
+            allowed = f"a class or function that can be called without arguments ({error})"
+            raise InvalidValue("controller", controller, allowed) from error
         return _checked(made, controller)
     return _checked(controller, controller)
 
 
 def _checked(made: object, told: object) -> Controller:
     if isinstance(made, type) or not callable(getattr(made, "step", None)):
-        raise InvalidValue(
-            "controller", told, "a name, package.module:Class, or an object with a method `step`"
-        )
+        allowed = "a name, package.module:Class, or an object with a method `step`"
+        raise InvalidValue("controller", told, allowed)
     return cast(Controller, made)
 
 
 def _found(name: str) -> Callable[[], object]:
-    """What makes a controller that is not among those of the library."""
+    """Return the class or function that creates a controller from outside the library."""
     offered = {each.name: each for each in entry_points(group=ENTRY_POINTS)}
     if name in offered:
         return cast(Callable[[], object], offered[name].load())
@@ -81,7 +77,6 @@ def _found(name: str) -> Callable[[], object]:
     except ImportError as error:
         raise InvalidValue("controller", name, f"a module that can be imported ({error})") from error
     if not callable(getattr(module, attribute, None)):
-        raise UnknownName(
-            f"controller of {home}", attribute, [each for each in vars(module) if each[0] != "_"]
-        )
+        public = [each for each in vars(module) if each[0] != "_"]
+        raise UnknownName(f"controller of {home}", attribute, public)
     return cast(Callable[[], object], getattr(module, attribute))

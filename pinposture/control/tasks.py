@@ -22,13 +22,14 @@ Indices = NDArray[np.intp]
 
 
 class LinkAxes(NamedTuple):
-    """Properties of the orientations of control points that hold at every configuration.
+    """Properties of the orientations of control points that hold in every configuration.
 
     Attributes:
-        links: direction of the link that ends at each control point, unit vectors, (m, 3), in its own frame.
-        turns: along how many axes each can turn, (m,): 0 if all joints before it slide, 1 if those that turn
-            are parallel, else 3.
-        axes: the axis about which it turns where there is one, unit vectors, (m, 3), world frame; else zero.
+        links: direction of the link that ends at each control point, unit vectors, (m, 3), in the frame of
+            the point.
+        turns: number of rotation axes of each, (m,): 0 if all joints before it are prismatic, 1 if the
+            revolute ones are parallel, else 3.
+        axes: the rotation axis of each if there is only one, unit vectors, (m, 3), world frame; else zero.
     """
 
     links: Array
@@ -39,11 +40,10 @@ class LinkAxes(NamedTuple):
 def link_axes(arm: Arm) -> LinkAxes:
     """Return the link axes of an arm, cached with it.
 
-    The link that ends at a control point comes from the last joint origin or control point before it along
-    the chain that lies elsewhere. Its direction at the neutral configuration is kept fixed in the frame of
-    the control point. For template arms this is the x axis of that frame. Where the link belongs to the same
-    body as the point, as it does unless the last joint sits at the point itself, it is the link at every
-    configuration. Where there is no such place before the point, it is the x axis, too.
+    The link that ends at a control point starts at the last joint origin or control point before it that has
+    a different position. Its direction in the neutral configuration is fixed in the frame of the control
+    point: the x axis for template arms, and where no such position exists. It is the direction in every
+    configuration unless the last joint is at the control point itself.
     """
     found: LinkAxes | None = arm.cache.get(LinkAxes)
     if found is None:
@@ -80,25 +80,25 @@ def _turning(arm: Arm) -> tuple[Indices, Array]:
     return turns, axes
 
 
-# Errors are rotation vectors about axes through the control point, world frame, so that rows are angular
-# Jacobians. Where all joints that move a point turn about one axis, as in a planar arm, it can turn about
-# that axis alone: the error is then the turn about it that comes closest.
+# Orientation errors are rotation vectors in the world frame, and their rows are angular Jacobians. If all
+# joints that move a point turn about one axis, as in a planar arm, the error is the rotation about that axis
+# that comes closest.
 
 HALF_TURN_TOLERANCE = 1e-9
-"""Distance from half a turn within which its direction is chosen, not left to rounding [rad]."""
+"""Distance from half a turn within which the direction is fixed rather than left to rounding [rad]."""
 
 
 def link_directions(state: ArmState, points: Indices) -> Array:
-    """Return the directions of the links that end at some control points, (k, 3), world frame."""
+    """Return the directions of the links that end at control points, (k, 3), world frame."""
     return np.asarray(np.einsum("kij,kj->ki", state.rotations[points], link_axes(state.arm).links[points]))
 
 
 def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array, Array]:
     """Return the rows that turn a control point to an orientation.
 
-    With M = R_wanted R^T and e = log M, a rotation w of the control point changes M to M exp(-w), and so e by
-    -E w, where E is the derivative of the logarithm, to first order. Hence the rows E J_w for the error e. As
-    E e = e, the step that covers the error turns the point straight to that orientation.
+    With M = R_wanted R^T and e = log M, a rotation w of the control point changes M to M exp(-w), and e to
+    first order by -E w, where E is the derivative of the logarithm. The rows are hence E J_w for the error e.
+    As E e = e, a step that covers the error turns the point directly to that orientation.
 
     Args:
         state: the state of the arm.
@@ -106,9 +106,9 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
         wanted: the orientation, from the frame of the control point to the world, (3, 3).
 
     Returns:
-        Rows (r, nv) [rad/rad] and error (r,) [rad]. r = 3; or 1 where the point turns about one axis; or 0
-        where it does not turn. About one axis, both are scaled by the cosine of half the turn that is left,
-        which no joint can change: 1 if the orientation can be had.
+        Rows (r, nv) [rad/rad] and error (r,) [rad]: r = 3, 1 if the point turns about one axis, or 0 if it
+        does not turn. For one axis, both are scaled by the cosine of half the remaining rotation, which no
+        joint can change: 1 if the orientation is feasible.
     """
     known = link_axes(state.arm)
     jacobian = state.angular_jacobians[point]
@@ -125,11 +125,11 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
 
 
 def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Array, Array]:
-    """Return the rows that turn the links that end at some control points to given directions.
+    """Return the rows that turn the links that end at control points to given directions.
 
-    A rotation w moves the direction t of a link by w x t. The error is the way from t to the direction asked
-    for along the great circle, in a basis (b, t x b) across t: a vector of the length of the angle between
-    them, [0, pi]. Opposite directions are half a turn apart in a direction that depends on t alone.
+    A rotation w moves the direction t of a link by w x t. The error is the arc from t to the wanted direction
+    along the great circle, in a basis (b, t x b) perpendicular to t; its length is the angle between the two,
+    in [0, pi]. For the opposite direction, the direction of the half turn depends on t alone.
 
     Args:
         state: the state of the arm.
@@ -137,10 +137,9 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
         wanted: unit vectors, (k, 3), world frame.
 
     Returns:
-        Rows (r, nv) [rad/rad] and errors (r,) [rad]: two of each for a point; or one where it turns about one
-        axis; or none where it does not turn. About one axis, the error is the angle between the projections
-        across it, and both are scaled by the geometric mean of their lengths: if the direction can be had,
-        by as much as a turn moves the link.
+        Rows (r, nv) [rad/rad] and errors (r,) [rad]: two for each point, one if it turns about one axis, none
+        if it does not turn. For one axis, the error is the angle between the projections perpendicular to it,
+        and both are scaled by the geometric mean of the lengths of these projections.
     """
     known = link_axes(state.arm)
     turns, axes = known.turns[points], known.axes[points]
@@ -168,26 +167,24 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
 
 
 def _wrap(angle: Array) -> Array:
-    """Return angles in (-pi, pi], half a turn always positive."""
+    """Return angles wrapped to (-pi, pi]; half a turn is always positive."""
     return np.where(angle < HALF_TURN_TOLERANCE - np.pi, angle + 2.0 * np.pi, angle)
 
 
 def _rotation_vector(vector: Array, scalar: float) -> Array:
-    """Return the rotation vector (3,) [rad] of a unit quaternion; half a turn is about one of two axes."""
+    """Return the rotation vector (3,) [rad] of a unit quaternion; the sign of a half turn is fixed."""
     size = float(np.linalg.norm(vector))
     if size < 1e-150:
         return np.zeros(3)
     forward = scalar > 0.0
-    if (
-        abs(scalar) < HALF_TURN_TOLERANCE / 2.0
-    ):  # the first component that is not small decides, and one always is not
+    if abs(scalar) < HALF_TURN_TOLERANCE / 2.0:  # the first component that is not small decides
         forward = vector[np.argmax(np.abs(vector) > 0.4 * size)] > 0.0
     sign = 1.0 if forward else -1.0
     return np.asarray(2.0 * np.arctan2(size, sign * scalar) / size * sign * vector)
 
 
 def _logarithm_derivative(error: Array) -> Array:
-    """E (3, 3) with log(exp(e) exp(d)) = e + E d to first order, for |e| up to half a turn."""
+    """Return E (3, 3) with log(exp(e) exp(d)) = e + E d to first order, for |e| up to half a turn."""
     angle = float(np.linalg.norm(error))
     x, y, z = error
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -201,7 +198,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _across(directions: Array) -> Array:
-    """Unit vectors b and t x b, (2, k, 3), across unit vectors t, (k, 3), without a place that is inexact.
+    """Return unit vectors b and t x b, (2, k, 3), perpendicular to unit vectors t, (k, 3), stable for all t.
 
     Source: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6 (2017).
     """
@@ -213,15 +210,15 @@ def _across(directions: Array) -> Array:
     return np.stack([first, np.stack([b, sign + y * y * a, -y], axis=1)])
 
 
-# Rows are in metres, so that weights compare with those of control points: a turn counts as the arc at the
-# end of a lever, `length`, by default `Arm.characteristic_length`, the mean module length.
+# Rows are in metres, so that weights are comparable with those of control points: a rotation counts as the
+# arc at a lever arm `length`, by default `Arm.characteristic_length`, the mean module length.
 
 
 class TaskRows(NamedTuple):
-    """Rows that a step should satisfy: jacobian @ dq = error.
+    """Equations jacobian @ dq = error that a step should satisfy.
 
     Attributes:
-        jacobian: rows, (r, nv) [m/rad, or m/m where a joint slides]; zero for joints off the chain.
+        jacobian: rows, (r, nv) [m/rad, or m/m for prismatic joints]; zero for joints off the chain.
         error: error of each row, (r,) [m].
     """
 
@@ -230,32 +227,32 @@ class TaskRows(NamedTuple):
 
 
 class ControlTask(Protocol):
-    """Something to achieve besides the target posture."""
+    """Interface of tasks besides the target posture."""
 
     @property
     def weight(self) -> float:
-        """Weight of the squared error of each row, where that of a control point has weight 1."""
+        """Weight of the squared error of each row; that of a control point has weight 1."""
 
     @property
     def priority(self) -> bool:
-        """Whether it comes before everything else, which then has the freedom that it leaves."""
+        """Whether everything else is confined to the null space of the task."""
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return the rows of the task at a state.
 
         Args:
             state: the state of the arm.
-            target: the target posture that the arm is taking.
+            target: the target posture of the arm.
 
         Raises:
             InvalidValue: the task does not fit the arm.
-            UnknownName: it names a control point or joint that the arm does not have.
+            UnknownName: the task names a control point or joint that the arm does not have.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class ComparableTask:
-    """Base of tasks: two are equal if all their fields are, arrays included."""
+    """Base class of tasks, which are equal if all fields are, arrays included."""
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if type(other) is type(self) else NotImplemented
@@ -268,7 +265,7 @@ class ComparableTask:
         return tuple((v.shape, *v.ravel().tolist()) if isinstance(v, np.ndarray) else v for v in values)
 
     def _set(self, name: str, value: object) -> None:
-        """Set a field of the frozen task while it is initialised; arrays become read-only."""
+        """Set a field of the frozen task during initialisation; arrays become read-only."""
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
         object.__setattr__(self, name, value)
@@ -283,12 +280,12 @@ class ComparableTask:
 
 
 def lever(arm: Arm, length: float | None) -> float:
-    """Return the length that a turn of one radian counts as [m/rad]."""
+    """Return the lever arm of rotations: the length that one radian counts as [m/rad]."""
     return arm.characteristic_length if length is None else length
 
 
 def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a new array of finite floats; None in the shape stands for any number above 0.
+    """Return a new array of finite floats; None in the shape stands for any positive length.
 
     Raises:
         InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
@@ -309,30 +306,29 @@ def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) ->
 
 
 HOLDS = ("position", "pose")
-"""Arguments of `EndEffector.held`."""
+"""Values of `hold` in `EndEffector.held`."""
 
 
 @dataclass(frozen=True, eq=False)
 class EndEffector(ComparableTask):
     """Bring one control point, usually the tip, to a position or a pose, or hold it there.
 
-    Tasks are immutable. To hold the pose that the tip has when a run begins, make the task from that state
-    with `EndEffector.held`. To track something that moves, make a new task for each step, for instance with
-    `dataclasses.replace(task, pose=...)`, and a controller that has it.
+    Tasks are immutable. `EndEffector.held` makes the task that holds the current pose. To track a moving
+    goal, give each step a controller with a new task, for instance `dataclasses.replace(task, pose=...)`.
 
-    Directions that no joint can change are left out: for a planar arm, positions across its plane, and turns
-    about axes other than that of its joints.
+    Directions that no joint can change are left out: for a planar arm, positions off its plane and rotations
+    about other axes than that of its joints.
 
     Attributes:
-        position: where the point should be, (3,) [m], world frame; or None if a pose is given.
-        pose: where its frame should be, as a `pin.SE3` or a rigid transform (4, 4) from that frame to the
-            world, kept as the latter; or None if a position is given.
+        position: position of the point, (3,) [m], world frame; or None if a pose is given.
+        pose: pose of its frame, as a `pin.SE3` or a rigid transform (4, 4) from that frame to the world,
+            stored as the latter; or None if a position is given.
         point: the control point, by its index, 0-based or from the tip as -1, or by its name.
-        weight: weight of the squared error of each row, where that of a control point has weight 1.
-        priority: whether it comes before everything else, which then has the freedom that it leaves.
-        direction_only: whether only the position of a pose counts and the direction of the link that ends
-            there (see `link_axes`), but not the rotation about that link.
-        length: lever by which turns count [m/rad]; `Arm.characteristic_length` if None.
+        weight: weight of the squared error of each row; that of a control point has weight 1.
+        priority: whether everything else is confined to the null space of the task.
+        direction_only: whether to ignore the rotation of a pose about the link that ends at the point (see
+            `link_axes`).
+        length: lever arm of rotations [m/rad]; `Arm.characteristic_length` if None.
 
     Raises:
         InvalidValue: a value other than described.
@@ -355,7 +351,7 @@ class EndEffector(ComparableTask):
         else:
             matrix = np.array(rigid_placement("pose", self.pose).homogeneous)
             left, _, right = np.linalg.svd(matrix[:3, :3])
-            matrix[:3, :3] = left @ right  # orthonormal to the last digit, however few were given
+            matrix[:3, :3] = left @ right  # orthonormal to machine precision
             self._set("pose", matrix)
         if not isinstance(self.point, str):
             if not is_whole(self.point):
@@ -366,14 +362,12 @@ class EndEffector(ComparableTask):
                 raise InvalidValue(name, getattr(self, name), "True or False")
             self._set(name, bool(getattr(self, name)))
         if self.direction_only and self.pose is None:
-            raise InvalidValue(
-                "direction_only", self.direction_only, "False, or a pose in place of the position"
-            )
+            raise InvalidValue("direction_only", True, "False, or a pose in place of the position")
         self._set_scales(self.weight, self.length)
 
     @classmethod
     def held(cls, state: ArmState, hold: str = "pose", point: int | str = -1, **options: Any) -> EndEffector:
-        """Return the task of keeping a control point where it is.
+        """Return the task of holding a control point at its current position or pose.
 
         Args:
             state: the state whose position or pose is kept.
@@ -382,8 +376,8 @@ class EndEffector(ComparableTask):
             options: `weight`, `priority`, `direction_only`, `length`.
 
         Raises:
-            UnknownName: something else to hold, or a control point that the arm does not have.
-            InvalidValue: as `EndEffector`, or an index that no control point has.
+            UnknownName: another value of `hold`, or a control point that the arm does not have.
+            InvalidValue: as for `EndEffector`, or an index that no control point has.
         """
         if not isinstance(state, ArmState):
             raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
@@ -414,7 +408,7 @@ class EndEffector(ComparableTask):
 def _index(state: ArmState, point: int | str) -> int:
     try:
         return chosen_points(state.arm.control_points, point)[0]
-    except InvalidValue as error:  # there it is called "points"
+    except InvalidValue as error:  # its message calls the argument "points"
         raise InvalidValue("point", error.value, error.allowed) from None
 
 
@@ -422,15 +416,15 @@ def _index(state: ArmState, point: int | str) -> int:
 class JointPosture(ComparableTask):
     """Pull joints towards a configuration, for instance the straight one.
 
-    Continuous joints go the shorter way round. Joints off the chain are left alone.
+    Continuous joints turn the shorter way. Joints off the chain are unaffected.
 
     Attributes:
         q: the configuration, (nq,) [rad or m].
-        weight: weight of the squared error of each joint, where that of a control point has weight 1. It is
-            small, to use the freedom that control points leave without moving them noticeably.
-        joints: names of the joints of the chain that it is for, or a single one; all of them if None.
-        length: lever by which `Arm.joint_units` count [m]: one radian or one `Arm.characteristic_length`;
-            `Arm.characteristic_length` if None, so that slides count as they are.
+        weight: weight of the squared error of each joint; that of a control point has weight 1. The small
+            default uses redundancy without moving control points noticeably.
+        joints: name or names of joints of the chain; all of them if None.
+        length: length that one of `Arm.joint_units` counts as [m]; `Arm.characteristic_length` if None, so
+            that displacements of prismatic joints are unscaled.
 
     Raises:
         InvalidValue: a value other than described.
@@ -474,24 +468,24 @@ class JointPosture(ComparableTask):
 def _names(joints: Any) -> tuple[str, ...]:
     listed = [joints] if isinstance(joints, str) or not isinstance(joints, Iterable) else list(joints)
     if not listed or not all(isinstance(name, str) for name in listed) or len(set(listed)) < len(listed):
-        raise InvalidValue("joints", joints, "names of joints, each once, at least one")
+        raise InvalidValue("joints", joints, "one or more distinct names of joints")
     return tuple(listed)
 
 
 @dataclass(frozen=True, eq=False)
 class Tangents(ComparableTask):
-    """Point the links that end at some control points in given directions.
+    """Point the links that end at control points in given directions.
 
-    In arms made of templates that link lies along the x axis of the control point's frame; `link_axes` says
-    which it is in others. For a planar arm, the component of a direction across its plane is left out. A link
-    that points exactly the opposite way turns in a direction that depends on the link alone.
+    `link_axes` defines the link; for template arms it is the x axis of the frame of the control point. For a
+    planar arm, components of a direction off its plane are ignored. A link that points in the opposite
+    direction turns in a direction that depends on the link alone.
 
     Attributes:
-        directions: one vector for each control point, (k, 3), or (3,) for one, world frame, of any length but
-            0; kept as unit vectors (k, 3).
-        points: the control points, by their indices or names, or a single one; all of them if None.
-        weight: weight of the squared error of each row, where that of a control point has weight 1.
-        length: lever by which turns count [m/rad]; `Arm.characteristic_length` if None.
+        directions: nonzero vector for each control point, (k, 3), or (3,) for one, world frame; stored as
+            unit vectors (k, 3).
+        points: index or name of one or more control points; all of them if None.
+        weight: weight of the squared error of each row; that of a control point has weight 1.
+        length: lever arm of rotations [m/rad]; `Arm.characteristic_length` if None.
 
     Raises:
         InvalidValue: a value other than described.
@@ -508,7 +502,7 @@ class Tangents(ComparableTask):
         largest = np.abs(vectors).max(axis=1, keepdims=True)
         for k in np.flatnonzero(largest == 0.0)[:1]:
             raise InvalidValue(f"directions[{k}]", vectors[k].tolist(), "a vector other than 0")
-        vectors = vectors / largest  # first, lest squares are out of range
+        vectors = vectors / largest  # or squares could overflow
         self._set("directions", vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
         if self.points is not None:
             listed = _listed(self.points)
@@ -527,13 +521,13 @@ class Tangents(ComparableTask):
     ) -> Tangents:
         """Return the task of pointing links along the curve of a target.
 
-        A link that ends on a curve is a chord of it, parallel to the tangent half its length before. The
-        tangent at its end differs from that by about half the length times the curvature, so that it competes
-        with the positions of the points before.
+        A link between points on a curve is a chord, roughly parallel to the tangent at its middle. The
+        tangent at its end differs by about half the length times the curvature, so the task competes with
+        the positions of the preceding points.
 
         Args:
-            target: a target that was found on a curve.
-            points: indices of control points, 0-based or from the tip as -1; all that have a target if None.
+            target: a target that lies on a curve.
+            points: indices of control points, 0-based or from the tip as -1; all with a target if None.
             weight: see `Tangents`.
             length: see `Tangents`.
 
@@ -541,9 +535,9 @@ class Tangents(ComparableTask):
             InvalidValue: a target without a curve, or an index that it does not have.
         """
         if not isinstance(target, Target):
-            raise InvalidValue("target", target, "a Target on a curve, as resolve_targets finds it")
+            raise InvalidValue("target", target, "a Target on a curve, from resolve_targets")
         if target.curve is None or target.parameters is None:
-            raise InvalidValue("target.curve", None, "a target on a curve, as resolve_targets finds it")
+            raise InvalidValue("target.curve", None, "a target on a curve, from resolve_targets")
         m = len(target.parameters)
         listed = _listed(np.flatnonzero(target.has_target) if points is None else points)
         for k in listed:
@@ -560,11 +554,10 @@ class Tangents(ComparableTask):
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return two rows for each point, one in a plane; see `ControlTask.rows`."""
         arm, directions = state.arm, np.asarray(self.directions)
-        points = chosen_points(
-            arm.control_points, range(arm.n_modules) if self.points is None else self.points
-        )
+        wanted = range(arm.n_modules) if self.points is None else self.points
+        points = chosen_points(arm.control_points, wanted)
         if len(points) != len(directions):
-            allowed = f"one direction for each of {len(points)} control points, unless points= chooses some"
+            allowed = f"one direction for each of {len(points)} control points; points= selects some"
             raise InvalidValue("directions (shape)", directions.shape, allowed)
         turns, angles = direction_rows(state, np.array(points), directions)
         arc = lever(arm, self.length)
@@ -572,7 +565,7 @@ class Tangents(ComparableTask):
 
 
 def _listed(points: Any) -> tuple[int | str, ...]:
-    """Return control points as given, each an index or a name, whether the arm has it or not."""
+    """Return control points as indices or names, without checking them against an arm."""
     alone = isinstance(points, str) or not isinstance(points, Iterable)
     listed = [points] if alone else list(points)
     for point in listed:

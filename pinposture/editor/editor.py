@@ -89,7 +89,7 @@ class Editor:
 
     @property
     def url(self) -> str:
-        """Where a browser on this machine finds it; whoever has it can edit."""
+        """Where a browser on this machine finds it; anyone who has it can edit."""
         return self.page.url
 
     @property

@@ -23,7 +23,7 @@ from pinposture.errors import CurveError, InvalidValue, TaskError
 from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
-from pinposture.task.keyframe import MOST_CYCLES, title
+from pinposture.task.keyframe import MOST_CYCLES, OF_A_CURVE
 
 Array = NDArray[np.float64]
 
@@ -34,20 +34,18 @@ FIT_TOLERANCE = 0.02  # deviation of a fitted curve, relative to the mean module
 MIN_POINT_DISTANCE = 0.2  # between control points, relative to the shortest module
 EXTRA_LENGTH = 1.0  # of a lengthened curve over the arm, in mean module lengths: modules cut corners
 MAX_EXTENSIONS = 20  # of the last point before a curve counts as too short
+POINT_DIGITS = 9  # of control points that are moved [m]
+JOINT_DIGITS = 6  # of joint positions [rad or m]
 
 
 def keyframes_of(task: Task) -> tuple[Keyframe, ...]:
     """Return the keyframes of a task.
 
     Raises:
-        TaskError: the task follows a leader and has no keyframes, or one of them has no curve.
+        TaskError: the task follows a leader and has no keyframes.
     """
     if isinstance(task.motion, Leader):  # which is a tuple, too
         raise TaskError("the task", "follows a leader; only tasks of keyframes can be edited")
-    for index, keyframe in enumerate(task.motion):
-        if keyframe.curve is None:
-            reason = "is a taught configuration; the editor reshapes curves, and every keyframe needs one"
-            raise TaskError(title(task.motion, index), reason)
     return task.motion
 
 
@@ -67,10 +65,10 @@ def list_keyframes(task: Task, index: int) -> list[Keyframe]:
 class Shape:
     """Control points of a target curve in the world frame.
 
-    The first stands at the base of the arm and stays there. For a planar arm, the others stay in its plane.
+    The first is at the base of the arm and stays there. For a planar arm, the others stay in its plane.
 
     Attributes:
-        points: (n, 3) [m], world frame.
+        points: (n, 3) [m], world frame; none for a taught configuration.
         degree: of the B-spline that they control.
         knots: of that B-spline, (n + degree + 1,); None for even ones, as of `Curve.spline`.
         off: largest distance between that curve and the part of the keyframe's curve that the arm needs [m];
@@ -85,7 +83,9 @@ class Shape:
     @classmethod
     def of(cls, arm: Arm, keyframe: Keyframe) -> Shape:
         """Return the shape of a keyframe: its own control points, or a few that fit its curve."""
-        laid, _ = place_curve(arm, cast(Curve, keyframe.curve), keyframe.placement, keyframe.roll)
+        if keyframe.curve is None:
+            return cls(np.empty((0, 3)))
+        laid, _ = place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
         own, knots, degree = np.array(laid.coefficients), laid.knots, laid.degree
@@ -151,16 +151,14 @@ class Shape:
         points, together = self.points.copy(), sorted({index, *others} - {0})
         for each in together:
             self._check_index(each)
-        points[together] += place - points[index]
-        if index > 0:
-            points[index] = place  # to the last bit
+        points[together] = rounded(points[together] + (place - points[index]))
         after = replace(self, points=points)
         for each in together:
             after._check_distance(arm, each)
         return after._lengthened(arm)
 
     def inserted(self, arm: Arm, after: int) -> Shape:
-        """Return the same curve with a further point on the line to the next one; points beside it give way.
+        """Return the same curve with a further point on the line to the next one; neighbours are adjusted.
 
         Behind the last point it is before that one.
 
@@ -195,7 +193,7 @@ class Shape:
             after._check_index(index)
             points = after.points
             begin = min(index, len(points) - 2)
-            copy = points[index] + 0.5 * (points[begin + 1] - points[begin])
+            copy = rounded(points[index] + 0.5 * (points[begin + 1] - points[begin]))
             knots = None if after.knots is None else after.inserted(arm, index).knots
             after = replace(after, points=np.insert(points, index + 1, copy, axis=0), knots=knots)
         if len(after.points) > MAX_SHAPE_POINTS:
@@ -227,7 +225,7 @@ class Shape:
         """Return the shape without a point, and without a knot if it has its own.
 
         Where a knot near the point can go without changing the curve by more than a tolerance [m], it does;
-        the other points give way for that. Otherwise they stay.
+        the other points are adjusted. Otherwise they stay.
         """
         rest = np.delete(self.points, index, axis=0)
         if self.knots is None:
@@ -271,10 +269,15 @@ class Shape:
             ahead = points[-1] - points[-2]
             # A little more: the curve grows by less than its last point moves.
             step = (missing + 0.01 * arm.length) / max(float(np.linalg.norm(ahead)), 1e-12)
-            points[-1] = points[-1] + step * ahead
+            points[-1] = rounded(points[-1] + step * ahead)
             longer = replace(self, points=points)
         reason = f"cannot be moved far enough to make the curve {required:.4g} m long, as the arm requires"
         raise CurveError(f"point {len(self.points)}", reason)
+
+
+def rounded(points: Array) -> Array:
+    """Round coordinates [m] for task files, far below the accuracy of an arm."""
+    return np.asarray(np.round(points, POINT_DIGITS) + 0.0)  # no -0.0
 
 
 def most_points(arm: Arm) -> int:
@@ -328,6 +331,21 @@ def with_keyframe(index: int, **changes: Any) -> Edit:
     return edit
 
 
+def joints_at(arm: Arm, q: Array) -> tuple[float, ...]:
+    """Return the joint positions of a configuration (nq,), rounded for a keyframe, (nv,) [rad or m]."""
+    return tuple(np.round(arm.positions(q), JOINT_DIGITS).tolist())
+
+
+def configuration_of(arm: Arm, keyframe: Keyframe) -> Array:
+    """Return the configuration (nq,) of a taught keyframe."""
+    return arm.configuration(np.clip(cast(Any, keyframe.joints), arm.limits.lower, arm.limits.upper))
+
+
+def taught(index: int, q: Array) -> Edit:
+    """Have a keyframe take a configuration (nq,), in place of its curve if it has one."""
+    return lambda task: with_keyframe(index, curve=None, joints=joints_at(task.arm, q), **OF_A_CURVE)(task)
+
+
 def retimed(index: int, time: float) -> Edit:
     """Move a keyframe to another time [s], after the one before it; the first stays at 0.
 
@@ -357,7 +375,7 @@ def retimed(index: int, time: float) -> Edit:
 def dragged(index: int, time: float) -> Edit:
     """Move a keyframe to another time [s], perhaps past others; these keep their times, and the first stays.
 
-    Where others are in the way, by a hold or as near as can be, it comes to the nearest time that is free.
+    Where another one, or its hold, is in the way, it goes to the nearest free time.
     """
 
     def edit(task: Task) -> Task:

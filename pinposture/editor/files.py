@@ -20,6 +20,7 @@ from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, keyframes_of
+from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
 from pinposture.errors import FileError, PostureError, TaskError, UnknownName
@@ -28,7 +29,6 @@ from pinposture.placement.target import arm_axis
 from pinposture.storage import settled
 from pinposture.task import Keyframe, Task
 from pinposture.task.specification import DEFAULT_CYCLE
-from pinposture.viz.body import backbone
 
 logger = logging.getLogger(__name__)
 
@@ -377,7 +377,7 @@ def export(motion: Motion, kind: str, stem: str) -> Export:
         write(motion, path)
         content = path.read_bytes()
     size = f"{len(content) / 1000.0:,.0f} kB" if len(content) >= 1000 else f"{len(content)} bytes"
-    end = "" if motion.converged else "; it does not end as it should"
+    end = "" if motion.converged else "; it does not arrive at its last posture"
     return Export(
         name, content, f"{name}: {noun} of {motion.time[-1]:.4g} s, {motion.steps} cycles, {size}{end}"
     )
@@ -417,7 +417,7 @@ BENDS = (1.4, 0.8, 0.4, 0.2)  # turn of the curve between its ends [rad]; the fi
 CONTROL_POINTS = 6
 JOINT_SHARES = (0.3, 0.15, 0.05, 0.0)  # of joint ranges, for a shape where no bent line can be taken
 CURVE_LENGTH = 1.08  # relative to the arm, since modules cut corners
-ACCELERATION = 20.0  # limit of each joint [rad/s^2 or m/s^2]: smooth, and fast enough for a hand
+ACCELERATION = 20.0  # limit of each joint [rad/s^2 or m/s^2]: smooth, and fast enough to follow a drag
 BENT_TIME = 3.0  # of the second keyframe [s]
 
 
@@ -434,7 +434,7 @@ def first_task(arm: Arm, name: str = "") -> Task:
     straight = _first_feasible(arm, [_line(arm), *_along_arm(arm, (0.0,))])
     bent = _first_feasible(arm, [*(_arc(arm, bend) for bend in BENDS), *_along_arm(arm, JOINT_SHARES)])
     if straight is None or bent is None:
-        raise TaskError("the arm", "no curve was found that it can take; begin with a task file")
+        raise TaskError("the arm", "no curve was found that it can take; start from a task file")
     keyframes = (
         Keyframe(straight.curve, name="straight", placement="as_is", trim=True),
         Keyframe(bent.curve, time=BENT_TIME, name="bent", placement="as_is", trim=True),
@@ -490,10 +490,9 @@ def _along_arm(arm: Arm, shares: tuple[float, ...]) -> list[Shape]:
     for share in shares:
         middle = np.clip(0.5 * (lower + upper) - arm.positions(start), -1.0, 1.0) * arm.moved
         try:
-            line = backbone(arm, arm.integrate(start, share * middle))
-            kept = line[np.append(True, np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-6 * arm.length)]
-            end = kept[-1] + (kept[-1] - kept[-2]) / np.linalg.norm(kept[-1] - kept[-2]) * 0.05 * arm.length
-            through = Curve.points(np.vstack([kept, end]))
+            line = arm_line(arm, arm.integrate(start, share * middle))
+            end = line[-1] + (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2]) * 0.05 * arm.length
+            through = Curve.points(np.vstack([line, end]))
             tolerance = 2.0 * FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
             fitted = through.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
             shapes.append(Shape(np.array(fitted.coefficients)))

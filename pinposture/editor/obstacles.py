@@ -34,8 +34,8 @@ CLEAR_ROOM = 0.05  # between a new obstacle and the arm or other obstacles
 FLOOR_DEPTH = 0.1  # of a new half-space below the arm
 OFFSETS = (0.2, 0.3, 0.45, 0.65, 0.9, 1.3)  # of a new obstacle sideways from the arm, tried in turn
 
-HAND_PAUSE = 0.15  # after which a hand that tells of no move has stopped [s]
-HAND_FILTER_TIME = 0.03  # time constant of the filter of its velocity [s]
+DRAG_PAUSE = 0.15  # after the last move, for a dragged obstacle to count as at rest [s]
+DRAG_FILTER_TIME = 0.03  # time constant of the filter of its velocity [s]
 
 FRACTIONS = (0.6, 0.4, 0.8, 1.0, 0.25)  # places along the arm beside which a new obstacle is tried, in turn
 ARM_SAMPLES = 200  # points of the arm that a new obstacle keeps away from
@@ -457,13 +457,13 @@ def change_obstacle(name: str, change: Change, what: str, final: bool, session: 
 
 
 def _dragged(name: str, obstacle: Obstacle, task: Task, session: Session) -> Scene:
-    """Return the scene with an obstacle where the hand has it, and the velocity of the hand.
+    """Return the scene with a dragged obstacle, and its velocity.
 
     Args:
         name: of the obstacle.
         obstacle: as it is now.
         task: the task with this obstacle.
-        session: what is edited; its proposal is from the last move of the hand.
+        session: what is edited; its proposal is from the last move.
     """
     before, here = obstacles_of(session.task)[name], _placement(obstacle, session.arm)
     scene = session.task.scene
@@ -471,10 +471,10 @@ def _dragged(name: str, obstacle: Obstacle, task: Task, session: Session) -> Sce
         return replace(task.scene or Scene(), velocities={name: (0.0, 0.0, 0.0)})
     velocity, passed = np.zeros(3), time.monotonic() - session.asked
     last = None if session.proposal is None else session.proposal.task.scene
-    if last is not None and name in last.velocities and 0.0 < passed < HAND_PAUSE:
+    if last is not None and name in last.velocities and 0.0 < passed < DRAG_PAUSE:
         step = here.translation - _placement(last.obstacles[name], session.arm).translation
         velocity = np.array(last.velocities[name])
-        velocity += passed / (passed + HAND_FILTER_TIME) * (step / passed - velocity)
+        velocity += passed / (passed + DRAG_FILTER_TIME) * (step / passed - velocity)
     motion = here * _placement(before, session.arm).inverse()
     return scene.moved({name: motion}, velocities={name: _as_vector(velocity)})
 

@@ -350,7 +350,7 @@ def _report(motion: Motion | None, reason: str) -> tuple[str, str]:
     if motion is None:
         return f"no motion: {reason}", "error"
     if not motion.converged:
-        return f"the motion does not end as it should: {motion.run.reason}", "warning"
+        return f"the motion does not arrive at its last posture: {motion.run.reason}", "warning"
     if motion.deviations:
         return f"a motion of {motion.time[-1]:.4g} s; {motion.deviations[0]}", "warning"
     scale = motion.time_scale

@@ -8,18 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from pinposture.arm import Arm
 from pinposture.editor.clearances import NearestObstacle
-from pinposture.editor.edits import Edit, Shape, keyframes_of, reshaped, with_keyframe
+from pinposture.editor.edits import Edit, Shape, joints_at, keyframes_of, reshaped, with_keyframe
 from pinposture.editor.playback import Playback
 from pinposture.editor.solver import Live, Problem
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.task import Keyframe, Task
 
 MAX_HISTORY = 500  # states that are kept for undo
-JOINT_DIGITS = 6  # of the joint positions kept with an accepted shape [rad or m]
 
 
 class HistoryEntry(NamedTuple):
@@ -90,7 +87,7 @@ class Proposal(NamedTuple):
 
     task: Task  # the task with the change
     what: str  # the change in words
-    final: bool  # whether it is to be accepted; else the hand is still dragging
+    final: bool  # whether it is to be accepted; else the drag continues
     number: int  # of its problem to the solver
     note: str = ""  # a further message when it is accepted
 
@@ -103,7 +100,7 @@ class Session:
         path: the task file; None if it was never saved.
         selected: the keyframe that is edited, 0-based.
         handles: the selected control points of its curve, 0-based, in the order in which they were selected.
-        grid: of the grid to which points that are dragged are snapped, the step [m]; 0 for no grid.
+        grid: step of the grid to which dragged points snap [m]; 0 for no grid.
         obstacle: the name of the selected obstacle; None if there is none.
         tip: whether the tip of the arm is selected, to be dragged.
         proposal: a change that is not accepted yet; None if there is none.
@@ -188,7 +185,7 @@ class Session:
 
     @property
     def shape(self) -> Shape:
-        """Its shape, as it is shown."""
+        """Its shape, as it is shown; without points for a taught configuration."""
         keyframe = self.keyframe
         if self._shape is None or self._shape[0] is not keyframe:
             self._shape = keyframe, Shape.of(self.arm, keyframe)
@@ -256,6 +253,8 @@ class Session:
             final: whether it is to be accepted.
         """
         self.proposal = None
+        if not self.has_points():
+            return
         try:
             shape = self.shape
         except PostureError as error:
@@ -301,12 +300,19 @@ class Session:
             self.touch()
             return
         task = proposal.task
-        if target.q is not None:  # so that the posture on the screen is also the one opened again and played
-            joints = tuple(np.round(self.arm.positions(target.q), JOINT_DIGITS).tolist())
-            task = with_keyframe(self.selected, joints=joints)(task)
+        curve = keyframes_of(task)[self.selected].curve
+        if target.q is not None and curve is not None:  # the posture on the screen is played and opened again
+            task = with_keyframe(self.selected, joints=joints_at(self.arm, target.q))(task)
         self._add(task, proposal.what, self.selected)
         if proposal.note:
             self.say(f"{proposal.what}; {proposal.note}")
+
+    def has_points(self) -> bool:
+        """Return whether the keyframe has control points; if it has none, say so."""
+        if self.keyframe.curve is None:
+            text = "is a taught configuration without control points; draw a curve through it first"
+            self.say(f"keyframe {self.selected + 1} {text}", "error")
+        return self.keyframe.curve is not None
 
     def take_hold(self, handle: int | None, more: bool = False) -> None:
         """Select a control point, 0-based, instead of an obstacle or the tip; an unknown one is ignored.
@@ -326,8 +332,9 @@ class Session:
 
     def take_all(self) -> None:
         """Select all control points but the one at the base, the last one in the end."""
-        self.take_hold(len(self.shape.points) - 1)
-        self.handles = tuple(range(1, len(self.shape.points)))
+        if self.has_points():
+            self.take_hold(len(self.shape.points) - 1)
+            self.handles = tuple(range(1, len(self.shape.points)))
 
     def select(self, keyframe: int) -> None:
         """Select another keyframe, 0-based; an unknown one is ignored."""
@@ -349,7 +356,7 @@ class Session:
         """Edit another task instead, with a new history.
 
         Raises:
-            TaskError: a task without keyframes, or with taught configurations.
+            TaskError: a task without keyframes.
         """
         keyframes_of(task)
         self.history = History(task)

@@ -28,6 +28,7 @@ from pinposture.errors import (
     TaskError,
 )
 from pinposture.motion import Tracker
+from pinposture.motion.tracker import NOT_DONE
 from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.keyframe import resolve_keyframe
@@ -44,8 +45,9 @@ CONTACT_DEPTH = 1e-6  # how deep touching links may be inside each other, in arm
 
 STEP_TIME = 0.02  # of a step [s]: the arm moves in real time, within its limits
 CONTROLLER_DEADLINE = 0.02  # after which the arm keeps clear while the controller goes on computing [s]
-HAND_SIGHT = 0.1  # for which a dragged obstacle is taken to move on after the last move of the hand [s]
+DRAG_HORIZON = 0.1  # for which a dragged obstacle is extrapolated after its last move [s]
 REST_INTERVAL = 0.25  # between steps while the arm is at rest and nothing is asked [s]
+STOP_TIME = 0.5  # for which the arm stands still before it is said to have stopped [s]
 RESTING = ("converged", "stalled")
 TRACKER_FIELDS = ("controller", "limits", "scene")  # of a problem; a change of them needs a new tracker
 
@@ -184,7 +186,7 @@ class VerdictCache:
     ) -> Verdict:
         """Return the verdict on a keyframe as `judge` does; a known one is only reviewed in the scene.
 
-        While the hand is only passing a shape, there is no long search, and nothing is kept.
+        During a drag there is no long search, and nothing is kept.
         """
         with self._lock:
             reference, judged_arm, verdict = self._known.get(id(keyframe), (None, None, None))
@@ -212,7 +214,7 @@ class Problem(NamedTuple):
     at_once: bool  # whether to jump there, whatever the limits
     asked: float  # when it was asked, by `time.monotonic` [s]
     shaping: bool = False  # whether the shape was made from the one before, so that the target is near
-    passing: bool = False  # whether the hand is still dragging, so that a long search is not worth it
+    passing: bool = False  # whether it is from a drag that continues, not worth a long search
     dragging_obstacle: bool = False  # whether it drags an obstacle, of which the scene has the velocity
 
 
@@ -220,7 +222,7 @@ class Live(NamedTuple):
     """The arm at this moment.
 
     Attributes:
-        number: of the problem that was last looked at.
+        number: of the problem that was last judged.
         arm: the arm.
         verdict: what the arm can make of it.
         state: the state of the arm.
@@ -308,7 +310,7 @@ class Solver:
         self._tracker, self._verdict = _tracker(first, start), Verdict(None)
         self._lag: float | None = None
         self._last_target: tuple[Arm, Target] | None = None
-        self._steps = 0
+        self._steps, self._moved = 0, time.monotonic()  # when it moved, arrived, or was asked last [s]
         self._dq, self._fault = np.zeros(first.arm.nv), ""
         self._live = self._look(first.arm.at(start))
         self._thread = Thread(target=self._run, name="pinposture-solver", daemon=True)
@@ -357,7 +359,7 @@ class Solver:
 
     def _take(self, problem: Problem, new: bool = False) -> None:
         """Turn to another problem; if something is wrong with it the verdict says so, and the arm stays."""
-        self._problem, self._lag = problem, None
+        self._problem, self._lag, self._moved = problem, None, time.monotonic()
         before = self._tracked
         try:
             self._verdict = self._judge(problem)
@@ -376,7 +378,7 @@ class Solver:
         except PostureError as error:
             self._verdict = Verdict(None, str(error))
         except Exception as error:  # a bug must not end the thread, which others wait for
-            logger.exception("a problem could not be looked at")
+            logger.exception("a problem could not be judged")
             self._verdict = Verdict(None, f"an internal error ({error})")
 
     def _change_arm(self, problem: Problem) -> None:
@@ -422,7 +424,7 @@ class Solver:
         if scene is None or not (problem.dragging_obstacle and problem is self._tracked):
             return None
         age = time.monotonic() - problem.asked
-        if age < HAND_SIGHT:
+        if age < DRAG_HORIZON:
             return scene.after(max(age, 0.0))
         return scene.moved({}, velocities=dict.fromkeys(scene.velocities, (0.0, 0.0, 0.0)))
 
@@ -438,6 +440,11 @@ class Solver:
         active = np.zeros(tracker.arm.n_modules, dtype=np.bool_)
         if report.step is not None:
             active[list(report.step.active)] = True
+        status, reason = ("holding", self._fault) if self._fault else (report.status, report.reason)
+        if status in ("moving", "converged"):
+            self._moved = time.monotonic()
+        elif not self._fault and reason != NOT_DONE and time.monotonic() - self._moved < STOP_TIME:
+            status, reason = "moving", ""  # it may only be reversing
         return Live(
             number=problem.number,
             arm=tracker.arm,
@@ -448,8 +455,8 @@ class Solver:
             tip_error=None if target is None else tip_off(problem.keyframe.tip, target, state),
             active=active,
             at_limit=at_limit(state, self._dq, tracker.limits.bound(state)),
-            status="holding" if self._fault else report.status,
-            reason=self._fault or report.reason,
+            status=status,
+            reason=reason,
             lag=self._lag,
             steps=self._steps,
         )
@@ -458,7 +465,7 @@ class Solver:
 def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
     """Return a tracker that moves the arm from q, at rest or after a step dq, (nv,) [rad or m]."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # the status tells of it
+        warnings.simplefilter("ignore", PostureWarning)  # the status reports it
         tracker = Tracker(
             problem.arm,
             problem.controller,

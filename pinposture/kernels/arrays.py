@@ -93,7 +93,7 @@ class Screws(NamedTuple):
 
 
 class PathProblem(NamedTuple):
-    """The joints of a path search. Displacements are relative to the start, in units of each joint.
+    """The joints of a path. Displacements are relative to the start, in units of each joint.
 
     Attributes:
         chain: the chain.
@@ -162,7 +162,7 @@ class ScrewChain(NamedTuple):
         points: the points that are carried, (m, 3).
         joints: index of the first joint of each point, and the number of joints, (m + 1,).
         begins: index of the first degree of freedom of each point, and their number, (m + 1,).
-        sliding: True for a degree of freedom that slides, (n,).
+        sliding: True for a degree of freedom of prismatic joints, (n,).
         lower: lower limits, (n,).
         upper: upper limits, (n,).
         near: preferred joint positions, within the limits, (n,).
@@ -186,14 +186,14 @@ class ModuleArrays(NamedTuple):
     """The joints of a module in its base frame, with n joints and k degrees of freedom.
 
     Attributes:
-        slides: True for a joint that slides, (n,).
+        slides: True for a prismatic joint, (n,).
         axes: unit joint axes, (n, 3).
         origins: a point on each axis, (n, 3).
         end: the end of the module, (3,).
         inputs: degree of freedom of each joint, (n,).
         ratios: motion of each joint relative to its degree of freedom, (n,).
         units: unit motion of each degree of freedom, (k,).
-        turning: True for a degree of freedom that turns a joint, (k,).
+        turning: True for a degree of freedom of revolute joints, (k,).
         reach: largest distance of the end from the base, (1,).
     """
 

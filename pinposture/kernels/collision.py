@@ -47,7 +47,7 @@ Contact = tuple[float, float, float, float, float, float, float]
 def place_joints(
     tree: JointTree, positions: Array2, others: Array3, rotations: Array4, origins: Array3
 ) -> None:
-    """Forward kinematics of all joints of a model, at several configurations.
+    """Compute the forward kinematics of all joints of a model, at several configurations.
 
     Args:
         tree: the joints; the first is the world.

@@ -1,4 +1,4 @@
-"""Following paths: how fast limits of speed and acceleration allow it, braking, and steps along them."""
+"""Path following: time-optimal speed within velocity and acceleration limits, braking, and steps."""
 
 from __future__ import annotations
 
@@ -57,11 +57,10 @@ def spline_slopes(x: Array2, slopes: Array2) -> None:
     slopes[last] = x[last] - x[last - 1] + bends[last - 1] / 6.0
 
 
-# How fast a path can be followed. Between two waypoints it is a cubic curve, divided into parts of length h;
-# on each the path acceleration u is constant, and so x = speed^2 is linear: x' = x + 2 h u. The joint
-# acceleration f = q'(s) u + q''(s) x(s) is a polynomial of second degree there. It is within a limit where
-# its three Bernstein coefficients are: f at both ends, and 2 f(middle) - (f(start) + f(end)) / 2. All are of
-# the form a u + b x.
+# Time-optimal path speed. Between two waypoints the path is a cubic curve, divided into parts of length h, on
+# which the path acceleration u is constant, so that x = speed^2 is linear: x' = x + 2 h u. The joint
+# acceleration f = q'(s) u + q''(s) x(s) is quadratic there, and within a limit if its three Bernstein
+# coefficients are: f at both ends, and 2 f(middle) - (f(start) + f(end)) / 2. All have the form a u + b x.
 
 
 @subkernel
@@ -93,7 +92,7 @@ def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3
 def _acceleration_range(
     a: Array2, b: Array2, limit: Array1, tiny: float, x: float
 ) -> tuple[float, float, float, float]:
-    """Return the range of u in which |a u + b x| <= limit, and how its ends change with x."""
+    """Return the range of u in which |a u + b x| <= limit, and the derivatives of its ends by x."""
     low, high, low_slope, high_slope = -np.inf, np.inf, 0.0, 0.0
     for row in range(len(a)):
         for j in range(a.shape[1]):
@@ -149,14 +148,14 @@ def find_speed_profile(
     b: Array3,
     top: Array1,
 ) -> None:
-    """Compute the largest path speed that allows for all slower places ahead, and the end.
+    """Compute the largest path speed from which all limits ahead can be kept, up to rest at the end.
 
     Args:
         offsets: displacement of each waypoint from the first, (N + 1, nv), N > 0.
         slopes: change of it per waypoint, (N + 1, nv).
         bound: largest step of each joint, (nv,); may be infinite.
-        brake: largest change of a step from the one before, (nv,), > 0; may be infinite.
-        start_speed: waypoints of the step before the first one.
+        brake: largest change between steps, (nv,), > 0; may be infinite.
+        start_speed: number of waypoints in the step before the first one.
         most: largest number of waypoints of one step; may be infinite.
         small: slope that counts as zero, relative to the largest.
         a: filled with rows of the parts into which the waypoints are divided, (N parts, 3, nv).
@@ -198,7 +197,7 @@ def find_speed_profile(
 
 @subkernel
 def _travel(place: float, top: Array1, parts: int, onward: bool) -> float:
-    """Return how far the profile leads from a place in the time of one step, or in the step before."""
+    """Return the distance along the profile from a place in the next step, or in the previous one."""
     last, left, at, sign = len(top) - 1, 1.0, place * parts, 1.0 if onward else -1.0
     while left > 0.0:
         i = min(int(at), last - 1) if onward else max(int(np.ceil(at)) - 1, 0)
@@ -230,10 +229,10 @@ def next_path_speed(
     top: Array1,
     waypoints: int,
 ) -> float:
-    """Return the number of waypoints to go in a step.
+    """Return the number of waypoints to advance in a step from a place, in waypoints from the start.
 
-    The step begins at a place, in waypoints from the start of the path; the step before went `rate`
-    waypoints. Other arguments are as for `find_speed_profile`; `waypoints` is N.
+    `rate` is that number in the previous step. Other arguments are as for `find_speed_profile`; `waypoints`
+    is N.
     """
     count = len(a)
     parts = count // waypoints
@@ -241,7 +240,7 @@ def next_path_speed(
     wanted = min(_travel(place, top, parts, True), most)
     if place <= 0.0:
         return min(wanted, left)
-    # Beside the profile, a step differs from the one before by what limits allow at that speed.
+    # Off the profile, steps change as much as the limits allow at that speed.
     before, tiny = _travel(place, top, parts, False), 1e-100
     first, last = min(int(place * parts), count - 1), min(int((place + wanted) * parts), count - 1)
     for i in range(first, last + 1):
@@ -281,7 +280,7 @@ def step_box(
     previous: Array1,
     rounding: float,
     columns: Ints1,
-    leaning: Array1,
+    slack: Array1,
     limits: Array2,
 ) -> int:
     """Compute the smallest and largest step of each joint; see `Limits.box`.
@@ -290,11 +289,11 @@ def step_box(
         positions: joint positions, (nv,).
         edges: position limits, (2, nv).
         bound: largest |dq|, (nv,).
-        brake: largest change of dq from one step to the next, (nv,); empty for no limit.
-        previous: the step before, (nv,); empty without `brake`.
+        brake: largest change of dq between steps, (nv,); empty for no limit.
+        previous: the previous step, (nv,); empty without `brake`.
         rounding: tolerance of a limit.
         columns: which of the joints are on the chain, (n,).
-        leaning: tolerated excess of each of them over its limits, (n,).
+        slack: tolerated excess of each of them over its limits, (n,).
         limits: filled with smallest and largest step, (2, nv).
 
     Returns:
@@ -319,7 +318,7 @@ def step_box(
             found = UNMET_LIMITS
     for i in range(len(columns)):
         u = columns[i]
-        if positions[u] < edges[0, u] - leaning[i] or positions[u] > edges[1, u] + leaning[i]:
+        if positions[u] < edges[0, u] - slack[i] or positions[u] > edges[1, u] + slack[i]:
             return found + OUTSIDE_LIMITS
     return found
 
@@ -417,8 +416,8 @@ def step_along(
         dq: zeros, filled with the step, (nv,).
 
     Returns:
-        The place that it leads to, which is the old one if the limits do not admit more; the largest joint
-        motion left to the end of the path, in units; and whether the step is within the limits.
+        The place at its end, unchanged if the limits admit no step ahead; the largest remaining joint motion
+        before the step, in units; and whether the step is within the limits.
     """
     n, last = len(columns), len(offsets) - 1
     offset, begin = np.empty(n), np.empty(n)
@@ -510,7 +509,7 @@ def look_ahead(
 
 @compiled
 def sum_point_errors(points: Array2, targets: Array2, has_target: Flags1) -> float:
-    """Return the sum of the distances of points (m, 3) from their targets (m, 3), of those that have one."""
+    """Return the sum of the distances of points (m, 3) from their targets (m, 3), where they have one."""
     total = 0.0
     for k in range(len(points)):
         if has_target[k]:
@@ -524,7 +523,7 @@ def advance(
     chain: ChainArrays,
     endless: Flags1,
     units: Array1,
-    leaning: Array1,
+    slack: Array1,
     edges: Array2,
     bound: Array1,
     positions: Array1,
@@ -545,23 +544,23 @@ def advance(
     reached: Array2,
     at_limit: Flags2,
 ) -> int:
-    """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` for usual steps, one after the other.
+    """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` for consecutive simple steps.
 
     Arguments are those of these kernels. All joints of the chain move on the path. `disturbed` is the largest
-    difference from the `expected` joint positions, (nv,), and `arrived` the joint motion left at which the
-    path is complete, both in units. Filled are, for each step, the place that it leads to, `places` (s,), and
-    the rows of `dq` (zeros before), `reached` and `at_limit`, (s, nv); and `errors` (s + 1,) with the sum of
+    difference from the `expected` joint positions, (nv,), and `arrived` the remaining joint motion at which
+    the path ends, both in units. Filled are, for each step, the place at its end, `places` (s,), and the rows
+    of `dq` (initially zeros), `reached` and `at_limit`, (s, nv); and `errors` (s + 1,) with the sum of
     distances from the targets, before the first step and after each.
 
     Returns:
-        Number of steps, at most s. The one after them is unusual, or the path ends.
+        Number of steps, at most s; the next step is not simple, or the path ends.
     """
     none, limits = np.empty(0), np.empty((2, len(positions)))
     if joint_distance(expected, positions, endless, chain.inputs, units) > disturbed:
         return 0
     here = positions
     for i in range(len(places)):
-        if step_box(here, edges, bound, none, none, rounding, chain.inputs, leaning, limits) != 0:
+        if step_box(here, edges, bound, none, none, rounding, chain.inputs, slack, limits) != 0:
             return i
         place, left, inside = step_along(
             offsets, start, here, endless, chain.inputs, units, place, limits, max_motion, dq[i]
@@ -584,7 +583,7 @@ def step_to(
     chain: ChainArrays,
     turns: Flags1,
     units: Array1,
-    leaning: Array1,
+    slack: Array1,
     edges: Array2,
     bound: Array1,
     positions: Array1,
@@ -601,15 +600,15 @@ def step_to(
 ) -> tuple[bool, float, float]:
     """Step to a configuration that is within one step.
 
-    Arguments are those of `advance`. `goal` are the joint positions to reach, (nv,); joints that turn without
-    end (`turns`), and others (`nearest_turn`), may reach them after whole turns. `farthest` is the largest
-    motion of a joint, in units.
+    Arguments are those of `advance`. `goal` are the joint positions to reach, (nv,), up to whole turns of
+    continuous joints (`turns`) and of multi-turn ones (`nearest_turn`). `farthest` is the largest motion of a
+    joint, in units.
 
     Returns:
-        Whether limits allow it, and something moves; and the sums of distances before and after the step.
+        Whether the limits allow the step and a joint moves; and the sums of distances before and after it.
     """
     none, limits, columns = np.empty(0), np.empty((2, len(positions))), chain.inputs
-    if step_box(positions, edges, bound, none, none, rounding, columns, leaning, limits) != 0:
+    if step_box(positions, edges, bound, none, none, rounding, columns, slack, limits) != 0:
         return False, 0.0, 0.0
     dq[:] = 0.0
     moves = False

@@ -1,4 +1,4 @@
-"""The loop, and what comes out of it."""
+"""Runs, motions in time, batches, the streaming controller, and their files."""
 
 from pinposture.motion.actuators import Actuators, Tendon
 from pinposture.motion.batch import Batch

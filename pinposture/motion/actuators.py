@@ -1,7 +1,7 @@
-"""Actuators that move several joints: tendons along an arm, gears, differential drives.
+"""Actuators that move several joints: tendons, gears, differential drives.
 
-The position of an actuator is a linear function of the joint positions, u = R q. Tendons may pass through
-several sections, and there may be more of them than degrees of freedom, as in antagonistic pairs.
+The position of an actuator is a linear function of the joint positions, u = R q. There may be more actuators
+than degrees of freedom, as with antagonistic tendons.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ INDEPENDENT = 1e-9
 
 
 class Tendon(NamedTuple):
-    """A tendon that runs along the arm at a fixed place of its cross-section.
+    """A tendon that runs along the arm at a fixed position in its cross-section.
 
     Attributes:
-        offset: where it runs beside the axis of the straight arm, (y, z) in the frame of the base link [m].
-            For an arm that is not straight along x there: two coordinates across its axis.
-        end: the control point at whose module it ends, by its name or its index, 0-based.
-        start: the control point from which on it runs, likewise; None: from the base.
+        offset: distance from the axis of the straight arm, (y, z) in the frame of the base link [m], or along
+            two directions perpendicular to the axis if that is not x.
+        end: the control point at whose module it ends, by name or index, 0-based.
+        start: the control point at which it starts, likewise; None: at the base.
     """
 
     offset: tuple[float, float]
@@ -43,16 +43,16 @@ class Tendon(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """The actuators of an arm: u = R q, with u = 0 where all joints are at zero.
+    """The actuators of an arm: u = R q.
 
     Attributes:
         arm: the arm.
         names: names of the actuators, (k,).
-        matrix: R, (k, nv): motion of each actuator per unit of each degree of freedom. Positive: out of the
-            actuator, as a tendon that is paid out.
+        matrix: R, (k, nv): motion of each actuator per unit of each degree of freedom; positive if a tendon
+            is paid out.
         units: "m" or "rad" for each actuator, (k,).
-        velocity: largest speed of each, (k,) [m/s or rad/s]; infinite where there is no limit.
-        acceleration: largest acceleration of each, (k,) [m/s^2 or rad/s^2]; likewise.
+        velocity: largest speed of each, (k,) [m/s or rad/s]; infinite: no limit.
+        acceleration: largest acceleration of each, (k,) [m/s^2 or rad/s^2]; infinite: no limit.
     """
 
     arm: Arm
@@ -72,7 +72,7 @@ class Actuators:
         velocity: float | ArrayLike = inf,
         acceleration: float | ArrayLike = inf,
     ) -> Actuators:
-        """Make actuators of a matrix.
+        """Make actuators from a matrix.
 
         Args:
             arm: the arm.
@@ -88,9 +88,8 @@ class Actuators:
         checked = check_names(names)
         table = finite_array("matrix", matrix, (len(checked), arm.nv))
         if len(units) != len(checked) or not set(units) <= {RADIAN, METRE}:
-            raise InvalidValue(
-                "units", units, f"{RADIAN!r} or {METRE!r} for each of {len(checked)} actuators"
-            )
+            allowed = f"{RADIAN!r} or {METRE!r} for each of {len(checked)} actuators"
+            raise InvalidValue("units", units, allowed)
         limits = [
             _positive_limits(name, value, len(checked))
             for name, value in (("velocity", velocity), ("acceleration", acceleration))
@@ -105,11 +104,11 @@ class Actuators:
         velocity: float | ArrayLike = inf,
         acceleration: float | ArrayLike = inf,
     ) -> Actuators:
-        """Make the actuators that pull tendons.
+        """Make the actuators of tendons.
 
-        The moment arms are those of the straight arm. They are constant where joints lie on the axis and
-        tendons cross them by small holes: what a tendon is longer by then is t . (a x r) for each radian of a
-        joint with axis a, at a distance r from the tendon, which runs along t; for a slide t . a.
+        The moment arms are those of the straight arm; they are constant if joints lie on the axis and tendons
+        cross them through small holes. A tendon along t lengthens by t . (a x r) per radian of a revolute
+        joint with axis a at a vector r from the joint, and by t . a per metre of a prismatic one.
 
         Args:
             arm: the arm, straight at its neutral configuration.
@@ -145,7 +144,7 @@ class Actuators:
         return cls.from_matrix(arm, tuple(tendons), matrix, (METRE,) * len(tendons), velocity, acceleration)
 
     def positions(self, q: ArrayLike) -> Array:
-        """Return the positions of the actuators at a configuration, (k,), or at several (N, nq), (N, k).
+        """Return the actuator positions at a configuration, (k,), or at several (N, nq), (N, k).
 
         Raises:
             InvalidValue: not a configuration.
@@ -155,15 +154,14 @@ class Actuators:
         return np.asarray(moved if np.ndim(q) == 2 else moved[0])
 
     def configuration(self, positions: ArrayLike) -> tuple[Array, float]:
-        """Return the configuration that fits positions of the actuators best, as measured for instance.
+        """Return the configuration that fits measured actuator positions best.
 
         Args:
-            positions: positions of the actuators, (k,) [m or rad].
+            positions: actuator positions, (k,) [m or rad].
 
         Returns:
-            The configuration (nq,), and the largest difference between the given positions and its own [m or
-            rad]: zero where there are no more actuators than degrees of freedom. Degrees of freedom off the
-            chain are at zero.
+            The configuration (nq,), and the largest residual [m or rad], zero unless there are more actuators
+            than degrees of freedom. Degrees of freedom off the chain are at zero.
 
         Raises:
             InvalidValue: not k finite numbers, or actuators that do not determine the degrees of freedom.
@@ -174,23 +172,23 @@ class Actuators:
         if len(sigma) < columns.shape[1] or sigma[-1] <= INDEPENDENT * sigma[0]:
             free = self.arm.joint_names[self.arm.columns[int(np.abs(vt[-1]).argmax())]]
             rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma[0]))
-            allowed = f"{columns.shape[1]} independent rows; what moves {free!r} is not determined"
+            allowed = f"{columns.shape[1]} independent rows; {free!r} is not determined"
             raise InvalidValue("rank of the matrix", rank, allowed)
         moved = np.zeros(self.arm.nv)
         moved[self.arm.columns] = vt.T @ ((u.T @ given) / sigma)
         return self.arm.configuration(moved), float(np.abs(self.matrix @ moved - given).max())
 
     def limits(self, limits: Limits) -> Limits:
-        """Return limits of the joints with which the actuators keep their limits of speed and acceleration.
+        """Return joint limits with which the actuators keep their velocity and acceleration limits.
 
-        The joints that an actuator moves are slowed in proportion, so that it keeps its limits even where all
-        of them move at their limits at once: sum_j |R_ij| v_j <= u_i.
+        The limits of the joints that an actuator moves are scaled together, so that it keeps its own even if
+        all of them move at their limits: sum_j |R_ij| v_j <= u_i.
 
         Args:
-            limits: limits of the joints, with `dt`. Their speed and acceleration are lowered.
+            limits: limits of the joints, with `dt`.
 
         Raises:
-            InvalidValue: limits without `dt`, or an actuator with a limit that moves joints without any.
+            InvalidValue: limits without `dt`, or a limited actuator that moves joints without limits.
         """
         if limits.dt is None:
             raise InvalidValue("limits.dt", None, "the duration of a step [s]")
@@ -205,7 +203,7 @@ class Actuators:
         )
 
     def _share(self, name: str, joints: float | Array, most: Array) -> Array:
-        """Return limits of the joints, (nv,), with which no actuator exceeds its own, (k,)."""
+        """Return joint limits, (nv,), with which the actuators keep theirs, (k,)."""
         bound = np.array(np.broadcast_to(np.asarray(joints, dtype=np.float64), self.arm.nv))
         factor = np.ones(self.arm.nv)
         for actuator, row, limit in zip(self.names, np.abs(self.matrix), most, strict=True):
@@ -221,11 +219,7 @@ class Actuators:
         return np.where(np.isfinite(bound), bound * factor, bound)
 
     def trajectory(self, joints: JointTrajectory) -> JointTrajectory:
-        """Return the motion of the actuators that takes the joints along a trajectory.
-
-        Raises:
-            InvalidValue: the trajectory is not one of this arm.
-        """
+        """Return the motion of the actuators for a joint trajectory; InvalidValue if it is of another arm."""
         moved = joints.matched(self.arm)
         return JointTrajectory(
             self.names,
@@ -249,7 +243,7 @@ def _positive_limits(name: str, value: float | ArrayLike, count: int) -> Array:
 
 
 def _across(arm: Arm, axis: Array) -> Array:
-    """Return two directions across an axis, (2, 3): y and z of the base if the axis is its x."""
+    """Return two directions perpendicular to an axis, (2, 3): y and z of the base if the axis is its x."""
     y = np.asarray(arm.base_placement.rotation)[:, 1]
     y = y - axis * (axis @ y)
     if np.linalg.norm(y) < 1e-6:

@@ -31,18 +31,17 @@ TEXT_ARRAYS = ("method", "switched", "violated_constraints")
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """The motions of a batch of `count` runs, concatenated, as runs take different numbers of steps.
+    """The concatenated motions of a batch of `count` runs.
 
     Run i has the configurations `offsets[i]` to `offsets[i + 1] - 1`, the first of which is its start. It has
-    one step less, so its steps begin at `offsets[i] - i`. Points and their errors are not stored: they follow
-    from q.
+    one step less, so its steps begin at `offsets[i] - i`. Points and their errors are computed from q.
 
     Attributes:
-        offsets: first configuration of each run, and the number of all, (count + 1,).
+        offsets: first configuration of each run, and the total number, (count + 1,).
         q, clearance: as in `Trajectory`, a row for each configuration.
         active, index, sigma_min, sigma_max, rows, scale, clipped, error_increasing: likewise, a row per step.
         method, switched, violated_constraints: likewise, (all steps,), as indices of `texts`.
-        texts: the different texts.
+        texts: the distinct texts.
     """
 
     offsets: NDArray[np.intp]
@@ -67,13 +66,7 @@ class Motions:
                 value.flags.writeable = False
 
     def arrays_of(self, number: int, arm: Arm, target: Target) -> dict[str, NDArray[Any]]:
-        """The arrays of a `Trajectory`: those of one run.
-
-        Args:
-            number: which run, from 0.
-            arm: the arm that moved.
-            target: where its control points should have been.
-        """
+        """Return the arrays of the `Trajectory` of a run, given its index, 0-based, arm and target."""
         whole = slice(int(self.offsets[number]), int(self.offsets[number + 1]))
         steps = slice(whole.start - number, whole.stop - number - 1)
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name)[whole] for name in CONFIGURATION_ARRAYS}
@@ -99,7 +92,7 @@ def concatenate_runs(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
     }
     numbers: dict[str, int] = {}
     for name in TEXT_ARRAYS:
-        # A text for each step would be as wide as the longest of all runs; nearly all are empty or the same.
+        # An array of texts would be as wide as the longest; nearly all are empty or repeated.
         said = (str(text) for run in runs for text in run[name])
         stacked[name] = np.array([numbers.setdefault(text, len(numbers)) for text in said], dtype=np.intp)
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
@@ -114,35 +107,35 @@ FAILED = "failed"
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Many runs of one arm, in the order in which they were asked for.
+    """Many runs of one arm, in the order of their starts and targets.
 
-    `batch[i]` is run i as a `Trajectory`, from 0, if the motions were kept; `len(batch)` is the number of
-    runs (count below).
+    `batch[i]` is run i as a `Trajectory`, 0-based, if the motions were kept; `len(batch)` is the number of
+    runs, count below.
 
-    A run fails if an error ends it, for instance because the controller does not support its target. It then
-    has the status "failed", the error as its reason, and no steps, and it ends where it began.
+    A run that an error ends, for instance because the controller does not support its target, has the status
+    "failed", the error as its reason, and no steps.
 
     Attributes:
         arm: the arm that moved.
-        targets: the target posture of each run, or the one that all share.
+        targets: the target posture of each run, or a single one for all.
         controller: name and parameters of the controller.
-        limits: the limits that each step had to satisfy.
-        scene: the obstacles that the arm had to avoid; None if there were none.
+        limits: the limits of each step.
+        scene: the obstacles; None: none.
         max_steps: number of steps after which a run stopped.
-        tolerance: mean point error at which a run had converged [m].
+        tolerance: mean point error at which a run converged [m].
         status: as `Trajectory.status`, or "failed", (count,).
-        reason: why each run ended, in words, (count,).
+        reason: why each run ended, (count,).
         steps: number of steps, (count,).
         start_error: posture error at the start, (count,) [m].
         final_error: posture error at the end, (count,) [m].
-        mean_error: mean distance at the end of the control points that have a target from it, (count,) [m].
+        mean_error: mean distance of the control points from their targets at the end, (count,) [m].
         path_length_ratio: length of the paths of all control points relative to the direct distances,
             (count,).
         clearance: smallest distance to an obstacle, or between parts of the arm, (count,) [m]; negative
-            in penetration, infinite where there was no scene.
+            in penetration, infinite without a scene.
         q_start: configurations at the start, (count, nq).
         q_final: configurations at the end, (count, nq).
-        motions: the whole motions, concatenated; None if only the ends were kept.
+        motions: the motions; None if only the ends were kept.
     """
 
     arm: Arm
@@ -193,7 +186,7 @@ class Batch:
         return (self[number] for number in range(len(self)))
 
     def _checked_number(self, number: int) -> int:
-        # IndexError, not one of our own: it is what a sequence raises, and what ends loops over one.
+        # IndexError, as for any sequence: it ends loops over one.
         if not is_whole(number):
             raise TypeError(f"a run is indexed by an integer, not by {number!r}")
         if not -len(self) <= number < len(self):
@@ -201,17 +194,17 @@ class Batch:
         return int(number) % len(self)
 
     def target(self, number: int) -> Target:
-        """The target posture of one run."""
+        """Return the target posture of a run."""
         return self.targets[self._checked_number(number) if len(self.targets) > 1 else 0]
 
     @property
     def converged(self) -> NDArray[np.bool_]:
-        """Which runs brought the mean point error within the tolerance, (count,)."""
+        """Which runs converged, (count,)."""
         return np.asarray(self.status == "converged")
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """The faults of the runs, in words; empty if there are none."""
+        """Messages on runs that did not converge and on penetrations; empty if there are none."""
         away = np.flatnonzero(~self.converged)
         inside = np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length)
         found = []
@@ -229,7 +222,7 @@ class Batch:
         return "; ".join(self.faults) or f"reached the target in all {len(self)} runs"
 
     def to_dict(self) -> dict[str, Any]:
-        """The batch as data for JSON, without the configurations; lengths in metres."""
+        """Return the batch as data for JSON, without the configurations; lengths in metres."""
         runs = [
             {
                 "status": str(self.status[k]),
@@ -257,7 +250,7 @@ class Batch:
         }
 
     def in_words(self) -> dict[str, str]:
-        """The result as names and texts, for a person to read."""
+        """Return a readable summary as names and texts."""
         ends = ", ".join(f"{n} {status}" for status, n in Counter(self.status.tolist()).most_common())
         words = {
             "verdict": self.verdict,
@@ -284,7 +277,7 @@ class Batch:
         return words
 
     def summary(self) -> str:
-        """The result in a few lines."""
+        """Return a readable summary of a few lines."""
         words = self.in_words()
         width = max(map(len, words))
         return "\n".join(f"{name:{width}}  {text}" for name, text in words.items())
@@ -295,5 +288,5 @@ class Batch:
 
 
 def _spread(values: NDArray[Any], form: str) -> str:
-    """Median and largest."""
+    """Return the median and the maximum in words."""
     return f"{np.median(values):{form}} (median), at most {values.max():{form}}"

@@ -1,4 +1,4 @@
-"""Runs, motions, batches, simulations and joint trajectories as files: `save` and `load`."""
+"""`save` and `load`: files of runs, motions, batches, simulations and joint trajectories."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ Arrays = dict[str, Any]
 
 
 class Format(NamedTuple):
-    """How results of one class are stored in a `.npz` archive: arrays, and a description in JSON.
+    """A format of `.npz` archives for results of one class: arrays, and a description in JSON.
 
     Attributes:
-        name: the name of the format, which the archive holds.
+        name: the name of the format, stored in the archive.
         version: the version that is written and read.
         kind: the class.
-        noun: what the archive holds, in words.
+        noun: name of the content, for messages.
         pack: returns the description and the arrays of a result.
-        unpack: makes the result of them; may raise anything if they are damaged.
-        advice: what to say of an archive of another format where this one is wanted, by its name.
+        unpack: restores the result from them; may raise anything if they are damaged.
+        advice: messages if another format is found instead, by its name.
     """
 
     name: str
@@ -62,13 +62,13 @@ class Format(NamedTuple):
 
 
 ARCHIVES: dict[str, Format] = {}
-"""The formats by their names; packages above this one add theirs with `register`."""
+"""The formats by name; higher packages add theirs with `register`."""
 
 _REGISTERED_BY = {"pinposture-simulation": "pinposture.sim"}
-"""Packages that register formats when they are imported."""
+"""Packages that register formats on import."""
 
 _TEXT_FILES = {".csv": (write_table, read_table), ".json": (write_ros_message, read_ros_message)}
-"""Formats of joint trajectories that are no archives: how to write and how to read them."""
+"""Writers and readers of the text formats of joint trajectories."""
 
 
 def register(form: Format) -> None:
@@ -77,12 +77,12 @@ def register(form: Format) -> None:
 
 
 def save(result: Any, path: str | Path) -> Path:
-    """Write a result to one file, all or nothing.
+    """Write a result to a file atomically.
 
-    A `Trajectory`, `Motion`, `Batch` or `Simulation` becomes a `.npz` archive, which holds the arm, the
-    curves and the scene as well. A `JointTrajectory` is written in the format of the suffix: ".npz" keeps
-    everything to the last bit, ".csv" all but the name of the robot; ".json" is a
-    `trajectory_msgs/msg/JointTrajectory` of ROS 2, whose times are whole nanoseconds.
+    A `Trajectory`, `Motion`, `Batch` or `Simulation` is written as a `.npz` archive that includes the arm,
+    the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless; ".csv"
+    omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`, with times in
+    whole nanoseconds.
 
     Args:
         result: the result.
@@ -93,7 +93,7 @@ def save(result: Any, path: str | Path) -> Path:
 
     Raises:
         FileError: another suffix, or the file cannot be written.
-        InvalidValue: no such result, or times that a message of ROS 2 cannot hold.
+        InvalidValue: not a result, or times out of range for a ROS 2 message.
     """
     form = _format_of(type(result), "result", result)
     if isinstance(result, JointTrajectory):
@@ -121,22 +121,20 @@ def load(path: str | Path, kind: type[Result]) -> Result: ...
 
 
 def load(path: str | Path, kind: type[Any] | None = None) -> Any:
-    """Read a result that `save` wrote; a joint trajectory also if others wrote it.
+    """Read a result that `save` wrote, or a joint trajectory from another source.
 
-    The file tells what it holds. Velocities and accelerations that a joint trajectory does not have in it
-    are computed from positions; `JointTrajectory.matched(arm)` puts its joints in the order of an arm.
+    Missing velocities and accelerations of a joint trajectory are computed from positions;
+    `JointTrajectory.matched(arm)` sorts its joints in the order of an arm.
 
     Args:
         path: the file.
-        kind: the class that is wanted: `Trajectory`, `Motion`, `Batch`, `Simulation` or `JointTrajectory`;
-            any if None.
-
-    Returns:
-        The result.
+        kind: the expected class: `Trajectory`, `Motion`, `Batch`, `Simulation` or `JointTrajectory`; any if
+            None.
 
     Raises:
-        FileError: the file is missing, damaged, or holds something else; names line or point of a text file.
-        InvalidValue: no such class.
+        FileError: the file is missing, damaged, or contains something else; names line or point of a text
+            file.
+        InvalidValue: another class.
     """
     path = Path(path)
     wanted = None if kind is None else _format_of(kind, "kind", kind)
@@ -159,35 +157,35 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         return wanted.unpack(about, arrays)
     except FileError:
         raise
-    except Exception as error:  # a damaged file can trip zlib, numpy's reader or Pinocchio's, anything
+    except Exception as error:  # a damaged file can raise anything: zlib, numpy, Pinocchio
         detail = f"{type(error).__name__}: {error}"
-        if isinstance(error, ValueError) and "pickle" in str(error):  # numpy's advice is not to be followed
+        if isinstance(error, ValueError) and "pickle" in str(error):  # numpy advises to allow pickles
             detail = "ValueError" if is_zipfile(path) else "it is no .npz archive"
         noun = "result" if wanted is None else wanted.noun
         raise FileError(path, f"is not a saved {noun} ({detail})") from error
 
 
 def kind_of(path: Path) -> type | None:
-    """The class of the result that a file holds, by its suffix or its description; None if unknown."""
+    """Return the class of the result in a file, by its suffix or description; None if unknown."""
     if path.suffix.lower() in _TEXT_FILES:
         return JointTrajectory
     try:
         with np.load(path, allow_pickle=False) as stored:
             form = _format_named(json.loads(str(stored["about"]))["format"])
-    except Exception:  # as above; `load` says what is wrong
+    except Exception:  # as above; `load` reports the error
         return None
     return None if form is None else form.kind
 
 
 def _format_named(name: str) -> Format | None:
-    """The format of that name, with the package that registers it imported; None if there is none."""
+    """Return the format of a name, importing the package that registers it; None if there is none."""
     if name not in ARCHIVES and name in _REGISTERED_BY:
         import_module(_REGISTERED_BY[name])
     return ARCHIVES.get(name)
 
 
 def _format_of(kind: type, name: str, value: object) -> Format:
-    """The format of a class; raises InvalidValue, of an argument and its value, if there is none."""
+    """Return the format of a class; raise InvalidValue for the argument `name` if there is none."""
     for form in ARCHIVES.values():
         if form.kind is kind:
             return form
@@ -225,7 +223,7 @@ def _unpack_scene(data: dict[str, Any] | None) -> Scene | None:
 
 
 def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
-    """How a curve was moved, as JSON has it."""
+    """Return how a curve was moved, from JSON data."""
     if data is None:
         return None
     translation, rotation = (finite_vector("moved", each, 3).tolist() for each in data)
@@ -233,7 +231,7 @@ def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
 
 
 def check_shapes(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise InvalidValue unless arrays have the shapes that they should."""
+    """Raise InvalidValue unless arrays have the expected shapes."""
     for name, expected in shapes.items():
         if arrays[name].shape != expected:
             raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))
@@ -289,7 +287,7 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
             method=about["method"],
             incomplete=about["incomplete"],
             moved=_unpack_moved(about.get("moved")),
-            approximate=about.get("approximate", ""),  # files of older versions do not say
+            approximate=about.get("approximate", ""),  # missing in files of older versions
         ),
         limits=_unpack_limits(about, arrays),
         scene=_unpack_scene(about["scene"]),
@@ -300,7 +298,7 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
     )
 
 
-# Motions: a run, and what it should have done when.
+# Motions.
 
 _TIMED_ARRAYS = ("targets", "target_mask", "plan_time")
 
@@ -330,17 +328,14 @@ def _unpack_motion(about: About, arrays: Arrays) -> Motion:
         start_index=timed["start_index"],
         planned=timed["planned"],
         waypoints=tuple(
-            Waypoint(*place[:7])._replace(
-                moved=_unpack_moved(place[7] if len(place) > 7 else None),
-                speed=place[8] if len(place) > 8 else 1.0,
-            )
+            Waypoint(*place)._replace(moved=_unpack_moved(place[7] if len(place) > 7 else None))
             for place in timed["waypoints"]
         ),
         deviations=tuple(timed["deviations"]),
     )
 
 
-# Batches: every run, the arm and the curves.
+# Batches.
 
 _BATCH_ARRAYS = (
     "status",
@@ -399,7 +394,7 @@ def _unpack_batch(about: About, arrays: Arrays) -> Batch:
 
 
 def _pack_targets(targets: Sequence[Target]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Targets as arrays, with a row for each that has such a thing, and the rest as JSON can hold it."""
+    """Return targets as arrays, with a row for each value that is not None, and other data for JSON."""
     arrays: dict[str, NDArray[Any]] = {}
     for name in _TARGET_ARRAYS:
         values = [getattr(target, name) for target in targets]
@@ -424,15 +419,13 @@ def _pack_targets(targets: Sequence[Target]) -> tuple[dict[str, NDArray[Any]], d
 
 
 def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> tuple[Target, ...]:
-    """The targets that `_pack_targets` took apart."""
+    """Return the targets from the result of `_pack_targets`."""
     curves = [None if described is None else Curve.from_dict(described) for described in about["curves"]]
     columns: dict[str, list[Any]] = {}
     for name in _TARGET_ARRAYS:
         rows = iter(arrays.get(f"target_{name}", ()))
         columns[name] = [next(rows) if known else None for known in arrays[f"has_{name}"]]
-    count = len(
-        about["curve"]
-    )  # files of older versions do not say how curves were moved, or how close fits are
+    count = len(about["curve"])  # `moved` and `approximate` are missing in files of older versions
     moved = map(_unpack_moved, about.get("moved", [None] * count))
     close = about.get("approximate", [""] * count)
     others = zip(about["curve"], about["method"], about["incomplete"], moved, close, strict=True)
@@ -452,7 +445,7 @@ def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> t
 
 
 def _check_batch(batch: Batch) -> None:
-    """Raise InvalidValue unless the arrays of a batch fit each other and the arm."""
+    """Raise InvalidValue unless the arrays of a batch are consistent with each other and the arm."""
     arm, count = batch.arm, len(batch.status)
     if count == 0 or len(batch.targets) not in (1, count):
         numbers = (len(batch.targets), count)
@@ -504,8 +497,8 @@ register(
         _pack_run,
         _unpack_run,
         {
-            "pinposture-batch": "holds many runs; save one of them: pp.save(pp.load(file)[0], ...)",
-            "pinposture-motion": "holds a motion in time; its run is pp.load(file).run",
+            "pinposture-batch": "contains many runs; save one of them: pp.save(pp.load(file)[0], ...)",
+            "pinposture-motion": "contains a motion in time; its run is pp.load(file).run",
         },
     )
 )
@@ -518,8 +511,8 @@ register(
         _pack_motion,
         _unpack_motion,
         {
-            "pinposture-run": "holds a run that knows of no time; pp.load(file) reads it, as a Trajectory",
-            "pinposture-batch": "holds many runs; pp.load(file) reads them, as a Batch",
+            "pinposture-run": "contains a run without times; pp.load(file) returns it as a Trajectory",
+            "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
         },
     )
 )

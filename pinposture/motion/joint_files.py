@@ -1,4 +1,4 @@
-"""Joint trajectories as text files: a table in CSV, and the ROS 2 message in JSON."""
+"""Text files of joint trajectories: CSV tables, and ROS 2 messages in JSON."""
 
 from __future__ import annotations
 
@@ -26,18 +26,12 @@ SUFFIXES = (".npz", ".csv", ".json")
 
 
 def check_format(path: Path) -> str:
-    """The suffix of a file, in small letters.
-
-    Raises:
-        FileError: it is of none of the formats.
-    """
+    """Return the suffix of a file in lower case; raise FileError if it is not one of `SUFFIXES`."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(SUFFIXES)}")
     return suffix
 
-
-# Rates that a file does not have.
 
 Array = NDArray[np.float64]
 
@@ -49,17 +43,17 @@ def with_computed_rates(
     values: Sequence[Array],
     units: Sequence[str] = (),
 ) -> JointTrajectory:
-    """Return a trajectory read from a file, with rates computed from positions where the file has none.
+    """Return a trajectory read from a file, with missing rates computed from positions.
 
     Args:
         path: the file.
         joints: names of the joints, n.
-        time: when each row is reached, (N,) [s].
-        values: positions, velocities and accelerations, each (N, n); the latter two NaN where there are none.
+        time: time of each row, (N,) [s].
+        values: positions, velocities and accelerations, each (N, n); missing rates are NaN.
         units: see `JointTrajectory`.
 
     Raises:
-        FileError: what the file says makes no motion.
+        FileError: the data are not a valid trajectory.
     """
     positions, velocities, accelerations = values
     try:
@@ -75,18 +69,18 @@ def with_computed_rates(
         raise FileError(path, str(error)) from error
 
 
-# Joint motions as the message that controllers of ROS 2 take, trajectory_msgs/msg/JointTrajectory, in JSON.
+# The ROS 2 message trajectory_msgs/msg/JointTrajectory in JSON.
 #
-# Fields and their types are those of the message definitions, of `std_msgs/msg/Header` and of
-# `builtin_interfaces/msg/Duration`: seconds are int32, nanoseconds uint32, numbers float64. The stamp is
-# zero, so that a controller begins when the message comes. What is left out of a message has the default of
-# its type, as on the command line of ROS: zero, or no numbers.
+# Fields and types are those of the message definition, of `std_msgs/msg/Header` and of
+# `builtin_interfaces/msg/Duration`: int32 seconds, uint32 nanoseconds, float64 numbers. The stamp is zero, so
+# that a controller starts on receipt. Missing fields have the default of their type, as on the ROS command
+# line: zero or empty.
 
 NANOSECONDS = 10**9
-"""Nanoseconds."""
+"""Nanoseconds per second."""
 
 MAX_SECONDS = 2**31 - 1
-"""The largest int32 [s]."""
+"""Largest int32 [s]."""
 
 MESSAGE = ("header", "joint_names", "points")
 POINT_ARRAYS = ("positions", "velocities", "accelerations", "effort")
@@ -95,18 +89,18 @@ DURATION = ("sec", "nanosec")
 
 
 def to_message(trajectory: JointTrajectory) -> dict[str, Any]:
-    """The message, as plain data.
+    """Return the message as plain data.
 
     Raises:
-        InvalidValue: rows less than a nanosecond apart, or more seconds than an int32 holds.
+        InvalidValue: rows less than a nanosecond apart, or times out of the range of int32 seconds.
     """
     times = [_nanoseconds(float(moment)) for moment in trajectory.time]
     for k, (before, after) in enumerate(pairwise(times), start=1):
         if before == after:
-            allowed = f"at least a nanosecond after time[{k - 1}] in a message of ROS 2"
+            allowed = f"at least a nanosecond after time[{k - 1}] in a ROS 2 message"
             raise InvalidValue(f"time[{k}]", float(trajectory.time[k]), allowed)
     if times[-1] // NANOSECONDS > MAX_SECONDS:
-        allowed = f"at most {MAX_SECONDS} s in a message of ROS 2"
+        allowed = f"at most {MAX_SECONDS} s in a ROS 2 message"
         raise InvalidValue(f"time[{len(times) - 1}]", float(trajectory.time[-1]), allowed)
     rows = zip(
         times,
@@ -142,12 +136,12 @@ def write_ros_message(trajectory: JointTrajectory, path: Path) -> None:
 
 
 def read_ros_message(path: Path) -> JointTrajectory:
-    """Read a message, or a goal of the action FollowJointTrajectory, which holds one as its `trajectory`.
+    """Read a message, or a goal of the action FollowJointTrajectory with one as its `trajectory`.
 
-    Rates that points do not have are worked out from the positions; efforts are not kept.
+    Missing rates are computed from positions; efforts are dropped.
 
     Raises:
-        FileError: it is missing, or holds something else; names the point, counted from 0 as in ROS.
+        FileError: the file is missing or contains something else; names the point, 0-based.
     """
     content = _parsed(path)
     if isinstance(content, dict) and "trajectory" in content:
@@ -182,11 +176,11 @@ def _parsed(path: Path) -> Any:
     except ValueError as error:  # a number of thousands of digits
         raise FileError(path, str(error)) from error
     except RecursionError as error:
-        raise FileError(path, "lists within lists without end") from error
+        raise FileError(path, "too deeply nested lists") from error
 
 
 def _check_fields(path: Path, what: str, value: Any, fields: tuple[str, ...]) -> None:
-    """Refuse what is no object with some of these fields: a misspelt one would be taken as left out."""
+    """Raise FileError unless a value is an object with some of these fields; others may be misspelt."""
     if not isinstance(value, dict):
         raise FileError(path, f"{what} is {_short(value)}; allowed: an object with {', '.join(fields)}")
     for name in value:
@@ -197,7 +191,7 @@ def _check_fields(path: Path, what: str, value: Any, fields: tuple[str, ...]) ->
 
 
 def _time(path: Path, number: int, value: Any, before: int) -> int:
-    """The time of a point [ns], after that of the one before it."""
+    """Return the time of a point [ns], which must be after the previous one."""
     what = f"points[{number}].time_from_start"
     _check_fields(path, what, value, DURATION)
     for name, most in zip(DURATION, (MAX_SECONDS, NANOSECONDS - 1), strict=True):
@@ -212,7 +206,7 @@ def _time(path: Path, number: int, value: Any, before: int) -> int:
 
 
 def _numbers(path: Path, number: int, name: str, value: Any, count: int) -> list[float]:
-    """Numbers of a point, one for each joint; NaN for all if it has none and need not."""
+    """Return the numbers of a point, one for each joint; NaN if optional ones are missing."""
     what = f"points[{number}].{name}"
     optional = name != "positions"
     if value == [] and optional:
@@ -243,29 +237,28 @@ def _short(value: Any) -> str:
 
 
 def _nanoseconds(time: float) -> int:
-    """A time in whole nanoseconds, the nearest; seconds apart from the rest, which a product would round."""
+    """Return a time rounded to whole nanoseconds; seconds are split off, as their product would round."""
     whole = floor(time)
     return whole * NANOSECONDS + round((time - whole) * NANOSECONDS)
 
 
-# Joint motions as a table in CSV: a line of headings with units, then a line for each row.
+# CSV tables: a line of headings with units, then a line for each row.
 #
 # The headings are `time [s]`, and for each joint its name followed by `position [rad]`, `velocity [rad/s]`
-# and `acceleration [rad/s^2]`, with m in place of rad for a joint that slides. Where it is not known which
-# it does, they have no unit.
+# and `acceleration [rad/s^2]`, with m instead of rad for a prismatic joint, and no unit if it is unknown.
 
 TIME = "time [s]"
 PER_SECOND = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
-"""What a file holds of a joint, and what its unit has behind rad or m."""
+"""Kinds of columns of a joint, and what follows rad or m in their units."""
 
 _HEADING = re.compile(rf"(.+) ({'|'.join(PER_SECOND)})(?: \[([^\[\]]*)\])?")
 
 Places = dict[tuple[str, str], int]
-"""The column of each kind of number of each joint."""
+"""Column of each joint and kind."""
 
 
 def write_table(trajectory: JointTrajectory, path: Path) -> None:
-    """Write a table; numbers have as many digits as it takes to read the same numbers back.
+    """Write a table; numbers have enough digits to be read back exactly.
 
     Raises:
         FileError: the file cannot be written.
@@ -274,7 +267,7 @@ def write_table(trajectory: JointTrajectory, path: Path) -> None:
     for joint, unit in zip(trajectory.joint_names, trajectory.units, strict=True):
         for kind, per_second in PER_SECOND.items():
             headings.append(f"{joint} {kind} [{unit}{per_second}]" if unit else f"{joint} {kind}")
-    # The numbers of a joint stand together.
+    # The columns of a joint are adjacent.
     values = np.stack([trajectory.positions, trajectory.velocities, trajectory.accelerations], axis=2)
     content = io.StringIO(newline="")
     writer = csv.writer(content, lineterminator="\n")
@@ -284,12 +277,12 @@ def write_table(trajectory: JointTrajectory, path: Path) -> None:
 
 
 def read_table(path: Path) -> JointTrajectory:
-    """Read a table that has the time first and other columns in any order, rates or none.
+    """Read a table with the time first and other columns in any order, with or without rates.
 
-    Empty lines, and lines that begin with #, do not count.
+    Empty lines, and lines that begin with #, are ignored.
 
     Raises:
-        FileError: it is missing, or is not such a table; names the line, and the column where there is one.
+        FileError: the file is missing or not such a table; names the line, and the column if there is one.
     """
     lines = _lines(path)
     number, headings = next(lines, (0, []))
@@ -309,15 +302,15 @@ def read_table(path: Path) -> JointTrajectory:
         rows.append(row)
         before = number
     if not rows:
-        raise FileError(path, "holds headings and no rows")
-    # A column of NaN behind them stands for all that the file does not tell.
+        raise FileError(path, "contains headings but no rows")
+    # A last column of NaN stands for missing rates.
     table = np.array([[*row, nan] for row in rows])
     values = [table[:, [places.get((joint, kind), -1) for joint in units]] for kind in PER_SECOND]
     return with_computed_rates(path, tuple(units), table[:, 0], values, tuple(units.values()))
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number and fields of each line that counts."""
+    """Yield the number and the fields of each line that is not ignored."""
     reader = csv.reader(io.StringIO(read_text(path), newline=""), skipinitialspace=True)
     try:
         for fields in reader:
@@ -329,7 +322,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _headings(path: Path, number: int, headings: Sequence[str]) -> tuple[Places, dict[str, str]]:
-    """Where the columns are, and the unit of each joint's position, in the order of their first columns."""
+    """Return the columns, and the unit of each joint's position in the order of their first columns."""
     if headings[0] != TIME:
         raise FileError(path, f"line {number}, column 1: {headings[0]!r}; allowed: {TIME!r}")
     places: Places = {}
@@ -341,20 +334,16 @@ def _headings(path: Path, number: int, headings: Sequence[str]) -> tuple[Places,
             kinds = ", ".join(PER_SECOND)
             raise FileError(path, f"{where}; allowed: name of a joint, one of {kinds}, [unit]")
         joint, kind, unit = match.groups()
-        known = (
-            {base: f"{base}{PER_SECOND[kind]}" for base in (RADIAN, METRE)}
-            if unit is not None
-            else {"": None}
-        )
+        bases = (RADIAN, METRE) if unit is not None else ()
+        known: dict[str, str | None] = {base: f"{base}{PER_SECOND[kind]}" for base in bases} or {"": None}
         base = next((base for base, text in known.items() if text == unit), None)
         if base is None:
             raise FileError(path, f"{where}: unit {unit!r}; allowed: {', '.join(map(str, known.values()))}")
         if units.setdefault(joint, base) != base:
-            raise FileError(
-                path, f"{where}: other columns of this joint are in {units[joint] or 'no unit'!r}"
-            )
+            other = units[joint] or "no unit"
+            raise FileError(path, f"{where}: other columns of this joint are in {other!r}")
         if (joint, kind) in places:
-            raise FileError(path, f"{where} is column {places[joint, kind] + 1} as well; allowed: once")
+            raise FileError(path, f"{where} is also column {places[joint, kind] + 1}; allowed: once")
         places[joint, kind] = k
     for kind in PER_SECOND:
         missing = [joint for joint in units if (joint, kind) not in places]

@@ -1,4 +1,4 @@
-"""A motion as joint positions over time, as robots and simulators take it."""
+"""Joint trajectories: joint positions, velocities and accelerations over time."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ MAX_NAMED = 6
 """Largest number of joints that are listed in a message."""
 
 TIME_TOLERANCE = 1e-9
-"""Relative difference of two durations that are the same."""
+"""Relative difference of durations that count as equal."""
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, or InvalidValue unless they are different ones that a file can hold, at least one."""
+    """Return names of joints; raise InvalidValue unless there are some, distinct and printable."""
     if isinstance(names, str) or not names:
         raise InvalidValue("joint_names", names, "a list of at least one name")
     for k, name in enumerate(names):
@@ -36,27 +36,25 @@ def check_names(names: Sequence[str]) -> tuple[str, ...]:
             allowed = "a name: printable characters, no space before or after them"
             raise InvalidValue(f"joint_names[{k}]", name, allowed)
         if name in names[:k]:
-            raise InvalidValue(
-                f"joint_names[{k}]", name, f"a name of its own; joint {names.index(name)} has it"
-            )
+            allowed = f"a unique name; joint {names.index(name)} has the same"
+            raise InvalidValue(f"joint_names[{k}]", name, allowed)
     return tuple(names)
 
 
 def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
-    """Raise InvalidValue unless these are the joints of an arm, in any order; names those that do not fit."""
+    """Raise InvalidValue unless these are the joints of an arm, in any order; names those that differ."""
     wrong = {
         "missing": [name for name in expected if name not in names],
         "unknown": [name for name in names if name not in expected],
     }
     if any(wrong.values()):
         values = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
-        raise InvalidValue(
-            "joint_names", names, f"the {len(expected)} joints of the arm in any order ({values})"
-        )
+        allowed = f"the {len(expected)} joints of the arm in any order ({values})"
+        raise InvalidValue("joint_names", names, allowed)
 
 
 def count_rows(name: str, values: ArrayLike) -> int:
-    """How many rows or entries there are; raises InvalidValue if it is none, or no list at all."""
+    """Return the number of rows or entries; raise InvalidValue if there are none."""
     alone = isinstance(values, np.ndarray) and values.ndim == 0
     rows = len(values) if isinstance(values, Sized) and not alone else 0
     if rows == 0:
@@ -65,7 +63,7 @@ def count_rows(name: str, values: ArrayLike) -> int:
 
 
 def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-    """A fresh read-only array of finite floats, of that shape if one is given.
+    """Return a new read-only array of finite floats, of a shape if one is given.
 
     Raises:
         InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
@@ -79,9 +77,8 @@ def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = N
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         entry = ", ".join(map(str, bad[0]))
-        raise InvalidValue(
-            f"{name}[{entry}]" if entry else name, float(array[tuple(bad[0])]), "finite numbers"
-        )
+        where = f"{name}[{entry}]" if entry else name
+        raise InvalidValue(where, float(array[tuple(bad[0])]), "finite numbers")
     array.flags.writeable = False
     return array
 
@@ -97,11 +94,7 @@ def check_times(time: Array) -> None:
 
 
 def row_times(time: ArrayLike, rows: int) -> ArrayLike:
-    """When rows are reached: as given, or at equal distances from 0 if one number was given [s].
-
-    Raises:
-        InvalidValue: one number that is not positive.
-    """
+    """Return the times of rows [s]: as given, or multiples of a single number, which must be positive."""
     if not isinstance(time, Real):
         return time
     require_positive("time", time if isinstance(time, bool) else float(time))
@@ -109,17 +102,17 @@ def row_times(time: ArrayLike, rows: int) -> ArrayLike:
 
 
 def step_duration(dt: float | None, known: float | None) -> float:
-    """The duration of the steps of a run [s]: that of its limits, or the one given.
+    """Return the duration of the steps of a run [s]: a given one, or the `known` one of its limits.
 
     Raises:
-        InvalidValue: there is none, it is not positive, or the two are not the same.
+        InvalidValue: there is none, it is not positive, or the two differ.
     """
     step = known if dt is None else dt
     if step is None:
         raise InvalidValue("dt", None, "the duration of a step [s]; the limits of this run have none")
     require_positive("dt", step)
     if known is not None and abs(step - known) > TIME_TOLERANCE * known:
-        raise InvalidValue("dt", dt, f"{known} s, which the limits of this run have, or nothing")
+        raise InvalidValue("dt", dt, f"{known} s, from the limits of this run, or None")
     return step
 
 
@@ -132,18 +125,17 @@ def _listed(names: Iterable[str]) -> str:
 # Configurations as joint positions.
 
 COUPLING_TOLERANCE = 1e-6
-"""Distance of a joint from where the joint that it is coupled to puts it that is rounding [rad or m]."""
+"""Largest deviation of a coupled joint from its coupling that is attributed to rounding [rad or m]."""
 
 RADIAN, METRE = "rad", "m"
-"""Units of the position of a joint that turns, and of one that slides."""
+"""Units of the position of a revolute and of a prismatic joint."""
 
 
 def joint_units(arm: Arm) -> tuple[str, ...]:
-    """The unit of each joint position of an arm, (nv,), on the chain or off it.
+    """Return the unit of each joint position of an arm, (nv,), on or off the chain.
 
     Raises:
-        InvalidValue: a joint off the chain has several degrees of freedom, so that its name stands for more
-            than one number.
+        InvalidValue: a joint off the chain has several degrees of freedom.
     """
     for joint, name in list(zip(arm.model.joints, arm.model.names, strict=True))[1:]:
         if joint.nv > 1:
@@ -154,18 +146,18 @@ def joint_units(arm: Arm) -> tuple[str, ...]:
 def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
     """Return the joint positions of successive configurations, with continuous joints unwrapped.
 
-    A continuous joint begins within +-pi, goes the shorter way from row to row and so has no jumps: after two
-    turns it is at 4 pi.
+    A continuous joint starts within +-pi and turns the shorter way between rows: after two turns it is at
+    4 pi.
 
     Args:
         arm: the arm.
         q: configurations, (N, nq).
 
     Returns:
-        (N, nv) [rad or m]; for joints that are not continuous the very numbers of q.
+        Joint positions, (N, nv) [rad or m].
 
     Raises:
-        InvalidValue: another shape, or a row that is no configuration; names the row.
+        InvalidValue: another shape, or a row that is not a configuration; names the row.
     """
     try:
         rows = np.asarray(q, dtype=np.float64)
@@ -196,12 +188,12 @@ class Rates(NamedTuple):
 
 
 class Peaks(NamedTuple):
-    """The most that a motion asks of each joint, in the sense of `Limits`.
+    """Peak velocity and acceleration of each joint, as `Limits` bounds them.
 
     Attributes:
         speeds: largest mean speed between two rows, (n,) [rad/s or m/s].
-        accelerations: largest change of that from one interval to the next, from rest and to rest included,
-            per time, (n,) [rad/s^2 or m/s^2].
+        accelerations: largest change of that between intervals per time, including from and to rest, (n,)
+            [rad/s^2 or m/s^2].
     """
 
     speeds: Array
@@ -213,25 +205,25 @@ class Peaks(NamedTuple):
 
 
 def compute_rates(time: Array, positions: Array) -> Rates:
-    """Central and second differences: exact where a joint moves with constant acceleration.
+    """Return central and second differences, exact for constant acceleration.
 
-    With slopes s before and after a row, and h the intervals,
+    With slopes s and intervals h before and after a row,
 
         v = (h_before s_after + h_after s_before) / (h_before + h_after),
         a = 2 (s_after - s_before) / (h_before + h_after).
 
-    A velocity is a mean of the slopes around it, and at equal distances an acceleration is their difference
-    over the interval: what bounds the steps of a motion bounds its rows. The first and the last row are at
-    rest, without acceleration: a robot that holds the last row must not go on pushing.
+    A velocity is a mean of the adjacent slopes, and for equal intervals an acceleration is their difference
+    over the interval, so limits on steps also hold for rows. The first and the last row are at rest without
+    acceleration, because a robot may hold the last row.
 
     Args:
-        time: when each row is reached, (N,) [s], strictly increasing.
-        positions: joint positions then, (N, n) [rad or m].
+        time: time of each row, (N,) [s], strictly increasing.
+        positions: joint positions, (N, n) [rad or m].
     """
     velocities, accelerations = np.zeros_like(positions), np.zeros_like(positions)
     if len(time) > 2:
         intervals = np.diff(time)[:, None]
-        with np.errstate(over="ignore", invalid="ignore"):  # the trajectory refuses what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # `JointTrajectory` checks for finite values
             slopes = np.diff(positions, axis=0) / intervals
             before, after = intervals[:-1], intervals[1:]
             velocities[1:-1] = (before * slopes[1:] + after * slopes[:-1]) / (before + after)
@@ -240,11 +232,11 @@ def compute_rates(time: Array, positions: Array) -> Rates:
 
 
 def find_peaks(time: Array, positions: Array) -> Peaks:
-    """The largest speeds and accelerations from row to row, from rest and to rest.
+    """Return the largest speeds and accelerations from row to row, from and to rest.
 
     Args:
-        time: when each row is reached, (N,) [s], strictly increasing.
-        positions: joint positions then, (N, n) [rad or m].
+        time: time of each row, (N,) [s], strictly increasing.
+        positions: joint positions, (N, n) [rad or m].
     """
     if len(time) == 1:
         return Peaks(np.zeros(positions.shape[1]), np.zeros(positions.shape[1]))
@@ -261,16 +253,16 @@ def find_peaks(time: Array, positions: Array) -> Peaks:
 
 
 def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: Array) -> Array:
-    """The cubic polynomials between rows that have their positions and velocities (Hermite).
+    """Return positions on cubic Hermite polynomials between rows.
 
     Args:
-        time: when each row is reached, (N,) [s], strictly increasing.
+        time: time of each row, (N,) [s], strictly increasing.
         positions: (N, n) [rad or m].
         velocities: (N, n) [rad/s or m/s].
-        times: any, (...) [s]; those before the first row and after the last stand for these.
+        times: any times, (...) [s]; clipped to those of the first and the last row.
 
     Returns:
-        Positions, (..., n) [rad or m]; at the time of a row exactly its own.
+        Positions, (..., n) [rad or m]; exact at the times of rows.
     """
     clipped = np.clip(times, time[0], time[-1])
     last = len(time) - 1
@@ -279,7 +271,7 @@ def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: A
     span = time[after] - time[before]
     share = np.divide(clipped - time[before], span, out=np.zeros_like(span), where=span > 0.0)[..., None]
     start, way = positions[before], positions[after] - positions[before]
-    # The chord, and what bends it off: slopes at either end against its own.
+    # The chord, and the deviation of the slopes at both ends from its slope.
     first = span[..., None] * velocities[before] - way
     second = span[..., None] * velocities[after] - way
     bend = share * (1.0 - share) * ((1.0 - share) * first - share * second)
@@ -292,18 +284,18 @@ def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: A
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """Where each joint of a robot is when, and how fast: N rows for n joints.
+    """Positions, velocities and accelerations of n joints at N times.
 
-    Continuous joints have unwrapped angles: after two turns they are at 4 pi.
+    Angles of continuous joints are unwrapped: after two turns they are at 4 pi.
 
     Attributes:
-        joint_names: the joints as the URDF names them, n different names.
-        time: when each row is reached, counted from the start, (N,) [s], strictly increasing from 0 or later.
+        joint_names: names of the joints in the URDF, n distinct names.
+        time: time of each row, (N,) [s], >= 0, strictly increasing.
         positions: joint positions, (N, n) [rad or m].
         velocities: joint velocities, (N, n) [rad/s or m/s].
         accelerations: joint accelerations, (N, n) [rad/s^2 or m/s^2].
-        units: "rad" for each joint that turns, "m" if it slides, "" where that is not known; may be left out.
-        name: what the robot is called; may be empty.
+        units: "rad" for each revolute joint, "m" for each prismatic one, "" if unknown; empty: all unknown.
+        name: name of the robot; may be empty.
     """
 
     joint_names: tuple[str, ...]
@@ -337,17 +329,16 @@ class JointTrajectory:
         units: Sequence[str] = (),
         name: str = "",
     ) -> JointTrajectory:
-        """A motion of which only the joint positions are known.
+        """Return the trajectory through joint positions; `compute_rates` gives velocities and accelerations.
 
-        Velocities and accelerations are central and second differences, for unequal distances in time too;
-        the first and the last row are at rest. See `compute_rates`.
+        The first and the last row are at rest.
 
         Args:
             joint_names: names of the joints, n.
             positions: joint positions, (N, n) [rad or m].
-            time: when each row is reached, (N,) [s], or the time from one row to the next [s].
+            time: time of each row, (N,) [s], or the interval between rows [s].
             units: see the class.
-            name: what the robot is called.
+            name: name of the robot.
 
         Raises:
             InvalidValue: names, positions or times that do not fit.
@@ -362,16 +353,15 @@ class JointTrajectory:
 
     @classmethod
     def from_configurations(cls, arm: Arm, q: ArrayLike, time: ArrayLike) -> JointTrajectory:
-        """The motion of an arm through configurations, with all joints of its model.
+        """Return the trajectory of an arm through configurations, with all joints of its model.
 
-        From row to row continuous joints go the shorter way. The first and the last row are at rest, as the
-        arm is before and after a motion: controllers of ros2_control may take no other. In between, central
-        and second differences keep the limits that the steps keep.
+        Continuous joints turn the shorter way between rows. The first and the last row are at rest, as
+        ros2_control may require. In between, rates keep the limits that the steps keep; see `compute_rates`.
 
         Args:
             arm: the arm.
             q: configurations, (N, nq).
-            time: when each is reached, (N,) [s], or the time from one to the next [s].
+            time: time of each, (N,) [s], or the interval between them [s].
 
         Raises:
             InvalidValue: configurations or times that do not fit.
@@ -390,7 +380,7 @@ class JointTrajectory:
         return find_peaks(self.time, self.positions)
 
     def with_coupled(self, arm: Arm) -> JointTrajectory:
-        """The same motion with the joints that follow others (`Arm.couplings`) as well, behind the others.
+        """Return the trajectory with the coupled joints (`Arm.couplings`) appended.
 
         Raises:
             InvalidValue: as `matched`.
@@ -414,13 +404,13 @@ class JointTrajectory:
         )
 
     def matched(self, arm: Arm) -> JointTrajectory:
-        """The same motion with the joints in the arm's order, and their units.
+        """Return the trajectory with the joints in the order of an arm, with their units.
 
-        Joints that follow others may be among them.
+        Coupled joints may be included, and are dropped.
 
         Raises:
-            InvalidValue: a joint of the arm is missing, there are others, a unit is not the joint's, or a
-                joint does not follow the one that it is coupled to.
+            InvalidValue: a joint of the arm is missing, there are others, a unit is wrong, or a coupled joint
+                violates its coupling.
         """
         followers = {each.joint: each for each in arm.couplings}
         check_same_joints([name for name in self.joint_names if name not in followers], arm.joint_names)
@@ -448,7 +438,7 @@ class JointTrajectory:
         )
 
     def configurations(self, arm: Arm) -> Array:
-        """The configurations of an arm, (N, nq); joints are matched by name, in any order.
+        """Return the configurations of an arm, (N, nq); joints are matched by name, in any order.
 
         Raises:
             InvalidValue: as `matched`.
@@ -456,13 +446,13 @@ class JointTrajectory:
         return np.array([arm.configuration(row) for row in self.matched(arm).positions])
 
     def at(self, times: ArrayLike) -> Array:
-        """Joint positions at any time: cubic polynomials between rows, standing still before and after them.
+        """Return joint positions at any times: cubic Hermite polynomials between rows, constant outside.
 
         Args:
-            times: one moment, or (k,) [s].
+            times: one time, or (k,) [s].
 
         Returns:
-            Positions, (n,) or (k, n) [rad or m]; at the time of a row exactly those of the row.
+            Positions, (n,) or (k, n) [rad or m]; exact at the times of rows.
 
         Raises:
             InvalidValue: times that are not finite numbers.
@@ -473,12 +463,12 @@ class JointTrajectory:
         return interpolate_cubic(self.time, self.positions, self.velocities, asked)
 
     def sampled(self, dt: float) -> JointTrajectory:
-        """The same motion with rows at equal distances in time, for a player with a cycle of its own.
+        """Return the trajectory resampled at equidistant times, for a player with another cycle time.
 
-        It begins with the first row. The last one is the first multiple of `dt` at which the motion is over.
+        It starts at the first row and ends at the first multiple of `dt` at which the motion is over.
 
         Args:
-            dt: time from one row to the next [s].
+            dt: interval between rows [s].
 
         Raises:
             InvalidValue: not a positive number.

@@ -1,7 +1,8 @@
-"""Work in other processes: many calls with their results in order, and one call in the background."""
+"""Calls in other processes: many calls with results in order, and single calls in the background."""
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -24,32 +25,27 @@ from pinposture.errors import InvalidValue
 Value = TypeVar("Value")
 
 Progress = Callable[[int, int], object]
-"""Called with the number of calls finished so far, and that of all."""
+"""Called with the number of finished calls and the total number."""
 
 TRIAL_TIME = 1.0
-"""Time in this process before the time that is left is estimated [s]."""
+"""Time in this process before the remaining time is estimated [s]."""
 
 START_TIME = 5.0
-"""Estimated time left from which processes are started [s]: their start takes 3 to 5 s."""
-
+"""Estimated remaining time above which processes are started [s], which takes 3 to 5 s."""
 
 PORTION = 200
-"""Calls sent together to a backend that returns results only when it has all of them, as Ray's does."""
+"""Number of calls sent together to a backend that returns results only all at once, such as Ray's."""
 
 
 class Shared(Generic[Value]):
-    """A value that all calls share: pickled once, and unpickled once in each process.
-
-    Attributes:
-        value: the value; in this process the same object.
-    """
+    """A value common to all calls, pickled once, and unpickled once per process."""
 
     def __init__(self, value: Value) -> None:
         self.value = value
 
     @cached_property
     def _packed(self) -> bytes:
-        # Not pickled alone: scripts and notebooks have controllers that other processes cannot import.
+        # Wrapped for cloudpickle: other processes cannot import controllers from scripts and notebooks.
         return pickle.dumps(wrap_non_picklable_objects(self.value, keep_wrapper=False))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -62,20 +58,19 @@ def _unpacked(packed: bytes) -> Shared[Any]:
 
 
 def check_jobs(jobs: int) -> None:
-    """Raise InvalidValue unless that can be a number of processes."""
+    """Raise InvalidValue unless a value is a number of processes."""
     if not (is_whole(jobs) and (jobs >= 1 or jobs == -1)):
-        raise InvalidValue("jobs", jobs, "a whole number of at least 1, or -1 for all there can be")
+        raise InvalidValue("jobs", jobs, "a whole number of at least 1, or -1 for as many as possible")
 
 
 def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
-    """The results of delayed calls in the order of the calls, each as soon as those before it are there.
+    """Return the results of delayed calls in order, each as soon as the previous ones are available.
 
-    Short calls are sent in bundles. Processes that are started here leave the threads of BLAS out: they would
-    be in each other's way.
+    Short calls are sent in batches. Processes started here run BLAS with one thread each.
 
     Args:
-        tasks: calls made with `joblib.delayed`.
-        jobs: number of processes; joblib's backends apply, so a cluster serves as well.
+        tasks: calls from `joblib.delayed`.
+        jobs: number of processes, on the active backend of joblib.
 
     Raises:
         InvalidValue: not a number of processes.
@@ -85,7 +80,7 @@ def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
 
 
 def collect_results(tasks: Sequence[Any], jobs: int, progress: Progress | None = None) -> list[Any]:
-    """Return the results of `in_order`, telling how many there are."""
+    """Return the results of `in_order` as a list, reporting progress."""
     results = []
     for result in in_order(tasks, jobs):
         results.append(result)
@@ -95,12 +90,12 @@ def collect_results(tasks: Sequence[Any], jobs: int, progress: Progress | None =
 
 
 def adaptively_in_order(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
-    """As `in_order`; without a number of processes, it starts them only where that is quicker.
+    """Return results as `in_order` does; if `jobs` is None, start processes only if that is faster.
 
     Args:
-        tasks: calls made with `joblib.delayed`.
-        jobs: number of processes. None: what `joblib.parallel_config` says. If it says nothing, this process
-            begins, and all there can be take over if there is more to do than it takes to start them.
+        tasks: calls from `joblib.delayed`.
+        jobs: number of processes. None: as in `joblib.parallel_config`; without one, this process starts, and
+            as many as possible take over once the remaining work outweighs their start.
 
     Raises:
         InvalidValue: not a number of processes.
@@ -110,13 +105,13 @@ def adaptively_in_order(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]
     backend, configured = get_active_backend()
     if configured is not None:
         return _distribute(tasks, configured)
-    if backend.nesting_level:  # somebody else has already spread the work
+    if backend.nesting_level:  # the caller already runs in parallel
         return in_order(tasks, 1)
     return _run_then_distribute(tasks) if backend.supports_inner_max_num_threads else in_order(tasks, -1)
 
 
 def _run_then_distribute(tasks: Sequence[Any]) -> Iterator[Any]:
-    """Make the calls one by one; once processes are quicker, distribute the calls that are left."""
+    """Make the calls one by one; once processes are faster, distribute the remaining calls."""
     began = perf_counter()
     for done, (function, positional, named) in enumerate(tasks):
         spent = perf_counter() - began
@@ -129,7 +124,7 @@ def _run_then_distribute(tasks: Sequence[Any]) -> Iterator[Any]:
 def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
     waiting = iter(tasks)
     if jobs != 1 and get_active_backend()[0].supports_inner_max_num_threads:
-        # The first call is made here, so that kernels are compiled once and not by each process started here.
+        # The first call is made here, so that kernels are compiled once and not by each process.
         for function, positional, named in islice(waiting, 1):
             yield function(*positional, **named)
     as_they_come = get_active_backend()[0].supports_return_generator
@@ -144,22 +139,25 @@ def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
 
 
 def _one_thread_each() -> AbstractContextManager[object]:
-    """Processes started here compute with one thread each, unless somebody said how many."""
+    """Return a context in which processes compute with one thread each, unless configured otherwise."""
     backend, _ = get_active_backend()
     if backend.supports_inner_max_num_threads and backend.inner_max_num_threads is None:
         return parallel_config(backend="loky", inner_max_num_threads=1)  # type: ignore[no-any-return]
     return nullcontext()
 
 
-# One call at a time, in a process that stays.
+# Calls in the background.
+
+
+class Interrupted(BaseException):
+    """A call was interrupted. Handlers of `Exception` do not catch it."""
 
 
 class BackgroundProcess:
-    """A process that makes one call at a time, while this one goes on without a pause.
+    """A persistent process that makes one call at a time in the background.
 
-    It needs some seconds to start, during which calls wait; another one is started if it is ended from
-    outside. It ends with this process, and with this object. Calls have to be picklable; `Shared` values are
-    unpickled once.
+    It takes some seconds to start, during which calls wait, and is restarted if it is terminated. It ends
+    with this object. Calls must be picklable; `Shared` values are unpickled once.
     """
 
     def __init__(self) -> None:
@@ -167,6 +165,7 @@ class BackgroundProcess:
 
     def _start(self) -> None:
         self._connection, other = Pipe()
+        self._running = False
         # `multiprocessing` by itself would run the script of the user again.
         self._process = get_context("loky").Process(
             target=_answer_calls, args=(other,), daemon=True, env=dict.fromkeys(THREAD_COUNTS, "1")
@@ -175,7 +174,7 @@ class BackgroundProcess:
         other.close()
 
     def submit(self, function: Callable[..., object], *arguments: object) -> None:
-        """Start a call; the one before has returned its result."""
+        """Start a call; the result of the previous one must have been returned."""
         call = pickle.dumps((function, arguments))
         try:
             self._connection.send_bytes(call)
@@ -187,17 +186,28 @@ class BackgroundProcess:
         """Whether `result` returns at once."""
         return self._connection.poll()
 
+    def interrupt(self) -> None:
+        """Interrupt the call if it has begun: its result is then `Interrupted`. Repeat this until it is done.
+
+        The first call of a process cannot be interrupted, nor any call on Windows, which has no SIGUSR1.
+        """
+        if self._running and INTERRUPT is not None:
+            with suppress(OSError):  # it has ended; `result` says so
+                os.kill(self._process.pid, INTERRUPT)
+
     def result(self) -> Any:
-        """Return the result, or raise what the call raised.
+        """Return the result, or raise the exception of the call.
 
         Raises:
-            EOFError: the process was ended from outside.
+            EOFError: the process was terminated.
+            Interrupted: the call was interrupted.
         """
         try:
             value, error = pickle.loads(self._connection.recv_bytes())
         except (EOFError, OSError):
             self._start()
             raise EOFError from None
+        self._running = True
         if error is not None:
             raise error
         return value
@@ -208,19 +218,39 @@ class BackgroundProcess:
 
 
 THREAD_COUNTS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Variables that set the number of threads of a process."""
+"""Environment variables that set the number of threads of a process."""
+
+
+INTERRUPT: signal.Signals | None = getattr(signal, "SIGUSR1", None)
+"""Signal that interrupts a call; SIGINT goes to all processes of a terminal."""
 
 
 def _answer_calls(connection: Connection) -> None:
-    """Make calls until the other end is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that sends the calls decides
+    """Make calls until the other end of the connection is closed."""
+    busy = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal busy
+        if busy:  # else the result is on its way
+            busy = False
+            raise Interrupted
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
+    if INTERRUPT is not None:
+        signal.signal(INTERRUPT, interrupt)
     kernels.load()
     with suppress(EOFError, OSError):
         while True:
             function, arguments = pickle.loads(connection.recv_bytes())
-            value = error = None
+            value: object = None
+            error: BaseException | None = None
             try:
-                value = function(*arguments)
-            except Exception as raised:  # `result` raises it
-                error = raised
+                busy = True
+                try:
+                    value = function(*arguments)
+                except Exception as raised:  # `result` raises it
+                    error = raised
+                busy = False
+            except Interrupted as raised:
+                value, error = None, raised
             connection.send_bytes(pickle.dumps((value, error)))

@@ -1,4 +1,4 @@
-"""Joint trajectories for ROS 2: goals of the action FollowJointTrajectory, and bags."""
+"""ROS 2 output of joint trajectories: goals of the action FollowJointTrajectory, and bags."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.storage import check_writable, write_text
 
 WORLD = "world"
-"""Name of the frame in which the base of the arm stands."""
+"""Parent frame of the base of the arm."""
 
 MAX_DOF = 200
-"""Degrees of freedom up to which links are placed; a `pin.Data` then takes 370 MB."""
+"""Degrees of freedom up to which link frames are written; a `pin.Data` then takes 370 MB."""
 
 BAG_VERSION: Final = 8
-"""Version of the metadata of a bag, which every distribution from Humble on reads."""
+"""Version of the metadata of a bag, readable by all distributions since Humble."""
 
 
 def write_goal(trajectory: JointTrajectory, path: str | Path, goal_time_tolerance: float = 0.0) -> Path:
-    """Write a goal of control_msgs/action/FollowJointTrajectory as JSON, which is YAML as well.
+    """Write a goal of control_msgs/action/FollowJointTrajectory as JSON, which is also YAML.
 
         ros2 action send_goal --stdin CONTROLLER/follow_joint_trajectory \
             control_msgs/action/FollowJointTrajectory < goal.json
 
-    `pp.load` reads the file like that of a message.
+    `pp.load` reads the file like a message.
 
     Args:
         trajectory: the motion.
-        path: the file; its name ends in .json, .yaml or .yml.
+        path: the file, with the suffix .json, .yaml or .yml.
         goal_time_tolerance: how late the arm may reach the last point [s]; with 0 the controller decides.
 
     Returns:
@@ -48,7 +48,7 @@ def write_goal(trajectory: JointTrajectory, path: str | Path, goal_time_toleranc
 
     Raises:
         FileError: another suffix, or the file cannot be written.
-        InvalidValue: times that a message of ROS 2 cannot hold, or a negative tolerance.
+        InvalidValue: times out of range for a ROS 2 message, or a negative tolerance.
     """
     path = Path(path)
     if path.suffix.lower() not in (".json", ".yaml", ".yml"):
@@ -66,33 +66,33 @@ def write_goal(trajectory: JointTrajectory, path: str | Path, goal_time_toleranc
 def write_bag(
     trajectory: JointTrajectory, path: str | Path, arm: Arm | None = None, start: float = 1.0
 ) -> Path:
-    """Write a bag of ROS 2 in MCAP, for `ros2 bag play`, RViz, Foxglove, PlotJuggler or Rerun.
+    """Write a ROS 2 bag in MCAP format, for `ros2 bag play`, RViz, Foxglove, PlotJuggler or Rerun.
 
     Topics are /joint_states (sensor_msgs/JointState) and /joint_trajectory (trajectory_msgs/JointTrajectory,
-    one message at the start). With an arm also /tf (tf2_msgs/TFMessage), which places each link in the frame
-    of the one that carries it, the base of the arm in the frame "world"; and, for an arm loaded from a URDF,
-    /robot_description (std_msgs/String). Needs the extra `ros`.
+    one message at the start). With an arm also /tf (tf2_msgs/TFMessage), with each link in the frame of its
+    parent link and the base in the frame "world"; and, for an arm loaded from a URDF, /robot_description
+    (std_msgs/String). Needs the extra `ros`.
 
     Args:
         trajectory: the motion.
-        path: a file that ends in .mcap; any other name is a new folder, as `ros2 bag record` makes one.
-        arm: the arm that moves; None leaves out links and description.
-        start: time stamp of the start of the trajectory [s]. Zero means "the latest" to tf.
+        path: a file with the suffix .mcap; any other name is a new folder, as `ros2 bag record` makes it.
+        arm: the arm; None omits links and description.
+        start: time stamp of the start of the trajectory [s]; to tf, zero would mean the latest transform.
 
     Returns:
         The path.
 
     Raises:
-        FileError: the extra is missing, the folder exists already, or nothing can be written there.
-        InvalidValue: times that a message cannot hold, joints that are not the arm's, or an arm of more than
-            200 degrees of freedom, for which `pin.Data` would need too much memory.
+        FileError: the extra is missing, the folder exists, or cannot be written to.
+        InvalidValue: times out of range for a message, joints of another arm, or an arm with more than 200
+            degrees of freedom, for which `pin.Data` needs too much memory.
     """
     path = Path(path)
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise FileError(path, "bags need a further package; pip install 'pinposture[ros]'") from None
+        raise FileError(path, "bags need another package; pip install 'pinposture[ros]'") from None
     require_positive("start", start)
     alone = path.suffix.lower() == ".mcap"
     if path.exists() and not (alone and path.is_file()):
@@ -125,7 +125,7 @@ def write_bag(
 
 
 def _latched() -> tuple[Any]:
-    """Return the quality of service under which late subscribers still get the message."""
+    """Return the quality of service with which late subscribers still receive the message."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     forever = QosTime(sec=2**31 - 1, nsec=NANOSECONDS - 1)
@@ -146,7 +146,7 @@ def _latched() -> tuple[Any]:
 def _messages(
     types: Any, trajectory: JointTrajectory, arm: Arm | None, start: float
 ) -> Iterator[tuple[str, int, Any]]:
-    """Yield the topic, the time stamp [ns] and the content of each message, in the order of time."""
+    """Yield the topic, the time stamp [ns] and the content of each message, in chronological order."""
     described = to_message(trajectory)
     offset = round(start * NANOSECONDS)
     make = {name: types[f"{package}/msg/{name}"] for package, name in _TYPES}
@@ -210,16 +210,14 @@ _TYPES = (
     ("geometry_msgs", "TransformStamped"),
     ("tf2_msgs", "TFMessage"),
 )
-"""The messages that are made, by package and name."""
+"""Message types by package and name."""
 
 
 class _LinkTree:
-    """Places the links of an arm in the frames of the links that carry them, by the joints of its URDF.
-
-    The links of an arm without a URDF are placed in the world.
+    """Link placements relative to the parent links in the URDF of an arm, or to the world without a URDF.
 
     Raises:
-        InvalidValue: the joints of the trajectory are not the arm's, or the arm is too long or has no links.
+        InvalidValue: the trajectory is of another arm, or the arm has too many joints or no links.
     """
 
     def __init__(self, arm: Arm, trajectory: JointTrajectory) -> None:
@@ -231,13 +229,13 @@ class _LinkTree:
         links = {str(each.name): k for k, each in frames if k and each.type == pin.FrameType.BODY}
         if not links:
             raise InvalidValue("arm", arm.name, "an arm with links, as loaded from a URDF")
-        # `Frame.parentFrame` is that of the whole robot, and wrong where joints are locked.
+        # `Frame.parentFrame` is that of the unreduced robot, and wrong if joints are locked.
         joints = () if arm.urdf is None else read_description(arm.urdf).joints
         carriers = {joint.child: joint.parent for joint in joints if joint.parent in links}
         self._links = {name: (carriers.get(name, WORLD), frame) for name, frame in links.items()}
 
     def placements(self, row: int) -> Iterator[tuple[str, str, pin.SE3]]:
-        """Yield the carrier, the link, and the placement of the link in the frame of its carrier."""
+        """Yield the parent, the link, and the placement of the link in the frame of its parent."""
         pin.framesForwardKinematics(self._model, self._data, self._configurations[row])
         for name, (carrier, frame) in self._links.items():
             placement = self._data.oMf[frame]

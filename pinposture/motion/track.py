@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.control.limits import JerkFilter, require_limits
@@ -20,23 +21,20 @@ from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
-# The record of a run.
-
 Array = NDArray[np.float64]
 
-
 MAX_CONSTRAINTS = 8
-"""Largest number of violated constraints that are recorded of each step."""
+"""Largest number of violated constraints that are recorded for each step."""
 
 ERROR_ROUNDING = 1e-12
-"""Increase of the posture error that is due to rounding, in arm lengths."""
+"""Increase of the posture error that is attributed to rounding, in arm lengths."""
 
 
 class RunRecord:
     """The states and steps of a run so far.
 
     Args:
-        target: the targets of the control points, until a step brings others.
+        target: the initial target posture.
         start: the first state.
         scene: the scene whose distances are recorded; None: none.
     """
@@ -51,17 +49,17 @@ class RunRecord:
         self.set_target(target)
 
     def set_target(self, target: Target) -> None:
-        """Replace the target, and measure progress towards the new one."""
+        """Replace the target, and restart measuring progress."""
         self._target = target
         self._now = self._point_errors(self._last)
         self._best, self._idle = self.posture_error, 0.0
 
     def error_rises_at(self, state: ArmState) -> bool:
-        """Whether the posture error is larger at a state than now, by more than rounding."""
+        """Whether the posture error at a state exceeds the current one, by more than rounding."""
         return float(self._point_errors(state).sum()) > self.posture_error + ERROR_ROUNDING * state.arm.length
 
     def mean_error_at(self, state: ArmState) -> float:
-        """Return the mean distance of the control points that have a target from it at a state [m]."""
+        """Return the mean distance of the control points from their targets at a state [m]."""
         return float(self._point_errors(state).sum()) / int(np.count_nonzero(self._target.has_target))
 
     def _point_errors(self, state: ArmState) -> Array:
@@ -79,26 +77,26 @@ class RunRecord:
 
     @property
     def posture_error(self) -> float:
-        """Sum of the distances of the control points from their targets, now [m]."""
+        """Current sum of the distances of the control points from their targets [m]."""
         return float(self._now.sum())
 
     @property
     def mean_error(self) -> float:
-        """Mean distance of the control points that have a target from it, now [m]."""
+        """Current mean distance of the control points from their targets [m]."""
         return self.posture_error / int(np.count_nonzero(self._target.has_target))
 
     def append(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
-        """Append one step and the state that it led to.
+        """Append a step.
 
         Args:
-            state: the state.
+            state: the state after the step.
             step: the step.
             travel: joint travel that the limits allowed in this step [rad].
             target: the new target, if it has changed.
         """
         self._target = self._target if target is None else target
         self._steps.append(step._replace(diagnostics=_without_state(step.diagnostics)))
-        if not step.diagnostics.following_path:  # else the arm is not stuck
+        if not step.diagnostics.following_path:
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
@@ -107,9 +105,9 @@ class RunRecord:
         self._errors.append(self._now)
 
     def travel_without_progress(self, share: float) -> float:
-        """Joint travel since the posture error last fell by this share below its lowest before [rad].
+        """Return the joint travel since the posture error last fell by a share below its minimum [rad].
 
-        It is the travel that the limits allowed, except in steps along a path; so it does not depend on dt.
+        It is the travel that the limits allowed, without steps along a path, and hence independent of dt.
         """
         if self.posture_error < self._best * (1.0 - share):
             self._best, self._idle = self.posture_error, 0.0
@@ -118,7 +116,7 @@ class RunRecord:
     def trajectory(
         self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
     ) -> Trajectory:
-        """Return the run so far; it names the steps that exceed velocity or acceleration limits."""
+        """Return the run so far, with messages on steps that exceed limits."""
         steps = self._steps
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
@@ -161,19 +159,17 @@ class RunRecord:
 
 
 def _without_state(note: Diagnostics) -> Diagnostics:
-    """Return the same with its singular values computed, so that it does not keep the state in memory."""
+    """Return diagnostics with their singular values computed, so that they keep no state in memory."""
     return note._replace(spectrum=SingularValues(note.sigma_min, note.sigma_max))
 
-
-# The loop.
 
 Callback = Callable[[int, ArmState, Step], object]
 
 STALL_TRAVEL = 6.0
-"""Joint travel without a new lowest posture error after which a run is stalled [rad]: 60 usual steps."""
+"""Joint travel without progress after which a run is stalled [rad]: 60 usual steps."""
 
 PROGRESS_SHARE = 1e-3
-"""Relative fall of the posture error that counts as progress within it."""
+"""Relative decrease of the posture error that counts as progress."""
 
 STEP_ROUNDING = 1e-9
 """Relative rounding error of a sum of steps."""
@@ -190,9 +186,9 @@ class ControlLoop:
         controller: the controller.
         limits: the limits of each step.
         state: the current state.
-        ahead: the state from which controllers step: the same, or ahead of it with a limit of jerk.
-        filter: what limits the jerk.
-        memory: state of the controller between steps; None before the first step.
+        ahead: the state before the jerk filter, from which the controller steps.
+        filter: the jerk filter.
+        memory: memory of the controller; None before the first step.
         last_step: the last step that was computed; None before the first.
         record: the run so far.
     """
@@ -215,10 +211,10 @@ class ControlLoop:
         self.ahead = self.state
 
     def compute_step(self, target: Target) -> Step:
-        """Compute the next step towards a target without taking it."""
+        """Compute the next step towards a target, without taking it."""
         before = self.memory
         step = next_step(self.controller, self.ahead, target, self.limits, before)
-        # Keep what the controller found out; the arm has not moved yet.
+        # Keep the plan of the controller, but not the motion: the arm has not moved yet.
         before = Memory(np.zeros(self.arm.nv)) if before is None else before
         self.memory, self.last_step = step.memory.with_motion_of(before), step
         return step
@@ -240,7 +236,7 @@ class ControlLoop:
     def run(
         self, target: Target, tolerance: float, max_steps: int, callback: Callback | None = None
     ) -> tuple[str, str]:
-        """Take steps until the arm has converged, stalled, or run out of steps.
+        """Take steps until the arm converges, stalls, or runs out of steps.
 
         Args:
             target: the target posture.
@@ -257,10 +253,10 @@ class ControlLoop:
                 break
             step = self.compute_step(target)
             if step.diagnostics.reason and self.filter.moving:
-                self.brake()  # the arm ahead has come to its end; this one has not
+                self.brake()  # let the jerk filter settle first
                 continue
             if step.diagnostics.reason:
-                # A controller that has points to control but no step to take is stuck.
+                # With active points but no step, the controller is stuck.
                 status, reason = "stalled" if step.active else "no_control_points", step.diagnostics.reason
                 break
             self.take_step(step)
@@ -293,7 +289,7 @@ class ControlLoop:
         return brake is not None and self.memory is not None and bool(np.any(np.abs(self.memory.dq) > brake))
 
     def _check_end(self, tolerance: float, max_steps: int) -> tuple[str, str]:
-        """Return status and reason if the run is over; empty texts while it goes on."""
+        """Return status and reason if the run is over, else empty strings."""
         mean = self.record.mean_error
         if self.filter.moving:
             mean = max(mean, self.record.mean_error_at(self.ahead))
@@ -303,15 +299,13 @@ class ControlLoop:
             return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
         idle = self.record.travel_without_progress(PROGRESS_SHARE)
         if idle >= STALL_TRAVEL * (1.0 - STEP_ROUNDING):
-            return (
-                "stalled",
-                f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel",
-            )
+            text = f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel"
+            return "stalled", text
         return "", ""
 
 
 def describe_binding_limits(arm: Arm, step: Step) -> str:
-    """Return which joint limits and distances limited a step, in words."""
+    """Return a clause naming the joint limits and distances that limited a step."""
     held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
     held += step.diagnostics.near
     if not held:
@@ -321,14 +315,14 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
 
 
 def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:
-    """Say so if the configuration of a target is too close to an obstacle."""
+    """Return a clause if the configuration of a target is too close to an obstacle, else an empty one."""
     if target.q is None or scene is None:
         return ""
     closest = CollisionModel(arm, scene).minimum(target.q)
     if closest.pair is None or closest.distance >= scene.margin:
         return ""
-    pair, distance, margin = " to ".join(closest.pair), 1e3 * closest.distance, 1e3 * scene.margin
-    return f"; in the target posture, {pair} are {distance:.3g} mm apart, and the margin is {margin:.3g} mm"
+    apart = describe_distance(closest.pair, closest.distance)
+    return f"; in the target posture, {apart} (the margin is {1e3 * scene.margin:.3g} mm)"
 
 
 logger = logging.getLogger(__name__)
@@ -350,34 +344,35 @@ def track(
     Args:
         arm: the arm.
         target: the target posture.
-        q0: configuration to start from, (nq,).
+        q0: the initial configuration, (nq,).
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
         limits: the limits of each step; `Limits()` if None.
-        scene: the obstacles, for a controller that avoids them, such as "geodesic"; others only record the
-            distances. None: the scene of the controller.
-        max_steps: number of steps after which to stop. With acceleration limits, an arm that still moves when
-            the run ends is brought to rest in a few more.
-        tolerance: mean distance of the control points from their targets at which the run has converged
-            [m]; 1e-6 of the arm length if None.
-        callback: called after each step with its number (from 1), the state reached and the step, but not
+        scene: the obstacles, which "geodesic" avoids; with other controllers, distances are only recorded.
+            None: the scene of the controller.
+        max_steps: number of steps after which to stop. With acceleration limits, a few more bring a moving
+            arm to rest.
+        tolerance: mean distance of the control points from their targets at which the run converges [m];
+            1e-6 of the arm length if None.
+        callback: called after each step with its number, 1-based, the state after it and the step, but not
             while the arm brakes to rest. The run stops if it returns True.
 
     Returns:
-        The motion and everything recorded during it. `status` is "converged", "stalled" (no step
-        reduces the errors any more, or no progress in 6 rad of allowed joint travel, 60 steps of 0.1 rad,
-        not counting steps along a path or around a local minimum), "no_control_points" (the controller found
-        none that it may move), "max_steps" or "stopped" (by the callback); `reason` explains it in words.
+        The run. `status` is "converged", "stalled" (no step reduces the errors further, or no progress in
+        6 rad of allowed joint travel, 60 steps of 0.1 rad, not counting steps along a path or around a local
+        minimum), "no_control_points" (the controller found none that it can move), "max_steps" or "stopped"
+        (by the callback); `reason` explains it.
 
     Raises:
-        InvalidValue: q0, the target, max_steps or the tolerance is invalid, or q0 or the configuration of the
-            target is so far outside the limits that it may be in degrees.
+        InvalidValue: q0, the target, max_steps or the tolerance is invalid, the target belongs to another
+            arm, or q0 or the configuration of the target is so far outside the limits that it may be in
+            degrees.
         UnknownName: there is no controller of that name.
     """
     controller, scene = in_scene(controller_named(controller), scene)
     limits = require_limits(limits)
     if not isinstance(target, Target):
         raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
-    target.check(arm)
+    target.check_arm(arm)
     if target.q is not None:
         arm.checked_start(target.q, "target.q")
     require_whole("max_steps", max_steps, 1)
@@ -397,14 +392,12 @@ def track(
 
 
 def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
-    """Return the controller with the scene, and the scene; warn if it does not avoid obstacles."""
+    """Return the controller with the scene, and the scene; warn if the controller does not avoid it."""
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if isinstance(controller, Geodesic):
         return (controller, controller.scene) if scene is None else (controller.with_scene(scene), scene)
     if scene is not None:
-        text = (
-            f'{controller.name} does not avoid obstacles, it only records distances; "geodesic" avoids them'
-        )
+        text = f'{controller.name} does not avoid obstacles, only records distances; "geodesic" avoids them'
         warnings.warn(text, PostureWarning, stacklevel=3)
     return controller, scene

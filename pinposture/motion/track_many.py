@@ -1,4 +1,4 @@
-"""Many runs of one arm, on as many processes as there can be."""
+"""Many runs of one arm, in parallel processes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ KEEP = ("motions", "ends")
 
 @dataclass(frozen=True)
 class _Setting:
-    """The arguments that all runs share."""
+    """Arguments common to all runs."""
 
     arm: Arm
     controller: Controller
@@ -45,7 +45,7 @@ class _Setting:
 
 
 class _Ends(NamedTuple):
-    """The results of one run that a `Batch` has as columns."""
+    """The results of one run that become columns of a `Batch`."""
 
     status: str
     reason: str
@@ -72,39 +72,37 @@ def track_many(
     keep: Literal["motions", "ends"] = "motions",
     progress: Progress | None = None,
 ) -> Batch:
-    """Drive an arm from many configurations to a target posture, or to many.
+    """Drive an arm from many configurations to one or many target postures, each as `track` does.
 
-    Each run is what `track` makes of it. There is one for each start and target at the same place; a single
-    target serves all starts, a single start all targets.
-
-    With `joblib.parallel_config(backend="dask")` or another backend around the call, runs are computed where
-    that says. Nothing but the time depends on it, nor on the number of processes.
+    Starts and targets are paired; a single start or target is used for all runs. Inside
+    `joblib.parallel_config(backend="dask")`, or another backend, runs are computed there. The results do not
+    depend on the backend or the number of processes.
 
     Args:
         arm: the arm.
-        targets: where its control points should be; one target, or one for each run.
-        starts: configurations to start from, (count, nq); or one, (nq,).
+        targets: one target posture, or one for each run.
+        starts: initial configurations, (count, nq); or one, (nq,).
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
         limits: the limits of each step; `Limits()` if None.
-        scene: what to keep clear of, as in `track`.
+        scene: the obstacles, as in `track`.
         max_steps: number of steps after which a run stops.
-        tolerance: mean distance of the control points from their targets at which a run has converged
-            [m]; 1e-6 of the arm length if None.
-        jobs: number of processes, -1 for all there can be. If None, as `joblib.parallel_config` says; if it
-            says nothing, all there can be, once there is more to do than it takes to start them.
-        keep: "motions", or "ends" to save memory: 0.5 kB for each step of an arm of 40 degrees of freedom.
-        progress: called with the number of runs finished so far, and that of all.
+        tolerance: mean distance of the control points from their targets at which a run converges [m]; 1e-6
+            of the arm length if None.
+        jobs: number of processes; -1: as many as possible. None: as in `joblib.parallel_config`; without one,
+            as many as possible once the remaining work outweighs their start.
+        keep: "motions", or "ends" to save 0.5 kB per step of an arm with 40 degrees of freedom.
+        progress: called with the number of finished runs and the total number.
 
     Returns:
-        How each run ended, and its motion, in the order of starts and targets. A run that an error of
-        this package ends does not end the others: it is recorded as "failed", and a `PostureWarning` tells.
+        The results in the order of starts and targets. A run that raises an error of this package is recorded
+        as "failed", with a `PostureWarning`; the other runs continue.
 
     Raises:
-        InvalidValue: numbers of targets and starts that do not fit each other, one of them that does not fit
-            the arm, or another argument that `track` would not take. Then nothing has run.
+        InvalidValue: numbers of targets and starts that do not match, one of them that does not fit the arm,
+            or another argument that `track` would refuse; raised before any run.
         UnknownName: no controller has that name.
     """
-    # joblib takes longer to import than most of this package, and who tracks one run does not need it.
+    # joblib takes longer to import than most of this package.
     from joblib import delayed
 
     from pinposture.motion.processes import Shared, adaptively_in_order, check_jobs
@@ -120,9 +118,9 @@ def track_many(
         raise InvalidValue("keep", keep, " or ".join(map(repr, KEEP)))
     listed, configurations = _targets(arm, targets), _starts(arm, starts)
     count = _count_runs(len(listed), len(configurations))
-    limits.bound(arm.at(configurations[0]))  # so that limits of another arm are refused now
+    limits.for_arm(arm)  # refuse limits of another arm before any run
     if scene is not None:
-        CollisionModel(arm, scene)  # which warns of meshes that are missing
+        CollisionModel(arm, scene)  # warns about missing meshes
     setting = _Setting(arm, chosen, limits, scene, max_steps, tolerance, keep, os.getpid())
     shared = Shared(setting)
     tasks = [
@@ -131,7 +129,7 @@ def track_many(
     ]
     ends, motions = [], []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # they have been given
+        warnings.simplefilter("ignore", PostureWarning)  # given above
         for done, (end, motion) in enumerate(adaptively_in_order(tasks, jobs), 1):
             ends.append(end)
             motions.append(motion)
@@ -157,40 +155,41 @@ def track_many(
 
 
 def _targets(arm: Arm, targets: Target | Sequence[Target]) -> list[Target]:
-    """The targets, checked; names the one that does not fit."""
+    """Return the checked targets; errors name the one that does not fit."""
     if isinstance(targets, Target):
-        targets.check(arm)
+        targets.check_arm(arm)
         return [targets]
     try:
         listed = list(targets)
     except TypeError:
-        raise InvalidValue("targets", targets, "a Target, or a sequence of them") from None
+        raise InvalidValue("targets", targets, "a Target, or a sequence of Targets") from None
     for k, target in enumerate(listed):
         if not isinstance(target, Target):
             raise InvalidValue(f"targets[{k}]", target, "a Target, as `resolve_targets` returns it")
         try:
-            target.check(arm)
+            target.check_arm(arm)
         except InvalidValue as error:
-            name = error.name.replace("target", f"targets[{k}]", 1)
+            name = error.name.replace("target.", f"targets[{k}].")
             raise InvalidValue(name, error.value, error.allowed) from None
     return listed
 
 
 def _starts(arm: Arm, starts: ArrayLike) -> list[Array]:
-    """The starts, checked; names the one that does not fit."""
+    """Return the checked starts; errors name the one that does not fit."""
     try:
         listed: list[Any] = list(starts)  # type: ignore[arg-type]
     except TypeError:
-        raise InvalidValue("starts", starts, f"({arm.nq},) numbers, or a sequence of such") from None
+        allowed = f"a configuration of {arm.nq} numbers, or a sequence of them"
+        raise InvalidValue("starts", starts, allowed) from None
     if listed and all(is_number(value) for value in listed):
         return [arm.checked_start(listed, "starts")]
     return [arm.checked_start(start, f"starts[{k}]") for k, start in enumerate(listed)]
 
 
 def _count_runs(targets: int, starts: int) -> int:
-    """The number of runs that so many targets and starts make."""
+    """Return the number of runs for numbers of targets and starts."""
     if min(targets, starts) == 0 or (targets != starts and min(targets, starts) > 1):
-        allowed = "as many targets as starts, or one of either"
+        allowed = "equal numbers, or one of either"
         raise InvalidValue("numbers of targets and starts", (targets, starts), allowed)
     return max(targets, starts)
 
@@ -198,7 +197,7 @@ def _count_runs(targets: int, starts: int) -> int:
 def _run_quietly(
     shared: Shared[_Setting], target: Target, start: Array
 ) -> tuple[_Ends, dict[str, NDArray[Any]]]:
-    """Compute one run; in a worker process without warnings, which the caller has given."""
+    """Compute one run; in worker processes without warnings, which the caller has already given."""
     setting = shared.value
     if setting.process == os.getpid():
         return _run(setting, target, start)
@@ -238,6 +237,6 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[s
 
 
 def _failed_run(setting: _Setting, target: Target, start: Array, reason: str) -> Trajectory:
-    """Return a run without steps, which an error ended."""
+    """Return a run without steps that an error ended."""
     record = RunRecord(target, setting.arm.at(start), setting.scene)
     return record.trajectory(setting.arm, setting.controller, setting.limits, FAILED, reason)

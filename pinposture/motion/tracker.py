@@ -1,4 +1,4 @@
-"""The streaming controller: one step in each control cycle, with feedback and a deadline."""
+"""The streaming controller: one step per control cycle, with feedback and a deadline."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from pinposture import kernels
 from pinposture._validation import finite_vector, float_array, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import describe_distance
 from pinposture.control import (
     Controller,
     Geodesic,
@@ -29,9 +30,9 @@ from pinposture.control import (
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
-from pinposture.control.planner.plan import PlanNeeded
+from pinposture.control.planner.plan import PlanNeeded, is_small_change
 from pinposture.errors import InvalidValue, PostureError, UnknownName
-from pinposture.motion.processes import BackgroundProcess, Shared
+from pinposture.motion.processes import BackgroundProcess, Interrupted, Shared
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
@@ -43,10 +44,10 @@ Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
 FEEDBACK_TOLERANCE = 1e-7
-"""Change of the feedback that leaves a target as it is, in `Arm.joint_units`, and in arm lengths."""
+"""Change of the feedback that is too small to update a target, in `Arm.joint_units`, and in arm lengths."""
 
 MAX_POINT_OFFSET = 0.25
-"""Largest distance of a measured control point from forward kinematics that is used, in arm lengths."""
+"""Distance of a measured control point from forward kinematics that discards it, in arm lengths."""
 
 
 class FeedbackState(NamedTuple):
@@ -55,7 +56,7 @@ class FeedbackState(NamedTuple):
     Attributes:
         state: state from which the next step starts: the command with a position interface, else the
             measurement; None before the first measurement.
-        reason: why the arm must hold; else empty.
+        reason: why the arm must hold; empty if it need not.
         tracking_error: largest difference between measured and expected joint positions, in
             `Arm.joint_units`; None without a usable measurement.
     """
@@ -68,21 +69,21 @@ class FeedbackState(NamedTuple):
 class Feedback:
     """Compares measurements with commands, and compensates targets for the difference.
 
-    Let c be the command and c + b the configuration that the arm takes for it. A target configuration t is
-    then reached by the command t - b. The estimate of b follows the measurements with a
-    time constant T. If the drives follow a command within a time T_s, the loop has the characteristic
-    polynomial T T_s s^2 + T s + 1: it does not oscillate from T = 4 T_s on.
+    Let c be the command and c + b the resulting configuration. The command t - b then reaches a target
+    configuration t. The estimate of b is low-pass filtered with a time constant T. If the drives follow a
+    command with a time constant T_s, the loop has the characteristic polynomial T T_s s^2 + T s + 1: it does
+    not oscillate if T >= 4 T_s.
 
     Attributes:
         command: commanded configuration, (nq,); None before the first measurement.
         restarted: whether this cycle starts at rest from a new measured configuration.
-        points: control points by the last measurement, (m, 3) [m], world frame; None before it.
+        points: last measured control points, (m, 3) [m], world frame; None before the first measurement.
 
     Args:
         arm: the arm.
         time_constant: T [s]; 0 with a velocity interface: each step starts from the measurement.
         max_tracking_error: see `Tracker`.
-        resync_time: see there.
+        resync_time: see `Tracker`.
     """
 
     def __init__(self, arm: Arm, time_constant: float, max_tracking_error: float, resync_time: float) -> None:
@@ -141,7 +142,7 @@ class Feedback:
         return FeedbackState(self._state(), "", largest)
 
     def compensate(self, target: Target) -> Target:
-        """Return the target of the command with which the arm reaches a target."""
+        """Return the target for the command such that the arm reaches a target."""
         tiny, offset, shift = FEEDBACK_TOLERANCE * self.arm.length, self._offset, self._shift
         if self._last_compensated is not None and self._last_compensated[0] is target:
             _, used, before, at = self._last_compensated
@@ -186,13 +187,13 @@ class Feedback:
             off = measured_points - points
             with np.errstate(over="ignore"):
                 apart = np.linalg.norm(off, axis=1)
-            off[~(apart <= MAX_POINT_OFFSET * self.arm.length)] = 0.0  # not seen, or something else
+            off[~(apart <= MAX_POINT_OFFSET * self.arm.length)] = 0.0  # missing, or a false detection
         if measured_points is not None or np.any(self._shift):
             self._shift += share * (off - self._shift)
         return np.asarray(points + off)
 
     def _is_confirmed(self, measured: Array, dt: float) -> bool:
-        """Restart, and return True, once measurements far off have agreed long enough at rest."""
+        """Restart, and return True, once deviating measurements at rest have agreed long enough."""
         if self._deviating is None:
             self._agreed_for = 0.0
         else:
@@ -205,7 +206,7 @@ class Feedback:
         return True
 
     def _checked_configuration(self, q: ArrayLike | None) -> tuple[Array | None, str]:
-        """A measured configuration; None, and why, if it cannot be used."""
+        """Return a measured configuration; if it cannot be used, None and the reason."""
         if q is None:
             return None, "no measurement"
         measured, arm = float_array("q_measured", q, (self.arm.nq,)), self.arm
@@ -220,18 +221,15 @@ class Feedback:
         return None if points is None else float_array("points", points, (self.arm.n_modules, 3))
 
 
-# Computing a step within the time of a cycle.
+# Steps with a deadline.
 
 
 class DirectStep:
-    """Computes the step of a controller, in a thread of its own if there is a deadline.
+    """Computes the steps of a controller, in another thread if there is a deadline.
 
     Args:
-        controller: the controller.
+        controller: the controller; the attribute may be replaced between steps.
         deadline: how long to wait for a step [s]; infinite: it is computed in this thread.
-
-    Attributes:
-        controller: the controller; another one counts from the next step on.
     """
 
     def __init__(self, controller: Controller, deadline: float) -> None:
@@ -243,8 +241,8 @@ class DirectStep:
     ) -> tuple[Step | None, Memory | None]:
         """Return the step of the controller, if it is computed before the deadline.
 
-        A computation that was too late in an earlier cycle has to end first; it is not waited for again. What
-        the controller remembers of it, a path to the target for instance, is used for the next step.
+        A late computation of an earlier cycle has to end first, without waiting for it again. Its memory, for
+        instance a path to the target, is used for the next step.
 
         Returns:
             The step, or None after the deadline; and the memory to pass on in the next cycle.
@@ -256,7 +254,7 @@ class DirectStep:
                 return None, memory
             pending, self._pending = self._pending, None
             late = pending.result()
-            # The arm has braked since, and is at rest or nearly.
+            # The arm has braked since, and is at rest or almost.
             memory = late.memory if memory is None else late.memory.with_motion_of(memory)
         started = self._start(state, target, limits, memory)
         if not wait([started], self._deadline).done:
@@ -265,7 +263,7 @@ class DirectStep:
         return started.result(), memory
 
     def _start(self, *arguments: Any) -> Future[Step]:
-        """Start a computation in a thread that does not keep a program from ending."""
+        """Start a computation in a daemon thread."""
         future: Future[Step] = Future()
         controller = self.controller
 
@@ -280,7 +278,7 @@ class DirectStep:
 
 
 class Request(NamedTuple):
-    """What a path is being planned for: see `plan_from`."""
+    """Arguments of a plan in progress; see `plan_from`."""
 
     controller: Geodesic
     target: Target
@@ -299,11 +297,12 @@ class PlannedStep:
     def __init__(self, arm: Arm, controller: Geodesic) -> None:
         self._arm, self._process = arm, BackgroundProcess()
         self._request: Request | None = None
+        self._outdated, self._interrupted = False, False  # this plan; the one before
         self.controller = controller
 
     @property
     def controller(self) -> Controller:
-        """The controller; another one counts from the next step on."""
+        """The controller; may be replaced between steps."""
         return self._controller
 
     @controller.setter
@@ -324,13 +323,20 @@ class PlannedStep:
         """
         if self._request is not None:
             if not self._process.done():
+                if self._is_outdated(target, self._request.target):
+                    self._process.interrupt()
                 return None, memory
-            # One step to the target that the path leads to; the next cycle bends the path, or plans again.
-            target, memory = self._request.target, self._take_plan(self._request, memory)
+            # One step to the target of the path; the next cycle bends the path or replans.
+            planned, self._request = self._request, None
+            self._interrupted = self._outdated = False
+            try:
+                target, memory = planned.target, self._take_plan(planned, memory)
+            except Interrupted:
+                self._interrupted = True
         try:
             return self._prompt.step(state, target, limits, memory), memory
         except PlanNeeded as needed:
-            # The path begins where the arm will be in the next cycle: until then it brakes.
+            # The arm brakes; the path starts where it will be in the next cycle.
             motion = Memory(np.zeros(self._arm.nv)) if memory is None else memory
             previous = motion.braked(limits, state).dq
             self._request = Request(self._controller, target, limits, previous)
@@ -338,9 +344,22 @@ class PlannedStep:
             self._process.submit(_plan, self._shared, q, target, limits, previous, needed.attempt)
             return None, memory
 
+    def _is_outdated(self, target: Target, planned: Target) -> bool:
+        """Whether a plan is to be interrupted, since its path cannot be bent to the current target.
+
+        The plan after it is not interrupted: an arm whose target keeps jumping would never move.
+        """
+        if not (self._outdated or self._interrupted or target is planned):
+            one, other = (self._controller.objective(self._arm, each) for each in (planned, target))
+            self._outdated = not is_small_change(one, other)
+        return self._outdated
+
     def _take_plan(self, request: Request, memory: Memory | None) -> Memory | None:
-        """Return the memory with the path that was planned."""
-        self._request = None
+        """Return the memory with the planned path.
+
+        Raises:
+            Interrupted: the plan was interrupted.
+        """
         try:
             progress = self._process.result()
         except EOFError:
@@ -357,23 +376,23 @@ def _plan(shared: Shared[tuple[Arm, Geodesic]], *arguments: Any) -> PathProgress
     return plan_from(controller, arm, *arguments)
 
 
-# The streaming controller: one step in each control cycle.
+# The streaming controller.
 
 INTERFACES, PLANNING = ("position", "velocity"), ("process", "thread")
 
 MIN_CYCLE = 1e-3
-"""Shortest duration of a cycle, relative to the usual one."""
+"""Shortest duration of a cycle, relative to the nominal one."""
 
 NOT_DONE = "the controller is still computing"
 
 REST_TOLERANCE = 1e-9
-"""Largest step of an arm at rest, in `Arm.joint_units`: some controllers go on forever by less."""
+"""Largest step of an arm that counts as at rest, in `Arm.joint_units`."""
 
 MARGIN_ROUNDING = 1e-3
 """Share of the margin to obstacles whose loss is not reported."""
 
 ARRIVAL_TOLERANCE = 1e-6
-"""Mean distance of the control points from their targets at which the arm has arrived, in arm lengths."""
+"""Mean distance of the control points from their targets at which the arm has converged, in arm lengths."""
 
 
 class Report(NamedTuple):
@@ -381,15 +400,15 @@ class Report(NamedTuple):
 
     Attributes:
         status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error)
-            or "holding" (braking, or at rest, because an input is missing or wrong).
+            or "holding" (braking or at rest, because an input is missing or invalid).
         reason: why it is stalled or holding; else empty.
-        mean_error: mean distance of the control points from their targets at the beginning of the cycle, by
-            the last usable measurement [m]; None before the first target and measurement.
+        mean_error: mean distance of the control points from their targets at the start of the cycle, from the
+            last usable measurement [m]; None before the first target and measurement.
         tracking_error: largest difference between measured and expected joint positions, in
             `Arm.joint_units`; None without a usable measurement.
-        target_age: time since the target was set, as the sum of cycle times [s]; None without a target.
+        target_age: sum of cycle times since the target was set [s]; None without a target.
         violated_constraints: constraints that the step violates, as in `Diagnostics`.
-        step: the step of the controller, with its active control set; None if it computed none.
+        step: the step of the controller; None if it computed none.
     """
 
     status: str
@@ -417,13 +436,14 @@ class Tracker:
     It never extrapolates: without a target, with a target older than `timeout`, without a measurement, or
     with an implausible one, it brakes within its limits and holds, and `report` gives the reason.
 
-    Send `command` to drives that take positions. It moves by `dq`, so it keeps the limits exactly; it
+    Send `command` to position-controlled drives. It moves by `dq`, so it keeps the limits exactly, and
     restarts from the measured configuration only if the arm stays elsewhere (`resync_time`). Smaller errors,
-    because the arm sags or lags, are fed back slowly: the command goes as far beyond the target as the arm
-    stays behind. Send dq / dt to drives that take velocities; each step then begins at the measurement.
+    for instance because the arm sags or lags, are fed back slowly: the command overshoots the target by as
+    much as the arm falls short. Send dq / dt to velocity-controlled drives; each step then starts at the
+    measurement.
 
-    The constructor loads all compiled kernels, so that no cycle has to wait for them: half a second for the
-    first tracker in a process, and about a minute if they are not compiled yet (`pinposture compile`).
+    The constructor loads all compiled kernels, so that no cycle waits for them: half a second for the first
+    tracker in a process, and about a minute if they are not compiled yet (`pinposture compile`).
 
     Attributes:
         arm: the arm.
@@ -436,26 +456,26 @@ class Tracker:
         controller: as for `track`.
         limits: as above; `dt` is required.
         scene: as for `track`.
-        interface: the command that the drives take: "position" or "velocity".
-        feedback_time_constant: time constant with which the tracking error is fed back [s]. It must be
-            several times the delay of the drives, or the loop oscillates. Only for the position interface;
-            infinite: no feedback.
-        max_tracking_error: largest difference between measured and expected joint positions that is fed
-            back, in `Arm.joint_units` (one radian). The arm holds while it is larger.
-        resync_time: how long measurements beyond that must agree with each other before the tracker restarts
-            from them [s]. Infinite: the arm holds until `restart`.
+        interface: command type of the drives: "position" or "velocity".
+        feedback_time_constant: time constant of the feedback of the tracking error [s]. It must be several
+            times the delay of the drives, or the loop oscillates. Only for the position interface; infinite:
+            no feedback.
+        max_tracking_error: difference between measured and expected joint positions above which the arm holds
+            without feedback, in `Arm.joint_units`.
+        resync_time: how long larger differences must agree with each other before the tracker restarts from
+            the measurement [s]. Infinite: the arm holds until `restart`.
         timeout: age at which a target expires [s]; infinite: never.
         deadline: how long a cycle may wait for the controller [s]. Planning a path around obstacles takes
             seconds; past the deadline it continues in the background, and the arm brakes and holds until it
             is done. Infinite: every cycle waits.
-        planning: where "geodesic" plans if there is a deadline. "process": in a process of its own, which
-            takes some seconds to start; every plan is made there, and no cycle waits for it. "thread": in a
-            thread, as with other controllers. Threads share the interpreter, so a cycle can then take some
-            tens of milliseconds longer than the deadline.
+        planning: where "geodesic" plans if there is a deadline. "process": all plans are made in another
+            process, which takes some seconds to start, and no cycle waits for them. "thread": in a thread, as
+            with other controllers. Threads share the interpreter, so a cycle can then exceed the deadline by
+            some tens of milliseconds.
 
     Raises:
         InvalidValue: limits without dt, or a number that is not positive.
-        UnknownName: there is no such controller or interface.
+        UnknownName: no such controller, interface or place of planning.
     """
 
     def __init__(
@@ -473,7 +493,7 @@ class Tracker:
         planning: Literal["process", "thread"] = "process",
     ) -> None:
         period = cycle_of(limits)
-        limits = cast(Limits, limits)  # anything else was refused
+        limits = cast(Limits, limits)  # checked by `cycle_of`
         for name, choice, choices in (
             ("interface", interface, INTERFACES),
             ("planning", planning, PLANNING),
@@ -489,7 +509,7 @@ class Tracker:
         for name, value in {**times, "max_tracking_error": max_tracking_error}.items():
             _positive(name, value)
         self.arm, self.limits = arm, limits
-        limits.for_arm(arm)  # says now what does not fit
+        limits.for_arm(arm)  # refuse limits of another arm now
         controller, self.scene = in_scene(controller_named(controller), scene)
         self._steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
@@ -510,10 +530,10 @@ class Tracker:
 
     @property
     def command(self) -> Array:
-        """The configuration to send to drives that take positions, (nq,).
+        """The configuration to send to position-controlled drives, (nq,).
 
         Raises:
-            InvalidValue: there is no measurement yet, so the position of the arm is unknown.
+            InvalidValue: before the first measurement.
         """
         if self._feedback.command is None:
             raise InvalidValue("command", None, "a command after the first measurement (see `step`)")
@@ -525,23 +545,23 @@ class Tracker:
         return self._target
 
     def update(self, target: Target, velocity: ArrayLike | None = None) -> None:
-        """Set the target, from the next step on.
+        """Set the target for the next steps.
 
         Args:
             target: the target. Update a moving target in each cycle, with its posture at the end of that
                 cycle.
-            velocity: joint velocities of the target's configuration, (nv,) [rad/s or m/s]. None: those of
-                `Target.velocity`; if that is None too, "geodesic" takes the motion since the last cycle.
+            velocity: joint velocities of the target, (nv,) [rad/s or m/s]. None: `Target.velocity`; if that
+                is None too, "geodesic" uses the motion since the last cycle.
 
         Raises:
-            InvalidValue: the target does not fit the arm (the previous one stays), or a velocity comes
-                with a target without a configuration.
+            InvalidValue: the target does not fit the arm (the previous one stays), or a velocity is given for
+                a target without a configuration.
         """
         if not isinstance(target, Target):
             raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
         if velocity is not None:
             target = replace(target, velocity=finite_vector("velocity", velocity, self.arm.nv))
-        target.check(self.arm)
+        target.check_arm(self.arm)
         before = self._target.q if self._target is not None else None
         near = self._feedback.command if before is None else before
         given = with_configuration(self.arm, target, near)
@@ -550,7 +570,7 @@ class Tracker:
         self._target, self._age = given, 0.0
 
     def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
-        """Restart from the measured configuration; the target stays.
+        """Restart from the measured configuration, keeping the target.
 
         Args:
             q_measured: the measured configuration, (nq,).
@@ -574,11 +594,11 @@ class Tracker:
         """Compute the step of a control cycle.
 
         Args:
-            q_measured: the measured configuration, (nq,); None, or not finite, if it is missing.
+            q_measured: the measured configuration, (nq,); None or not finite if it is missing.
             dt: time since the previous cycle [s]; the nominal cycle time if None. A late cycle does not move
                 farther; a short one moves less.
             points: measured positions of the control points, (m, 3) [m], world frame, which replace those
-                computed from the joint positions. Rows that are not finite are points not seen.
+                computed from the joint positions. Rows that are not finite are missing points.
             scene: the current obstacles, from `Scene.moved`; None: unchanged.
 
         Returns:
@@ -586,8 +606,8 @@ class Tracker:
             time for the velocity.
 
         Raises:
-            InvalidValue: arrays of a wrong shape, a dt that is not positive, or a scene of a wrong type:
-                errors of the program, not of a sensor.
+            InvalidValue: an array of the wrong shape, a dt that is not positive, or a scene of the wrong
+                type. Sensor faults do not raise.
         """
         if scene is not None and scene is not self.scene:
             self._steps.controller, self.scene = in_scene(self._steps.controller, scene)
@@ -607,7 +627,7 @@ class Tracker:
                 step, memory = self._steps.compute(state, compensated, limits, memory)
                 reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
-                reason = str(error)  # an input that it cannot use, such as a target without a configuration
+                reason = str(error)  # unusable input, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         if step is None or reason:
@@ -618,12 +638,12 @@ class Tracker:
         self._memory, self._dt, dq = memory, dt, self._filter.apply(memory.dq)
         self._feedback.apply_step(dq)
         if step is not None and self._filter.moving:
-            reason = ""  # the arm ahead has come to its end; this one has not
+            reason = ""  # the jerk filter has not settled yet
         self.report = self._make_report(feedback, step, reason, compensated, dq)
         return np.array(dq)
 
     def _ahead(self, state: ArmState | None) -> ArmState | None:
-        """Return the state of the arm that controllers move: with a limit of jerk, it runs ahead."""
+        """Return the state before the jerk filter, from which the controller steps."""
         if state is None or self._filter.cycles == 1:
             return state
         return self.arm.at(self.arm.integrate(state.q, self._filter.ahead))
@@ -638,14 +658,14 @@ class Tracker:
         return memory.braked(limits, self._neutral_state)
 
     def _rescaled_memory(self, dt: float) -> Memory | None:
-        """The memory of the controller, its last step scaled to the duration of this cycle."""
+        """Return the memory of the controller, its last step scaled to the duration of this cycle."""
         if self._memory is None or dt == self._dt:
             return self._memory
         self._filter.rescale(dt / self._dt)
         return replace(self._memory, dq=self._memory.dq * (dt / self._dt), stopping=None)
 
     def _target_problem(self) -> str:
-        """Why the target cannot be used; empty if it can."""
+        """Return why the target cannot be used; empty if it can."""
         if self._target is None:
             return "no target"
         if self._age > self._timeout:
@@ -654,7 +674,7 @@ class Tracker:
 
     @cached_property
     def _neutral_state(self) -> ArmState:
-        """A state for braking, which needs only the limits of its arm."""
+        """A state for braking, for which only the limits of the arm matter."""
         return self.arm.at(self.arm.neutral())
 
     def _make_report(
@@ -679,19 +699,18 @@ class Tracker:
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
 
     def _lost_clearance(self) -> tuple[str, ...]:
-        """Say what the arm comes too close to, if that may be because a limit of jerk cuts a corner."""
+        """Return a message if the arm comes too close to something, as the jerk filter can cut a corner."""
         command = self._feedback.command
         if self._filter.cycles == 1 or self.scene is None or command is None:
             return ()
         closest = CollisionModel(self.arm, self.scene).minimum(command)
         if closest.distance >= (1.0 - MARGIN_ROUNDING) * self.scene.margin:
             return ()
-        pair = " to ".join(closest.pair or ())
-        return (f"margin from {pair}: {1e3 * closest.distance:.3g} mm are left",)
+        return (f"margin from {describe_distance(closest.pair or (), closest.distance)}",)
 
 
 def _mean_distance(points: Array, target: Target) -> float:
-    """Mean distance of control points (m, 3) from where they should be [m]."""
+    """Return the mean distance of control points (m, 3) from their targets [m]."""
     placed = target.has_target
     return float(np.linalg.norm((target.points - points)[placed], axis=1).mean())
 

@@ -1,4 +1,4 @@
-"""The result of a run or of a motion in time: configurations, status, velocities against their limits."""
+"""Results of runs and of motions in time: configurations, status, and faults such as exceeded limits."""
 
 from __future__ import annotations
 
@@ -21,26 +21,23 @@ from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.target import Moved, distance_from_curve
 
-# Speeds and accelerations of a motion relative to its limits.
-#
-# All of it is computed from the configurations of the motion, whatever moved the arm.
+# Velocities and accelerations relative to limits, computed from the configurations of a motion.
 
 Array = NDArray[np.float64]
 
 LIMIT_TOLERANCE = 1e-9
-"""Relative excess of a limit that is due to rounding."""
+"""Relative excess over a limit that is attributed to rounding."""
 
 POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-"""Rounding error of a difference of joint positions, relative to them."""
-
+"""Relative rounding error of a difference of joint positions."""
 
 NO_SLOWDOWN = 5e-3
-"""Relative excess of the planned time that is due to whole cycles."""
+"""Relative excess over the planned time that is attributed to whole cycles."""
 
 OFF_THE_PATH = "an obstacle keeps the arm off the planned path"
 
 HOLDING_SHARE = 0.85
-"""Share of a limit from which on that holds an arm back, and not a keyframe whose speed is limited."""
+"""Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
 
 
 class Shares(NamedTuple):
@@ -56,14 +53,14 @@ class Shares(NamedTuple):
 
 
 class LimitViolation(NamedTuple):
-    """How a motion exceeds its limits of velocity, acceleration and jerk.
+    """Violations of velocity, acceleration and jerk limits in a motion.
 
     Attributes:
-        steps: the steps in which it does, counted from 0. The stop at the end belongs to the last.
-        words: the limit that is exceeded most in each of them, and the ratio.
-        worst: the step with the largest ratio.
-        ratio: the largest ratio of a value to its limit.
-        text: a summary in words.
+        steps: the violating steps, 0-based. The stop at the end belongs to the last step.
+        words: message on the limit that is exceeded most in each of them.
+        worst: the step with the largest ratio of a value to its limit.
+        ratio: that ratio.
+        text: summary of the violations.
     """
 
     steps: tuple[int, ...]
@@ -74,7 +71,7 @@ class LimitViolation(NamedTuple):
 
 
 def limit_shares(run: Trajectory) -> Shares:
-    """Return velocities and accelerations of a run relative to its limits."""
+    """Return the velocities and accelerations of a run relative to its limits."""
     speeds, accelerations, _ = _joint_shares(run)
     bounds = run.limits.for_arm(run.arm)
     limited = bool(np.any(np.isfinite(bounds.bound)))
@@ -95,7 +92,7 @@ def largest_shares(run: Trajectory) -> dict[str, float | None]:
 
 
 def find_limit_violation(run: Trajectory) -> LimitViolation | None:
-    """Return where a run, from and to rest, exceeds a limit of velocity, acceleration or jerk."""
+    """Return the violations of velocity, acceleration and jerk limits in a run, from and to rest."""
     if not run.steps:
         return None
     bounds, kinds = run.limits.for_arm(run.arm), ("velocity", "acceleration", "jerk")
@@ -127,9 +124,9 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
 
 
 def _joint_shares(run: Trajectory) -> tuple[Array, Array, Array]:
-    """Speeds, accelerations and jerks of joints, (steps + 0, 1 and 2, nv), relative to their limits.
+    """Return joint speeds, accelerations and jerks, (steps + 0, 1 and 2, nv), relative to their limits.
 
-    The arm is at rest before and after. Shares of limits that do not exist are zero.
+    The arm is at rest before and after. Without a limit, the ratio is zero.
     """
     arm, bounds = run.arm, run.limits.for_arm(run.arm)
     moved = [arm.difference(a, b) for a, b in zip(run.q[:-1], run.q[1:], strict=True)]
@@ -140,11 +137,7 @@ def _joint_shares(run: Trajectory) -> tuple[Array, Array, Array]:
     return shares[0], shares[1], shares[2]
 
 
-# How motions end, and whether one may be sent to a robot.
-#
-# Whatever moves an arm ends with one of these: a run of `track`, a motion in time, a run of a batch, a
-# simulation. The streaming controller reports "converged" and "stalled" in the same sense, from cycle to
-# cycle.
+# How runs, motions and simulations end, and whether a motion may be sent to a robot.
 
 ENDINGS: Mapping[str, str] = MappingProxyType(
     {
@@ -153,25 +146,25 @@ ENDINGS: Mapping[str, str] = MappingProxyType(
         "no_control_points": "found no control point that it may move",
         "max_steps": "ran out of steps",
         "stopped": "was stopped",
-        "missed": "ended away from its target",
+        "missed": "missed a target",
         "unstable": "became unstable",
         "failed": "failed",
     }
 )
-"""How a motion can end, and the words for it in messages.
+"""Statuses of motions, and their descriptions in messages.
 
 "converged": the arm reached its target. "stalled": no step reduces the error. "no_control_points": the
-controller found none that it may move. "max_steps": it ran out of steps, or cycles. "stopped": by the user.
-"missed": a simulation ended with the arm away from its target. "unstable": the simulation diverged.
-"failed": an error ended the run.
+controller found none that it can move. "max_steps": no steps or cycles are left. "stopped": by the user.
+"missed": a simulation ended with the arm away from its target, or a motion passed a keyframe at a distance.
+"unstable": the simulation diverged. "failed": an error ended the run.
 """
 
 CONTACT_TOLERANCE = 1e-6
-"""Largest penetration that counts as contact, in arm lengths: distances are rounded."""
+"""Largest penetration that is attributed to rounding, in arm lengths."""
 
 
 class FinishedMotion(Protocol):
-    """What `find_faults` needs of a motion; a `Trajectory` and a `Simulation` have it."""
+    """Interface of motions for `find_faults`, such as `Trajectory` and `Simulation`."""
 
     @property
     def arm(self) -> Arm:
@@ -179,11 +172,11 @@ class FinishedMotion(Protocol):
 
     @property
     def status(self) -> str:
-        """How it ended, one of `ENDINGS`."""
+        """How the motion ended, one of `ENDINGS`."""
 
     @property
     def reason(self) -> str:
-        """Why, in words."""
+        """Why it ended."""
 
     @property
     def q(self) -> Array:
@@ -191,29 +184,28 @@ class FinishedMotion(Protocol):
 
     @property
     def scene(self) -> Scene | None:
-        """The obstacles that the arm had to avoid; None: none."""
+        """The obstacles; None: none."""
 
     @property
     def clearance(self) -> Array:
-        """Smallest distance in each of them, (N,) [m]; negative in penetration, infinite without a scene."""
+        """Smallest distance at each, (N,) [m]; negative in penetration, infinite without a scene."""
 
     @property
     def excess(self) -> LimitViolation | None:
-        """How they exceed velocity and acceleration limits; None if they do not, or if there are none."""
+        """Violations of velocity, acceleration and jerk limits; None if there are none."""
 
 
 def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
-    """Return why a motion should not be sent to a robot, in words; empty if it may be.
+    """Return the reasons not to send a motion to a robot; empty if it may be sent.
 
-    It did not converge, it exceeds a limit of velocity, acceleration or jerk, or bodies penetrate each other.
-    Only this function decides it.
+    It did not converge, it exceeds a velocity, acceleration or jerk limit, or bodies penetrate each other.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
     return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
 
 
 def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
-    """Return limits that a motion exceeds and the deepest penetration, each as a clause."""
+    """Return clauses on exceeded limits and the deepest penetration."""
     found = [] if motion.excess is None else [motion.excess.text]
     if motion.scene is not None and motion.clearance.min() < -CONTACT_TOLERANCE * motion.arm.length:
         row = int(motion.clearance.argmin())
@@ -224,18 +216,14 @@ def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
 
 
 def describe_result(motion: FinishedMotion) -> str:
-    """Return in one line whether a motion converged, its faults and the reason of its end."""
+    """Return whether a motion converged, its faults and why it ended, in one line."""
     there = "reached the target" if motion.status == "converged" else "did not reach the target"
     but = "".join(f", but {what}" for what in _faults_before_end(motion) if what not in motion.reason)
     return f"{there} ({motion.status}){but}: {motion.reason}"
 
 
 def require_no_faults(motion: FinishedMotion, force: bool) -> None:
-    """Raise unless a motion is free of faults, or `force` is True.
-
-    Raises:
-        MotionError: it has faults.
-    """
+    """Raise MotionError if a motion has faults, unless `force` is True."""
     found = () if force else find_faults(motion)
     if found:
         raise MotionError(found)
@@ -262,13 +250,13 @@ def closest(motion: FinishedMotion) -> dict[str, Any] | None:
 
 
 def path_length_ratio(points: NDArray[np.float64]) -> float:
-    """Length of the paths of all control points relative to the direct distances from start to end.
+    """Return the length of the paths of all control points relative to the direct distances.
 
     Args:
         points: control points of a motion, (steps + 1, m, 3) [m].
 
     Returns:
-        1 for motion on straight lines, more for detours; 1 also if all ended where they began.
+        1 for straight lines, more for detours; 1 also if all points end where they started.
     """
     paths = float(np.linalg.norm(np.diff(points, axis=0), axis=2).sum())
     direct = float(np.linalg.norm(points[-1] - points[0], axis=1).sum())
@@ -282,8 +270,8 @@ class Switch(NamedTuple):
     """A change of method.
 
     Attributes:
-        step: the first step of the new method, counted from 0.
-        method: its name.
+        step: the first step of the new method, 0-based.
+        method: name of the new method.
         reason: why the controller switched to it.
     """
 
@@ -303,27 +291,27 @@ class Trajectory:
         target: the target posture.
         controller: name and parameters of the controller.
         limits: the limits of each step.
-        status: how it ended: "converged", "stalled", "no_control_points", "max_steps" or "stopped"; see
+        status: how it ended, such as "converged", "stalled" or "max_steps": one of `ENDINGS`; see
             `pinposture.motion.trajectory`.
-        reason: why the run ended, in words.
+        reason: why the run ended.
         q: configurations, (steps + 1, nq).
         points: control points, (steps + 1, m, 3) [m], world frame.
         point_errors: distance of each control point from its target, (steps + 1, m) [m]; 0 if it has none.
         active: which control points were active, (steps, m).
-        index: smallest manipulability index that the active set had to clear, (steps,).
+        index: smallest manipulability index of the active set, (steps,).
         sigma_min: smallest singular value of the posture control matrix, (steps,) [m/rad].
         sigma_max: largest singular value of the posture control matrix, (steps,) [m/rad].
         rows: rows of the posture control matrix, (steps,).
         scale: factor by which the step was shortened to meet the step limit, (steps,).
         clipped: which joints were clipped at a position limit, (steps, nv).
         method: method of the controller, (steps,) names; empty if it has only one.
-        switched: why it switched to that method, (steps,) sentences; empty where it did not.
+        switched: why it switched to that method, (steps,) sentences; empty if it did not.
         error_increasing: whether the posture error may rise in the step, to leave a local minimum, (steps,).
-        violated_constraints: constraints that the step violates because not all can hold, and velocity and
-            acceleration limits that the configurations exceed, (steps,) lines; usually empty.
+        violated_constraints: messages on constraints that the step violates because not all can be met, and
+            on velocity and acceleration limits that the motion exceeds, (steps,) lines; usually empty.
         clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
-            in penetration, infinite where there was no scene.
-        scene: the obstacles that the arm had to avoid; None: none.
+            in penetration, infinite without a scene.
+        scene: the obstacles; None: none.
     """
 
     arm: Arm
@@ -386,10 +374,9 @@ class Trajectory:
 
     @cached_property
     def distance_from_curve(self) -> float | None:
-        """Distance of the whole arm from the curve of the target at the end [m]; None without a curve.
+        """Largest distance of the links from the curve of the target at the end [m]; None without a curve.
 
-        It is the distance of the farthest point of its links, as `Target.distance_from_curve` for the target
-        posture.
+        `Target.distance_from_curve` is that of the target posture.
         """
         if self.target.curve is None:
             return None
@@ -402,7 +389,7 @@ class Trajectory:
 
     @cached_property
     def excess(self) -> LimitViolation | None:
-        """How its configurations exceed the velocity and acceleration limits; None if they do not."""
+        """Violations of velocity, acceleration and jerk limits; None if there are none."""
         return find_limit_violation(self)
 
     @cached_property
@@ -412,12 +399,12 @@ class Trajectory:
 
     @cached_property
     def switches(self) -> tuple[Switch, ...]:
-        """Where a controller with several methods switched between them, and why."""
+        """Switches between methods of the controller."""
         changes = np.flatnonzero(self.switched != "")
         return tuple(Switch(int(k), str(self.method[k]), str(self.switched[k])) for k in changes)
 
     def joint_trajectory(self, dt: float | None = None, force: bool = False) -> JointTrajectory:
-        """The run as joint positions, velocities and accelerations in time, ready for export.
+        """Return the run as a joint trajectory for export.
 
         Args:
             dt: duration of a step [s]; that of the limits if None.
@@ -436,7 +423,7 @@ class Trajectory:
         return f"Trajectory({self.status}, {self.steps} steps, mean point error {first:.4g} -> {last:.4g} m)"
 
 
-# A motion in time: a run, and what it should have done when.
+# Motions in time.
 
 
 class Waypoint(NamedTuple):
@@ -444,16 +431,17 @@ class Waypoint(NamedTuple):
 
     Attributes:
         name: its name.
-        planned: its planned time, counted from the start of the plan [s].
-        reached: the time at which the arm reached it, to the nearest cycle [s]; None if never.
+        planned: planned time from the start of the plan [s].
+        reached: time at which the arm reached it, to the nearest cycle [s]; None if never.
         row: the row of the motion at that time; None if never.
-        mean_error: mean distance of the control points from their targets then [m]; None if never. Between
-            two cycles the arm misses a waypoint by up to its motion in half a cycle.
+        mean_error: mean distance of the control points from their targets at that time [m]; None if never.
+            It can be as large as the motion in half a cycle.
         off_curve: largest distance of the targets of the control points from the curve of the waypoint, if
             the arm cannot take the curve exactly [m]; None without a curve.
-        tip_off: error of the tip task then [m]; None without a tip task, or if never reached.
-        moved: how its curve was moved from its position as drawn; None without a curve.
+        tip_off: error of the tip task at that time [m]; None without a tip task, or if never reached.
+        moved: how its curve was moved from its original position; None without a curve.
         speed: largest share of the velocity limits for the motion to it.
+        missed: whether the arm passed it at a distance.
     """
 
     name: str
@@ -465,6 +453,7 @@ class Waypoint(NamedTuple):
     tip_off: float | None = None
     moved: Moved | None = None
     speed: float = 1.0
+    missed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -474,17 +463,16 @@ class Motion:
     Rows begin with the start. The arm is at rest there, and at the end unless `reason` says otherwise.
 
     Attributes:
-        run: the motion as a run; its `target` is the last one, its errors are distances from the targets at
-            each row.
+        run: the motion as a run; its `target` is the last one, its errors refer to the targets of each row.
         targets: target positions of the control points, (steps + 1, m, 3) [m], world frame.
         target_mask: which control points had a target, (steps + 1, m).
-        plan_time: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm moves to its first
+        plan_time: time along the plan at each row, (steps + 1,) [s]; 0 while the arm moves to its first
             posture.
-        start_index: the row at which the plan begins; before it the arm moves to its first posture. The
-            last row if it did not reach that.
-        planned: duration of the plan if nothing slows it [s].
+        start_index: the row at which the plan begins, after the motion to the first posture; the last row if
+            that was not reached.
+        planned: planned duration [s].
         waypoints: the waypoints, in order.
-        deviations: where the arm left the planned path, or fell behind, in words.
+        deviations: messages on where the arm left the planned path or fell behind.
     """
 
     run: Trajectory
@@ -522,7 +510,7 @@ class Motion:
 
     @property
     def converged(self) -> bool:
-        """Whether the arm reached the last posture."""
+        """Whether the arm took all named postures, the last of them to within the tolerance."""
         return self.run.converged
 
     @property
@@ -549,13 +537,13 @@ class Motion:
 
     @property
     def time_scale(self) -> float:
-        """Actual duration relative to the planned one, as far as the arm came; 1 if nothing slowed it."""
+        """Actual duration relative to the planned one, up to where the arm stopped."""
         done = float(self.plan_time[-1])
         return self.duration / done if done > 0.0 else 1.0
 
     @cached_property
     def slowdown(self) -> str:
-        """By how much the motion was slower than planned, and what held it back longest; empty if not."""
+        """Message on how much slower than planned the motion was, and the main cause; empty if it was not."""
         if not self.time_scale > 1.0 + NO_SLOWDOWN:
             return ""
         causes = Counter(map(self._cause, self._slow_cycles))
@@ -565,22 +553,22 @@ class Motion:
             pair = CollisionModel(self.arm, self.run.scene).minimum(self.q[row]).pair or ()
             why += f"; {' and '.join(pair)} come closest to each other"
         scale = self.time_scale
-        slow = (
-            f"{100.0 * (scale - 1.0):.3g} % slower than" if scale < 2.0 else f"{scale:.3g} times as long as"
-        )
+        slow = f"{scale:.3g} times as long as"
+        if scale < 2.0:
+            slow = f"{100.0 * (scale - 1.0):.3g} % slower than"
         return f"{slow} the {self.planned:.4g} s planned{why}"
 
     @property
     def _slow_cycles(self) -> list[int]:
-        """The cycles on the way through the plan in which its time passed more slowly."""
+        """The cycles in which the time of the plan advanced more slowly."""
         passed = np.diff(self.plan_time[self.start_index :])
         underway = np.flatnonzero(passed > 0.0)
-        last = int(underway[-1]) if len(underway) else len(passed)  # where the plan ends, within a cycle
+        last = int(underway[-1]) if len(underway) else len(passed)  # the plan ends within a cycle
         slow = np.flatnonzero(passed[:last] < (1.0 - NO_SLOWDOWN) * self.dt)
         return [self.start_index + int(cycle) for cycle in slow]
 
     def _cause(self, cycle: int) -> str:
-        """Return what held the arm back in a cycle, as a clause."""
+        """Return a clause on what slowed the arm in a cycle."""
         if self.plan_time[cycle] == self.plan_time[cycle + 1]:
             off_the_path = self.deviations and self.run.scene is not None
             return OFF_THE_PATH if off_the_path else "the arm is behind its targets"
@@ -592,7 +580,7 @@ class Motion:
         }
         kind = max(used, key=lambda kind: float(used[kind].max()))
         ahead = sum(place.planned <= self.plan_time[cycle] for place in self.waypoints)
-        # The arm slows down before a keyframe whose speed is limited sets in, and speeds up after it.
+        # The arm slows down before a keyframe with limited speed, and speeds up after it.
         near_by = [*self.waypoints[ahead : ahead + 2], *self.waypoints[max(ahead - 1, 0) : ahead]]
         slow = [place for place in near_by if place.speed < 1.0]
         if slow and used[kind].max() < HOLDING_SHARE:
@@ -605,7 +593,7 @@ class Motion:
 
     @cached_property
     def mean_error(self) -> Array:
-        """Mean distance of the control points with a target from it, (steps + 1,) [m]."""
+        """Mean distance of the control points from their targets, (steps + 1,) [m]."""
         return np.asarray(self.run.posture_error / self.target_mask.sum(axis=1))
 
     @cached_property
@@ -621,10 +609,9 @@ class Motion:
         return np.diff(np.concatenate([rest, self.velocities, rest]), axis=0) / self.dt
 
     def joint_trajectory(self, force: bool = False) -> JointTrajectory:
-        """The motion as joint positions, velocities and accelerations in time, ready for export.
+        """Return the motion as a joint trajectory for export, with one cycle of rest before and after.
 
-        The arm rests for one more cycle before and after it: players of such files fit splines to the rows,
-        and would otherwise start and stop harder than the limits allow.
+        Players fit splines to the rows, which without rest would start and stop harder than the limits allow.
 
         Args:
             force: True to return it despite its `faults`.

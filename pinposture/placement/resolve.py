@@ -67,6 +67,9 @@ It is not zero for "closest" because some joints move no control point.
 FAR = 0.1
 """Largest shift of a curve's start and link distance from the curve without a warning, in arm lengths."""
 
+FAR_AWAY = 10.0
+"""Shift of a curve that suggests another unit of length, in arm lengths."""
+
 OWN_TOLERANCE = 1e-7  # tolerance of custom kinematics, in reaches of the module or radians
 
 MAX_ASKED = 1000  # number of queries to custom kinematics for the next target point of a module
@@ -380,6 +383,8 @@ def far_moved(arm: Arm, what: str, moved: Moved) -> str:
     """Return the warning about a curve that was moved far without an explicit `placement`."""
     share = f"{moved.distance / arm.length:.2g} of the arm length"
     advice = 'placement="as_is" keeps it in place, "align" moves it without this warning'
+    if moved.distance > FAR_AWAY * arm.length:
+        advice = "is it in millimetres, not metres?"
     return f"{what} was {moved} to the base of the arm ({share}); {advice}"
 
 

@@ -19,6 +19,13 @@ from pinposture.errors import InvalidValue, TargetError
 Array = NDArray[np.float64]
 
 
+RESOLVE_AGAIN = "the target belongs to another arm: resolve it for this one"
+
+MAX_POSTURE_ERROR = 0.01
+"""Mean distance of the points of a target on a curve from the posture at its configuration, in arm lengths,
+beyond which it belongs to another arm."""
+
+
 @dataclass(frozen=True, eq=False)
 class Target:
     """Target positions of the control points, and their origin.
@@ -97,8 +104,10 @@ class Target:
     def check(self, arm: Arm) -> None:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
         m = arm.n_modules
-        if self.points.shape != (m, 3):
-            raise InvalidValue("target.points (shape)", self.points.shape, f"({m}, 3) for this arm")
+        for name, values, shape in (("points", self.points, (m, 3)), ("q", self.q, (arm.nq,))):
+            if values is not None and values.shape != shape:
+                allowed = f"{shape} for this arm; {RESOLVE_AGAIN}"
+                raise InvalidValue(f"target.{name} (shape)", values.shape, allowed)
         if self.weights.shape != (m,):
             raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
         if not np.any(self.has_target):
@@ -113,6 +122,17 @@ class Target:
             arm.checked(self.q, "target.q")
         if self.velocity is not None:
             finite_vector("target.velocity", self.velocity, arm.nv)
+
+    def check_arm(self, arm: Arm) -> None:
+        """Raise InvalidValue as `check`, or if the target was resolved on a curve for a different arm."""
+        self.check(arm)
+        if self.q is None or self.curve is None:
+            return
+        distances = np.linalg.norm(arm.at(self.q).compiled.points - self.points, axis=1)
+        missed, allowed = float(distances[self.has_target].mean()), MAX_POSTURE_ERROR * arm.length
+        if missed > allowed:
+            name = "mean distance of target.points from the posture of this arm at target.q [m]"
+            raise InvalidValue(name, float(f"{missed:.3g}"), f"{allowed:.3g} at most; {RESOLVE_AGAIN}")
 
     def region(self, first: int, last: int) -> Target:
         """Return the same target for control points `first` to `last` only; the others are free.

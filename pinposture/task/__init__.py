@@ -1,4 +1,4 @@
-"""Motions in time: postures one after the other, and the leader's path followed."""
+"""Motions over time: keyframes, and following the leader."""
 
 from pinposture.task.find_path import find_path
 from pinposture.task.follow_leader import Deviation, follow_leader, path_deviation

@@ -1,4 +1,4 @@
-"""Find a smooth curve for the tip through free space, which the arm can follow behind it."""
+"""Find a smooth curve through free space for the tip, which the arm can follow."""
 
 from __future__ import annotations
 
@@ -25,34 +25,32 @@ from pinposture.task.follow_leader import FedArm
 Array = NDArray[np.float64]
 
 BEND_SHARES = 0.7, 0.5, 0.35
-"""Curvature of the arcs that are joined, relative to the largest that the modules can follow; each tree draws
-one. The spline through them bends more where they meet."""
+"""Curvature of the arcs relative to the largest that the modules can follow; each tree draws one. The spline
+bends more where arcs meet."""
 
 ENOUGH_PATHS, MAX_TRIES, MAX_SHORTENINGS = 3, 2000, 200
 """Number of paths after which the shortest is taken, and attempts to grow a tree and to shorten a path."""
 
 GOAL_SHARE = 0.15
-"""Share of the growth that is towards the goal."""
+"""Share of growth steps towards the goal."""
 
 ROOM = 0.6
-"""How far around start and goal the path may go, relative to their distance or half the arm, if that is
-more."""
+"""Search space around start and goal, relative to their distance, or to half the arm if that is more."""
 
 MAX_ARC = 1.4
-"""Largest angle between the direction at the beginning of an arc and its chord [rad]."""
+"""Largest angle between the initial direction of an arc and its chord [rad]."""
 
 POINTS_PER_RADIUS, POINTS_PER_PATH = 6.0, 12
-"""Control points of the spline for each smallest radius of a bend, and at least for the whole."""
+"""Control points of the spline per smallest bending radius, and smallest total number."""
 
 SAME_PLACE = 1e-9
-"""Distance from the plane of a planar arm that is rounding, and between two places that are one, in arm
-lengths."""
+"""Distance from the plane of a planar arm, or between two points, that is due to rounding, in arm lengths."""
 
 ROUNDING = 1e-6
-"""By how much an arc may bend more than asked for, relative to that: it is computed again from its ends."""
+"""Relative excess of the curvature of an arc that is due to rounding: it is recomputed from its ends."""
 
 CHECKED_PLACES = 1000
-"""Smallest number of places at which clearance and curvature of a path are judged."""
+"""Smallest number of points at which clearance and curvature of a path are checked."""
 
 
 def find_path(
@@ -65,9 +63,9 @@ def find_path(
     seed: int = 0,
     budget: float = 5.0,
 ) -> Curve:
-    """Find a smooth collision-free curve to a goal that the arm can follow with its tip ahead.
+    """Find a smooth collision-free curve to a goal that the arm can follow, tip first.
 
-    A tree of arcs grows from the start in its direction. A path to the goal in it is shortened and replaced
+    A tree of arcs grows from the start in the given direction. A path to the goal is shortened and replaced
     by a spline, which is checked as a whole. Its distance from all obstacles exceeds the sum of the margin of
     the scene, the radius of the arm and the height of the arcs over its links. Its curvature is at most what
     all modules allow (`Arm.can_follow`). This is a search: it may miss a curve that exists, and the curve is
@@ -82,8 +80,8 @@ def find_path(
         arm: the arm that has to follow it.
         direction: its direction at the start, (3,), world frame; that of the straight arm if None.
         seed: seed of the random numbers.
-        budget: time [s]. If it ends the search, the curve depends on the machine; otherwise it is the same
-            for a given seed.
+        budget: time limit [s]. If it ends the search, the curve depends on the machine; otherwise only on the
+            seed.
 
     Returns:
         The curve, in the world: `follow_leader(arm, curve, ..., placement="as_is")` follows it.
@@ -137,14 +135,14 @@ def find_path(
 
 
 class _Follower(NamedTuple):
-    """What follows a curve.
+    """The body that follows a curve.
 
     Attributes:
         body: the arm, without its feed if it is on one.
-        entry: where curves begin unless told otherwise, (3,) [m].
-        axis: their direction there, unit vector (3,).
-        longest: how long a curve it can follow, whatever its shape [m]: the feed goes straight, and its end
-            must not come to where the curve bends.
+        entry: default start of curves, (3,) [m].
+        axis: their default initial direction, unit vector (3,).
+        longest: longest curve that it can follow, for any shape [m]: the feed moves straight, and its end
+            must not reach a bend.
     """
 
     body: Arm
@@ -154,7 +152,7 @@ class _Follower(NamedTuple):
 
 
 def _follower(arm: Arm) -> _Follower:
-    """Return how an arm follows: from its feed, or from its base."""
+    """Return the follower of an arm: on its feed, or fixed at its base."""
     if len(arm.chain.joints) > 1 and not arm.chain.revolute[0] and arm.chain.revolute[1]:
         fed = FedArm(arm)
         return _Follower(fed.body, fed.tip, fed.axis, min(fed.travel, fed.length))
@@ -162,7 +160,7 @@ def _follower(arm: Arm) -> _Follower:
 
 
 def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> None:
-    """Raise for ends that no curve for the arm can join."""
+    """Refuse a start and a goal that no curve for the arm can connect."""
     body, plane = follower.body, follower.body.plane
     for name, vector in (
         ("goal", end - follower.entry),
@@ -191,7 +189,7 @@ def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest:
     bend = float(np.asarray(curve.curvature(s)).max())
     if bend > sharpest:
         return f"the curvature of the best is {bend:.4g} /m; the modules allow {sharpest:.4g} /m"
-    # Feasibility looks no farther than the arm is long.
+    # Feasibility covers one arm length only.
     stretch = body.length
     for first in np.arange(0.0, curve.length, stretch):
         last = min(first + 1.5 * stretch, curve.length)
@@ -203,7 +201,7 @@ def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest:
 
 
 class _FreeSpace:
-    """The space in which a ball is clear of all obstacles of a scene.
+    """The space in which a ball is clear of all obstacles.
 
     Args:
         scene: the obstacles.
@@ -223,7 +221,7 @@ class _FreeSpace:
         self._empty = not fixed
 
     def is_free(self, points: Array) -> bool:
-        """Whether the ball is clear at all of several points, (s, 3) [m]."""
+        """Whether the ball is clear at all points, (s, 3) [m]."""
         if self._empty:
             return True
         placements = self._kinematics.place(np.zeros(3), np.ascontiguousarray(points))
@@ -234,10 +232,10 @@ class _Arc(NamedTuple):
     """An arc, or a straight line.
 
     Attributes:
-        begin: where it begins, (3,) [m].
-        tangent: its direction there, unit vector (3,).
-        side: where it bends to, unit vector (3,) across it.
-        curvature: how much [1/m].
+        begin: its start, (3,) [m].
+        tangent: its initial direction, unit vector (3,).
+        side: the direction in which it bends, unit vector (3,) normal to the tangent.
+        curvature: its curvature [1/m].
         length: its length [m].
     """
 
@@ -248,7 +246,7 @@ class _Arc(NamedTuple):
     length: float
 
     def at(self, s: Array) -> Array:
-        """Return the places at some arc lengths, (n, 3) [m]."""
+        """Return the points at arc lengths (n,), (n, 3) [m]."""
         turn = self.curvature * s[:, None]
         ahead = s[:, None] * np.sinc(turn / np.pi)
         aside = 0.5 * s[:, None] * turn * np.sinc(0.5 * turn / np.pi) ** 2
@@ -265,7 +263,7 @@ class _Arc(NamedTuple):
 
 
 class _ArcTree:
-    """A tree of arcs that bend by at most so much, each in the direction in which the one before ended."""
+    """A tree of arcs of limited curvature, each tangent to the previous one."""
 
     def __init__(
         self,
@@ -286,7 +284,7 @@ class _ArcTree:
         self._low, self._high = np.minimum(start, goal) - room, np.maximum(start, goal) + room
 
     def grow(self, rng: np.random.Generator, until: float) -> list[Array] | None:
-        """Return places of arcs that lead from the start to the goal; None if none were found."""
+        """Return the ends of arcs from the start to the goal; None if none were found."""
         first = self._line()
         if not self._is_free(first):
             return None
@@ -316,12 +314,12 @@ class _ArcTree:
                 while at >= 0:
                     path.append(places[at])
                     at = parents[at]
-                if self._arcs(path[::-1]) is not None:  # else lost to rounding, right beside an obstacle
+                if self._arcs(path[::-1]) is not None:  # otherwise lost to rounding, next to an obstacle
                     return path[::-1]
         return None
 
     def shorten(self, places: list[Array], rng: np.random.Generator, until: float) -> list[Array]:
-        """Leave out places, and move others, as long as that makes the path shorter."""
+        """Remove and move points as long as that shortens the path."""
         best, length = places, self._length(self._arcs(places))
         for _ in range(MAX_SHORTENINGS):
             if len(best) < 3 or perf_counter() >= until:
@@ -341,7 +339,7 @@ class _ArcTree:
         return best
 
     def spline(self, places: list[Array]) -> Curve:
-        """Return the spline whose control points lie at equal distances on the arcs through some places."""
+        """Return the spline with control points at equal distances on the arcs through points."""
         arcs = self._arcs(places) or []
         points = [self._start[None]]
         for arc in arcs:
@@ -350,11 +348,11 @@ class _ArcTree:
         return Curve.spline(np.concatenate(points))
 
     def _line(self) -> _Arc:
-        """Return the line with which every path begins: the spline then has the direction exactly."""
+        """Return the initial line of every path, which gives the spline the exact direction."""
         return _Arc(self._start, self._direction, np.zeros(3), 0.0, 2.0 * self._spacing)
 
     def _arcs(self, places: list[Array]) -> list[_Arc] | None:
-        """Return the arcs through some places, the first at the end of the line; None if some cannot be."""
+        """Return the arcs through points, the first at the end of the line; None if one is not feasible."""
         arcs = [self._line()]
         for place in places[1:]:
             arc = _arc_to(arcs[-1].end, arcs[-1].end_tangent, place, self._bend)
@@ -367,7 +365,7 @@ class _ArcTree:
         return inf if arcs is None else sum(arc.length for arc in arcs)
 
     def _towards(self, place: Array, tangent: Array, aim: Array) -> _Arc:
-        """Return an arc of at most a stride that comes as near an aim as the bend allows."""
+        """Return an arc of at most a stride that comes as close to an aim as the curvature allows."""
         direct = _arc_to(place, tangent, aim, self._bend)
         if direct is not None:
             return direct._replace(length=min(direct.length, self._stride))
@@ -386,7 +384,7 @@ class _ArcTree:
 
 
 def _arc_to(place: Array, tangent: Array, aim: Array, bend: float) -> _Arc | None:
-    """Return the arc from a place in a direction to an aim; None if it bends or turns too much."""
+    """Return the arc from a point in a direction to an aim; None if it bends or turns too much."""
     offset = aim - place
     distance = float(np.linalg.norm(offset))
     if distance < 1e-9:

@@ -1,4 +1,4 @@
-"""Follow the leader: an arm on a feed goes along a path, and how far it is off the path of its tip."""
+"""Follow the leader: an arm on a feed moves along a path; deviation of the arm from the path of its tip."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve
 from pinposture.task.reference import Mark, Reference
 
-# An arm on a feed: a slide that pushes the whole arm along its own axis.
+# An arm on a feed: a slide that pushes the whole arm along its axis.
 
 Array = NDArray[np.float64]
 
@@ -37,11 +37,11 @@ STRAIGHT_START_TOLERANCE = 1e-6
 """Largest distance of a joint from its position in the straight arm, in `Arm.joint_units`."""
 
 MIN_LINK_LENGTH = 1e-9
-"""Length below which a link counts as none, relative to the arm."""
+"""Largest length of a link that counts as zero, relative to the arm."""
 
 TIP_LEAD = 0.1
-"""How far the tip may be ahead of the feed, or behind, in arm lengths: links that cut bends short gain a
-share of (kappa l)^2 / 24, which is that for a quarter turn in each."""
+"""Largest lead or lag of the tip relative to the feed, in arm lengths: links that cut bends short gain a
+share of (kappa l)^2 / 24, which is this much for a quarter turn in each."""
 
 
 class FedArm:
@@ -49,25 +49,25 @@ class FedArm:
 
     Args:
         arm: the arm.
-        start: the first configuration, straight, (nq,); if None, the feed is pulled back as far as it goes
-            and the arm is stretched.
+        start: the initial, straight configuration, (nq,); if None, the feed is fully retracted and the arm
+            is straight.
 
     Attributes:
         arm: the whole arm.
-        start: the first configuration, (nq,).
+        start: the initial configuration, (nq,).
         column: index of the feed in the tangent space of the arm.
         sense: 1 if larger positions of the feed push the arm out, -1 if smaller ones do.
-        travel: how far the feed can push from the start [m].
+        travel: remaining travel of the feed from the start [m].
         body: the arm without its feed, placed as at the start; its control points are those of the arm that
             bending moves.
         links: the body with a control point at the end of each link, so at each joint and at the tip.
         columns: index in the tangent space of the arm of each degree of freedom of the body, (nv - 1,).
         straight: joint positions of the body at the start, (nv - 1,) [rad or m].
-        axis: direction in which the feed pushes, unit vector (3,), world frame.
-        tip: place of the tip at the start, (3,) [m], world frame.
+        axis: direction of the feed, unit vector (3,), world frame.
+        tip: position of the tip at the start, (3,) [m], world frame.
         length: length of the body, from its first joint to the tip [m].
         run_up: length of the straight line from the first joint of the body to the tip at the start [m].
-        max_tip_lead: how far the tip may be ahead of the feed or behind along the route, and a link more [m].
+        max_tip_lead: largest lead or lag of the tip relative to the feed along the route, plus a link [m].
 
     Raises:
         InvalidValue: not an arm on a feed, a feed without limits, coupled joints, or a start that is not
@@ -124,7 +124,7 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     chain = arm.chain
     feed = arm.model.getJointId(chain.joints[0])
     model = pin.buildReducedModel(arm.model, [feed], arm.configuration(positions))
-    # A first module that is the feed alone has nothing left to move its control point.
+    # No joint is left that moves the control point of a first module that is the feed alone.
     first = 1 if len(chain.module_starts) > 1 and chain.module_starts[1] == 1 else 0
     body = Arm.from_model(model, arm.control_points[first:])
     places = [pin.SE3.Identity()]
@@ -140,20 +140,20 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     return body, Arm.from_model(model, names)
 
 
-# The route of an arm on a feed: the path ahead of its tip, with straight lines before and after it.
+# The route of an arm on a feed: the path ahead of its tip, extended straight at both ends.
 
 PATH_PLACEMENTS = ("align", "as_is")
-"""How a path may be placed relative to the tip of the arm."""
+"""Placements of a path relative to the tip of the arm."""
 
 LINE_TOLERANCE = 1e-5
-"""Largest distance of the path from the line of the feed where it has to follow that, in arm lengths."""
+"""Largest distance of the path from the axis of the feed where it has to follow it, in arm lengths."""
 
 MAX_ENTRY_ANGLE = 1e-3
 """Largest angle between the path and the axis of the arm at the entry [rad]."""
 
 
 class Route:
-    """The curve that an arm on a feed follows: a path at its tip, with a straight line before and after it.
+    """The curve that an arm on a feed follows: the path from its tip on, extended straight at both ends.
 
     Args:
         arm: the arm.
@@ -163,9 +163,9 @@ class Route:
 
     Attributes:
         fed: the arm.
-        path: the path in the world; it begins at the tip of the arm at the start.
-        moved: how the path was moved from where it was drawn.
-        whole: the path, with the straight line from the first joint that bends before it and one after it.
+        path: the path in the world, from the tip of the arm at the start.
+        moved: how the path was moved from its position as drawn.
+        whole: the path, with a straight line from the first joint that bends before it and one after it.
 
     Raises:
         InvalidValue: not an arm on a feed, not a curve, or a path that does not begin at the tip.
@@ -207,7 +207,7 @@ class Route:
 
 
 def _prepend_line(curve: Curve, direction: Array, length: float) -> Curve:
-    """Put a straight line before a curve, as one more span of the spline; the curve keeps its last digit.
+    """Prepend a straight line to a curve, as one more span of the spline; the curve itself stays exact.
 
     Args:
         curve: the curve.
@@ -218,7 +218,7 @@ def _prepend_line(curve: Curve, direction: Array, length: float) -> Curve:
     spline = BSpline(curve.knots, curve.coefficients, k)
     begin = float(curve.knots[k])
     missing = k - int(np.sum(spline.t == begin))
-    if missing > 0:  # a spline whose ends are not clamped: the knot is put in until it goes through a point
+    if missing > 0:  # not clamped: insert the knot until the spline passes through its first point
         spline = spline.insert_knot(begin, missing)
     last = int(np.searchsorted(spline.t, begin, side="right")) - 1
     coefficients = spline.c[last - k :]
@@ -235,22 +235,22 @@ Method = Literal["closest", "sequential"]
 PATH_METHODS: tuple[Method, ...] = ("closest", "sequential")
 
 BENDING_WEIGHT = 1e-3
-"""Weight of bending against distance from the route, in mean link lengths [1/rad]: small, only to keep joints
-in place that move nothing off the route."""
+"""Weight of bending against distance from the route, in mean link lengths [1/rad]: small, only to
+hold joints that do not change the distance."""
 
 MAX_GAUSS_NEWTON_STEPS, GAUSS_NEWTON_TOLERANCE = 20, 1e-8
-"""Most steps to find a posture, and the largest motion of a joint in the last of them."""
+"""Largest number of steps to find a posture, and largest joint motion in the last of them."""
 
 MAX_LINK_DISTANCE = 0.25
-"""Largest distance of the end of a link from the route, in module lengths: that of the middle of a module of
-one hinge whose ends are on an arc on which it turns by a quarter turn."""
+"""Largest distance of the end of a link from the route, in module lengths: that of the middle of a module
+with one hinge, bent by a quarter turn, whose ends are on the arc."""
 
 ROUTE_SAMPLES_PER_LINK = 80
 """Samples of the route per mean link length, for the sequential placement."""
 
 
 class SequentialPlacement:
-    """Algorithm 1: each module where it first crosses the route, from the end of the feed on."""
+    """Algorithm 1: each module where it first intersects the route, starting from the end of the feed."""
 
     def __init__(self, route: Route) -> None:
         fed = route.fed
@@ -263,8 +263,8 @@ class SequentialPlacement:
         """Return the joint positions of the body (nv - 1,) [rad or m] at a depth [m].
 
         Raises:
-            TargetError: there are none; counts modules in the body, and arc length along the route.
-            UnsupportedModule: a module without a solver, counted in the whole arm.
+            TargetError: there are none; modules are those of the body, arc length is along the route.
+            UnsupportedModule: a module without a solver, numbered in the whole arm.
         """
         fed = self._route.fed
         # Moving the route back is the same as moving the arm forward.
@@ -284,7 +284,7 @@ class ClosestPlacement:
     """The whole arm as close to the route as possible: least squares over the ends of all links.
 
     The distances across the route are minimised from one depth to the next by a few Gauss-Newton steps within
-    the joint limits. Where along the route a link ends follows from the links and from where the feed is.
+    the joint limits. The arc length at the end of a link follows from the links and the depth.
     """
 
     def __init__(self, route: Route) -> None:
@@ -301,8 +301,8 @@ class ClosestPlacement:
         """Return the joint positions of the body (nv - 1,) [rad or m] at a depth [m], near those found last.
 
         Raises:
-            CurveBendsTooMuch: they leave a link too far off; counts modules in the body, and arc length along
-                the route.
+            CurveBendsTooMuch: a link is too far off; modules are those of the body, arc length is along the
+                route.
         """
         self._s = self._s + (depth - self._depth)
         self._depth = depth
@@ -318,7 +318,7 @@ class ClosestPlacement:
         fed, route, x = self._route.fed, self._route.whole, self._positions
         state = fed.links.at(fed.links.configuration(x)).compiled
         points = state.points + self._depth * fed.axis
-        for _ in range(2):  # the nearest places on the route
+        for _ in range(2):  # the nearest points on the route
             ahead = np.einsum("ij,ij->i", points - route.at(self._s), route.tangent(self._s))
             self._s = np.clip(self._s + ahead, 0.0, route.length)
         gaps, tangents = route.at(self._s) - points, route.tangent(self._s)
@@ -345,7 +345,7 @@ class ClosestPlacement:
 
 
 def _bounded_step(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """Minimise a quadratic model; joints that would leave their limits are held there."""
+    """Minimise a quadratic model; joints that would exceed their limits are held there."""
     step, held = np.zeros(len(gradient)), np.zeros(len(gradient), dtype=np.bool_)
     while not held.all():
         free = ~held
@@ -359,16 +359,16 @@ def _bounded_step(hessian: Array, gradient: Array, lower: Array, upper: Array) -
     return step
 
 
-# The motion of the feed, and the postures that belong to it.
+# The motion of the feed, and its postures.
 
 RAMP_SHARE = 0.1
-"""Share of the depth in which the feed accelerates, and of that in which it comes to rest."""
+"""Share of the depth over which the feed accelerates, and over which it decelerates."""
 
 MAX_STRIDE = 0.5
 """Largest motion of the feed from one row to the next, in lengths of the shortest link."""
 
 MAX_LEADER_ROWS = 1_000_000
-"""The longest motion."""
+"""Largest number of rows of a motion."""
 
 
 def follow_leader(
@@ -383,50 +383,50 @@ def follow_leader(
     and_back: bool = False,
     progress: Callable[[int, int], object] | None = None,
 ) -> Reference:
-    """Push an arm along a path, so that all of it goes where its tip has been.
+    """Push an arm along a path, so that every part of it follows its tip.
 
-    The first joint of the arm is its feed: a slide along the axis of the straight arm. The path begins at
-    the entry, which is the tip of the straight arm at the start; behind the entry the arm lies on the
-    straight line of the feed. At depth d the feed has moved by d, and the arm lies on the part of this route
-    from the end of the feed to its own tip. The motion of the feed is given; the tip is at arc length d of
-    the path but for what links gain where they cut bends short: about (kappa l)^2 / 24 of the bent part, for
-    links of length l from joint to joint and curvature kappa. Beyond its end the path goes straight on.
+    The first joint of the arm is its feed: a slide along the axis of the straight arm. The path begins at the
+    entry, the tip of the straight arm at the start; before the entry the arm is on the straight line of the
+    feed. At depth d the feed has moved by d, and the arm is on the part of this route from the end of the
+    feed to its tip. The motion of the feed is prescribed; the tip is at arc length d of the path, plus what
+    links gain by cutting bends short: about (kappa l)^2 / 24 of the bent part, for links of length l from
+    joint to joint and curvature kappa. Beyond its end the path continues straight.
 
-    The method "closest" fits the ends of all links to the route by least squares, whatever the arm is made
-    of; "sequential" places the modules as in Algorithm 1, control points exactly on the path. The latter is
-    for arms whose modules have closed forms; it leaves joints between control points farther off the path,
-    and where curvature begins or ends it makes modules of two hinges zigzag (see `resolve_targets`).
+    The method "closest" fits the ends of all links to the route by least squares, for any arm; "sequential"
+    places the modules as in Algorithm 1, with control points exactly on the path. It requires modules with
+    closed forms, leaves joints between control points farther off the path, and makes modules of two hinges
+    zigzag where curvature begins or ends (see `resolve_targets`).
 
-    The feed is at rest at both ends; its acceleration is continuous. It has its full speed but for the first
-    and the last tenth of the depth.
+    The feed is at rest at both ends; its acceleration is continuous. It runs at full speed except in the
+    first and the last tenth of the depth.
 
     Args:
         arm: the arm, on a feed, for instance `Arm.from_modules([feed, *modules])`.
         path: the path of the tip.
-        interval: time between rows [s]; shortened to a whole fraction if the feed would go farther than half
-            a link between two rows.
+        interval: time between rows [s]; shortened to a whole fraction if the feed would move by more than
+            half a link between two rows.
         speed: largest speed of the feed [m/s].
-        placement: "align" moves the beginning of the path to the tip of the arm at the start, turns its first
-            tangent to the arm's axis by the least rotation, and a plane path into the plane of a planar arm;
-            "as_is" leaves the path where it is, which must begin there.
-        depth: how far to go in [m]; if None, to the end of the path.
-        start: the first configuration, (nq,): straight, the feed anywhere; if None, the feed is pulled back
-            as far as it goes.
+        placement: "align" moves the start of the path to the tip of the arm, rotates its first tangent to the
+            arm's axis by the smallest rotation, and a plane path into the plane of a planar arm; "as_is"
+            leaves the path in place, which must begin at the tip.
+        depth: largest depth [m]; to the end of the path if None.
+        start: the initial configuration, (nq,): straight, with any position of the feed; fully retracted if
+            None.
         method: "closest" or "sequential".
-        and_back: whether to come out again, by the same postures in reverse.
-        progress: called with the number of postures found so far, and that of all.
+        and_back: whether to return by the same postures in reverse.
+        progress: called with the number of postures found so far, and the total number.
 
     Returns:
-        The motion, with a mark "inside" where the arm is deepest and, if it comes back, a mark "outside" at
-        the end; both targets have the path as it was placed.
+        The motion, with a mark "inside" at the largest depth and, if it returns, a mark "outside" at the end;
+        both targets have the path as placed.
 
     Raises:
         InvalidValue: an arm without a feed, a path that does not begin at its tip, is too short for the
-            depth or longer than the feed can push, an interval or speed that is not above 0, or a start that
-            is not straight.
+            depth or longer than the travel of the feed, an interval or speed that is not positive, or a start
+            that is not straight.
         UnknownName: no such placement or method.
         CurveBendsTooMuch: the path bends more than the modules can.
-        TargetError: another reason why a module has no place; all name the arc length of the path.
+        TargetError: a module cannot be placed for another reason; all name the arc length of the path.
         UnsupportedModule: sequential placement of a module for which no solver exists.
     """
     require_positive("interval", interval)
@@ -451,7 +451,7 @@ def follow_leader(
         offsets[row, fed.columns] = positions - fed.straight
         if progress is not None:
             progress(row + 1, len(depths))
-    # The first posture is straight, but where it is found by a search, perhaps straighter than the start.
+    # A search may find a first posture that is straighter than the start.
     begin, offsets = arm.integrate(fed.start, offsets[0]), offsets - offsets[0]
     marks = [_last_row(route, begin, "inside", offsets)]
     if and_back:
@@ -462,17 +462,17 @@ def follow_leader(
 
 
 def advance(depth: float, speed: float, interval: float, stride: float) -> tuple[Array, float]:
-    """Compute the depth of the arm at equal distances in time.
+    """Compute the depth of the arm at equal time intervals.
 
     Args:
-        depth: depth at the end [m].
+        depth: final depth [m].
         speed: largest speed [m/s].
         interval: time between two depths [s].
         stride: largest distance between two depths [m].
 
     Returns:
-        Depths from 0 on, (N + 1,) [m], and the time between two of them [s]: the interval, or a whole
-        fraction of it.
+        Depths from 0, (N + 1,) [m], and the time between two of them [s]: the interval, or a whole fraction
+        of it.
 
     Raises:
         InvalidValue: more than `MAX_LEADER_ROWS` of them.
@@ -493,7 +493,7 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
 
 
 def _checked_depth(route: Route, depth: float | None) -> float:
-    """Return how far to go in [m], or raise InvalidValue with the reason why that is too far."""
+    """Return the depth [m]; raise InvalidValue with the reason if it is too large."""
     path = route.path
     slack = 1.0 + 1e-9
     reasons = (
@@ -523,7 +523,7 @@ def _last_row(route: Route, begin: Array, name: str, offsets: Array) -> Mark:
 # The leader of a task.
 
 MAX_SIZE_RATIO = 1000
-"""Longest path in arm lengths, and longest arm in pipe radii; more would take hours."""
+"""Longest path in arm lengths, and longest arm in pipe radii; longer ones would take hours."""
 
 
 class Leader(NamedTuple):
@@ -532,11 +532,11 @@ class Leader(NamedTuple):
     Attributes:
         path: the path of the tip.
         speed: largest speed of the feed [m/s].
-        depth: how far to go in [m]; None: to the end.
-        placement: as for `follow_leader`; None for what `usual_placement` says of the scene.
+        depth: largest depth [m]; None: to the end.
+        placement: as for `follow_leader`; None for `usual_placement`.
         method: as for `follow_leader`.
-        and_back: whether to come out again.
-        pipe: radius of the pipe around the path, in which the arm has to stay [m]; None: there is none.
+        and_back: whether to return.
+        pipe: radius of the pipe around the path, in which the arm has to stay [m]; None: no pipe.
     """
 
     path: Curve
@@ -549,7 +549,7 @@ class Leader(NamedTuple):
 
 
 def check_leader(leader: Leader, arm: Arm) -> None:
-    """Refuse values that make no motion, and sizes out of proportion to the arm.
+    """Refuse values that do not define a motion, and sizes out of proportion to the arm.
 
     Raises:
         InvalidValue: names the attribute.
@@ -576,7 +576,7 @@ def check_leader(leader: Leader, arm: Arm) -> None:
 
 
 PIECES_PER_LINK = 8
-"""Pieces into which each link is cut; distances are those of their ends."""
+"""Pieces into which each link is divided; distances are measured at their ends."""
 
 SAMPLES_PER_ARM = 4000
 """Samples of the path per arm length."""
@@ -584,14 +584,14 @@ SAMPLES_PER_ARM = 4000
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """Distances of an arm from the path that its tip has travelled, including the straight line to the entry.
+    """Distances of an arm from the path of its tip so far, including the straight line to the entry.
 
     Attributes:
-        length: length of the arm from its first joint that bends to the tip, without the feed [m]; what
-            percentages refer to.
+        length: length of the arm from its first joint that bends to the tip, without the feed [m];
+            percentages refer to it.
         points: distance of each control point, (N, m) [m].
         body: largest distance of any part of the axis of the arm, joints, links and control points, (N,) [m].
-        where: arc length of that part along the arm, from its first joint that bends, (N,) [m].
+        where: arc length of that part along the arm, from the first joint that bends, (N,) [m].
     """
 
     length: float
@@ -632,15 +632,15 @@ class Deviation:
 def path_deviation(
     arm: Arm, q: ArrayLike, path: Curve, placement: str = "align", start: ArrayLike | None = None
 ) -> Deviation:
-    """Measure the distance of an arm from the path that its tip has travelled.
+    """Measure the distance of an arm from the path of its tip so far.
 
-    The distance of a point is that from the nearest place of the route from the first joint at the start to
-    the current place of the tip; what lies farther ahead does not count.
+    The distance of a point is that from the nearest point of the route between the first joint at the start
+    and the current tip; the route ahead does not count.
 
     Args:
         arm: an arm on a feed, as in `follow_leader`.
         q: configurations, (N, nq), in order.
-        path: the path, as it was given to `follow_leader`.
+        path: the path that was given to `follow_leader`.
         placement: likewise.
         start: likewise.
 
@@ -682,7 +682,7 @@ def _stations(arm: Arm) -> list[int]:
 
 
 def _cut_links(stations: Array) -> tuple[Array, Array]:
-    """Cut links into pieces: their places (N, p, 3), and their arc lengths along the arm, (p,) [m]."""
+    """Divide links into pieces: their ends (N, p, 3), and their arc lengths along the arm, (p,) [m]."""
     shares = np.arange(1, PIECES_PER_LINK + 1) / PIECES_PER_LINK
     begins, links = stations[:, :-1, None], np.diff(stations, axis=1)[:, :, None]
     inner = (begins + shares[:, None] * links).reshape(len(stations), -1, 3)
@@ -692,7 +692,7 @@ def _cut_links(stations: Array) -> tuple[Array, Array]:
 
 
 def _travelled(route: Route, tips: Array, depths: Array) -> Array:
-    """Return the arc length of the route at the tip in each row, (N,) [m], near where the feed pushed it."""
+    """Return the arc length of the route at the tip in each row, (N,) [m], near the depth of the feed."""
     near, curve = route.fed.max_tip_lead, route.whole
     shifts = np.linspace(-near, near, 101)
     s = np.clip(route.fed.run_up + depths[:, None] + shifts, 0.0, curve.length)
@@ -705,7 +705,7 @@ def _travelled(route: Route, tips: Array, depths: Array) -> Array:
 
 
 def _distances(route: Route, places: Array, ends: Array) -> Array:
-    """Return distances (N, p) [m] of places (N, p, 3) from the route up to its end in each row, (N,) [m]."""
+    """Return distances (N, p) [m] of points (N, p, 3) from the route up to an arc length, (N,) [m]."""
     curve = route.whole
     count = max(int(np.ceil(SAMPLES_PER_ARM * curve.length / route.fed.length)), 2)
     s = np.linspace(0.0, curve.length, count)

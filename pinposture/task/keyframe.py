@@ -1,4 +1,4 @@
-"""Keyframes: postures to take at given times, their schedule, and the configuration that takes each."""
+"""Keyframes: postures at given times, their schedule, and their configurations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp
 from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, is_whole
 from pinposture.arm import Arm
-from pinposture.arm.configurations import SLACK
+from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
@@ -37,41 +37,39 @@ Array = NDArray[np.float64]
 OF_A_CURVE: Mapping[str, object] = MappingProxyType(
     {"placement": None, "roll": 0.0, "method": "auto", "trim": False}
 )
-"""Attributes of a keyframe that only go with a curve, and their defaults."""
+"""Attributes of a keyframe that require a curve, and their defaults."""
 
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A posture to take at a given time.
+    """A posture to reach at a given time.
 
     The posture is that of a curve, or a taught configuration: `Keyframe(joints=arm.positions(q))`.
 
     Attributes:
-        curve: the shape to take; None for a taught configuration, which `joints` then gives.
-        time: when to take it, counted from the beginning of the motion [s]; None if a duration is given.
-        duration: time since the keyframe before, counted from the end of its hold [s]; or None. The first
-            keyframe is at 0 and needs neither; in a tour that is repeated, its duration is the time to come
-            back to it.
-        hold: how long to stay there [s]. A keyframe with a hold is taken at rest, and so are the first and
-            the last one; the motion passes through the others.
-        name: a name; if empty, the keyframe is referred to by its number.
-        placement: as for `resolve_targets`; None for what `usual_placement` says.
+        curve: the desired shape; None for a taught configuration, given by `joints`.
+        time: its time from the start of the motion [s]; None if a duration is given.
+        duration: its time from the end of the hold of the previous keyframe [s]; or None. The first keyframe
+            is at 0 and needs neither; in a repeated tour, its duration is the time to return to it.
+        hold: how long to stay there [s]. The arm is at rest at the first and the last keyframe and during a
+            hold; it passes the others in motion.
+        name: a name; if empty, messages use the number of the keyframe.
+        placement: as for `resolve_targets`; None for `usual_placement`.
         roll: as for `resolve_targets` [rad].
         method: as for `resolve_targets`.
-        tip: the task of one control point, usually the tip, while the arm takes the posture; None if there is
-            none. A strict task takes precedence over the posture; any other is weighed against it.
-        region: first and last control point that have to take the posture, 0-based, the last included; None
-            for all. The others are free to serve the tip, and do not count.
-        joints: joint positions as of `Arm.positions`, (nv,) [rad or m]. Without a curve, those to take; with
-            one, those near which to take it; None for any: where modules are placed by least squares,
-            several configurations may take a curve equally well. Positions that do not fit the arm are then
-            ignored with a warning.
-        trim: True to take the first part of a curve that is longer than the arm covers, by more than a
-            module; False to refuse it.
-        speed: share of the velocity limits, in (0, 1], that the motion to this keyframe may use.
+        tip: a task of one control point, usually the tip, in this posture; None without one. A task with
+            priority takes precedence over the posture; any other is weighted against it.
+        region: first and last control point of the posture, 0-based, inclusive; None for all. The others are
+            free for the tip task, and do not count.
+        joints: joint positions as of `Arm.positions`, (nv,) [rad or m]. Without a curve, they are the
+            posture. With a curve, they select one of several configurations that fit it equally well, as
+            least squares may find; those that do not fit the arm are then ignored with a warning.
+        trim: whether to use only the first part of a curve that is longer than the arm by more than a module;
+            otherwise it is refused.
+        speed: largest share of the velocity limits for the motion to this keyframe, in (0, 1].
 
     Raises:
-        InvalidValue: a value other than described.
+        InvalidValue: an invalid value.
         UnknownName: a `placement` or `method` that does not exist.
     """
 
@@ -133,12 +131,12 @@ class Keyframe:
 
 
 def usual_placement(scene: Scene | None) -> Literal["as_is", "align"]:
-    """Return how curves are placed by default: among obstacles they stay where they are drawn."""
+    """Return the default placement of curves: as drawn if there are obstacles."""
     return "as_is" if scene is not None and scene.obstacles else "align"
 
 
 def placed(keyframes: Sequence[Keyframe], placement: Literal["as_is", "align"]) -> tuple[Keyframe, ...]:
-    """Return keyframes whose curves all have a placement: their own, or else this one."""
+    """Return the keyframes with this placement where a curve has none of its own."""
 
     def own(keyframe: Keyframe) -> Keyframe:
         given = keyframe.curve is None or keyframe.placement is not None
@@ -148,11 +146,11 @@ def placed(keyframes: Sequence[Keyframe], placement: Literal["as_is", "align"]) 
 
 
 def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
-    """Refuse keyframes that make no motion of an arm.
+    """Refuse keyframes that do not define a motion of an arm.
 
     Raises:
-        InvalidValue: fewer than two, or something else among them.
-        TaskError: a region that the arm does not have; names the keyframe.
+        InvalidValue: fewer than two, or not keyframes.
+        TaskError: a region that the arm does not have, or a curve far too long; names the keyframe.
     """
     if len(keyframes) < 2 or not all(isinstance(each, Keyframe) for each in keyframes):
         raise InvalidValue("keyframes", keyframes, "two or more of Keyframe(...)")
@@ -160,11 +158,27 @@ def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
         if keyframe.region is not None and keyframe.region[1] >= arm.n_modules:
             reason = f"its region is {keyframe.region}; the arm has control points 0 to {arm.n_modules - 1}"
             raise TaskError(title(keyframes, index), reason)
+        misfit = curve_misfit(arm, keyframe)
+        if misfit:
+            raise TaskError(title(keyframes, index), f"the curve {misfit}")
+
+
+MAX_LENGTH_RATIO = 100
+"""Longest curve of a keyframe, in arm lengths."""
+
+
+def curve_misfit(arm: Arm, keyframe: Keyframe) -> str:
+    """Return why the curve of a keyframe does not fit the arm; empty unless it is far too long."""
+    longest = MAX_LENGTH_RATIO * arm.length
+    if keyframe.curve is None or keyframe.curve.length <= longest:
+        return ""
+    allowed = f"{longest:.4g} m at most, {MAX_LENGTH_RATIO} times the arm"
+    return f"is {keyframe.curve.length:.4g} m long; allowed: {allowed}; is it in millimetres, not metres?"
 
 
 @contextmanager
 def naming(where: str) -> Iterator[None]:
-    """Put a name in front of the messages of errors, which keep their kind and data."""
+    """Prefix the messages of errors with a name; type and data are kept."""
     try:
         yield
     except TaskError:  # has one already
@@ -175,7 +189,7 @@ def naming(where: str) -> Iterator[None]:
 
 
 def title(keyframes: tuple[Keyframe, ...], index: int) -> str:
-    """Return what to call a keyframe in a message: its number from 1, and its name if it has one."""
+    """Return the title of a keyframe in messages: its number from 1, and its name if it has one."""
     name = keyframes[index].name
     return f"keyframe {index + 1} {name!r}" if name else f"keyframe {index + 1}"
 
@@ -183,19 +197,19 @@ def title(keyframes: tuple[Keyframe, ...], index: int) -> str:
 # When each keyframe is reached and left, in whole control cycles.
 
 CONTINUITIES = ("velocity", "acceleration")
-"""What may be continuous in time, besides the posture itself."""
+"""What may be continuous in time, in addition to the posture."""
 
 MOST_CYCLES = 1_000_000
-"""The longest motion, in control cycles."""
+"""Longest motion, in control cycles."""
 
 
 class Stretch(NamedTuple):
     """A part of a motion that begins and ends at rest.
 
     Attributes:
-        first: the keyframe at its beginning, 0-based.
-        last: the keyframe at its end.
-        rows: the row of each of its keyframes; that of the first is where its hold ends.
+        first: its first keyframe, 0-based.
+        last: its last keyframe.
+        rows: the row of each of its keyframes; for the first, the end of its hold.
     """
 
     first: int
@@ -208,9 +222,9 @@ class Schedule(NamedTuple):
 
     Attributes:
         reached: the row at which each is reached, (K,); that of the first is 0.
-        left: the row at which each is left; later if it is held, (K,).
-        rests: whether the arm is at rest there, (K,): at the first and the last, at those that are held, and
-            where a motion along curves ends and one through joint space begins, or the reverse.
+        left: the row at which each is left, (K,); later if it is held.
+        rests: whether the arm is at rest there, (K,): at the first and the last, at those with a hold, and
+            between motion along curves and motion in joint space.
     """
 
     reached: NDArray[np.int64]
@@ -228,7 +242,7 @@ class Schedule(NamedTuple):
         return int((self.reached[1:] - self.left[:-1]).min())
 
     def finer(self, times: int) -> Schedule:
-        """Return the same schedule with so many rows for each."""
+        """Return the same schedule with `times` as many rows."""
         return Schedule(times * self.reached, times * self.left, self.rests)
 
     def stretches(self) -> list[Stretch]:
@@ -241,7 +255,7 @@ class Schedule(NamedTuple):
 
 
 def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
-    """Set keyframes in time; all times are rounded to whole control cycles.
+    """Schedule keyframes; all times are rounded to whole control cycles.
 
     Raises:
         TaskError: times that do not increase, naming the keyframe.
@@ -251,6 +265,9 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
         where, before = title(keyframes, index), f"keyframe {index}"
         time, given = keyframe.time, keyframe.time or keyframe.duration or 0.0
         if index == 0:
+            if keyframe.duration:
+                reason = f"its duration is {given:g} s, the time to return to it in a repeated tour"
+                raise TaskError(where, f"{reason}; leave it out, or set repeat to 2 or more")
             if given != 0.0:
                 reason = f"it is at {given:g} s; the first keyframe is at 0, leave its time out"
                 raise TaskError(where, reason)
@@ -281,14 +298,14 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
 
 
 def lap_of(keyframes: tuple[Keyframe, ...], interval: float) -> tuple[Keyframe, ...]:
-    """Return the keyframes of one lap of a repeated tour: it ends with the posture of the first keyframe.
+    """Return the keyframes of one lap of a repeated tour, which ends with the posture of the first keyframe.
 
-    A closed tour, whose last keyframe is the same posture as the first, is a lap as it is. Otherwise the arm
-    goes back to the first keyframe, in the time that its duration says; by default, in the longest time from
-    one keyframe to the next.
+    A closed tour, whose last keyframe is the same posture as the first, is a lap already. Otherwise the arm
+    returns to the first keyframe within its duration; by default, within the longest time from one keyframe
+    to the next.
 
     Raises:
-        TaskError: times that do not increase, or no time to go back.
+        TaskError: times that do not increase, or no time to return.
     """
     first, last = replace(keyframes[0], duration=None), keyframes[-1]
     there = (first, *keyframes[1:])
@@ -300,7 +317,7 @@ def lap_of(keyframes: tuple[Keyframe, ...], interval: float) -> tuple[Keyframe, 
         cycles = schedule(there, interval)
         back = interval * int((cycles.reached[1:] - cycles.left[:-1]).max())
     if round(back / interval) < 1:
-        reason = f"its duration is {back:g} s; to go back to it takes a cycle of {interval:g} s at least"
+        reason = f"its duration is {back:g} s; the return to it takes at least a cycle of {interval:g} s"
         raise TaskError(title(keyframes, 0), reason)
     return *there, replace(first, time=None, duration=back, hold=0.0)
 
@@ -315,12 +332,12 @@ def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence
         stretch: the stretch.
         values: values at its keyframes, (k, d).
         continuity: one of `CONTINUITIES`.
-        rows: the rows at which to interpolate, (r,); need not be whole.
+        rows: the rows at which to interpolate, (r,); not necessarily whole.
 
     Returns:
         Values (r, d).
     """
-    # In units of the stretch, so that its fifth powers are harmless.
+    # In units of the stretch, so that fifth powers do not lose digits.
     begin, span = stretch.rows[0], stretch.rows[-1] - stretch.rows[0]
     knots = (stretch.rows - begin) / span
     x = np.clip((np.asarray(rows) - begin) / span, 0.0, 1.0)
@@ -333,32 +350,31 @@ def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence
     return np.asarray(make_interp_spline(knots, values, k=5, bc_type=(still, still))(x))
 
 
-# Keyframes resolved for an arm: the configuration that takes each, and one method for all of them.
+# Keyframes resolved for an arm: their configurations, by one method for all.
 
 SEQUENTIAL_SAMPLES = 200_000
-"""Points that represent a curve in sequential placement. With fewer, joint accelerations would show the steps
-of control points from one straight piece to the next."""
+"""Samples of a curve in sequential placement. With fewer, joint accelerations would be rough, as control
+points move from one chord to the next."""
 
 CURVE_LENGTH_MARGIN = 1.2
-"""Length of the curves between keyframes, relative to those at keyframes: the arm may cover more of them."""
+"""Length of curves between keyframes, relative to those at keyframes, of which the arm may cover less."""
 
 POSTURE_TOLERANCE = 1e-8
-"""Mean distance of the control points from their targets at which a posture is found, in arm lengths."""
+"""Mean distance of the control points from their targets at which a posture is reached, in arm lengths."""
 
 STRICT_TIP_TOLERANCE = 1e-4
-"""Largest error of a strict task of the tip, in arm lengths."""
+"""Largest error of a tip task with priority, in arm lengths."""
 
 
 class Resolved(NamedTuple):
     """A keyframe resolved for an arm.
 
     Attributes:
-        anchored: its curve in the world, and where the base of the arm is on it; None for a taught
-            configuration.
+        anchored: its curve in the world, and the position of the base on it; None for a taught configuration.
         target: its target, of the whole arm.
-        positions: joint positions that take it, (nv,) [rad or m].
-        fixed: whether the motion has to pass through these positions: they were given, or found by another
-            method than that of the motion.
+        positions: its joint positions, (nv,) [rad or m].
+        fixed: whether the motion has to pass through these positions: they were given, or found by a method
+            other than that of the motion.
     """
 
     anchored: AnchoredCurve | None
@@ -379,7 +395,7 @@ class ResolvedMotion(NamedTuple):
     Attributes:
         keyframes: in order.
         method: how targets are found between them: "sequential", "smooth" or "closest".
-        length: length of each curve that matters [m].
+        length: relevant length of each curve [m].
     """
 
     keyframes: tuple[Resolved, ...]
@@ -388,10 +404,10 @@ class ResolvedMotion(NamedTuple):
 
 
 def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -> Target:
-    """Find the target of a single keyframe: its posture and the task of its tip, as far as the arm can.
+    """Find the target of a single keyframe: its posture and tip task, as far as the arm can reach them.
 
-    This is quick, for a keyframe that is being edited. A motion takes the same posture at a keyframe that has
-    `joints`; those without are resolved by one method for the whole motion, and reached by the nearest path.
+    This is fast enough while a keyframe is being edited. A motion has the same posture at a keyframe with
+    `joints`; others are resolved by one method for the whole motion, and reached by the nearest path.
 
     Args:
         arm: the arm.
@@ -400,7 +416,7 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
 
     Raises:
         TargetError: as `resolve_targets`.
-        TaskError: a curve that is too long, a strict task of the tip that is out of reach.
+        TaskError: a curve that is too long, a tip task with priority that is out of reach.
         InvalidValue: a region that the arm does not have.
     """
     (keyframe,) = with_fitting_joints(arm, (keyframe,))
@@ -415,14 +431,14 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
 
 
 def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMotion:
-    """Resolve all keyframes, those that have `joints` near these, and all that leave it open by one method.
+    """Resolve all keyframes: those with `joints` near these, all others with an open method by a common one.
 
-    That is sequential placement if closed forms do it for all keyframes without joints, else the least
-    squares method that works for those where they do not.
+    That is sequential placement if closed forms place all keyframes without joints, otherwise the least
+    squares method that works where they fail.
 
     Raises:
-        TargetError: as `resolve_targets`, naming the keyframe.
-        TaskError: a curve that is too long, likewise.
+        TargetError: as `resolve_targets`; names the keyframe.
+        TaskError: a curve that is too long; names the keyframe.
     """
     keyframes, targets = with_fitting_joints(arm, keyframes), []
     for index, keyframe in enumerate(keyframes):
@@ -442,7 +458,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
             resolved.append(Resolved(None, target, positions, True))
             continue
         if keyframe.method == "auto" and keyframe.joints is None and target.method != method:
-            with suppress(TargetError):  # it keeps its own method
+            with suppress(TargetError):  # keep its own method
                 target = _target(arm, keyframe, method)
         resolved.append(_resolved(arm, target, target.method != method or keyframe.joints is not None))
         _check_covered(arm, keyframes, index, resolved[-1])
@@ -463,7 +479,7 @@ def _resolved(arm: Arm, target: Target, fixed: bool) -> Resolved:
 
 
 def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = None) -> Target:
-    """Resolve the target of the whole arm, near another one or near the joints of the keyframe, if any."""
+    """Resolve the target of the whole arm, near another target or the joints of the keyframe, if any."""
     curve = keyframe.curve
     if curve is None:
         return _of_joints(arm, keyframe)
@@ -491,28 +507,28 @@ def _of_joints(arm: Arm, keyframe: Keyframe) -> Target:
 
 
 def _check_covered(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
-    """Refuse a curve that is longer than the arm covers, unless the keyframe says that it is trimmed."""
+    """Refuse a curve that is longer than the arm covers, unless it is to be trimmed."""
     anchored, covered = cast(AnchoredCurve, resolved.anchored), float(resolved.parameters[-1])
     length = anchored.curve.length - anchored.parameter
     if keyframes[index].trim or length - covered <= float(arm.chain.module_lengths.max()):
         return
-    advice = "shorten it, use a longer arm, or set trim to take its first part"
+    advice = "shorten it, use a longer arm, or set trim to use its first part"
     reason = f"the curve is {length:.4g} m long, and the arm covers {covered:.4g} m of it; {advice}"
     raise TaskError(title(keyframes, index), reason)
 
 
 def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str) -> Array:
-    """Find the joint displacement (nv,) [rad or m] from a configuration to one that also serves the tip.
+    """Find the joint displacement (nv,) [rad or m] from a configuration to one that also meets the tip task.
 
     Args:
         arm: the arm.
         keyframe: the keyframe.
         target: its target, of the whole arm.
-        q: the configuration that takes it, (nq,).
-        where: what to call the keyframe.
+        q: the configuration of the target, (nq,).
+        where: title of the keyframe in messages.
 
     Raises:
-        TaskError: a strict task that is out of reach.
+        TaskError: a task with priority that is out of reach.
     """
     if keyframe.tip is None:
         return np.zeros(arm.nv)
@@ -522,10 +538,8 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
     strict = objective.task_rows(state, priority=True)
     missed = 0.0 if strict is None else float(np.linalg.norm(strict.errors))
     if missed > STRICT_TIP_TOLERANCE * arm.length:
-        advice = (
-            "move it nearer, let the posture count for a region only, or give a weight in place of strict"
-        )
-        raise TaskError(where, f"its tip task with priority is missed by {missed:.4g} m at least; {advice}")
+        advice = "move it nearer, limit the posture to a region, or use a weight instead of priority"
+        raise TaskError(where, f"its tip task with priority is missed by at least {missed:.4g} m; {advice}")
     return np.asarray(arm.difference(q, state.q))
 
 
@@ -540,10 +554,10 @@ def target_at(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
 
 
 def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
-    """Return the keyframes without `joints` that do not fit the arm; a `PostureWarning` names them.
+    """Return the keyframes without `joints` that do not fit the arm, with a `PostureWarning`.
 
     Raises:
-        TaskError: those of a taught configuration do not fit.
+        TaskError: a taught configuration that does not fit.
     """
     fitting = []
     for index, keyframe in enumerate(keyframes):
@@ -558,33 +572,43 @@ def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyf
 
 
 def joints_misfit(arm: Arm, keyframe: Keyframe) -> str:
-    """Say why the joints of a keyframe do not fit the arm; empty if they do, or there are none."""
+    """Return why the joints of a keyframe do not fit the arm; empty if they do, or there are none."""
     if keyframe.joints is None:
         return ""
     if len(keyframe.joints) != arm.nv:
-        return f"has {len(keyframe.joints)} values, and the arm {arm.nv} joints"
+        return joint_count_misfit(arm, len(keyframe.joints))
     positions = np.array(keyframe.joints)
     over = np.maximum(positions - arm.limits.upper, arm.limits.lower - positions)
     worst = int(np.argmax(over))
     if over[worst] <= SLACK:
         return ""
-    low, high = arm.limits.lower[worst], arm.limits.upper[worst]
-    return f"is {positions[worst]:.4g} for joint {worst + 1}, whose limits are {low:.4g} and {high:.4g}"
+    low, high, unit = arm.limits.lower[worst], arm.limits.upper[worst], "m" if arm.slides[worst] else "rad"
+    joint, value = f"joint {worst + 1} {arm.joint_names[worst]!r}", positions[worst]
+    text = f"is {value:.4g} {unit} for {joint}, whose limits are {low:.4g} and {high:.4g} {unit}"
+    if unit == "rad" and abs(value) > FULL_TURN:
+        text += f'; is it in degrees? np.deg2rad converts to radians; in a task file, write "{value:.4g} deg"'
+    return text
 
 
-# Joint positions for curves that change a little from one row to the next.
+def joint_count_misfit(arm: Arm, count: int) -> str:
+    """Return the message on a wrong number of joint positions."""
+    unit = "rad, m for joints that slide" if np.any(arm.slides) else "rad"
+    return f"has {count} value{'s' * (count != 1)}; needed: {arm.nv}, one for each joint [{unit}]"
+
+
+# Joint positions for curves that change slightly from one row to the next.
 
 VISCOSITY = 3e-3
-"""Cost of motion from one keyframe to the next, relative to that of distances: root of their ratio, for
-`TYPICAL_ROWS` rows. It slows down joints that turn far for next to nothing, as those do that roll a nearly
-straight arm; others lag behind by next to nothing."""
+"""Cost of joint motion from one keyframe to the next relative to that of distances: root of the ratio, for
+`TYPICAL_ROWS` rows. It restrains joints that hardly change the shape, such as those that roll a nearly
+straight arm; others lag behind by a negligible amount."""
 
 TYPICAL_ROWS = 400
 """Rows from one keyframe to the next for which `VISCOSITY` is given."""
 
 
 class SequentialFollower:
-    """Sequential placement on curves that begin at the base of the arm, or beside it."""
+    """Sequential placement on curves that begin at or near the base of the arm."""
 
     def __init__(self, arm: Arm) -> None:
         self._arm, (self._units, self._shapes) = arm, unit_arrays(arm)
@@ -592,7 +616,7 @@ class SequentialFollower:
         self._base = np.array(arm.chain.base)
 
     def positions(self, curve: BentCurve) -> Array | None:
-        """Return joint positions (nv,) that put the control points on a curve, None if there are none."""
+        """Return joint positions (nv,) that place the control points on a curve; None if there are none."""
         coefficients, end = curve.spline, curve.length
         knots = np.concatenate([[0.0, 0.0], np.repeat(curve.s, 2), [end, end]])
         ends = np.array([0.0, end])
@@ -610,10 +634,10 @@ class SequentialFollower:
 
 
 class LeastSquaresFollower:
-    """Least squares of the whole arm, from a guess that is near.
+    """Least squares of the whole arm, from a nearby guess.
 
-    It solves the problem of `least_squares` with its unknowns: joint positions, and arc lengths between
-    control points, in units of the problem.
+    The unknowns are those of `least_squares`: joint positions, and arc lengths between control points, in
+    units of the problem.
     """
 
     def __init__(self, arm: Arm, method: str) -> None:
@@ -626,7 +650,7 @@ class LeastSquaresFollower:
         return float(np.sqrt(residual @ residual / self.problem.points))
 
     def follow(self, curve_at: Callable[[int], BentCurve], rows: range, first: Array, travel: float) -> Array:
-        """Follow the curves of rows from unknowns that fit the first; returns unknowns (r, n + m).
+        """Follow the curves of rows from unknowns that fit the first; return unknowns (r, n + m).
 
         Args:
             curve_at: the curve of a row.

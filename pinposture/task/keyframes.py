@@ -1,4 +1,4 @@
-"""Keyframes to a reference: curves interpolated in time, and the joint positions that take them."""
+"""From keyframes to a reference: curves interpolated over time, and joint positions for them."""
 
 from __future__ import annotations
 
@@ -46,33 +46,32 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], object]
 
 CURVES_PER_CHUNK = 128
-"""Number of curves that are made at a time."""
+"""Number of curves that are computed at a time."""
 
 ROW_STEP, MAX_ROW_STEP = 0.05, 0.06
-"""Joint motion from one row to the next that is aimed at, and the largest that is accepted, in
-`Arm.joint_units`."""
+"""Intended and largest accepted joint motion from one row to the next, in `Arm.joint_units`."""
 
 JUMP_HALVINGS, JUMP_SHARE = 8, 0.1
-"""Bisections in time that tell a jump from a long step, and the share of the step that may remain."""
+"""Bisections in time that distinguish a jump from a long step, and the share of the step that may remain."""
 
 EQUAL_ERROR, SIMILAR_ERROR = 1e-7, 0.01
-"""How much farther from its curve a keyframe may be when reached from the one before than when resolved by
-itself: in arm lengths, and in module lengths if other paths lead farther off the curves."""
+"""How much farther off its curve a keyframe may be if reached from the previous one than if resolved alone:
+in arm lengths, and in module lengths if other paths are farther off the curves."""
 
 MAX_SHIFT, MAX_EXTRA_ERROR = 0.05, 0.02
-"""Joint motion by which the rows before a keyframe may be shifted to meet it [rad], and how much farther off
-the curve the arm may be in between before other configurations are tried [module lengths]."""
+"""Largest joint motion by which the rows before a keyframe may be shifted to meet it [rad], and how much
+farther off the curve the arm may be in between before other configurations are tried [module lengths]."""
 
 MIN_TRAVEL, TRAVEL_RATIO = 12.0, 2.5
-"""Largest joint motion from keyframe to keyframe [rad], or relative to the distance between them if that is
-more. It prevents jumps where a local optimum ends."""
+"""Largest joint motion from keyframe to keyframe: in rad, or relative to their distance if that is more. It
+prevents jumps where a local optimum ends."""
 
 CROSSFADE_STARTS, COST_ROWS = 13, 33
-"""Number of rows at which a change to other configurations is tried, and at which its cost is measured."""
+"""Number of rows at which a transition to other configurations is tried, and its cost computed."""
 
 
 class StretchCurves:
-    """The curves of a stretch, made on demand."""
+    """The curves of a stretch, computed on demand."""
 
     def __init__(self, bending: Bending, vectors: Array, stretch: Stretch, continuity: str) -> None:
         self._bending, self._vectors, self._stretch = bending, vectors, stretch
@@ -80,12 +79,12 @@ class StretchCurves:
         self._made: list[BentCurve] = []
 
     def of(self, rows: Iterable[float]) -> list[BentCurve]:
-        """Return the curves at some rows, which need not be whole."""
+        """Return the curves at rows, which are not necessarily whole."""
         numbers = np.fromiter(rows, dtype=np.float64)
         return self._bending.curves(interpolate(self._stretch, self._vectors, self._continuity, numbers))
 
     def at(self, row: int) -> BentCurve:
-        """Return the curve at a row; cheap if its neighbours are needed as well."""
+        """Return the curve at a row; efficient for consecutive rows."""
         chunk, place = divmod(row, CURVES_PER_CHUNK)
         if chunk != self._chunk:
             begin = CURVES_PER_CHUNK * chunk
@@ -98,8 +97,8 @@ class PieceEnd(NamedTuple):
 
     Attributes:
         row: its row.
-        unknowns: unknowns of the fit that takes it, see `LeastSquaresFollower`.
-        pinned: whether the motion has to meet these, and not only the curve as closely as they do.
+        unknowns: unknowns of its fit, see `LeastSquaresFollower`.
+        pinned: whether the motion has to meet these, and not only follow the curve equally well.
     """
 
     row: int
@@ -110,12 +109,11 @@ class PieceEnd(NamedTuple):
 class RowSolver:
     """Finds joint positions for all rows.
 
-    A whole stretch between rests is placed sequentially if that leads continuously from keyframe to keyframe.
-    Elsewhere least squares follow the curve from each keyframe to the next; if that ends far from the next
-    one, they also follow it back from there, and the motion changes from the one to the other where that
-    costs least.
+    A whole stretch between rests is placed sequentially if that is continuous from keyframe to keyframe.
+    Otherwise least squares follow the curve from each keyframe to the next. If that ends far from the next
+    keyframe, they also follow it backward from there, and the motion changes over where that costs least.
 
-    A stretch to or from a taught configuration leads through joint space.
+    A stretch to or from a taught configuration is interpolated in joint space.
     """
 
     def __init__(self, arm: Arm, motion: ResolvedMotion, continuity: str) -> None:
@@ -133,11 +131,11 @@ class RowSolver:
         self._endless = arm.kinematics.endless
 
     def positions(self, schedule: Schedule, progress: Progress | None = None) -> Array:
-        """Return joint positions of all rows (N + 1, nv) [rad or m]; continuous joints go on past pi.
+        """Return joint positions of all rows (N + 1, nv) [rad or m]; continuous joints are unwrapped.
 
         Args:
             schedule: when each keyframe is reached and left.
-            progress: called with the number of rows that are done, and that of all.
+            progress: called with the number of finished rows and the total number.
         """
 
         def report(row: int) -> None:
@@ -155,7 +153,7 @@ class RowSolver:
         return np.asarray(np.clip(found, self._arm.limits.lower, self._arm.limits.upper))
 
     def _stretch(self, stretch: Stretch, before: Array, report: Callable[[int], None]) -> Array:
-        """Return joint positions of the rows of a stretch, from those at its beginning."""
+        """Return joint positions of the rows of a stretch, given those at its start."""
         vectors = self._vectors[stretch.first : stretch.last + 1]
         if any(vector is None for vector in vectors):
             return self._interpolate(stretch, before)
@@ -165,7 +163,7 @@ class RowSolver:
         return self._follow(stretch, curves, before, report) if rows is None else rows
 
     def _interpolate(self, stretch: Stretch, before: Array) -> Array:
-        """Return joint positions of a stretch through joint space."""
+        """Return joint positions of a stretch in joint space."""
         values = [before]
         for keyframe in self._motion.keyframes[stretch.first + 1 : stretch.last + 1]:
             values.append(self._unwrapped(keyframe.positions, values[-1]))
@@ -175,14 +173,14 @@ class RowSolver:
         return rows
 
     def _unwrapped(self, positions: Array, before: Array) -> Array:
-        """Return the same positions, continuous joints in the turn that is nearest to those before."""
+        """Return the positions with continuous joints in the turn nearest to the previous ones."""
         rounds = np.where(self._endless, np.round((before - positions) / (2.0 * np.pi)), 0.0)
         return np.asarray(positions + 2.0 * np.pi * rounds)
 
     def _place_sequentially(
         self, stretch: Stretch, curves: StretchCurves, before: Array, report: Callable[[int], None]
     ) -> Array | None:
-        """Return joint positions of a stretch; None where a row has none, or they jump."""
+        """Return joint positions of a stretch; None if a row has none, or they jump."""
         if self._sequential is None:
             return None
         numbers = range(int(stretch.rows[0]), int(stretch.rows[-1]) + 1)
@@ -199,7 +197,7 @@ class RowSolver:
         for i in np.flatnonzero(long)[np.argsort(-steps[long])[:5]].tolist():
             if self._jumps(self._sequential, curves, numbers[i], rows[i], rows[i + 1]):
                 return None
-        # Samples of the curves between keyframes are not those of the curves themselves.
+        # The interpolated curves are sampled differently from those of the keyframes.
         at = stretch.rows - stretch.rows[0]
         own = [self._motion.keyframes[k].positions for k in range(stretch.first, stretch.last + 1)]
         misses = [self._unwrapped(q, rows[i]) - rows[i] for q, i in zip(own, at.tolist(), strict=True)]
@@ -228,7 +226,7 @@ class RowSolver:
     def _follow(
         self, stretch: Stretch, curves: StretchCurves, before: Array, report: Callable[[int], None]
     ) -> Array:
-        """Return joint positions of a stretch by least squares, from those at its beginning."""
+        """Return joint positions of a stretch by least squares, given those at its start."""
         problem, keyframes = self._follower.problem, self._motion.keyframes
         begin = int(stretch.rows[0])
         start = PieceEnd(begin, problem.joined(before, keyframes[stretch.first].parameters), True)
@@ -287,13 +285,13 @@ class RowSolver:
 # The reference.
 
 PEAK_SPEED_RATIO = 1.9
-"""Largest speed from one keyframe to the next, relative to its mean, as a first guess."""
+"""Estimated ratio of the largest to the mean speed from one keyframe to the next."""
 
 MIN_ROWS_BETWEEN, MAX_REFINED_ROWS = 16, 200_000
-"""Fewest rows from one keyframe to the next, and most rows in all that are made for short steps."""
+"""Smallest number of rows from one keyframe to the next, and largest total number for short steps."""
 
 MAX_REFINEMENTS = 3
-"""How often rows are made, finer each time, until the steps between them are short."""
+"""Number of attempts, each with more rows, to make the steps between rows short."""
 
 
 def keyframe_reference(
@@ -304,44 +302,42 @@ def keyframe_reference(
     progress: Progress | None = None,
     repeat: int = 1,
 ) -> Reference:
-    """Make the motion that takes one posture after the other, at given times.
+    """Plan the motion through keyframes at given times.
 
-    Between keyframes the curve is interpolated smoothly in time by its bending (see `interpolation`), and the
-    target resolved along it, each row from the one before. At keyframes the curve is the user's own. Times
-    are rounded to whole control cycles.
+    Between keyframes the bending of the curve is interpolated smoothly over time (see `Bending`), and the arm
+    placed on it, each row starting from the previous one. Times are rounded to whole control cycles.
 
-    All keyframes that leave the method open are resolved by the same one: sequential placement if that works
-    for all of them and leads continuously from each to the next, else least squares. Where the curve in
-    between bends more than the arm can, the arm comes as near to it as it can.
+    All keyframes with an open method are resolved by the same one: sequential placement if it works for all
+    of them and is continuous from each to the next, otherwise least squares. Where the curve in between bends
+    more than the arm can, the arm comes as close to it as possible.
 
-    To and from taught configurations the joints are interpolated, with the same law of time. The arm is at
-    rest where such a motion meets one along curves.
+    To and from taught configurations the joints are interpolated, with the same timing. The arm is at rest
+    between such a motion and one along curves.
 
-    On the way from one keyframe to the next, a control point has a target if it has one at either of them.
+    Between two keyframes, a control point has a target if it has one at either of them.
 
     Args:
         arm: the arm.
-        keyframes: in order, two at least.
-        interval: duration of a control cycle [s]. There are one or more rows to each, so that joints move
-            about 0.05 rad from one row to the next, if that takes less than `MAX_REFINED_ROWS` rows.
-        continuity: what is continuous in time: the "velocity" of the curve, which then is monotone between
-            keyframes; or the "acceleration" too, which may overshoot. Both are zero at the first and the last
-            keyframe and at those with a hold.
-        progress: called with the number of rows that are done, and that of all.
-        repeat: how often to make the tour. If its last posture is not the first, the arm goes back in
-            between, in the `duration` of the first keyframe; by default, in the longest time from one
-            keyframe to the next. Each tour begins and ends at rest.
+        keyframes: two or more, in order.
+        interval: duration of a control cycle [s]. Each has one or more rows, so that joints move about
+            0.05 rad from one row to the next, if `MAX_REFINED_ROWS` rows are enough for that.
+        continuity: what is continuous over time: the "velocity" of the curve, which is then monotone between
+            keyframes; or also the "acceleration", which may overshoot. Both are zero at the first and the
+            last keyframe and at those with a hold.
+        progress: called with the number of finished rows and the total number.
+        repeat: number of laps. If the last posture is not the first, the arm returns to the first in between,
+            within the `duration` of the first keyframe; by default, within the longest time from one
+            keyframe to the next. Each lap begins and ends at rest.
 
     Returns:
-        The reference, with a mark for each keyframe, and for each repetition.
+        The reference, with a mark for each keyframe of each lap.
 
     Raises:
-        InvalidValue: fewer than two keyframes, something else among them, an invalid interval or number of
-            repetitions.
+        InvalidValue: fewer than two keyframes, or an invalid keyframe, interval or number of laps.
         UnknownName: a `continuity` that does not exist.
-        TaskError: times that do not increase, a curve that is too long, a strict task of the tip that is out
+        TaskError: times that do not increase, a curve that is too long, a tip task with priority that is out
             of reach; names the keyframe.
-        TargetError: as `resolve_targets`, with the name of the keyframe in front.
+        TargetError: as `resolve_targets`; names the keyframe.
     """
     keyframes = tuple(keyframes)
     check_keyframes(keyframes, arm)
@@ -381,7 +377,7 @@ def keyframe_reference(
         row = int(rows.reached[index])
         q = arm.integrate(start, offsets[row])
         target = target_at(arm, keyframe, motion.keyframes[index].target, q)
-        if index == len(tour):  # back at the first
+        if index == len(tour):  # returned to the first
             target = marks[0].target
         name = keyframe.name or title(keyframes, index % len(tour))
         marks.append(Mark(name, row, target, keyframe.tip, keyframe.speed))
@@ -391,7 +387,7 @@ def keyframe_reference(
 
 
 def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
-    """Return a tour of `count` keyframes many times; it ends at row `end` of a lap, which then leads back."""
+    """Repeat a lap of `count` keyframes; the last one ends at row `end`, before the return to the first."""
     rows = lap.rows - 1
     turns = np.where(lap.arm.kinematics.endless, np.round(lap.offsets[-1] / (2.0 * np.pi)), 0.0)
     offsets, weights, marks = [], [], [lap.marks[0]._replace(name=f"{lap.marks[0].name}, lap 1")]
@@ -401,13 +397,13 @@ def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
         offsets.append(lap.offsets[:kept] + 2.0 * np.pi * number * turns)
         weights.append(lap.weights[:kept])
         for index, mark in enumerate(lap.marks[1 : count if last else None], start=1):
-            name = f"{mark.name}, lap {number + 1 + index // count}"  # the way back begins the next lap
+            name = f"{mark.name}, lap {number + 1 + index // count}"  # the return begins the next lap
             marks.append(mark._replace(name=name, row=number * rows + mark.row))
     return replace(lap, offsets=np.concatenate(offsets), weights=np.concatenate(weights), marks=tuple(marks))
 
 
 def _first_guess(arm: Arm, cycles: Schedule, motion: ResolvedMotion) -> int:
-    """Estimate how many rows per cycle make steps short, from the distances between keyframes."""
+    """Estimate the rows per cycle for short steps from the distances between keyframes."""
     positions = np.array([each.positions for each in motion.keyframes])
     apart = (np.abs(np.diff(positions, axis=0)) / arm.joint_units).max(axis=1)
     speed = PEAK_SPEED_RATIO * float((apart / (cycles.reached[1:] - cycles.left[:-1])).max())
@@ -427,7 +423,7 @@ def _with_tips(
     positions: Array,
     continuity: str,
 ) -> Array:
-    """Shift the rows so that keyframes serve the tasks of their tips, smoothly in between."""
+    """Shift the rows so that keyframes meet their tip tasks, smoothly in between."""
     shifts = np.zeros((len(keyframes), arm.nv))
     for index, keyframe in enumerate(keyframes):
         if keyframe.tip is not None:

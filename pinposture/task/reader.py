@@ -1,4 +1,4 @@
-"""Reads a task file: plain data whose lines are known, then the parts of a task made from it, and checked."""
+"""Reads a task file: plain data with line numbers, then the parts of a task, with checks."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ from pinposture.task.keyframe import (
     CONTINUITIES,
     Keyframe,
     check_keyframes,
+    curve_misfit,
     joints_misfit,
     naming,
     title,
@@ -65,7 +66,7 @@ else:
 # Text parsed into plain data.
 
 MAX_NESTING = 20
-"""Largest depth of tables and lists within each other; three times what a task has."""
+"""Largest depth of nested tables and lists; three times that of a task."""
 
 MAX_INTEGER_BITS = 64
 """Largest size of a whole number, as in TOML."""
@@ -96,13 +97,13 @@ def _parsed(path: Path, text: str) -> dict[str, Any]:
         # The line comes first, as in all other messages.
         raise FileError(path, f"{found[2] or 'end of the file'}: {found[1]}" if found else message) from error
     if not isinstance(values, dict):
-        raise FileError(path, "holds no table; allowed: keys and values, as in version = 1")
+        raise FileError(path, "contains no table; allowed: keys and values, as in version = 1")
     _check_size(path, (), values)
     return values
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON table; refuse a key that appears twice, of which JSON would take the last."""
+    """Return a JSON table; refuse duplicate keys, of which JSON would use the last."""
     table = dict(pairs)
     if len(table) < len(pairs):
         keys = [key for key, _ in pairs]
@@ -112,7 +113,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_size(path: Path, place: Place, value: Any) -> None:
-    """Refuse deep nesting and huge whole numbers, which would cost too much later."""
+    """Refuse deep nesting and huge integers, which would be too expensive later."""
     if len(place) > MAX_NESTING:
         reason = f"is nested too deep; allowed: {MAX_NESTING} levels of tables and lists"
         raise FileError(path, f"{place_in_words(place)}: {reason}")
@@ -125,21 +126,21 @@ def _check_size(path: Path, place: Place, value: Any) -> None:
             _check_size(path, (*place, key), each)
 
 
-# A file that was read, and where in it a mistake is.
+# A file, and the places of mistakes in it.
 
 Spec = TypeVar("Spec")
 Made = TypeVar("Made")
 
 
 class Document:
-    """A file that was read; mistakes in it are reported as a FileError with the line, key and value.
+    """A file; mistakes in it are reported as a FileError with the line, key and value.
 
     Attributes:
         path: the file.
-        values: what it holds.
+        values: its contents.
         toml: the text if the file is TOML; None if it is JSON.
-        described: parts of the task that were made of it, and what it says of each: plain data in SI units;
-            paths in it are absolute, and a `Path` each.
+        described: the description of each part of the task: plain data in SI units, with an absolute `Path`
+            for each path.
     """
 
     def __init__(self, path: Path, values: dict[str, Any], toml: str | None = None) -> None:
@@ -158,10 +159,10 @@ class Document:
 
     @classmethod
     def parse(cls, path: Path, text: str) -> Document:
-        """Return the document that the file would be if this were its text.
+        """Return the document of a file with this text.
 
         Raises:
-            FileError: the text is malformed, or holds no table; names the line.
+            FileError: the text is malformed, or contains no table; names the line.
         """
         return cls(path, _parsed(path, text), text if path.suffix.lower() == ".toml" else None)
 
@@ -176,12 +177,12 @@ class Document:
         return value
 
     def read(self, kind: type[Spec] | Any, where: Place, context: Mapping[str, Any] | None = None) -> Spec:
-        """Return the value at a place, checked and in SI units; an empty table stands for a missing one.
+        """Return the value at a place, checked and in SI units; a missing table counts as empty.
 
         Args:
-            kind: the specification that it has to match.
+            kind: its specification.
             where: the place.
-            context: what the validators of the specification need besides.
+            context: the context of the validators.
         """
         value = self.at(where)
         try:
@@ -200,7 +201,7 @@ class Document:
 
     @contextmanager
     def blaming(self, where: Place, key: str | None = None) -> Iterator[None]:
-        """Report an error of the library at the key of a table that it names, or else at this key."""
+        """Report an error of the library at the key of the table that it names, or at this key."""
         table = self.at(where)
         named = where if key is None else (*where, key)
         try:
@@ -212,27 +213,27 @@ class Document:
             raise self.fault(named, str(error)) from error
 
     def named(self, where: Place, name: str) -> Path:
-        """Return the path that the file names, relative to its own folder."""
+        """Return a path named in the file, relative to its folder."""
         try:
             return self.path.parent / Path(name).expanduser()
         except RuntimeError as error:  # the home of an unknown user
             raise self.fault(where, f"is {shown(name)}, which cannot be found ({error})") from None
 
     def file(self, where: Place, read: Callable[[Path], Made]) -> Made:
-        """Read the file that is named at a place."""
+        """Read the file named at a place."""
         path = self.named(where, self.at(where))
         with self.blaming(where):
             return read(path)
 
     def line(self, where: Place) -> int | None:
-        """Return the line of a place, or of what contains it; None if no line is known, as in JSON."""
+        """Return the line of a place, or of its parent; None if unknown, as in JSON."""
         for end in range(len(where), 0, -1):
             if where[:end] in self._lines:
                 return self._lines[where[:end]]
         return None
 
     def fault(self, where: Place, reason: str) -> FileError:
-        """Return an error that says what is wrong at a place."""
+        """Return an error about a place."""
         line, text = self.line(where), " ".join(reason.split())
         before = "" if line is None else f"line {line}: "
         return FileError(self.path, f"{before}{place_in_words(where)}: {text}")
@@ -248,7 +249,7 @@ Array = NDArray[np.float64]
 
 
 def read_arm(document: Document) -> ArmSpec:
-    """Read what the arm is made from: a URDF file, or modules of a template, perhaps on a feed."""
+    """Read the specification of the arm: a URDF file, or modules of a template, possibly on a feed."""
     table: ArmTable = document.read(ArmTable, ("arm",))
     values = table.given()
     if table.urdf is not None:
@@ -260,7 +261,7 @@ def read_arm(document: Document) -> ArmSpec:
 
 
 def make_arm(document: Document, spec: ArmSpec) -> Arm:
-    """Make the arm of a task file; `spec` comes from `read_arm`."""
+    """Make the arm of a task file from the result of `read_arm`."""
     try:
         return Arm.from_spec(spec)
     except PostureError as error:
@@ -273,7 +274,7 @@ def make_arm(document: Document, spec: ArmSpec) -> Arm:
 
 
 def _key_of(error: PostureError, table: Mapping[str, Any]) -> str:
-    """Return the key that an error of `Arm.from_spec` is about; empty for the whole table."""
+    """Return the key to which an error of `Arm.from_spec` refers; empty for the whole table."""
     if isinstance(error, InvalidValue):
         key = "split" if error.name.startswith("modules") and "urdf" in table else error.name
         if key in table:
@@ -306,9 +307,11 @@ def _make_keyframe(
             raise document.fault((*where, "region"), reason)
     with document.blaming(where):
         keyframe = Keyframe(**values)
-    misfit = joints_misfit(arm, keyframe) if keyframe.curve is None else ""
+    key, misfit = "curve", curve_misfit(arm, keyframe)
+    if keyframe.curve is None:
+        key, misfit = "joints", joints_misfit(arm, keyframe)
     if misfit:
-        raise document.fault((*where, "joints"), misfit)
+        raise document.fault((*where, key), misfit)
     if keyframe.tip is not None:
         _check_point(document, (*where, "tip"), keyframe.tip.point, arm)
     return keyframe
@@ -339,7 +342,7 @@ def make_tip(document: Document, where: Place, spec: TipSpec) -> EndEffector:
 
 
 def make_curve(document: Document, where: Place, spec: str | dict[str, Any]) -> Curve:
-    """Make a curve of a preset, a file, or a description as for `Curve.from_dict`."""
+    """Make a curve from a preset, a file, or a description as for `Curve.from_dict`."""
     description: object = spec
     if isinstance(spec, str) and spec in CURVES:
         curve = CURVES[spec]
@@ -392,7 +395,7 @@ def _make_controller(document: Document, spec: ControllerSpec) -> Controller:
 
 
 def make_scene(document: Document, where: Place, spec: SceneSpec) -> Scene | None:
-    """Make the scene of a file of its own, or of the content of one; None for an empty table."""
+    """Make the scene of a separate file, or from the content of one; None for an empty table."""
     if spec.file is not None:
         scene = document.file((*where, "file"), Scene.load)
         document.described[scene] = {"file": settled(document.named((*where, "file"), spec.file))}
@@ -409,7 +412,7 @@ def make_scene(document: Document, where: Place, spec: SceneSpec) -> Scene | Non
 
 
 def make_obstacle(document: Document, where: Place, spec: dict[str, Any]) -> Obstacle:
-    """Make an obstacle of the scene; the path of a mesh or a scan is relative to the file."""
+    """Make an obstacle; the path of a mesh or scan is relative to the file."""
     folder = document.path.parent
     with document.blaming(where):
         obstacle = obstacle_from_dict(spec, str(folder))
@@ -427,12 +430,12 @@ def _make_start(document: Document, spec: StartSpec, arm: Arm) -> Array | None:
     return arm.straight() if spec.posture == "straight" else arm.neutral()
 
 
-# The parts of a task, and checks of them that need no search.
+# The parts of a task, and checks without a search.
 
 
 @dataclass(frozen=True, eq=False)
 class TaskParts:
-    """The content of a task file; `pinposture.task.Task` says what the attributes are."""
+    """The content of a task file; for the attributes see `pinposture.task.Task`."""
 
     arm: Arm
     motion: tuple[Keyframe, ...] | Leader
@@ -449,12 +452,12 @@ class TaskParts:
 
 
 def check_task(task: TaskParts) -> None:
-    """Refuse a task that no file could hold.
+    """Refuse a task that a file cannot represent.
 
     Raises:
-        InvalidValue: an attribute of the wrong kind, or one that does not fit the arm.
+        InvalidValue: an attribute of the wrong type, or one that does not fit the arm.
         UnknownName: a `continuity`, a format or a control point that does not exist.
-        TaskError: a keyframe or an obstacle that does not go with the arm; names it.
+        TaskError: a keyframe or an obstacle that does not fit the arm; names it.
     """
     if not isinstance(task.arm, Arm):
         raise InvalidValue("arm", task.arm, "an Arm")
@@ -472,7 +475,7 @@ def check_task(task: TaskParts) -> None:
         raise InvalidValue("name", task.name, "text")
     described, kinds = task.described, (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
     if not isinstance(described, Mapping) or not all(isinstance(each, kinds) for each in described):
-        allowed = "a mapping from curves, tips, a scene or obstacles to what a file says of them"
+        allowed = "a mapping from curves, tips, a scene or obstacles to their descriptions"
         raise InvalidValue("described", described, allowed)
     if isinstance(task.motion, Leader):
         check_leader(task.motion, task.arm)
@@ -511,10 +514,10 @@ def read_task(document: Document, arm: Arm | None = None) -> TaskParts:
 
     Args:
         document: the file.
-        arm: the arm, if it exists already, which is then not made from the file.
+        arm: the arm, if it exists already; otherwise it is made from the file.
 
     Raises:
-        FileError: the file describes no task; names the line, the key, the value and what is allowed.
+        FileError: the file is not a valid task; names the line, the key, the value and what is allowed.
     """
     # The keys are checked before the arm is made, the values after it, because they depend on the arm.
     document.read(Annotated[dict[str, Any], BeforeValidator(TaskSpec.check)], ())

@@ -1,4 +1,4 @@
-"""The motion that a task asks for, in time, and the interpolation between curves that it is made of."""
+"""The planned motion of a task over time, and the interpolation of curves."""
 
 from __future__ import annotations
 
@@ -29,10 +29,9 @@ class Mark(NamedTuple):
     Attributes:
         name: its name.
         row: its row in the reference.
-        target: the target of the arm there, which replaces that of the reference in this row. Its residual is
-            its distance from the curve.
-        tip: the task of the tip there; None if there is none.
-        speed: share of the velocity limits that the motion to it, from the mark before, may use.
+        target: its target, in place of that of the row; the residual is the distance from the curve.
+        tip: its tip task; None without one.
+        speed: largest share of the velocity limits for the motion to it from the previous mark.
     """
 
     name: str
@@ -44,18 +43,18 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Target postures at equal distances in time, and a configuration that takes each.
+    """Postures at equal time intervals, as configurations.
 
-    It begins and ends at rest. Rows are close enough to each other to be joined smoothly.
+    It begins and ends at rest. Rows are close enough for smooth interpolation.
 
     Attributes:
         arm: the arm.
         interval: time from one row to the next, if nothing slows the motion [s].
         start: the configuration of the first row, (nq,).
-        offsets: joint displacement of each row from the first, in the direction in which the arm turns,
-            (N + 1, nv) [rad or m]; the first is zero.
+        offsets: joint displacement of each row from the first, in the direction of motion, (N + 1, nv)
+            [rad or m]; the first is zero.
         weights: whether each control point has a target, as in `Target`, (N + 1, m).
-        marks: rows with a name, in order; keyframes have one each.
+        marks: the named rows, in order; one for each keyframe.
     """
 
     arm: Arm
@@ -95,29 +94,29 @@ class Reference:
 
 
 def off_curve(mark: Mark) -> float | None:
-    """Return the largest distance of a named place from its curve [m]; None if there is no curve."""
+    """Return the largest distance of the targets of a mark from its curve [m]; None without a curve."""
     residual = mark.target.residual
     return None if residual is None else float(residual[mark.target.has_target].max())
 
 
 def tip_off(tip: EndEffector | None, target: Target, state: ArmState) -> float | None:
-    """Return the error of the task of the tip [m], turns by their lever; None without a task."""
+    """Return the error of the tip task [m], with rotations times their lever arm; None without a task."""
     return None if tip is None else float(np.linalg.norm(tip.rows(state, target).error))
 
 
-# How well the arm can take its postures, known before it moves.
+# How well the arm can reach its postures, predicted before it moves.
 
 
 class Outlook(NamedTuple):
-    """How well the arm can take a posture.
+    """How well the arm can reach a posture.
 
     Attributes:
         name: name of the posture.
         planned: its planned time [s].
-        off_curve: largest distance of a target from its curve [m]; None if there is no curve.
-        tip_off: error of the task of the tip [m]; None if there is none.
-        clearance: smallest distance to an obstacle [m], negative inside of it; None without a scene.
-        moved: how its curve was moved from where it was drawn; None if there is no curve.
+        off_curve: largest distance of a target from its curve [m]; None without a curve.
+        tip_off: error of the tip task [m]; None without one.
+        clearance: smallest distance to an obstacle [m], negative in penetration; None without a scene.
+        moved: how its curve was moved from its position as drawn; None without a curve.
     """
 
     name: str
@@ -129,11 +128,11 @@ class Outlook(NamedTuple):
 
 
 def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
-    """Tell how well the arm can take the named postures of a reference, and the first.
+    """Predict how well the arm can reach the named postures of a reference, and the first.
 
     Args:
         reference: the reference.
-        scene: what the arm has to keep clear of; clearances are those of these postures only.
+        scene: the obstacles to avoid; clearances are those at these postures only.
     """
     arm, found = reference.arm, []
     clearance = None if scene is None else CollisionModel(arm, scene)
@@ -147,10 +146,10 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
 
 
 def require_room(reference: Reference, scene: Scene | None) -> None:
-    """Refuse a motion that begins inside of an obstacle; warn of named postures that are.
+    """Refuse a motion that begins in collision; warn of other named postures in collision.
 
     Raises:
-        TaskError: it does.
+        TaskError: the motion begins in collision.
     """
     if scene is None:
         return
@@ -169,27 +168,26 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
 
 
 def _named(reference: Reference) -> list[Mark]:
-    """Return the named places of a reference, and its beginning if that has no name."""
-    # In later laps of a tour the postures are the same.
+    """Return the named places of the first lap, and the beginning if it has no name."""
     marks = list({id(mark.target): mark for mark in reversed(reference.marks)}.values())[::-1]
     if not marks or marks[0].row > 0:
         marks.insert(0, Mark("the beginning", 0, Target.from_configuration(reference.arm, reference.start)))
     return marks
 
 
-# The vector of a curve holds where it begins, in which direction, and how it bends.
+# Curves as vectors: start, initial direction, and bending.
 #
-# Bending is the turning per arc length in a frame that is carried along without twist (parallel transport).
-# Interpolated bendings make curves of the same length that wind up as a snake does; curves of interpolated
-# places would shrink in between, and could not tell turns apart.
+# Bending is the rotation per arc length of a frame that is carried along without twist (parallel transport).
+# Interpolating it preserves the length of curves while they coil up. Curves through interpolated points would
+# be shorter in between, and could not distinguish whole turns.
 
 
 class BentCurve(Samples):
-    """A curve through points at equal arc lengths with given tangents: a cubic between each two.
+    """A piecewise cubic curve through points at equal arc lengths, with given tangents.
 
     Args:
         cell: arc length from one point to the next [m].
-        points: places, (n + 1, 3) [m], world frame.
+        points: the points, (n + 1, 3) [m], world frame.
         tangents: unit tangents, (n + 1, 3).
     """
 
@@ -209,14 +207,14 @@ class BentCurve(Samples):
         return coefficients
 
     def at(self, s: Array) -> Array:
-        """Return places (k, 3) [m] at arc lengths (k,) from 0 to the length."""
+        """Return points (k, 3) [m] at arc lengths (k,) from 0 to the length."""
         i, x = self._located(s)
         a, b = self.points[i], self.points[i + 1]
         u, v = self.cell * self.tangents[i], self.cell * self.tangents[i + 1]
         return np.asarray(a + x * (u + x * (3.0 * (b - a) - 2.0 * u - v + x * (2.0 * (a - b) + u + v))))
 
     def tangent(self, s: Array) -> Array:
-        """Return derivatives of the places by arc length, (k, 3), unit vectors but for interpolation."""
+        """Return derivatives by arc length, (k, 3): unit vectors, except for interpolation errors."""
         i, x = self._located(s)
         rise = (self.points[i + 1] - self.points[i]) / self.cell
         u, v = self.tangents[i], self.tangents[i + 1]
@@ -229,7 +227,7 @@ class BentCurve(Samples):
 
 
 class AnchoredCurve(NamedTuple):
-    """A curve and the place of the arm on it.
+    """A curve and the position of the arm on it.
 
     Attributes:
         curve: the curve, placed in the world.
@@ -241,16 +239,16 @@ class AnchoredCurve(NamedTuple):
 
 
 class Bending:
-    """Converts curves at one arm into vectors, and back.
+    """Converts curves of an arm into vectors, and back.
 
-    A vector has the place where a curve begins relative to the arm's base (3) [m]; the rotation vector from
-    the arm's axis to its first tangent (3) [rad]; its turning in each cell of arc length, about the two axes
-    across it (n, 2) [rad]; and the small distances by which arcs with these turns miss it (n, 3) [m]. Turns
-    and distances are given in the carried frame. So curves of a planar arm stay in its plane.
+    A vector holds the start of a curve relative to the arm's base (3) [m]; the rotation vector from the arm's
+    axis to the first tangent (3) [rad]; the rotation in each cell of arc length, about the two transverse
+    axes (n, 2) [rad]; and the small deviations from arcs with these rotations (n, 3) [m]. Rotations and
+    deviations are in the carried frame, so that curves of a planar arm stay in its plane.
 
     Args:
         arm: the arm.
-        length: length of each curve that matters [m].
+        length: relevant length of each curve [m].
 
     Attributes:
         cell: arc length of a cell [m].
@@ -269,11 +267,11 @@ class Bending:
         self._axes = np.column_stack([axis, np.cross(third, axis), third])
 
     def vector(self, anchored: AnchoredCurve, before: Array | None = None) -> Array:
-        """Return the vector (d,) of a curve; beyond its end it goes straight on.
+        """Return the vector (d,) of a curve; it continues straight beyond its end.
 
         Args:
             anchored: the curve.
-            before: the vector of an earlier curve, whose direction is continued without whole turns.
+            before: the vector of the previous curve, whose direction is continued without whole turns.
         """
         curve = anchored.curve
         s = anchored.parameter + self.cell * np.arange(self.cells + 1)
@@ -303,9 +301,9 @@ class Bending:
         return [BentCurve(self.cell, *parts) for parts in zip(points, frames[..., 0].copy(), strict=True)]
 
     def _direction(self, tangent: Array, before: Array) -> Array:
-        """Return the rotation vector (3,) [rad] from the arm's axis to a tangent that is nearest to another.
+        """Return the rotation vector (3,) [rad] from the arm's axis to a tangent, nearest to another vector.
 
-        It is the smallest rotation, or the same with whole turns added.
+        It is the smallest rotation, plus whole turns.
         """
         axis, _, third = self._axes.T
         across = np.cross(axis, tangent)
@@ -320,7 +318,7 @@ class Bending:
         """Return carried frames (r, n + 1, 3, 3), axes as columns, and chords between them, (r, n, 3)."""
         a, b = turns[..., 0], turns[..., 1]
         angle = np.hypot(a, b)
-        small = angle < 1e-4  # where the series are right to the last digit
+        small = angle < 1e-4  # where the series are exact to the last digit
         safe = np.where(small, 1.0, angle)
         sine = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
         cosine = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
@@ -337,20 +335,20 @@ class Bending:
         return frames, self.cell * np.stack([sine, cosine * b, -cosine * a], axis=-1)
 
 
-# Smooth changes between motions.
+# Smooth transitions between motions.
 
 CROSSFADE_SHARE = 0.25
-"""Share of the time from one keyframe to the next that a change to other configurations takes."""
+"""Duration of a transition to other configurations, as a share of the time between two keyframes."""
 
 
 def smooth_step(x: Array) -> Array:
-    """Rise from 0 at 0 to 1 at 1, constant beyond, with zero velocity and acceleration at both ends."""
+    """Rise from 0 at x = 0 to 1 at x = 1, constant outside, with zero velocity and acceleration at both."""
     t = np.clip(x, 0.0, 1.0)
     return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))
 
 
 def window(rows: int) -> int:
-    """Return how many of the rows from one keyframe to the next a change takes."""
+    """Return the number of rows of a transition, of those from one keyframe to the next."""
     return max(int(CROSSFADE_SHARE * (rows - 1)), 1)
 
 
@@ -361,6 +359,6 @@ def ramp(rows: int, first: Array, last: Array) -> Array:
 
 
 def crossfade(before: Array, after: Array, start: int) -> Array:
-    """Return rows (r, n) that change from some to others within the window that begins at a row."""
+    """Return rows (r, n) that change from `before` to `after` within the window that begins at a row."""
     share = smooth_step((np.arange(len(before)) - start) / window(len(before)))[:, None]
     return np.asarray((1.0 - share) * before + share * after)

@@ -1,6 +1,6 @@
-"""The tables of a task file: which keys there are, and the values of each, in SI units.
+"""The tables of a task file: their keys and values, in SI units.
 
-Validators raise a ValueError that says what is wrong with a value, after "is"; pydantic adds its place.
+Validators raise a ValueError with what is wrong with a value; pydantic adds its place.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from pinposture.curve import CURVES
 from pinposture.errors import UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
-from pinposture.task.keyframe import CONTINUITIES, OF_A_CURVE
+from pinposture.task.keyframe import CONTINUITIES, OF_A_CURVE, joint_count_misfit
 from pinposture.task.toml import Place
 
 MOST_MODULES = 1000
-"""The longest arm."""
+"""Largest number of modules."""
 
 DEFAULT_CYCLE = 0.02
 """Default duration of a control cycle [s]."""
 
 LONGEST_CYCLE = 60.0
-"""The longest control cycle [s]."""
+"""Longest control cycle [s]."""
 
 RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
-"""Formats in which the result of a task can be kept."""
+"""Formats in which the result of a task can be saved."""
 
 UNLIMITED_WORD = "none"
-"""The word of a file for a limit that does not exist."""
+"""The word for no limit."""
 
 VERSION = 1
 
-# Values and keys as they appear in messages: on one line, and cut short.
+# Values and keys in messages: on one line, truncated.
 
 MAX_SHOWN_CHARACTERS = 100
 
 
 def shown(value: object) -> str:
-    """Return a value in the notation of Python, cut short."""
+    """Return the representation of a value, truncated."""
     return _cut(repr(value))
 
 
@@ -71,7 +71,7 @@ def _cut(text: str) -> str:
 
 
 def place_in_words(place: Place) -> str:
-    """Name a place of a file, as in "keyframe 2, curve.radius"; list items count from 1."""
+    """Describe a place in a file, as in "keyframe 2, curve.radius"; list items count from 1."""
     words = ""
     for key in place:
         if isinstance(key, int):
@@ -82,7 +82,7 @@ def place_in_words(place: Place) -> str:
     return _cut(words) or "the file"
 
 
-# Quantities in a file: numbers in SI units, or text with a unit.
+# Quantities: numbers in SI units, or text with a unit.
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi}
@@ -105,7 +105,7 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "jerk of turning": _per(_ANGLES, "s^3"),
     }
 )
-"""Units by the kind of quantity, with the value of each in SI units."""
+"""Units by kind of quantity, with their values in SI units."""
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
 
@@ -114,8 +114,8 @@ def read_quantity(value: object, *kinds: str) -> float:
     """Read a quantity in SI units.
 
     Args:
-        value: a number in SI units, or text as "25 mm".
-        kinds: the kinds of quantity that are accepted, keys of `UNITS`.
+        value: a number in SI units, or text such as "25 mm".
+        kinds: the accepted kinds of quantity, keys of `UNITS`.
 
     Raises:
         ValueError: anything else; says what is allowed.
@@ -131,7 +131,7 @@ def read_quantity(value: object, *kinds: str) -> float:
     for kind in kinds:
         if unit in UNITS[kind]:
             return _finite(float(found[1]) * UNITS[kind][unit], value, allowed)
-    what = f"and {shown(unit)} is no unit that is known" if unit else "without a unit"
+    what = f"and {shown(unit)} is not a known unit" if unit else "without a unit"
     for kind, units in UNITS.items():
         if unit in units:
             what = f"of the kind {kind}"
@@ -148,7 +148,7 @@ class Misplaced(ValueError):
     """A mistake in a part of a value.
 
     Attributes:
-        within: the keys that lead from the value to the part.
+        within: the keys from the value to the part.
     """
 
     def __init__(self, reason: str, *within: str | int) -> None:
@@ -166,7 +166,7 @@ def _wrong(value: object, allowed: str, hint: str = "") -> ValueError:
 
 
 def _within(key: str | int, read: Callable[..., Read], *arguments: Any) -> Read:
-    """Return what `read` returns; report a mistake that it finds at this key."""
+    """Return what `read` returns; report its mistakes at this key."""
     try:
         return read(*arguments)
     except ValueError as error:
@@ -256,11 +256,14 @@ def _read_quantities(value: object, kinds: Sequence[str], unlimited: bool = Fals
 
 
 def _read_joints(value: Any, info: ValidationInfo) -> list[float]:
-    return _read_quantities(value, ["length" if slides else "angle" for slides in _arm(info).slides])
+    arm = _arm(info)
+    if isinstance(value, list) and len(value) != arm.nv:
+        raise ValueError(joint_count_misfit(arm, len(value)))
+    return _read_quantities(value, ["length" if slides else "angle" for slides in arm.slides])
 
 
 def _read_joints_of_any_arm(value: Any, info: ValidationInfo) -> list[float]:
-    """Read joint positions; beside a curve they may be those of another arm, and are then ignored later."""
+    """Read joint positions; with a curve they may be those of another arm, and are then ignored later."""
     if info.data.get("curve") is None:
         return _read_joints(value, info)
     fitting = not isinstance(value, list) or len(value) in (0, _arm(info).nv)
@@ -336,7 +339,7 @@ class TableSpec(BaseModel):
 
     @classmethod
     def check(cls, values: object) -> object:
-        """Refuse a value that is no table, and keys that do not exist or exclude each other."""
+        """Refuse anything but a table, unknown keys, and keys that exclude each other."""
         if not isinstance(values, Mapping):
             raise _wrong(values, "a table")
         allowed = cls.check_keys(values)
@@ -347,17 +350,17 @@ class TableSpec(BaseModel):
 
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
-        """Refuse keys that exclude each other; return those that the table may have."""
+        """Refuse keys that exclude each other; return the allowed ones."""
         return cls.model_fields
 
     @classmethod
     def without_defaults(cls, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values that a file has to give, in the order of the table."""
+        """Return the values that differ from the defaults, in the order of the table."""
         fields = cls.model_fields.items()
         return {key: values[key] for key, field in fields if key in values and values[key] != field.default}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of the keys that the file has."""
+        """Return the values of the keys in the file."""
         return self.model_dump(exclude_unset=True)
 
 
@@ -397,7 +400,7 @@ def _coupling(value: object) -> object:
 
 
 class ArmTable(TableSpec):
-    """The arm, as `ArmSpec`, with units, and with paths as they are written."""
+    """The arm, as `ArmSpec`, with units, and with paths as written."""
 
     template: TextOrNone = None
     modules: Annotated[
@@ -437,7 +440,7 @@ class ArmTable(TableSpec):
 
     @classmethod
     def check(cls, values: Any) -> object:
-        """Refuse an arm of no kind, and a template without a number of modules."""
+        """Refuse an arm without URDF or template, and a template without a number of modules."""
         super().check(values)
         if "urdf" not in values and "template" not in values:
             raise ValueError("needs one of the keys 'urdf', 'template'")
@@ -473,7 +476,7 @@ class LimitsSpec(TableSpec):
     @field_validator("step", "velocity", "acceleration", "jerk")
     @classmethod
     def _for_joints(cls, value: object, info: ValidationInfo) -> Any:
-        """Read a limit for all joints, for those that turn and those that slide, or one for each."""
+        """Read a limit for all joints, for revolute and prismatic ones, or one for each joint."""
         arm = _arm(info)
         turning, sliding = {
             "step": ("angle", "length"),
@@ -496,7 +499,7 @@ class LimitsSpec(TableSpec):
                 raise _unknown_key(name, parts)
             kind, joints = parts[name]
             limit[joints] = _within(name, _read_positive, each, kind)
-        if info.field_name == "velocity":  # joints that are not mentioned keep the speed of the description
+        if info.field_name == "velocity":  # others keep the speed of the description
             limit = np.where(np.isinf(limit), arm.limits.velocity, limit)
         return limit
 
@@ -611,7 +614,7 @@ class KeyframeSpec(TableSpec):
 
 
 class LeaderSpec(TableSpec):
-    """The path that the leader takes."""
+    """The path of the leader."""
 
     path: CurveSpec
     speed: Speed
@@ -623,7 +626,7 @@ class LeaderSpec(TableSpec):
 
 
 class OutputSpec(TableSpec):
-    """What to keep of the result."""
+    """How to save the result."""
 
     formats: Annotated[
         tuple[str, ...],
@@ -645,7 +648,7 @@ class EditorSpec(TableSpec):
 
 
 class TaskSpec(TableSpec):
-    """A whole task file, but for the arm, which is needed to read the rest: it is the context "arm"."""
+    """A whole task file, except for the arm, which is the context "arm" for reading the rest."""
 
     version: Any = VERSION
     kind: Annotated[str, _one_of("keyframes", "follow_leader")] = "keyframes"

@@ -1,4 +1,4 @@
-"""A task: an arm, the motion that it should make, and the limits of that motion. Usually read from a file."""
+"""A task: an arm, its motion, and the limits of that motion; usually read from a file."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
+from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.collision.pipe import pipe
 from pinposture.control import Controller, Geodesic, Limits, controller_named
@@ -28,7 +29,7 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
-from pinposture.motion.trajectory import Motion, Waypoint
+from pinposture.motion.trajectory import Motion, Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.storage import settled
 from pinposture.task.follow_leader import Leader, follow_leader
@@ -47,38 +48,37 @@ _KEYFRAME = re.compile(r"keyframe (\d+)")
 
 @dataclass(frozen=True, eq=False)
 class Task(TaskParts):
-    """A motion for an arm to make, in time.
+    """A motion of an arm over time.
 
         task = pp.Task.load("walk.toml")
         motion = task.perform()
         task.edited(continuity="acceleration").save("smooth.toml")
 
-    A task does not change; `edited` returns another one. Errors of a task that was read from a file name the
-    line of that file; a task that was edited belongs to no file, and keeps what was `described`.
+    A task is immutable; `edited` returns a changed copy. Errors of a task read from a file name the line. An
+    edited task belongs to no file, but keeps what was `described`.
 
     Attributes:
         arm: the arm.
-        motion: two or more postures to take at their times, or the path to follow. Curves whose placement is
-            left open stay where they are drawn if the scene has obstacles; else they are aligned.
+        motion: two or more keyframes, or the path to follow. By default, curves stay as drawn if the scene
+            has obstacles, and are aligned otherwise.
         limits: limits of a control cycle, with `dt`.
-        controller: what moves the arm; an instance, or its name.
-        scene: what to keep clear of; None if nothing.
-        start: the first configuration, (nq,); None: where the motion begins.
+        controller: the controller, or its name.
+        scene: the obstacles to avoid; None without any.
+        start: the initial configuration, (nq,); None: that of the first posture.
         continuity: as for `keyframe_reference`.
-        formats: what to keep of the result, of `FORMATS`.
-        name: the name of the task.
-        scans: files of surfaces and point clouds that an editor shows, absolute; the arm does not keep clear
-            of them, and they need not exist.
-        described: what `save` may write for a curve, a tip, a scene or an obstacle, by that part itself: its
-            description in a task file, in SI units, with a `Path` for each path. For instance
-            `{curve: "helix", path: Path("path.csv")}`. A part that is not in it, or that its description no
-            longer gives, is written out.
+        formats: formats in which to save the result, of `RESULT_FORMATS`.
+        name: its name.
+        scans: absolute paths of surfaces and point clouds that an editor shows. The arm does not avoid them,
+            and they need not exist.
+        described: the description that `save` writes for a curve, tip, scene or obstacle, by that object: in
+            SI units, with a `Path` for each path, as in `{curve: "helix", path: Path("path.csv")}`. Objects
+            without one, or whose description has become outdated, are written in full.
         repeat: as for `keyframe_reference`.
-        layout: the TOML file that the task was read from, whose comments and layout `save` keeps; None if
-            there is none.
+        layout: the TOML file from which the task was read, whose comments and layout `save` preserves; or
+            None.
 
     Raises:
-        PostureError: a value that no task file could hold; see `pinposture.task.reader`.
+        PostureError: a value that a task file cannot represent; see `pinposture.task.reader`.
     """
 
     layout: TomlLayout | None = field(default=None, repr=False)
@@ -116,45 +116,44 @@ class Task(TaskParts):
     def load(cls, path: str | Path) -> Task:
         """Read a task file, TOML or JSON; docs/tasks.md describes the format.
 
-        Everything is checked that needs no search. Whether the arm can take the postures, and reach them in
-        time, is found out by `reference` and `perform`.
+        This checks the file, but not whether the arm can reach the postures; see `reference` and `perform`.
 
         Raises:
-            FileError: the file is missing or malformed, or describes no task; names the line, the key, the
-                value and what is allowed.
+            FileError: the file is missing, malformed, or not a task; names the line, the key, the value and
+                what is allowed.
         """
         document = Document.load(Path(path))
         parts = read_task(document)
         try:
             task = cls(**vars(parts))
         except PostureError as error:
-            raise document.fault((), str(error)) from error
+            start = isinstance(error, InvalidValue) and error.name.startswith("start")
+            raise document.fault(("start", "joints") if start else (), str(error)) from error
         task._set("_document", document)
         if document.toml is not None:
             task._set("layout", layout_of(parts, document.path, document.toml))
         return task
 
     def save(self, path: str | Path) -> Path:
-        """Write a task file, from which `load` makes an equal task; whole or not at all. Returns its path.
+        """Write a task file atomically, from which `load` makes an equal task; return its path.
 
-        Numbers are in SI units. Paths of files are relative to the new one. Parts are written as in
-        `described`; a curve that is not in it is written with its points. An arm is written as what it was
-        made from (`Arm.spec`): a template, a URDF file that is still the same, or else its URDF in a file
-        beside the task file, of the same name. The comments and layout of the TOML file that the task was
-        read from stay, and so do units and order wherever values have not changed.
+        Numbers are in SI units, paths relative to the new file. Curves, tips, scenes and obstacles are
+        written as `described`, or in full. The arm is written as its specification (`Arm.spec`): a template,
+        the name of an unchanged URDF file, or else its URDF in a file of the same name next to the task file.
+        Comments, layout, and the units of unchanged values of the original TOML file are preserved.
 
         Args:
             path: .toml or .json.
 
         Raises:
-            FileError: the name ends otherwise, the file cannot be written, another URDF file is in the way,
-                or no task file can describe the task: an arm without URDF, a controller with parameters of
-                its own.
+            FileError: another suffix, the file cannot be written, it would overwrite a different URDF file,
+                or a task file cannot represent the task: an arm without URDF, a controller with custom
+                parameters.
         """
         return write_task(self, Path(path), self.layout)
 
     def edited(self, **changes: Any) -> Task:
-        """Return the task with other attributes, as by `dataclasses.replace`; it belongs to no file.
+        """Return a copy with changed attributes, as `dataclasses.replace`; it belongs to no file.
 
         Raises:
             PostureError: as `Task`.
@@ -162,13 +161,13 @@ class Task(TaskParts):
         return replace(self, **changes)
 
     def reference(self, progress: Callable[[int, int], object] | None = None) -> Reference:
-        """Compute the motion that the task asks for, before limits apply.
+        """Compute the planned motion, to which limits are not yet applied.
 
         Args:
-            progress: called with the number of postures found so far, and that of all.
+            progress: called with the number of postures found so far, and the total number.
 
         Raises:
-            FileError: the arm cannot make the motion; names the keyframe. A task that was not read from a
+            FileError: the arm cannot perform the motion; names the keyframe. A task that was not read from a
                 file raises as `keyframe_reference` and `follow_leader`.
         """
         dt = cast(float, self.limits.dt)
@@ -180,7 +179,7 @@ class Task(TaskParts):
             return keyframe_reference(self.arm, self.motion, dt, self.continuity, progress, self.repeat)
 
     def outlook(self, reference: Reference) -> list[Outlook]:
-        """Tell how well the arm can take the postures, before it moves; clearances are those of the postures.
+        """Predict how well the arm can reach the postures; clearances are those at the postures.
 
         Args:
             reference: what `reference` returned.
@@ -191,7 +190,7 @@ class Task(TaskParts):
         return outlook(reference, self.surroundings(reference))
 
     def surroundings(self, reference: Reference) -> Scene | None:
-        """Return what to keep clear of: the scene, with the pipe around the path if there is one."""
+        """Return the obstacles to avoid: the scene, and the pipe around the path if there is one."""
         path = reference.marks[0].target.curve if reference.marks else None
         if not isinstance(self.motion, Leader) or self.motion.pipe is None or path is None:
             return self.scene
@@ -206,15 +205,14 @@ class Task(TaskParts):
         reference: Reference | None = None,
         progress: Callable[[float, float], object] | None = None,
     ) -> Motion:
-        """Make the motion; see `perform`.
+        """Perform the motion; see `perform`.
 
         Args:
-            reference: what `reference` returned, if it was called before.
+            reference: the result of `reference`, if it was called before.
             progress: as for `perform`.
 
         Raises:
-            PostureError: as `reference`, and as `perform`; or the arm would begin inside of
-                an obstacle.
+            PostureError: as `reference` and `perform`, or the arm would start inside an obstacle.
         """
         reference = self.reference() if reference is None else reference
         start = None if isinstance(self.motion, Leader) else self.start
@@ -258,41 +256,41 @@ def _as_tuple(name: str, values: object, allowed: str) -> tuple[Any, ...]:
     return tuple(values)
 
 
-# How a motion is performed: the arm follows a reference, and time waits where it must.
+# Performing a motion: the arm follows a reference, and the plan waits where necessary.
 
 Progress = Callable[[float, float], object]
 
 logger = logging.getLogger(__name__)
 
 MAX_MEAN_LAG = 0.1
-"""Mean distance of the control points from their targets beyond which time waits for the arm, in module
-lengths; for controllers that do not look ahead."""
+"""Mean distance of the control points from their targets, in module lengths, beyond which the plan waits for
+a controller that does not look ahead, and beyond which a named posture is missed."""
 
 ROW_TOLERANCE = 1e-9
-"""Distance before a row, in rows, at which it counts as reached."""
+"""Distance before a row at which it counts as reached, in rows."""
 
 STOPPED = "stopped by the callback"
 
 MAX_PERFORMED_CYCLES = 1e6
-"""The most cycles of a motion."""
+"""Largest number of cycles of a motion."""
 
 STEP_BUDGET_RATIO, STEP_BUDGET_EXTRA = 10.0, 3000
-"""The most steps, as a multiple of those foreseen and beyond that, after which a motion is given up."""
+"""Number of steps after which a motion is given up: a multiple of the expected number, plus an extra."""
 
 
 PACE_RATIO = 1.1
-"""Largest ratio of the paces at neighbouring rows, so that the arm slows down smoothly."""
+"""Largest ratio of the time scales of neighbouring rows, so that the arm slows down smoothly."""
 
 
 def slowed(reference: Reference, limits: Limits) -> tuple[Reference, Array]:
-    """Slow a reference down to the share of the velocity limits that each of its marks asks for.
+    """Slow a reference down to the share of the velocity limits that each of its marks allows.
 
     Args:
         reference: the reference.
         limits: the limits of a step, with dt.
 
     Returns:
-        The reference with more rows where it would be too fast, and the time of the plan at each row [s].
+        The reference with more rows where it was too fast, and the planned time of each row [s].
 
     Raises:
         InvalidValue: it would take too many cycles.
@@ -339,18 +337,18 @@ def slowed(reference: Reference, limits: Limits) -> tuple[Reference, Array]:
 
 
 class ReferencePath:
-    """A reference as a path to follow at any speed. Places on it are its rows, and between them.
+    """A reference as a path that can be followed at any speed. Places are row numbers, not only whole ones.
 
     Args:
         reference: the reference.
         limits: the limits of a step, with dt.
 
     Attributes:
-        reference: the reference, `slowed` where its marks ask for less than full speed.
-        times: the time of the plan at each of its rows, (N + 1,) [s].
+        reference: the reference, `slowed` where its marks limit the speed.
+        times: planned time of each of its rows, (N + 1,) [s].
         path: its configurations as a path through joint space, within the position limits.
-        most: rows to go in one cycle, if nothing slows the motion.
-        timed: the path with the largest speed that limits allow, but no more than `most`.
+        most: rows per cycle, if nothing slows the motion.
+        timed: the path at the largest speed that limits allow, up to `most`.
     """
 
     def __init__(self, reference: Reference, limits: Limits) -> None:
@@ -376,15 +374,20 @@ class ReferencePath:
 
     @property
     def steps(self) -> float:
-        """Number of cycles that it takes at least."""
+        """Smallest possible number of cycles."""
         return self._profile.steps
 
+    def is_within_limits(self, row: int) -> bool:
+        """Whether the path goes through a row of the reference, which the position limits may prevent."""
+        offset = self.reference.offsets[row] * (self.reference.arm.moved > 0.0)
+        return bool(np.abs(offset - self.path.offsets[row]).max() <= SLACK)
+
     def time(self, place: float | Array) -> Array:
-        """Return the time of the plan at places [s]."""
+        """Return the planned time at places [s]."""
         return np.asarray(np.interp(place, self._rows, self.times))
 
     def next(self, place: float, speed: float) -> float:
-        """Return the place after the next cycle, after one that went `speed` places."""
+        """Return the place after the next cycle; the previous one advanced by `speed`."""
         return min(place + self._profile.next(place, speed), self.end)
 
     def target(self, place: float) -> Target:
@@ -395,7 +398,7 @@ class ReferencePath:
         return Target(arm.at(q).compiled.points, self.reference.weights[row], q)
 
     def remaining(self, place: float, controller: Geodesic) -> TimedPath:
-        """Return the rest of the path from a place, which is a row, for a controller to follow."""
+        """Return the rest of the path from a place, which is a whole row."""
         row, path = int(place), self.path
         objective = controller.objective(path.arm, self.target(place))
         if row == 0:
@@ -405,7 +408,7 @@ class ReferencePath:
         return retime(rest, self.timed.limits, self.most)
 
     def next_mark(self, place: float) -> Mark:
-        """Return the next place with a name; the last row if there is none."""
+        """Return the next named place; the last row if there is none."""
         last = self.reference.rows - 1
         ahead = [mark for mark in self.reference.marks if mark.row > place]
         return ahead[0] if ahead else Mark("the end", last, self.target(float(last)))
@@ -422,30 +425,30 @@ def perform(
 ) -> Motion:
     """Move an arm along a reference, within its limits.
 
-    The arm first moves to the beginning of the reference, if it is not there. Then time runs as planned where
-    the limits of speed and acceleration allow it and slower where they do not. "geodesic" looks ahead: it
-    slows down in time, and follows the path of the reference; where an obstacle blocks that, it goes to the
-    next named place by a path of its own. Other controllers are given targets that move, and time waits for
-    them where they fall behind.
+    The arm first moves to the start of the reference, unless it is there. Then the plan advances in real
+    time where the limits allow it, and more slowly elsewhere. "geodesic" looks ahead: it slows down early
+    enough and follows the path of the reference; where an obstacle blocks it, it plans its own path to the
+    next named place. Other controllers get a moving target, which waits for them when they fall behind.
 
     Args:
-        reference: the motion to make.
+        reference: the planned motion.
         controller: as for `track`.
-        limits: limits of a step; with `dt`, which is the duration of a control cycle. If None, cycles of
-            20 ms and the speeds of the arm.
+        limits: limits of a step, with `dt`, the duration of a control cycle; cycles of 20 ms and the velocity
+            limits of the arm if None.
         scene: as for `track`.
-        q0: configuration to start from, (nq,); that of the reference if None.
+        q0: initial configuration, (nq,); that of the reference if None.
         tolerance: as for `track`, for the first and the last posture.
-        progress: called in each cycle with the time of the plan, and its duration [s]. The motion stops if it
+        progress: called in each cycle with the time and the duration of the plan [s]; the motion stops if it
             returns True.
 
     Returns:
-        The motion. `run.status` is "converged" if the arm reached its last posture, else as for `track`;
-        `time_scale` is its duration relative to the plan.
+        The motion. `run.status` is "converged" if the arm took all named postures, "missed" if it passed one
+        of them at a mean distance of more than a tenth of a module and half a cycle's motion, else as for
+        `track`; `time_scale` is its duration relative to the plan.
 
     Raises:
-        InvalidValue: limits without dt, or so tight that it would never end; q0 or the tolerance do not fit.
-        UnknownName: no controller has that name.
+        InvalidValue: limits without dt, or so tight that it would never end; an invalid q0 or tolerance.
+        UnknownName: no controller of that name.
     """
     arm = reference.arm
     controller, scene = in_scene(controller_named(controller), scene)
@@ -461,9 +464,10 @@ def perform(
         raise InvalidValue("cycles of the motion", round(guide.steps), allowed)
     loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress)
-    status, reason = performance.run()
-    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * loop.record.steps, reason)
-    return performance.motion(status, reason)
+    motion = performance.motion(*performance.run())
+    status, reason = motion.run.status, motion.run.reason
+    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * motion.steps, reason)
+    return motion
 
 
 def move_through(
@@ -476,16 +480,15 @@ def move_through(
     continuity: Literal["velocity", "acceleration"] = "velocity",
     repeat: int = 1,
 ) -> Motion:
-    """Take postures one after the other, at their times: `keyframe_reference` and `perform` in one call.
+    """Move through keyframes at their times: `keyframe_reference` and `perform` in one call.
 
     Args:
         arm: the arm.
-        keyframes: the postures, in order. Curves whose placement is left open stay where they are drawn if
-            the scene has obstacles.
+        keyframes: the keyframes, in order. By default, curves stay as drawn if the scene has obstacles.
         controller: as for `track`.
-        limits: limits of a step, with `dt`; cycles of 20 ms and the speeds of the arm if None.
+        limits: as for `perform`.
         scene: as for `track`.
-        q0: configuration to start from, (nq,); that of the first keyframe if None.
+        q0: initial configuration, (nq,); that of the first keyframe if None.
         continuity: as for `keyframe_reference`.
         repeat: likewise.
 
@@ -502,13 +505,14 @@ def move_through(
 
 
 class _Performance:
-    """One motion in progress: which places of the reference it reached, step by step, with their targets."""
+    """A motion in progress: the place on the reference and the target after each step."""
 
     def __init__(
         self, guide: ReferencePath, loop: ControlLoop, tolerance: float, progress: Progress | None
     ) -> None:
         self.guide, self.loop, self.tolerance, self.progress = guide, loop, tolerance, progress
         self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
+        self._max_lag = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
         self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
         self._set_place(0.0)
         self._places, self._targets = [0.0], [guide.target(0.0)]
@@ -521,13 +525,13 @@ class _Performance:
         self._latest.extend([place] * self.loop.filter.cycles)
 
     def _advance(self, place: float) -> float:
-        """Set the place of the arm that runs ahead; return that of the arm, which a limit of jerk delays."""
+        """Set the place of the arm ahead; return that of the arm itself, which a jerk limit delays."""
         self._place = place
         self._latest.append(place)
         return place if len(self._latest) == 1 else sum(self._latest) / len(self._latest)
 
     def run(self) -> tuple[str, str]:
-        """Go to the first posture, along the reference, and to rest; returns status and reason."""
+        """Move to the first posture, along the reference, and to rest; return status and reason."""
         status, reason = self._go_to(0.0)
         if status != "converged":
             return status, f"on the way to the first posture: {reason}"
@@ -537,10 +541,17 @@ class _Performance:
         return self._go_to(self.guide.end) if ended is None else ended
 
     def motion(self, status: str, reason: str) -> Motion:
-        """Return everything so far as a result."""
+        """Return everything so far as a result; "missed" if only the last of its postures was reached."""
         reference, loop, places = self.guide.reference, self.loop, np.array(self._places)
         run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
-        dt = reference.duration if loop.limits.dt is None else loop.limits.dt
+        nexts = [*(mark.row for mark in reference.marks[1:]), np.inf]
+        waypoints = tuple(
+            self._waypoint(mark, until, places, run)
+            for mark, until in zip(reference.marks, nexts, strict=False)
+        )
+        if status == "converged" and any(waypoint.missed for waypoint in waypoints):
+            reason = f"{self._describe_missed(waypoints)}; at the end, {run.reason}"
+            run = replace(run, status="missed", reason=reason)
         return Motion(
             run=run,
             targets=np.array([target.points for target in self._targets]),
@@ -548,12 +559,15 @@ class _Performance:
             plan_time=self.guide.time(places),
             start_index=len(places) - 1 if self._start_index is None else self._start_index,
             planned=float(self.guide.times[-1]),
-            waypoints=tuple(self._waypoint(mark, places, run.q, run.points, dt) for mark in reference.marks),
+            waypoints=waypoints,
             deviations=tuple(self._notes),
         )
 
-    def _waypoint(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
-        """Return how a named place was passed, at the step nearest to it in time."""
+    def _waypoint(self, mark: Mark, until: float, places: Array, run: Trajectory) -> Waypoint:
+        """Return how a named place was passed, before the next one, which is at `until`.
+
+        That is at the first step at which the arm is near it; at the step nearest in time if it never is.
+        """
         reference, begun, moved = self.guide.reference, self._start_index, mark.target.moved
         planned, off = float(self.guide.times[mark.row]), off_curve(mark)
         there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
@@ -562,13 +576,36 @@ class _Performance:
         row = begun + int(there[0])
         if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
             row -= 1
-        errors = np.linalg.norm((mark.target.points - points[row])[mark.target.has_target], axis=1)
-        tip = tip_off(mark.tip, mark.target, reference.arm.at(q[row]))
-        reached, error = (row - begun) * dt, float(errors.mean())
-        return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed)
+        end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - ROW_TOLERANCE)))
+        chosen, first = mark.target.has_target, max(row - 1, 0)
+        points = run.points[first : end + 1, chosen]
+        errors = np.linalg.norm(mark.target.points[chosen] - points, axis=2).mean(axis=1)
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+        allowed = self._max_lag + 0.5 * np.maximum(np.append(0.0, steps), np.append(steps, 0.0))
+        near = (errors <= allowed)[row - first : end - first]
+        row, missed = row + int(np.argmax(near)), not np.any(near)
+        reached, error = (row - begun) * cycle_of(run.limits), float(errors[row - first])
+        tip = tip_off(mark.tip, mark.target, reference.arm.at(run.q[row]))
+        return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed, missed)
+
+    def _describe_missed(self, waypoints: tuple[Waypoint, ...]) -> str:
+        """Say which named postures the arm passed at a distance, and why if that is known."""
+        missed = [waypoint for waypoint in waypoints if waypoint.missed]
+        worst = max(missed, key=lambda waypoint: waypoint.mean_error or 0.0)
+        one, number = len(missed) == 1, f"{len(missed)} of {len(waypoints)} postures"
+        text = f"{number} {'is' if one else 'are'} missed, {'' if one else 'most '}{worst.name}, by "
+        text += f"{worst.mean_error:.3g} m on average (allowed: {self._max_lag:.3g} m)"
+        limits, cycles = self.loop.limits, self.loop.filter.cycles
+        row = self.guide.reference.marks[waypoints.index(worst)].row
+        if not self.guide.is_within_limits(row):
+            text += "; it is outside the joint limits, or within their position margin"
+        elif cycles > 1:
+            text += f"; the jerk limit smooths the motion over {cycles * cycle_of(limits):.3g} s: hold the "
+            text += "posture for that long, allow more time, or raise the limit"
+        return text
 
     def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
-        """Come to rest at a place, by any path, but not before step `due`; returns status and reason."""
+        """Come to rest at a place, by any path, not before step `due`; return status and reason."""
         target, loop = self.guide.target(place), self.loop
         record = loop.record
         begun = record.steps
@@ -587,7 +624,7 @@ class _Performance:
         return ended
 
     def _cycles_to(self, target: Target) -> float:
-        """Estimate the number of cycles of a straight path to a target through joint space."""
+        """Estimate the number of cycles of a straight path to a target in joint space."""
         loop = self.loop
         bounds, q = loop.limits.for_arm(loop.arm), loop.state.q
         distance = np.abs(loop.arm.difference(q, q if target.q is None else target.q))
@@ -595,14 +632,14 @@ class _Performance:
         return float((distance / bounds.bound + braking).max())
 
     def _report(self) -> bool:
-        """Report progress; returns whether to stop."""
+        """Report progress; return whether to stop."""
         if self.progress is None:
             return False
         guide = self.guide
         return self.progress(float(guide.time(self._place)), guide.reference.duration) is True
 
     def _record(self, place: float, target: Target) -> tuple[str, str] | None:
-        """Record the place after a step; returns status and reason if the motion ends there."""
+        """Record the place after a step; return status and reason if the motion ends there."""
         self._places.append(place)
         self._targets.append(target)
         ended = None
@@ -617,7 +654,7 @@ class _Performance:
         return ended
 
     def _fill(self, place: float, target: Target) -> None:
-        """Record the steps that were taken towards a target while the plan stood still."""
+        """Record the steps towards a target during which the plan did not advance."""
         missing = self.loop.record.steps + 1 - len(self._places)
         self._places += [self._places[-1]] * missing
         self._targets += [target] * missing
@@ -628,7 +665,7 @@ class _Performance:
         self._notes.append(f"at {float(self.guide.time(place)):.4g} s of the plan {text}")
 
     def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
-        """Follow the path with a controller that knows it; None at its end, else status and reason."""
+        """Follow the path with a controller that knows it; return None at its end, else status and reason."""
         loop, guide = self.loop, self.guide
         while self._place < guide.end:
             begun, progress = self._place, None
@@ -650,26 +687,36 @@ class _Performance:
                 if ended is not None:
                     return ended
             else:
-                return None
+                return self._catch_up()
             mark = guide.next_mark(self._place)
             left = self._place
-            # A shorter path does not make time run faster.
+            # A shorter path does not advance the plan faster.
             due = loop.record.steps + ceil((mark.row - self._place) / guide.most)
             status, reason = self._go_to(float(mark.row), due)
             if status != "converged":
-                self._note(left, f"the arm left the path, and did not come to {mark.name} by another")
+                self._note(left, f"the arm left the path, and did not reach {mark.name} by another")
                 return status, f"on the way to {mark.name}: {reason}"
-            self._note(left, f"the arm left the path, and came to {mark.name} by another")
+            self._note(left, f"the arm left the path, and reached {mark.name} by another")
         return None
 
+    def _catch_up(self) -> tuple[str, str] | None:
+        """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""
+        ended = None
+        while ended is None and self.loop.filter.moving:
+            place = self._advance(self._place)
+            target = self.guide.target(place)
+            self.loop.record.set_target(target)
+            self.loop.brake()
+            ended = self._record(place, target)
+        return ended
+
     def _lead(self) -> tuple[str, str] | None:
-        """Move the target of a controller that does not look ahead; time waits where it is behind."""
+        """Move the target of a controller that does not look ahead; the plan waits if it falls behind."""
         loop, guide = self.loop, self.guide
         speed, patient = 0.0, True
-        allowed = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
         target = guide.target(self._place)
         while self._place < guide.end:
-            place, behind = self._place, loop.record.mean_error > allowed
+            place, behind = self._place, loop.record.mean_error > self._max_lag
             if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
                 error = loop.record.mean_error
                 self._note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")

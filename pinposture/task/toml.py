@@ -1,7 +1,7 @@
-"""TOML text: the line of every key, and edits that leave the rest of a file as the user wrote it.
+"""TOML text: the line of every key, and edits that preserve the rest of a file.
 
-tomlkit edits the entries of a section. Files are cut into sections here, so that the comments above a header
-move with the section, and sections that do not change are neither parsed nor written.
+tomlkit edits the entries of a section. Files are divided into sections here, so that the comments above a
+header move with the section, and unchanged sections are neither parsed nor written.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ else:
     import tomli as tomllib
 
 Place = tuple[str | int, ...]
-"""The path to a value in a file: names of keys, and numbers of list items from 0."""
+"""The path to a value in a file: keys, and indices of list items from 0."""
 
-# The lines on which tables, keys and list items begin, which tomlkit does not tell.
+# The lines on which tables, keys and list items begin, which tomlkit does not provide.
 
 _BASIC, _LITERAL = r'"(?:[^"\\\n]|\\.)*"', r"'[^'\n]*'"
 _NAME = rf"(?:[A-Za-z0-9_-]+|{_BASIC}|{_LITERAL})"
@@ -38,9 +38,9 @@ _BLANK = re.compile(r"(?:\s|,|#[^\n]*)*")
 
 
 def lines_of_toml(text: str) -> dict[Place, int]:
-    """Find the line on which everything begins in a text that is known to be TOML.
+    """Find the lines of all tables, keys and list items in a text that is known to be TOML.
 
-    A table that is opened several times, as by dotted keys, counts from where it first appears.
+    The line of a table that is opened several times, as by dotted keys, is the first one.
 
     Args:
         text: the text; lines end in a line feed.
@@ -52,7 +52,7 @@ def lines_of_toml(text: str) -> dict[Place, int]:
 
 
 class _Scanner:
-    """One pass through a text, which is assumed to be valid.
+    """One pass through a text that is assumed to be valid.
 
     Attributes:
         lines: the line of each place.
@@ -139,14 +139,14 @@ class _Scanner:
         self._at = match.end()
 
 
-# Writing: only the parts of a text change whose values have changed.
+# Writing: only parts with new values change.
 
 MAX_LINE_WIDTH = 110
-"""Longest line, where its content can be broken."""
+"""Longest line, if its content can be wrapped."""
 
 
 class Usual(NamedTuple):
-    """A value that need not be written, because it is the default of whoever reads the file.
+    """A value that need not be written, because it is the default.
 
     Attributes:
         value: the value, as plain data.
@@ -167,7 +167,7 @@ class TomlLayout(NamedTuple):
 
     Attributes:
         text: the text.
-        values: its values as the writer of such files would give them: plain data, with `Usual` for defaults.
+        values: its values, as plain data with `Usual` for defaults.
     """
 
     text: str
@@ -177,17 +177,17 @@ class TomlLayout(NamedTuple):
 def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> str:
     """Return the text of a TOML file.
 
-    Tables become sections, and so do lists of tables, and tables that hold nothing but tables. All others are
-    written within a line, or with the items of long lists on lines of their own.
+    Tables become sections, as do lists of tables and tables of tables. All others are written on one line, or
+    with the items of long lists on separate lines.
 
     Args:
         values: the values of the file: text, finite numbers, truth values, lists and tables of these, and
             `Usual` for defaults.
-        layout: a file whose comments and layout are kept. Its values are changed where they differ from
-            `values`; keys that neither `values` nor `layout.values` have stay.
+        layout: a file whose comments and layout are preserved. Values that differ from `values` are changed;
+            keys in neither `values` nor `layout.values` stay.
 
     Raises:
-        ValueError: something else among the values.
+        ValueError: any other value.
     """
     given, old = ("", {}) if layout is None else layout
     text = given.replace("\r\n", "\n")
@@ -216,7 +216,7 @@ class _Section(NamedTuple):
 
 
 def _sections(text: str) -> dict[Place, _Section]:
-    """Cut a file at its headers; returns sections by place, the entries above all headers at ()."""
+    """Divide a file at its headers; return sections by place, the entries above all headers at ()."""
     headers = _Scanner(text).headers
     lines = re.findall(r"[^\n]*\n|[^\n]+", text)
     sections: dict[Place, _Section] = {}
@@ -229,7 +229,7 @@ def _sections(text: str) -> dict[Place, _Section]:
         blank = (at for at in range(entries, end) if not lines[at].strip())
         lead = end if number == len(headers) else next(blank, entries - 1) + 1
         body, tail = "".join(lines[begin:entries]), "".join(lines[entries:lead])
-        if not place and not body:  # what is above everything else stays there
+        if not place and not body:  # what precedes everything else stays there
             header, tail, lead = "".join(lines[:end]), "", end
         sections[place] = _Section(number, header, body, tail)
         place, header, begin = following, "".join(lines[lead : end + 1]), end + 1
@@ -239,7 +239,8 @@ def _sections(text: str) -> dict[Place, _Section]:
 class _Editor:
     """Edits a file section by section.
 
-    The pieces of the new text are sorted by the section that they belong to or follow, then by their order.
+    The pieces of the new text are sorted by the section to which they belong or which they follow, then by
+    their order.
     """
 
     def __init__(self, sections: Mapping[Place, _Section]) -> None:
@@ -325,7 +326,7 @@ class _Editor:
                 self._add((*place, key, name), table, after)
 
     def _update_list(self, place: Place, old: Any, new: Any) -> None:
-        """Write a list of sections, some of which may be new, gone, or elsewhere in it."""
+        """Write a list of sections, some of which may be new, removed, or reordered."""
         items = {other[: len(place) + 1] for other in self._sections if other[: len(place)] == place}
         same_count = isinstance(old, list) and len(old) == len(items)
         origins = _matches(old, new) if same_count else [None] * len(new)
@@ -359,7 +360,7 @@ def _is_section(value: object, outermost: bool = False, headless: bool = False) 
 
 
 def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:
-    """Return for each table of a list its number before: that of an equal table, or of a similar one."""
+    """Return the previous index of each table of a list: that of an equal table, or of a similar one."""
     left, found = list(range(len(old))), dict[int, int]()
 
     def alike(key: str, present: bool) -> Callable[[Any, Any], bool]:
@@ -428,13 +429,13 @@ def _edit_table(table: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> N
 
 
 def _replace(container: Any, key: str | int, item: Any) -> None:
-    """Put in an item, unless it is there already: tomlkit would lose the layout around it."""
+    """Replace an item, unless it is the same: tomlkit would lose the layout around it."""
     if container[key] is not item:
         container[key] = item
 
 
 def _edited_item(item: Any, old: Any, new: Any, key: str = "") -> Any:
-    """Return an item with a new value; the same item as far as possible."""
+    """Return an item with a new value; the same item if possible."""
     if old == new:
         return item
     if isinstance(item, InlineTable) and isinstance(old, Mapping) and isinstance(new, Mapping):
@@ -463,7 +464,7 @@ def _may_mean(item: Any, value: Any) -> bool:
 
 
 def _edit_list(array: Array, old: list[Any], new: list[Any]) -> None:
-    """Change items of a list in place, so that the comments beside them stay."""
+    """Change items of a list in place, which preserves comments next to them."""
     changes: Sequence[tuple[str, int, int, int, int]] = [("replace", 0, len(old), 0, len(new))]
     if len(old) != len(new):
         matcher = SequenceMatcher(None, list(map(repr, old)), list(map(repr, new)), autojunk=False)
@@ -479,7 +480,7 @@ def _edit_list(array: Array, old: list[Any], new: list[Any]) -> None:
 
 
 def _entry(key: str, value: Any) -> Item:
-    """Return an item to stand after a key: on one line if it fits, else with long lists over several."""
+    """Return the item of a key: on one line if it fits, otherwise with long lists on several."""
     item = _item(value)
     before = len(tomlkit.key(key).as_string()) + 3 if key else 0
     return item if before + len(item.as_string()) <= MAX_LINE_WIDTH else _item(value, broken=True)

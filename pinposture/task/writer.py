@@ -54,16 +54,16 @@ from pinposture.task.toml import TomlLayout, Usual, drop_defaults, toml_text
 
 Array = NDArray[np.float64]
 
-# Descriptions of parts of a task, as far as they still hold.
+# Descriptions of parts of a task, as far as they are still valid.
 
 
 class Descriptions:
-    """How a file that is to be written describes the parts of a task.
+    """Descriptions of the parts of a task in the file to be written.
 
     Attributes:
         file: the file.
-        folder: its folder, to which paths in it are relative.
-        just_read: whether the descriptions come from this file, and need not be tried again.
+        folder: its folder, to which paths are relative.
+        just_read: whether the descriptions come from this file, and need no test.
     """
 
     def __init__(self, file: Path, described: Mapping[Hashable, object], just_read: bool = False) -> None:
@@ -71,13 +71,13 @@ class Descriptions:
         self._described = described
 
     def find(self, part: Hashable, key: str, spec: Any, make: Callable[..., object]) -> Any:
-        """Return the known description of a part, if it still gives that part; else None.
+        """Return the known description of a part if it still describes that part; otherwise None.
 
         Args:
             part: the part.
             key: the key of the description.
             spec: the specification of that key.
-            make: the function that makes the part of it.
+            make: the function that makes the part from its description.
         """
         if part not in self._described:
             return None
@@ -90,10 +90,10 @@ class Descriptions:
         return plain if self.still_holds(key, plain, gives_part) else None
 
     def still_holds(self, key: str, plain: object, test: Callable[[], bool]) -> bool:
-        """Test a description; warn if it holds no longer."""
+        """Test a description; warn if it is no longer valid."""
         if self.just_read:
             return True
-        reason = "which gives another one now"
+        reason = "which has changed since"
         try:
             if test():
                 return True
@@ -105,7 +105,7 @@ class Descriptions:
 
 
 def plain_data(value: Any, folder: Path) -> Any:
-    """Return plain data: paths relative to a folder, numbers without numpy, whole ones without a point."""
+    """Return plain data: relative paths, Python numbers, and integers without a decimal point."""
     if isinstance(value, Usual | bool | int | str):
         return value
     if isinstance(value, Path):
@@ -119,21 +119,21 @@ def plain_data(value: Any, folder: Path) -> Any:
     return int(number) if whole else number
 
 
-# The arm: what it was made from, with a URDF file beside it if need be.
+# The arm: its specification, with a URDF file next to the task if necessary.
 
 
 def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | None]:
-    """Describe an arm by what it was made from.
+    """Describe an arm by its specification.
 
     Returns:
-        What the file says, and the URDF file that has to be written beside it, if any.
+        The specification, and the URDF file to write next to the task, if any.
 
     Raises:
-        FileError: it was made of a Pinocchio model, or its URDF file would replace another.
+        FileError: the arm was made from a Pinocchio model, or its URDF file would overwrite another.
     """
     spec = arm.spec
     if spec is None or arm.urdf is None or arm.report is None:
-        reason = "it was made of a Pinocchio model and has no URDF; load it by Arm.load"
+        reason = "it was made from a Pinocchio model and has no URDF; load it with Arm.load"
         raise FileError(descriptions.file, f"arm: no file can describe it: {reason}")
     if spec.template is not None and spec.modules is not None and spec.modules > MOST_MODULES:
         spec = ArmSpec(
@@ -155,8 +155,8 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
     if not file.exists():
         return spec, file
     if load_text(file)[0] != arm.urdf:
-        reason = "is there already, and holds something else than the arm of the task"
-        raise FileError(file, f"{reason}; allowed: a name for the task beside which there is room")
+        reason = "exists already, and differs from the arm of the task"
+        raise FileError(file, f"{reason}; save the task under another name")
     return spec, None
 
 
@@ -247,7 +247,7 @@ def write_controller(controller: Controller, descriptions: Descriptions) -> dict
     """Return the table of the controller; an empty one for the default.
 
     Raises:
-        FileError: it has parameters that no file can hold.
+        FileError: it has parameters that a file cannot represent.
     """
     if isinstance(controller, Geodesic):
         own = {key: getattr(controller, key) for key in ("joint_weight", "relative_position_weight")}
@@ -259,7 +259,7 @@ def write_controller(controller: Controller, descriptions: Descriptions) -> dict
             return {"name": name}
     allowed = "a name with its usual parameters; joint_weight and relative_position_weight for 'geodesic'"
     raise FileError(
-        descriptions.file, f"controller: no file can say all of {shown(controller)}; allowed: {allowed}"
+        descriptions.file, f"controller: a file cannot represent {shown(controller)}; allowed: {allowed}"
     )
 
 
@@ -279,7 +279,7 @@ def write_scene(scene: Scene, descriptions: Descriptions) -> dict[str, Any]:
 
 
 def write_obstacle(obstacle: Obstacle) -> dict[str, Any]:
-    """Describe an obstacle without a rotation, a centre or a scale that changes nothing."""
+    """Describe an obstacle, without a rotation, centre or scale that has no effect."""
     table = obstacle.to_dict(embed=False)
     if table.get("rotation") == np.eye(3).tolist():
         del table["rotation"]
@@ -300,10 +300,10 @@ def write_start(start: Array, arm: Arm) -> dict[str, Any]:
     return {"joints": arm.positions(start)}
 
 
-# Whether a file reads back as the task that was written.
+# Check that a file reads back as the task that was written.
 
 ROTATION_TOLERANCE = 1e-12
-"""Largest difference of rotations, which angles in a file do not keep to the last bit."""
+"""Largest difference of rotations, which angles in a file do not preserve to the last bit."""
 
 
 def _differences(task: TaskParts, parts: TaskParts) -> list[str]:
@@ -336,7 +336,7 @@ def _close(one: Array | None, other: Array | None) -> bool:
 
 
 def _same_spec(one: ArmSpec, other: ArmSpec) -> bool:
-    """Whether two arms are made from the same; files may be named through links."""
+    """Whether two specifications are the same; files may be named through links."""
 
     def resolved(spec: ArmSpec) -> ArmSpec:
         folders = tuple(each.resolve() for each in spec.package_dirs)
@@ -347,33 +347,33 @@ def _same_spec(one: ArmSpec, other: ArmSpec) -> bool:
 
 
 def _read_back(task: TaskParts, arm: ArmSpec, path: Path, text: str) -> None:
-    """Raise FileError if the text would be read as another task."""
+    """Raise FileError if the text reads back as a different task."""
     try:
         text.encode()
     except UnicodeEncodeError as error:
         half = f"{text[error.start]!r} in a text of the task, half of a surrogate pair"
-        raise FileError(path, f"{half}, is nothing for a file") from None
+        raise FileError(path, f"{half}, cannot be written") from None
     document = Document.parse(path, text)
     wrong = _differences(task, read_task(document, task.arm))
     if not _same_spec(arm, read_arm(document)):
         wrong.append("arm")
     if wrong:
-        raise FileError(path, f"cannot hold the task: {', '.join(wrong)} would be read as something else")
+        raise FileError(path, f"cannot represent the task: {', '.join(wrong)} would change when read")
 
 
 # A whole task file.
 
 
 def write_task(task: TaskParts, path: Path, layout: TomlLayout | None = None) -> Path:
-    """Write a task file, and a URDF file beside it if it needs one; see `Task.save`.
+    """Write a task file, and a URDF file next to it if necessary; see `Task.save`.
 
     Args:
         task: the task.
         path: the file.
-        layout: the TOML file whose comments and layout are kept.
+        layout: the TOML file whose comments and layout are preserved.
     """
     check_format(path)
-    with _folder_of(path):  # relative paths in the file lead through it
+    with _folder_of(path):  # relative paths in the file start from it
         descriptions = Descriptions(path, task.described)
         arm, urdf = write_arm(task.arm, descriptions)
         text = _text(task, arm, path, _contents(task, arm, descriptions), layout)
@@ -390,10 +390,10 @@ def write_task(task: TaskParts, path: Path, layout: TomlLayout | None = None) ->
 
 @contextmanager
 def _folder_of(path: Path) -> Iterator[None]:
-    """Make the folder of a file; remove it again if writing fails.
+    """Create the folder of a file; remove it again if writing fails.
 
     Raises:
-        FileError: no file can have that name: too long, with a null byte, links that lead in a circle, ...
+        FileError: the file cannot be created: a name that is too long, a null byte, circular links, ...
     """
     new: list[Path] = []
     try:
@@ -412,7 +412,7 @@ def _folder_of(path: Path) -> Iterator[None]:
 
 
 def layout_of(task: TaskParts, path: Path, text: str) -> TomlLayout:
-    """Return the layout of the TOML file from which a task was just read.
+    """Return the layout of the TOML file from which a task was read.
 
     Args:
         task: the task.
@@ -424,7 +424,7 @@ def layout_of(task: TaskParts, path: Path, text: str) -> TomlLayout:
 
 
 def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict[str, Any]:
-    """Return all tables, in the order in which they stand in the file, without those that are empty."""
+    """Return all tables that are not empty, in the order of the file."""
     placement = usual_placement(task.scene)
     contents: dict[str, Any] = {
         "version": VERSION,
@@ -460,7 +460,7 @@ def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict
 def _text(
     task: TaskParts, arm: ArmSpec, path: Path, contents: dict[str, Any], layout: TomlLayout | None
 ) -> str:
-    """Return the text of the file, which reads back as the task; with a layout if that is possible.
+    """Return the text of the file, which reads back as the task; with the layout if possible.
 
     Raises:
         FileError: no text reads back as the task.

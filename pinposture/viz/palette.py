@@ -244,13 +244,15 @@ def add_footnote(figure: Figure, *details: str) -> None:
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=QUIET, parse_math=False)
 
 
+LAP = re.compile(r", lap \d+$")  # in the name of a keyframe of a repeated tour
 SLOWED = 1.001  # duration relative to the plan above which a motion counts as slowed
 
 
 def placement_text(run: Trajectory | Motion) -> str:
     """Describe how curves were moved from their original placement; empty if none was moved."""
     if isinstance(run, Motion):
-        moved = [f"{place.name} {place.moved}" for place in run.waypoints if place.moved]
+        placed = (f"{LAP.sub('', place.name)} {place.moved}" for place in run.waypoints if place.moved)
+        moved = dict.fromkeys(placed)  # once for all laps
         return f"curves: {', '.join(moved)}" if moved else ""
     return f"curve {run.target.moved} to the base of the arm" if run.target.moved else ""
 

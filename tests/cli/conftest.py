@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from pinposture.cli import app
@@ -24,7 +26,7 @@ Command = Callable[..., Result]
 
 
 @pytest.fixture(scope="session")
-def command() -> Command:
+def command() -> Iterator[Command]:
     """Calls the command: `command("inspect", "arm.urdf", input="")` -> exit code, stdout, stderr."""
     # Older Clicks mix the two streams unless told otherwise, newer ones cannot be told.
     separate = "mix_stderr" in inspect.signature(CliRunner).parameters
@@ -36,7 +38,9 @@ def command() -> Command:
             raise result.exception
         return Result(result.exit_code, result.stdout, result.stderr)
 
-    return call
+    with pytest.MonkeyPatch.context() as patch:  # the runner would build all verbs anew for each call
+        patch.setattr("typer.testing._get_command", cache(get_command), raising=False)
+        yield call
 
 
 @pytest.fixture(scope="session")

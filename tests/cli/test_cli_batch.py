@@ -41,7 +41,7 @@ def test_the_file_holds_what_was_said(command, arm_file, tmp_path):
     assert [run["final_error"] for run in found["runs"]] == batch.final_error.tolist()
     for verb in (("view",), ("export", "-o", tmp_path / "joints.csv")):
         refused = command(verb[0], path.parent, *verb[1:])
-        assert (refused.code, "holds many runs; save one of them" in refused.err) == (2, True)
+        assert (refused.code, "contains many runs; save one of them" in refused.err) == (2, True)
     assert [len(run.q) - 1 for run in batch] == [run["steps"] for run in found["runs"]]
     many(command, arm_file, "--count", 2, "-o", path.parent, "--ends-only")
     ends = pp.load(path, pp.Batch)

@@ -14,6 +14,7 @@ import pytest
 
 import pinposture
 from pinposture.cli import app
+from pinposture.cli.output import count_progress
 
 COMMAND = [sys.executable, "-m", "pinposture"]
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and pseudo-terminals of POSIX")
@@ -201,3 +202,14 @@ def test_what_is_done_is_logged_if_asked_for(arm_file):
 def test_there_are_completion_scripts():
     named = environment(_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")  # there may be no shell above
     assert "_pinposture_completion" in process("--show-completion", "bash", env=named).stdout
+
+
+def test_a_terminal_sees_how_much_is_done(monkeypatch, capsys):
+    with count_progress("run") as tell:
+        tell(1, 4)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with count_progress("run") as tell:
+        tell(3, 4)
+    assert "run 3 of 4" in capsys.readouterr().err

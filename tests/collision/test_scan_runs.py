@@ -5,12 +5,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pinocchio as pin
 import pytest
-from collision.scans_by_hand import local_bodies
 from scipy.spatial import cKDTree
 
 import pinposture as pp
 from pinposture.collision import pipe_axis
+from pinposture.collision.bodies import bodies_of
 
 
 def tube(axis, radius, rings=200, sides=32):
@@ -41,15 +42,26 @@ def dense_points(points, faces, spacing):
     return np.vstack([corners[:, 0] + u * edges[0] + v * edges[1] for u, v in shares])
 
 
+SEEN = 0.05
+"""Farther than that, nothing is looked for [m]."""
+
+
 def least_clearance(arm, q, tree, between=2):
     """Of an arm of capsules from points, on a run and between its steps, by points on the axes."""
     least, shares = np.inf, np.linspace(0, 1, 25)[:, None]
     parts = np.arange(between) / between
     rows = [a + part * (b - a) for a, b in pairwise(q) for part in parts]
+    bodies = [body for body in bodies_of(arm) if body.joint]
+    ends = [np.array([body.shape.start, body.shape.end]) for body in bodies]
+    radii, data = np.array([body.shape.radius for body in bodies]), arm.model.createData()
     for row in [*rows, q[-1]]:
-        for body, place in local_bodies(arm, row):
-            start, end = place.act(np.array(body.shape.start)), place.act(np.array(body.shape.end))
-            least = min(least, tree.query(start + shares * (end - start))[0].min() - body.shape.radius)
+        pin.forwardKinematics(arm.model, data, row)
+        places = [data.oMi[body.joint] for body in bodies]
+        axes = np.array(
+            [each @ place.rotation.T + place.translation for each, place in zip(ends, places, strict=True)]
+        )
+        samples = axes[:, :1] + shares * (axes[:, 1:] - axes[:, :1])
+        least = min(least, (tree.query(samples, distance_upper_bound=SEEN)[0].min(axis=1) - radii).min())
     return least
 
 

@@ -9,13 +9,14 @@ import pytest
 from chain_arms import ARMS, arm_called, branched, state_of
 from hypothesis import given
 from hypothesis import strategies as st
-from sampling import examples, seeds
+from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
 from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows
+from pinposture.kernels.posture_matrix import _reflect
 
 COUPLINGS = {"full": FULL, "relative": RELATIVE, "local": LOCAL}
 kinds = st.sampled_from(sorted(ARMS))
@@ -180,7 +181,7 @@ def test_points_are_chosen_if_their_singular_values_admit_it(
 
 def test_few_points_are_dropped_on_long_arms() -> None:
     """One after the other, those most to blame: no more have to go than from base to tip, within a tenth."""
-    for seed in seeds(3):
+    for seed in range(3):
         arm = pp.Arm.from_template("RyRz", 120)
         wave = 0.1 * np.sin(np.linspace(0, 9, 120) + np.random.default_rng(seed).uniform(0, 6, (2, 1)))
         state, points = arm.at(arm.configuration(wave.T.ravel())), np.arange(1, 120, 2)
@@ -209,3 +210,19 @@ def test_joints_off_the_chain_stay_where_they_are() -> None:
         assert one.active == other.active
         np.testing.assert_allclose(one.dq[on_chain], other.dq, atol=1e-12)
         assert np.delete(one.dq, on_chain) == 0.0
+
+
+reflect = _reflect.py_func
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-8, 1e-29, 1e-40, 1e-120, 1e-161, 0.0])
+def test_the_reflection_that_zeroes_a_row_keeps_lengths_and_stays_finite(size: float) -> None:
+    rng = np.random.default_rng(0)
+    before = rng.normal(size=(6, 5))
+    before[0] *= size
+    after = before.copy()
+    with np.errstate(all="ignore"):
+        reflect(after, 0, 0, 5)
+    assert np.all(np.isfinite(after))
+    np.testing.assert_allclose(after @ after.T, before @ before.T, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(after[0, 1:], 0.0, atol=1e-29)

@@ -75,4 +75,4 @@ def test_joints_of_a_motion_that_did_not_get_there_are_refused() -> None:
     for kind in ("CSV", "ROS JSON"):
         with pytest.raises(MotionError, match="it stalled: something stood in the way"):
             export(lost, kind, "walk")
-    assert "does not end as it should" in export(lost, "npz", "walk").summary
+    assert "does not arrive at its last posture" in export(lost, "npz", "walk").summary

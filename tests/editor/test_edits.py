@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 import pinposture as pp
 from pinposture.editor import edits
 from pinposture.editor.edits import Shape, reshaped
-from pinposture.editor.session import Session
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.task import Keyframe, Task
 from pinposture.task.keyframe import schedule
@@ -39,6 +38,7 @@ any_edit = st.one_of(
     st.builds(lambda v: edits.with_limits(velocity=v), st.sampled_from([1.0, 2.0, -1.0])),
     st.builds(lambda r: edits.with_obstacle("ball", pp.Sphere((1, 1, 1), r)), st.sampled_from([0.1, 0.2])),
     st.just(edits.with_obstacle("ball", None)),
+    st.builds(edits.taught, places, st.just(np.full(12, 0.1))),
 )
 
 
@@ -225,12 +225,21 @@ def test_a_slow_cycle_keeps_keyframes_apart_in_cycles() -> None:
     schedule(edits.keyframes_of(edits.retimed(2, 2.0)(slow)), 0.25)
 
 
-def test_a_task_with_a_taught_configuration_is_refused_in_words(tmp_path: Path) -> None:
-    taught = task(Keyframe(straight_line()), Keyframe(joints=np.zeros(12), time=1.0, name="taught"))
-    with pytest.raises(TaskError, match="keyframe 2 'taught': is a taught configuration; the editor"):
-        Session(taught)
-    with pytest.raises(TaskError, match="taught configuration"):
-        Session(task()).replace(taught, None, saved=False)
+def test_a_taught_keyframe_has_no_curve_and_keeps_all_else() -> None:
+    before = edits.with_keyframe(1, placement="as_is", method="closest", region=(0, 3))(task())
+    q = np.linspace(-0.5, 0.5, 12)
+    frames = edits.keyframes_of(edits.taught(1, q)(before))
+    assert frames[1].joints == pytest.approx(q, abs=1e-6)
+    assert (frames[1].curve, frames[1].placement, frames[1].method, frames[1].trim) == (
+        None,
+        None,
+        "auto",
+        False,
+    )
+    assert (frames[1].time, frames[1].hold, frames[1].region) == (1.0, 0.5, (0, 3))
+    assert all(frames[k] is before.motion[k] for k in (0, 2, 3))  # type: ignore[index]
+    with pytest.raises(TaskError, match="keyframe 2: joints is 9 for joint 1, whose limits"):
+        edits.taught(1, np.full(12, 9.0))(before)
 
 
 def test_the_time_to_come_back_to_the_first_keyframe_stays() -> None:

@@ -40,6 +40,7 @@ SINKS = ("add_html", "add_markdown", "add_modal", "add_notification", "add_label
 
 PLACES = {
     "ui/arm.py": ["add_html", "add_markdown"],  # what is wrong with joint states: their text; numbers
+    "ui/curve.py": ["add_markdown"],  # our text
     "ui/files.py": [
         "add_modal",
         "add_markdown",

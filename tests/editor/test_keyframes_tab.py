@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from edited_tasks import bent_spline, straight_line, task
 
@@ -79,6 +80,11 @@ def test_rows_say_number_name_and_time() -> None:
     assert rows[1].split() == ["2", "·", "1", "s"]
     assert rows[2].split() == ["3", "coil", "·", "3.125", "s"]
     assert rows[3].split() == ["4", "·", "12.5", "s"]
+
+
+def test_rows_say_which_keyframes_are_taught() -> None:
+    frames = edits.keyframes_of(edits.taught(2, np.zeros(12))(task()))
+    assert tab.row_label(frames, [0.0, 1.0, 3.125, 12.5], 2, "fine").endswith("3.125 s  ·  taught  ·  fine")
 
 
 def test_what_else_is_asked_is_said() -> None:

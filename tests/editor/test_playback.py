@@ -176,7 +176,7 @@ def test_a_motion_that_does_not_converge_says_so(monkeypatch: pytest.MonkeyPatch
     session, playback, _ = playing()
     assert playback.shown
     assert session.notice.kind == "warning"
-    assert "does not end as it should: something stood in the way" in session.notice.text
+    assert "does not arrive at its last posture: something stood in the way" in session.notice.text
 
 
 def test_a_motion_that_converges_tells_how_long_it_is() -> None:

@@ -76,10 +76,10 @@ def assert_same(bench: Bench, folder: Path, *keyframes: int) -> None:
     assert ended.exit_code == 0, ended.output
     ran = pp.load(out / "motion.npz", Motion)
     assert np.array_equal(ran.q, played.q)
-    plans = [edited.reference().marks, loaded.reference().marks]
+    marks = loaded.reference().marks
     for keyframe in keyframes:
         live = bench.seen(keyframe)
-        for other in (opened.seen(keyframe), *(marks[keyframe].target.q for marks in plans)):
+        for other in (opened.seen(keyframe), marks[keyframe].target.q):
             assert np.abs(edited.arm.difference(live, other)).max() <= SAME
         away = np.abs([edited.arm.difference(live, q) for q in ran.q]).max(axis=1)
         assert away.min() <= SAME

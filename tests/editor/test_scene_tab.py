@@ -31,6 +31,7 @@ from pinposture.editor.session import Session
 from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
 from pinposture.editor.ui.arm import MeasuredArm
+from pinposture.editor.ui.keyframes import KeyframesTab
 from pinposture.editor.ui.parts import color
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, ScanControls, Scans, SceneTab, clearance_text
 from pinposture.viz import palette
@@ -315,7 +316,7 @@ def test_a_measured_arm_stands_where_it_is_measured(arm, live, server, desk):
     assert "3 s old" in part._about.content
     assert "line 7: nonsense" in part._about.content
     assert part._drawing._base.visible
-    np.testing.assert_allclose(part._drawing._q, q)
+    np.testing.assert_allclose(part._drawing.q, q)
 
 
 def test_without_joint_states_nothing_is_shown(arm, live, server, desk):
@@ -324,6 +325,19 @@ def test_without_joint_states_nothing_is_shown(arm, live, server, desk):
     other = SimpleNamespace(arm=pp.Arm.from_template("RyRz", modules=2))  # and nothing else: it is not asked
     MeasuredArm(server, arm, other).show(session, live)
     assert not [name for name in server.scene._handle_from_node_name if name.startswith("/measured")]
+
+
+def test_what_is_taught_is_measured_if_there_is_a_measured_arm(arm, live, server, desk):
+    session, post = desk
+    states = SimpleNamespace(arm=arm, latest=Measured(arm.neutral(), 0.0, 0, ""))
+    tab = KeyframesTab(server, arm, states, post)
+    shown = SimpleNamespace(state=arm.at(arm.configuration(np.full(arm.nv, 0.2))))
+    measured = Measured(arm.configuration(np.full(arm.nv, 0.3)), 0.0, 1, "")
+    for latest, joint in ((states.latest, 0.2), (measured, 0.3)):
+        states.latest = latest
+        tab.show(session, shown)
+        tab._act_taught("Teach")
+        assert session.keyframe.joints == pytest.approx(np.full(arm.nv, joint))
 
 
 CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + 0.5

@@ -76,7 +76,7 @@ def test_copies_are_selected_and_all_are_deleted_at_once(session: Session) -> No
     points = session.shape.points.copy()
     for act in (curve.duplicate_points, curve.delete_points):
         act(session)
-        assert session.notice.text == "no control point is selected: click on one first"
+        assert session.notice.text == "no control point is selected: click on one, or press N"
     session.take_hold(3)
     session.take_hold(1, more=True)
     curve.duplicate_points(session)

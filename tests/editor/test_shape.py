@@ -96,11 +96,19 @@ def test_a_moved_point_is_where_it_was_put_and_the_others_stay_but_for_the_last(
     least = MIN_POINT_DISTANCE * arm.chain.module_lengths.min()
     assume(np.linalg.norm(rest - wanted, axis=1).min() > 1.001 * least)
     after = shape.moved(arm, index, wanted)
-    assert np.array_equal(after.points[index], wanted)
+    assert np.array_equal(after.points[index], np.round(wanted, 9))
     assert np.array_equal(np.delete(after.points, index, axis=0)[:-1], rest[:-1])
     ahead, moved = shape.points[-1] - after.points[-2], after.points[-1] - shape.points[-1]
     assert np.allclose(np.cross(ahead, moved), 0.0, atol=1e-9)  # straight ahead, if at all
     assert ahead @ moved >= 0.0
+
+
+def test_moved_points_are_written_without_noise(arm: pp.Arm) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline()))
+    after = shape.moved(arm, 2, [0.1 + 0.2, -3.34e-34, 0.123456789012345], others=[3])
+    assert [repr(x) for x in after.points[2].tolist()] == ["0.3", "0.0", "0.123456789"]
+    assert all(len(repr(abs(x))) <= len("0.123456789") for x in after.points[3].tolist())
+    assert np.allclose(after.points[3] - shape.points[3], after.points[2] - shape.points[2], atol=2e-9)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])

@@ -23,6 +23,7 @@ from pinposture.control.registry import CONTROLLERS
 from pinposture.editor.obstacles import change_obstacle, moved
 from pinposture.editor.session import Session
 from pinposture.editor.solver import STEP_TIME, Live, Problem, Solver, Verdict, judge, limits_per_step
+from pinposture.motion.tracker import Report
 from pinposture.task import Keyframe
 
 SOON = 20.0
@@ -63,6 +64,22 @@ def started(first: Problem, start: np.ndarray | None = None) -> Iterator[Solver]
     finally:
         solver.close()
         assert not solver._thread.is_alive()
+
+
+def test_a_moment_without_a_step_is_not_called_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    solver = Solver(problem(1), six_modules().straight())
+    begun = time.monotonic()
+    for after, report, expected in (
+        (0.1, Report("stalled", "no step", None, None, None), ("moving", "")),
+        (0.4, Report("moving", "", None, None, None), ("moving", "")),
+        (0.8, Report("stalled", "no step", None, None, None), ("moving", "")),
+        (1.0, Report("stalled", "no step", None, None, None), ("stalled", "no step")),
+        (1.1, Report("converged", "", None, None, None), ("converged", "")),
+    ):
+        monkeypatch.setattr(time, "monotonic", lambda now=begun + after: now)
+        solver._tracker.report = report
+        live = solver._look(six_modules().at(six_modules().straight()))
+        assert (live.status, live.reason) == expected
 
 
 def until(solver: Solver, met: Callable[[Live], bool]) -> Live:

@@ -15,7 +15,7 @@ from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, near
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.ui.keyframes import row_label
-from pinposture.editor.ui.page import DIRECTIONS, framing, status_of
+from pinposture.editor.ui.page import DIRECTIONS, FRAME_MARGIN, framing, status_of
 from pinposture.task import Keyframe, Task
 
 THICK = 0.01
@@ -82,7 +82,7 @@ def test_the_curve_in_an_obstacle_and_the_arm_in_an_obstacle_are_two_things() ->
     led = review(live.arm, session.keyframe, live.verdict.target, ball)
     assert status_of(session, live._replace(verdict=led))[:2] == (
         "warning",
-        "The arm on this curve would collide",
+        "The arm in this posture would collide",
     )
     session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, ball, {}))
     kind, head, more = status_of(session, live._replace(verdict=led))
@@ -141,9 +141,12 @@ def test_a_keyframe_is_judged_again_only_when_it_is_another() -> None:
 
 
 @pytest.mark.parametrize("direction", list(DIRECTIONS.values()))
+@pytest.mark.parametrize("size", [(0.6, 0.2, 0.3), (0.9, 0.9, 0.1), (0.1, 0.1, 0.9)])
 @pytest.mark.parametrize(("aspect", "covered"), [(1.3, 0.33), (0.76, 0.43), (2.2, 0.2)])
-def test_what_is_framed_is_seen_above_the_plots(direction: np.ndarray, aspect: float, covered: float) -> None:
-    points = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 3)) * [0.6, 0.2, 0.3] + [0.4, 0.1, 0.2]
+def test_what_is_framed_is_seen_above_the_plots(
+    direction: np.ndarray, size: tuple[float, float, float], aspect: float, covered: float
+) -> None:
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 3)) * size + [0.4, 0.1, 0.2]
     view = framing(points, direction, aspect, covered)
     # A pinhole camera: right, up and depth of each point, and its place in the picture in [-1, 1].
     ahead = view.look_at - view.position
@@ -153,7 +156,9 @@ def test_what_is_framed_is_seen_above_the_plots(direction: np.ndarray, aspect: f
     seen = (points - view.position) @ np.array([right, np.cross(right, ahead), ahead]).T
     scale = 1.0 / (np.tan(view.opening / 2.0) * seen[:, 2])
     assert (seen[:, 2] > 0.0).all()
-    assert (np.abs(seen[:, 0]) * scale / aspect < 1.0).all()
-    assert (seen[:, 1] * scale < 1.0).all()
-    assert (seen[:, 1] * scale > -1.0 + 2.0 * covered).all()
-    assert np.ptp(seen, axis=0)[:2].max() * scale.max() > 0.5  # and not from far away
+    across = seen[:, 0] * scale / aspect
+    above = (seen[:, 1] * scale - covered) / (1.0 - covered)
+    # As near as it can be: a small margin is left on both sides of one of the two directions.
+    edges = [-across.min(), across.max(), -above.min(), above.max()]
+    assert max(edges) == pytest.approx(1.0 - FRAME_MARGIN)
+    assert max(min(edges[:2]), min(edges[2:])) == pytest.approx(1.0 - FRAME_MARGIN)

@@ -10,6 +10,7 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
+from pinposture.control import CONTROLLERS
 from pinposture.errors import FileError, InvalidValue
 
 POINTS = np.outer([0.05, 0.1, 0.15, 0.2], [1.0, 0.0, 0.0])  # of the straight arm
@@ -46,6 +47,40 @@ def test_what_cannot_be_run_is_refused(arm: pp.Arm, goal: pp.Target, change: dic
     arguments = {"arm": arm, "target": goal, "q0": np.zeros(8)} | change
     with pytest.raises(InvalidValue, match=message):
         pp.track(**arguments)
+
+
+RESOLVE_AGAIN = "the target belongs to another arm: resolve it for this one"
+
+
+def others() -> list[pp.Arm]:
+    """Arms with fewer modules, with fewer joints, and with longer links than that of the target."""
+    longer = pp.Arm.from_template("RyRz", 4, link_lengths=(0.04, 0.03))
+    return [pp.Arm.from_template("RyRz", 3), pp.Arm.from_template("Rz", 4), longer]
+
+
+@pytest.mark.parametrize("other", others(), ids=["modules", "joints", "links"])
+def test_a_target_of_another_arm_is_refused(arm: pp.Arm, other: pp.Arm) -> None:
+    arc = pp.Curve.helix(0.2, 0.0, 0.5, axis=(0, 0, 1))
+    target = pp.resolve_targets(arm, arc, placement="align")
+    pp.track(arm, target, arm.straight(), max_steps=1)
+    tracker = pp.Tracker(other, "joint", pp.Limits(dt=0.02))
+    with pytest.raises(InvalidValue, match=RESOLVE_AGAIN):
+        pp.track(other, target, other.straight())
+    with pytest.raises(InvalidValue, match=rf"targets\[0\].*{RESOLVE_AGAIN}"):
+        pp.track_many(other, [target], [other.straight()])
+    with pytest.raises(InvalidValue, match=RESOLVE_AGAIN):
+        tracker.update(target)
+    points = pp.Target.from_points(arm, target.points)  # for whichever arm
+    if other.n_modules == arm.n_modules:
+        pp.track(other, points, other.straight(), max_steps=1)
+
+
+@pytest.mark.parametrize("name", ["geodesic", "joint", "projection", "selection", "switching"])
+def test_a_controller_refuses_a_target_of_an_arm_with_other_modules(arm: pp.Arm, name: str) -> None:
+    other = pp.Arm.from_template("RyRz", 3)
+    target = pp.Target.from_configuration(arm, np.full(8, 0.2))
+    with pytest.raises(InvalidValue, match=RESOLVE_AGAIN):
+        CONTROLLERS[name]().step(other.at(np.full(6, 0.1)), target, pp.Limits())
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,14 @@ import pickle
 
 import joblib
 import pytest
+from arms import template_arm
 from joblib import delayed
 
+from pinposture.errors import InvalidValue
 from pinposture.motion import processes
 from pinposture.motion.processes import Shared, adaptively_in_order, in_order
+from pinposture.study import compare_methods, study, survey_arms
+from pinposture.study.scenarios import SPATIAL_SCENARIOS
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
@@ -91,3 +95,22 @@ def test_what_all_share_is_unpacked_once() -> None:
     assert all(each is sent[0][0] for each, _ in sent)
     other = pickle.loads(pickle.dumps(Shared([3])))
     assert other.value == [3]
+
+
+@pytest.mark.parametrize("jobs", [1, 2, -1])
+def test_results_are_in_the_order_of_the_calls(jobs: int) -> None:
+    assert list(in_order((delayed(pow)(n, 2) for n in range(7)), jobs)) == [n**2 for n in range(7)]
+
+
+@pytest.mark.parametrize("jobs", [0, -2, True, 1.5, "2"])
+def test_a_number_of_processes_that_is_none_is_refused(jobs: object, tmp_path) -> None:
+    arm = template_arm("RyRz", 3)
+    (tmp_path / "arm.urdf").write_text(arm.urdf)
+    calls = (
+        lambda: study(arm, SPATIAL_SCENARIOS[:1], ["joint"], [0], jobs=jobs),
+        lambda: compare_methods(arm, ["joint"], [0], jobs=jobs),
+        lambda: survey_arms(tmp_path, jobs=jobs),
+    )
+    for call in calls:
+        with pytest.raises(InvalidValue, match="jobs"):
+            call()

@@ -105,3 +105,16 @@ def test_a_slide_that_is_outside_is_said_in_metres() -> None:
     arm = pp.Arm.from_modules([slide, pp.template("RyRz")])
     with pytest.warns(pp.PostureWarning, match=r"'m01_j1_x' is at 20, allowed 0 to 0\.5 m"):
         pp.Target.from_configuration(arm, [20.0, 0.0, 0.0])
+
+
+def test_a_velocity_above_that_of_the_description_is_reported_once() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=6)
+    fastest = float(arm.limits.velocity[0])
+    message = r"velocity .* above .* joint .* and 11 others; is it in degrees"
+    with pytest.warns(pp.PostureWarning, match=message):
+        pp.Limits(velocity=20.0 * fastest, dt=0.01).for_arm(arm)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for velocity in (20.0 * fastest, fastest, np.inf):
+            pp.Limits(velocity=velocity, dt=0.01).for_arm(arm)
+        pp.Limits(dt=0.01).for_arm(arm)

@@ -77,7 +77,7 @@ def test_rates_in_a_table_are_kept_as_they_are(tmp_path: Path) -> None:
     [
         ("", "is empty"),
         ("\n# nothing\n", "is empty"),
-        (HEAD, "holds headings and no rows"),
+        (HEAD, "contains headings but no rows"),
         ("0,1,2\n", "line 1, column 1: '0'; allowed: 'time [s]'"),
         ("time [s]\n0\n", "line 1: no joints"),
         ("# x\ntime [ms],a position\n0,1\n", "line 2, column 1: 'time [ms]'"),
@@ -93,7 +93,7 @@ def test_rates_in_a_table_are_kept_as_they_are(tmp_path: Path) -> None:
         ),
         ("time [s],a position [rad],a velocity\n", "other columns of this joint are in 'rad'"),
         ("time [s],a position,a velocity [m/s]\n", "other columns of this joint are in 'no unit'"),
-        ("time [s],a position [m],a position [m]\n", "column 3: 'a position [m]' is column 2 as well"),
+        ("time [s],a position [m],a position [m]\n", "column 3: 'a position [m]' is also column 2"),
         ("time [s],a velocity [m/s]\n", "joint 'a' has no column for its position"),
         (
             "time [s],a position,b position,b velocity\n",

@@ -106,6 +106,7 @@ def test_limits_of_a_controller_hold_on_what_is_exported(hinges: pp.Arm) -> None
     assert np.abs(found.accelerations).max() <= 2.0 + 1e-9
     assert found.peaks.speeds.max() <= 0.8 + 1e-9
     assert found.peaks.speeds.max() > 0.3
+    assert "4 joints" in repr(found.peaks)
     # What a run does in its last step is told as well: it may end before the arm has stopped.
     moved = np.diff(np.pad(np.diff(run.q, axis=0), ((1, 1), (0, 0))), axis=0) / 0.02**2
     np.testing.assert_allclose(found.peaks.accelerations, np.abs(moved).max(axis=0), rtol=1e-9)
@@ -292,7 +293,7 @@ def test_steps_of_a_run_take_what_its_limits_say_or_what_is_given(
     ("known", "given_", "message"),
     [
         (None, None, "dt is None; allowed: the duration of a step"),
-        (0.02, 0.03, "dt is 0.03; allowed: 0.02 s, which the limits of this run have, or nothing"),
+        (0.02, 0.03, "dt is 0.03; allowed: 0.02 s, from the limits of this run, or None"),
         (None, 0.0, "dt is 0.0"),
         (None, "x", "dt is 'x'"),
         (0.02, float("nan"), "dt is nan"),
@@ -324,7 +325,10 @@ PLAIN = {
     [
         ({"joint_names": []}, "joint_names is"),
         ({"joint_names": "ab"}, "joint_names is 'ab'; allowed: a list"),
-        ({"joint_names": ["a", "a"]}, r"joint_names\[1\] is 'a'; allowed: a name of its own; joint 0 has it"),
+        (
+            {"joint_names": ["a", "a"]},
+            r"joint_names\[1\] is 'a'; allowed: a unique name; joint 0 has the same",
+        ),
         ({"joint_names": ["a", ""]}, r"joint_names\[1\]"),
         ({"joint_names": ["a", 3]}, r"joint_names\[1\] is 3"),
         ({"joint_names": ["a", "b\n"]}, r"joint_names\[1\]"),

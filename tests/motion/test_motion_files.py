@@ -134,7 +134,7 @@ def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, t
     for path, reader in ((run, "as a Trajectory"), (batch, "as a Batch")):
         with pytest.raises(FileError, match=reader):
             pp.load(path, Motion)
-    with pytest.raises(FileError, match=r"holds a motion in time; its run is pp.load\(file\)\.run"):
+    with pytest.raises(FileError, match=r"contains a motion in time; its run is pp.load\(file\)\.run"):
         pp.load(whole, pp.Trajectory)
     with pytest.raises(FileError):
         pp.load(whole, pp.Batch)
@@ -144,6 +144,8 @@ def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, t
 def test_what_has_no_format_is_neither_saved_nor_loaded(arm: pp.Arm, motion: Motion, tmp_path: Path) -> None:
     with pytest.raises(InvalidValue, match=r"result is .*allowed: Trajectory, Motion.*Simulation; curves"):
         pp.save(arm, tmp_path / "arm")
+    with pytest.raises(FileError, match="joint_trajectory"):
+        pp.save(motion.run, tmp_path / "run.csv")
     with pytest.raises(InvalidValue, match=r"kind is .*Arm"):
         pp.load(pp.save(motion, tmp_path / "motion"), pp.Arm)
     np.savez(tmp_path / "other.npz", about=np.array(json.dumps({"format": "other", "version": 1})))

@@ -11,7 +11,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control.planner import geodesic, plan
 from pinposture.errors import UnknownName
-from pinposture.motion.processes import BackgroundProcess
+from pinposture.motion.processes import BackgroundProcess, Interrupted
 
 LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.01)
 PATIENCE = 60.0  # for a process to start on a busy machine [s]
@@ -135,12 +135,11 @@ def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
 def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
     loop = Loop(tracker, arm.neutral())
-    for seed in (3, 4):
-        goal = smooth_configuration(arm, np.random.default_rng(seed), 0.5)
-        tracker.update(pp.Target.from_configuration(arm, goal))
-        loop.run("holding")
-        os.kill(tracker._steps._process._process.pid, signal.SIGKILL)
-        loop.run("converged")
+    goal = smooth_configuration(arm, np.random.default_rng(3), 0.5)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    loop.run("holding")
+    os.kill(tracker._steps._process._process.pid, signal.SIGKILL)
+    loop.run("converged")
 
 
 def test_errors_and_results_come_back_in_order() -> None:
@@ -150,11 +149,63 @@ def test_errors_and_results_come_back_in_order() -> None:
     process.submit(divmod, 7, 0)
     with pytest.raises(ZeroDivisionError):
         process.result()
-    process.submit(os._exit, 1)
-    with pytest.raises(EOFError):
-        process.result()
     process.submit(divmod, 9, 2)
     assert process.result() == (4, 1)
+
+
+def test_a_call_is_interrupted_and_the_next_one_answered() -> None:
+    process = BackgroundProcess()
+    process.submit(divmod, 7, 3)
+    assert process.result() == (2, 1)
+    process.interrupt()  # of no call: nothing happens
+    for _ in range(20):
+        began = time.monotonic()
+        process.submit(time.sleep, PATIENCE)
+        while not process.done():
+            process.interrupt()
+            time.sleep(0.001)
+        with pytest.raises(Interrupted):
+            process.result()
+        assert time.monotonic() - began < PATIENCE / 2
+        process.submit(divmod, 9, 2)
+        assert process.result() == (4, 1)
+
+
+class EndlessPlanning:
+    """A planning process whose plans end only when they are interrupted."""
+
+    def __init__(self) -> None:
+        self.targets: list[pp.Target] = []
+        self.interrupted = False
+
+    def submit(self, _plan: object, _shared: object, _q: object, target: pp.Target, *_: object) -> None:
+        self.targets.append(target)
+        self.interrupted = False
+
+    def interrupt(self) -> None:
+        self.interrupted = True
+
+    def done(self) -> bool:
+        return self.interrupted
+
+    def result(self) -> None:
+        raise Interrupted
+
+
+def test_a_plan_for_an_outdated_target_is_interrupted_but_not_the_one_after_it(arm: pp.Arm) -> None:
+    rng = np.random.default_rng(5)
+    tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
+    process = EndlessPlanning()
+    tracker._steps._process = process
+    q = smooth_configuration(arm, rng, 0.5)
+    targets = [pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5)) for _ in range(3)]
+    nearly = pp.Target.from_configuration(arm, arm.integrate(targets[0].q, np.full(arm.nv, 1e-4)))
+    for target, plans in ((targets[0], 1), (nearly, 1), (targets[1], 2), (targets[2], 2)):
+        tracker.update(target)
+        for _ in range(3):
+            tracker.step(q)
+        assert len(process.targets) == plans
+    assert process.targets == targets[:2]
 
 
 def test_where_to_plan_is_checked(arm: pp.Arm) -> None:

@@ -75,6 +75,15 @@ def test_before_anything_is_known(arm: pp.Arm) -> None:
     assert np.any(tracker.step(arm.neutral())) and tracker.report.status == "moving"
 
 
+def test_a_report_is_printed_in_one_line(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "geodesic", LIMITS)
+    tracker.step(None)
+    assert repr(tracker.report) == "Report(holding: no measurement)"
+    tracker.update(Target.from_configuration(arm, arm.neutral()))
+    tracker.step(np.full(arm.nq, 0.1))
+    assert repr(tracker.report).startswith("Report(moving, mean error 0.")
+
+
 def test_without_a_target_it_stands(arm: pp.Arm) -> None:
     tracker = Tracker(arm, "geodesic", LIMITS)
     for _ in range(5):

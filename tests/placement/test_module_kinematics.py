@@ -299,3 +299,18 @@ def test_an_arc_that_can_stretch_does_so_only_where_the_curve_ends() -> None:
     for wrong in ({"length": 0.0}, {"length": 0.1, "stretch": 0.1}, {"length": 0.1, "stretch": -0.01}):
         with pytest.raises(pp.PostureError):
             ConstantCurvature(**wrong)
+
+
+def test_the_solvers_one_after_the_other_are_the_arm() -> None:
+    modules = [pp.template("RyRz").with_lengths((0.03, 0.02)), pp.template("RzRz"), pp.template("RzRy")]
+    arm = pp.Arm.from_modules(modules)
+    units = arm_units(arm)
+    q = 0.3 * np.random.default_rng(0).normal(size=arm.nv)
+    turn, point, ends = np.eye(3), arm.chain.base, []
+    for unit in units:
+        frame = turn @ unit.frame
+        position, end = unit.kinematics.forward(q[unit.joints])
+        point, turn = point + frame @ position, frame @ end @ unit.frame.T
+        ends.append(point)
+    last = [max(i for i, unit in enumerate(units) if unit.module == k) for k in range(arm.n_modules)]
+    np.testing.assert_allclose(np.array(ends)[last], arm.at(arm.configuration(q)).points, atol=1e-14)

@@ -159,6 +159,15 @@ def test_curves_that_do_not_fit_are_named(arm: pp.Arm) -> None:
         pp.resolve_targets(planar, pp.Curve.helix(radius=0.4, pitch=0.5, turns=3))
 
 
+@pytest.mark.parametrize("share", [0.5, 0.7, 0.95, 0.999])
+def test_a_straight_curve_that_is_too_short_is_called_short(share: float) -> None:
+    hinges = (pp.JointSpec("y", lower=-1.7, upper=1.7), pp.JointSpec("z", lower=-1.7, upper=1.7))
+    long, short = (pp.ModuleTemplate(f"own{k}", hinges, (0.1 - 0.04 * k, 0.08 + 0.02 * k)) for k in (0, 1))
+    arm = pp.Arm.from_modules([long, short] * 3)
+    with pytest.raises(CurveEndsEarly, match=r"ends .* the module is .* long"):
+        pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (share * arm.length, 0, 0)), placement="as_is")
+
+
 def test_a_partial_target_says_which_points_have_no_place(arm: pp.Arm) -> None:
     target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.31, 0, 0)), incomplete="partial")
     assert target.has_target.tolist() == [True] * 6 + [False] * 14
@@ -237,3 +246,11 @@ def test_targets_from_points_and_configurations(arm: pp.Arm) -> None:
     ):
         with pytest.raises(InvalidValue, match=message):
             pp.Target.from_points(arm, points, weights)
+
+
+def test_a_target_is_printed_in_one_line() -> None:
+    arm = template_arm("RyRz", 6)
+    target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (1, 0, 0)))
+    assert repr(target) == "Target(6 points, a configuration, sequential a curve of 1 m)"
+    assert repr(target.region(1, 3)).startswith("Target(3 of 6 points, a configuration")
+    assert repr(pp.Target.from_points(arm, target.points)) == "Target(6 points, no configuration)"

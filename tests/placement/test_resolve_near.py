@@ -82,3 +82,29 @@ def test_a_target_that_cannot_be_begun_from_is_refused():
     other = pp.Arm.from_template("RyRz", 3)
     with pytest.raises(InvalidValue, match=r"target\.points"):
         resolved(turned(0), near=pp.resolve_targets(other, pp.Curve.line((0, 0, 0), (1, 0, 0))))
+
+
+def swaying(time: float, planar: bool = False) -> pp.Curve:
+    points = np.array(
+        [(0, 0, 0), (0.25, 0, 0), (0.5, 0.05, 0.04), (0.75, 0.15, 0.05), (1, 0.2, 0), (1.4, 0.2, 0)]
+    )
+    points[2:, 1] += 0.04 * np.sin(time)
+    points[2:, 2] += 0.04 * np.cos(time)
+    return pp.Curve.spline(points * ([1, 1, 0] if planar else [1, 1, 1]))
+
+
+@pytest.mark.parametrize(
+    "described", [("RyRz", 20), ("RyRz", 16, (0.02, 0.035)), ("Rz", 20, (0.05,))], ids=repr
+)
+@pytest.mark.parametrize("placement", ["as_is", "align"])
+def test_the_target_follows_without_jumps(described: tuple, placement: str) -> None:
+    arm, step = template_arm(*described), 1e-4
+    for time in np.linspace(0.0, 6.0, 12):
+        one, two = (
+            pp.resolve_targets(arm, swaying(t, arm.dimension == 2), placement=placement)
+            for t in (time, time + step)
+        )
+        assert one.method == two.method == "sequential"
+        assert np.abs(one.points - two.points).max() < step * arm.length
+        # A turn of a module may move by more than the curve does, but not by orders of magnitude.
+        assert np.abs(one.q - two.q).max() < 20 * step

@@ -136,7 +136,7 @@ def test_an_arm_that_falls_did_not_get_there():
         f"{np.count_nonzero(weak.saturated)} of 8 servos were at their limit"
     )
     assert weak.verdict == f"did not reach the target (missed): {weak.reason}"
-    assert weak.faults == (f"it ended away from its target: {weak.reason}",)
+    assert weak.faults == (f"it missed a target: {weak.reason}",)
     told = weak.summary()
     assert (told["verdict"], told["converged"]) == (weak.verdict, False)
     kept = sim.simulate(four_modules(), ROWS, sim.Servos(torque_limits=1e-3), dt=DT, hold=1.0, tolerance=1.0)

@@ -24,7 +24,7 @@ hold = 0.1 -> tip = { positon = [0, 0, 0] } :: tip.positon | 'position'
 modules = 6 + feed = { strok = 1 } :: feed.strok | 'stroke'
 "90 deg/s" -> { turn = 1 } :: velocity.turn | 'turning'
 "20 ms" -> "20 mm" :: limits.cycle: is '20 mm', of the kind length |  s, ms, min
-"20 ms" -> "20 sec" :: '20 sec' | 'sec' is no unit that is known
+"20 ms" -> "20 sec" :: '20 sec' | 'sec' is not a known unit
 "20 ms" -> "20" :: '20', without a unit |  s, ms, min
 "20 ms" -> "soon" :: is 'soon'; allowed: a number in SI units
 "20 ms" -> true :: limits.cycle: is True; allowed: a number
@@ -92,7 +92,9 @@ joint_weight = 0.2 -> joint_weight = "0.2" :: controller.joint_weight: is '0.2';
 joint_weight = 0.2 -> joint_weight = -1 :: controller.joint_weight: is -1
 joint_weight = 0.2 -> joint_weight = nan :: controller.joint_weight: is nan
 "straight"\n\n[scene] -> "bent"§\n\n[scene] :: start.posture: is 'bent'; allowed: 'straight', 'neutral'
-posture = "straight" -> joints = [0, 0, 0] :: start.joints: is [0, 0, 0]; allowed: a list of 12
+posture = "straight" -> joints = [0, 0, 0] :: start.joints: has 3 values; needed: 12, one for each joint [rad]
+posture = "straight" -> joints = [0, 40, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    :: start.joints: start[1] is 40.0 | rad, the limits of joint 'm01_j2_z'; is it in degrees?
 posture = "straight" -> joints = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, nan] :: start.joint 12: is nan
 posture = "straight" -> joints = ['1 m', 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, ]
     :: start.joint 1: is '1 m', of the kind length
@@ -122,11 +124,15 @@ KEYFRAMES -> :: keyframes: is [1, 2]; allowed: a list of tables @ keyframes = [1
 BOW -> :: keyframe 2: needs one of the keys 'curve', 'joints' @ SECOND
 BOW -> joints = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0] :: keyframe 2, placement: goes with 'curve' @ placement
 BOWED -> [[keyframes]]\ntime = 1\njoints = [0, 0]\n
-    :: keyframe 2, joints: is [0, 0]; allowed: a list of 12 @ joints
+    :: keyframe 2, joints: has 2 values; needed: 12, one for each joint [rad] @ joints
 BOWED -> [[keyframes]]\ntime = 1\njoints = ["9 m", 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]\n
     :: keyframe 2, joint 1: is '9 m', of the kind length @ joints
 BOWED -> [[keyframes]]\ntime = 1\njoints = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, "175 deg", 0]\n
-    :: keyframe 2, joints: is 3.054 for joint 11, whose limits are -2.967 and 3 @ joints
+    :: keyframe 2, joints: is 3.054 rad for joint 11 'm06_j1_y', whose limits are -2.967 and 3 rad @ joints
+BOWED -> [[keyframes]]\ntime = 1\njoints = [0, -40, 0, 0, 0, 0, 0, 0, 0, 0, 30, 0]\n
+    :: keyframe 2, joints: is -40 rad for joint 2 'm01_j2_z' | is it in degrees? | "-40 deg" @ joints
+BOW -> curve = { type = "helix", radius = 100, pitch = 0, turns = 0.6 }
+    :: keyframe 2, curve: is 377 m long; allowed: 30 m at most, 100 times the arm; is it in millimetres
 hold = 0.1 -> speed = 0 :: keyframe 2, speed: is 0; allowed: a share of the velocity limits, in (0, 1]
 hold = 0.1 -> speed = "9 cm/s" :: keyframe 2, speed: is '9 cm/s'; allowed: a number
 version = 1 + repeat = 0 :: repeat: is 0; allowed: a whole number, 1 or more
@@ -171,6 +177,8 @@ version = 1 + repeat = 1000000 :: repeat: is 1000000; allowed: 9523 at most
 time = "1 s"\n -> :: keyframe 2 'bowed': it has neither a time nor a duration @ SECOND
 name = "straight"\n -> name = "straight"\ntime = 1\n
     :: keyframe 1 'straight': it is at 1 s; the first keyframe is at 0 @ [[keyframes]]
+name = "straight"\n -> name = "straight"\nduration = 1\n
+    :: keyframe 1 'straight': its duration is 1 s, the time to return | set repeat to 2 @ [[keyframes]]
 "1 s" -> "1 ms" :: keyframe 2 'bowed' | same control cycle @ SECOND
 "1 s" -> "600000 min" :: keyframe 2 'bowed': it ends at 3.6e+07 s | at most @ SECOND
 trim = true\n ->
@@ -188,7 +196,7 @@ LED -> :: leader: the key 'path' is missing @ none
     :: keyframes: goes with kind = 'keyframes'; the kind is 'follow_leader'
 speed = "5 cm/s"\n -> :: leader: the key 'speed' is missing @ [leader]
 "5 cm/s" -> "0 cm/s" :: leader.speed: is '0 cm/s'; allowed: more than 0
-"45 mm" -> "1 um" :: leader.pipe: is '1 um' | 'um' is no unit
+"45 mm" -> "1 um" :: leader.pipe: is '1 um' | 'um' is not a known unit
 "45 mm" -> "0.01 mm" :: leader.pipe: is '0.01 mm'; allowed: 0.00025 m or more, 1/1000 of the arm
 PATH -> path = { type = "line", a = [0, 0, 0], b = [9e3, 0, 0] } :: leader.path: is 9000 m long
 depth = 0.1 -> depth = -0.1 :: leader.depth: is -0.1; allowed: more than 0

@@ -177,13 +177,15 @@ def test_a_reference_beyond_the_margin_is_followed_as_far_as_the_margin() -> Non
     limits = pp.Limits(step=None, velocity=1.0, dt=0.01, acceleration=10.0, position_margin=0.05)
     motion = perform(reference_through(arm, ends, 2.0, 101), "geodesic", limits)
     check_motion(motion, limits)
-    assert motion.converged and not motion.deviations
+    assert motion.run.status == "missed" and not motion.deviations
+    assert [place.missed for place in motion.waypoints] == [False, True]
     np.testing.assert_allclose(arm.positions(motion.q[-1]), 0.75, atol=1e-6)
     assert motion.time_scale < 1.2
     # And one that begins there: the arm comes within first.
     motion = perform(reference_through(arm, ends[::-1], 2.0, 101), "geodesic", limits)
     check_motion(motion, limits, margin_from=motion.start_index)
-    assert motion.converged and motion.start_index > 0 and not motion.deviations
+    assert motion.run.status == "missed" and motion.start_index > 0 and not motion.deviations
+    assert [place.missed for place in motion.waypoints] == [True, False]
 
 
 def test_joints_that_move_nothing_stand_still() -> None:

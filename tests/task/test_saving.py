@@ -181,7 +181,7 @@ def test_described_curves_stay_what_they_were_and_their_copies_too(tmp_path: Pat
     ]
     assert said[4]["curve"]["type"] == "bspline"
     (tmp_path / "way.csv").write_text("0,0,0\n1,0,0\n")
-    with pytest.warns(PostureWarning, match="curve was '../way.csv', which gives another one now"):
+    with pytest.warns(PostureWarning, match="curve was '../way.csv', which has changed since"):
         said = written(edited, tmp_path / "parts" / "task.toml")["keyframes"]
     assert said[2]["curve"]["type"] == "spline"  # a parabola through three points is one
 
@@ -335,9 +335,9 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (
         {"controller": pp.Geodesic(tasks=(pp.EndEffector((0, 0, 1)),))},
         "task.toml",
-        "controller: no file can say all of Geodesic",
+        "controller: a file cannot represent Geodesic",
     ),
-    ({"controller": pp.Selection(gain=0.5)}, "task.toml", "controller: no file can say all of Selection"),
+    ({"controller": pp.Selection(gain=0.5)}, "task.toml", "controller: a file cannot represent Selection"),
 ]
 
 
@@ -410,6 +410,6 @@ def test_what_would_be_read_as_something_else_is_not_written(
     path = tmp_path / "task.toml"
     path.write_text(VALID)
     monkeypatch.setattr(writer, "toml_text", careless)
-    with pytest.raises(FileError, match=r"cannot hold the task: motion would be read as something else"):
+    with pytest.raises(FileError, match=r"cannot represent the task: motion would change"):
         task_of().save(path)
     assert path.read_text() == VALID

@@ -227,7 +227,7 @@ def test_a_file_that_changed_after_it_was_read_is_not_named(tmp_path: Path) -> N
     )
     task = pp.Task.load(path)
     (tmp_path / "snake.urdf").write_text(arm_text(pairs(4)))
-    with pytest.warns(PostureWarning, match="'snake.urdf'.*another one now"):
+    with pytest.warns(PostureWarning, match="'snake.urdf'.*changed since"):
         task.save(path)
     assert (tmp_path / "task.urdf").read_text() == task.arm.urdf
     assert_same_arms(pp.Task.load(path).arm, task.arm)
@@ -237,7 +237,7 @@ def test_another_urdf_file_is_not_overwritten(tmp_path: Path) -> None:
     arms = [pp.Arm.load(arm_text(pairs(count))) for count in (2, 3)]
     path = task_of(arms[0]).save(tmp_path / "task.toml")
     before = path.read_text()
-    with pytest.raises(FileError, match=r"task\.urdf: is there already, and holds something else") as caught:
+    with pytest.raises(FileError, match=r"task\.urdf: exists already, and differs from") as caught:
         task_of(arms[1]).save(path)
     assert caught.value.path == tmp_path / "task.urdf"
     assert path.read_text() == before
@@ -249,7 +249,7 @@ def test_another_urdf_file_is_not_overwritten(tmp_path: Path) -> None:
 def test_an_arm_without_urdf_is_refused(tmp_path: Path) -> None:
     model = pin.buildModelFromXML(arm_text(pairs(3)))
     arm = pp.Arm.from_model(model, ["l2", "l4", "tip"])
-    with pytest.raises(FileError, match=r"task\.toml: arm: no file can describe it: it was made of"):
+    with pytest.raises(FileError, match=r"task\.toml: arm: no file can describe it: it was made from"):
         task_of(arm).save(tmp_path / "task.toml")
     assert not any(tmp_path.iterdir())
 

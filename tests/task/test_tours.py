@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from task.performed import arm_named, check_motion
 from task.same_tasks import assert_same
 
 import pinposture as pp
-from pinposture.errors import InvalidValue, PostureWarning, TaskError
+from pinposture.errors import InvalidValue, MotionError, PostureWarning, TaskError
 from pinposture.task import Keyframe, Reference, keyframe_reference, perform
 
 LIMITS = pp.Limits(step=None, dt=0.02, velocity=1.5, acceleration=6.0)
@@ -158,8 +159,12 @@ def test_taught_configurations_that_are_none_are_refused(arm: pp.Arm) -> None:
     with pytest.raises(InvalidValue, match="joints"):
         Keyframe(joints=np.full(arm.nv, np.nan))
     for joints, words in (
-        (np.zeros(3), "has 3 values"),
-        (np.full(arm.nv, 9.0), "is 9 for joint 1, whose limits"),
+        (np.zeros(3), r"has 3 values; needed: 12, one for each joint \[rad\]"),
+        (
+            np.full(arm.nv, 9.0),
+            r"is 9 rad for joint 1 'm01_j1_y', .*; is it in degrees\? np.deg2rad",
+        ),
+        (np.full(arm.nv, 4.0), r"is 4 rad for joint 1 'm01_j1_y', whose limits are -3.142 and 3.142 rad$"),
     ):
         tour = [Keyframe(line(arm)), Keyframe(joints=joints, time=1.0, name="odd")]
         with pytest.raises(TaskError, match=f"keyframe 2 'odd': joints {words}"):
@@ -258,9 +263,9 @@ def test_arms_placed_by_least_squares_come_back_to_where_they_began() -> None:
 
 def test_repetitions_that_make_no_sense_are_refused(arm: pp.Arm) -> None:
     tour = [Keyframe(line(arm), duration=0.001), Keyframe(bow(arm), duration=1.0, trim=True)]
-    with pytest.raises(TaskError, match=r"keyframe 1: its duration is 0.001 s; to go back"):
+    with pytest.raises(TaskError, match=r"keyframe 1: its duration is 0.001 s; the return to it takes"):
         keyframe_reference(arm, tour, 0.02, repeat=2)
-    with pytest.raises(TaskError, match=r"keyframe 1: it is at 0.001 s; the first keyframe is at 0"):
+    with pytest.raises(TaskError, match=r"keyframe 1: its duration is 0.001 s, .* or set repeat to 2"):
         keyframe_reference(arm, tour, 0.02)
     for repeat in (0, 1.5, True, 10**6):
         with pytest.raises(InvalidValue, match="repeat"):
@@ -378,6 +383,77 @@ def test_a_motion_on_time_tells_of_no_slowdown(arm: pp.Arm) -> None:
         arm, [Keyframe(line(arm)), Keyframe(bow(arm), time=4.0, trim=True)], limits=LIMITS
     )
     assert motion.slowdown == "" and motion.converged
+
+
+# Missed keyframes.
+
+
+def sharp(hold: float = 0.0) -> tuple[pp.Arm, list[Keyframe]]:
+    """An arm of 16 joints, and a tour of taught configurations and a curve that reverses most joints."""
+    arm = pp.Arm.from_template("RyRz", modules=8)
+    tour = [Keyframe(joints=taught(arm, k), duration=1.0 if k else None, hold=hold) for k in range(4)]
+    return arm, [*tour, Keyframe(line(arm), duration=1.0)]
+
+
+def nearest_miss(motion: pp.Motion, joints: np.ndarray, seconds: tuple[float, float]) -> float:
+    """Smallest mean distance of the control points from a configuration within a time [m]."""
+    arm = motion.arm
+    wanted = arm.at(arm.configuration(joints)).points
+    begin, end = (round(each / motion.dt) for each in seconds)
+    return min(float(np.linalg.norm(arm.at(q).points - wanted, axis=1).mean()) for q in motion.q[begin:end])
+
+
+def test_a_jerk_limit_that_cuts_off_taught_configurations_is_a_fault(tmp_path: Path) -> None:
+    arm, tour = sharp()
+    motion = pp.move_through(arm, tour, limits=replace(LIMITS, jerk=5.0))
+    missed = [place for place in motion.waypoints if place.missed]
+    assert [place.name for place in missed] == ["keyframe 2", "keyframe 3", "keyframe 4"]
+    for number, place in enumerate(missed, start=1):
+        apart = nearest_miss(motion, tour[number].joints, (place.reached - 0.5, place.reached + 0.5))
+        assert 0.02 * arm.length < apart <= place.mean_error
+    worst = max(missed, key=lambda place: place.mean_error)
+    assert (motion.run.status, motion.converged) == ("missed", False)
+    assert f"3 of 5 postures are missed, most {worst.name}, by {worst.mean_error:.3g} m" in motion.run.reason
+    assert "the jerk limit smooths the motion over 2.4 s" in motion.run.reason
+    assert motion.faults == (f"it missed a target: {motion.run.reason}",)
+    with pytest.raises(MotionError, match="3 of 5 postures are missed"):
+        motion.joint_trajectory()
+    again = pp.load(pp.save(motion, tmp_path / "motion.npz"))
+    assert again.waypoints == motion.waypoints and again.faults == motion.faults
+
+
+def test_a_curve_is_missed_as_a_configuration_is(arm: pp.Arm) -> None:
+    tour = [Keyframe(line(arm)), Keyframe(bow(arm), time=1.0, trim=True), Keyframe(line(arm), time=2.0)]
+    motion = pp.move_through(arm, tour, limits=replace(LIMITS, jerk=5.0))
+    assert [place.missed for place in motion.waypoints] == [False, True, False]
+    assert motion.run.status == "missed" and "1 of 3 postures is missed, keyframe 2, by" in motion.run.reason
+
+
+def test_a_keyframe_that_is_held_long_enough_is_taken_in_spite_of_the_jerk_limit() -> None:
+    arm, tour = sharp(hold=2.5)
+    motion = pp.move_through(arm, tour, limits=replace(LIMITS, jerk=5.0))
+    assert motion.converged and not motion.faults
+    for place, keyframe in zip(motion.waypoints[:-1], tour, strict=False):
+        assert nearest_miss(motion, keyframe.joints, (place.reached, place.reached + 2.5)) < 1e-9
+
+
+@pytest.mark.parametrize("cycle", (0.02, 0.1))
+@pytest.mark.parametrize("seconds", (0.05, 0.3, 2.0))
+def test_a_keyframe_that_is_passed_between_two_cycles_is_not_missed(cycle: float, seconds: float) -> None:
+    arm, tour = sharp()
+    tour = [tour[0], *(replace(each, duration=max(seconds, cycle)) for each in tour[1:])]
+    motion = pp.move_through(arm, tour, limits=replace(LIMITS, dt=cycle))
+    assert motion.converged and not any(place.missed for place in motion.waypoints)
+
+
+def test_a_configuration_within_the_margin_of_the_joint_limits_is_missed() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=8)
+    tour = [Keyframe(joints=np.zeros(arm.nv)), Keyframe(joints=np.full(arm.nv, 0.4), time=2.0, name="end")]
+    limits = replace(LIMITS, position_margin=float(arm.limits.upper[0]) - 0.3)
+    motion = pp.move_through(arm, tour, limits=limits)
+    assert np.abs(motion.q[-1]).max() <= 0.3 + 1e-9
+    assert [place.missed for place in motion.waypoints] == [False, True]
+    assert motion.run.status == "missed" and "position margin" in motion.run.reason
 
 
 # Task files.

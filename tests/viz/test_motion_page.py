@@ -14,6 +14,7 @@ from viz.test_view_html import Page
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
+from pinposture.placement.target import Moved
 from pinposture.viz import palette
 from pinposture.viz.drawing import REST_AFTER, REST_BEFORE
 
@@ -165,3 +166,12 @@ def test_the_viewer_plays_a_motion_with_its_targets(running):
         assert clips(server_commands(running.zmq_url)) == {}
         viewer.play()
         assert "/pinposture/arm/body_001" in clips(server_commands(running.zmq_url))
+
+
+def test_curves_of_a_repeated_tour_are_described_once(tmp_path):
+    motion = some_motion(names=("up, lap 1", "down, lap 1", "up, lap 2"))
+    moves = [Moved((0.0, 0.0, height), (0.0, 0.0, 0.0)) for height in (0.1, 0.2, 0.1)]
+    places = zip(motion.waypoints, moves, strict=True)
+    motion = replace(motion, waypoints=tuple(place._replace(moved=moved) for place, moved in places))
+    page = pp.save_html(five_modules(), motion, tmp_path / "tour").read_text()
+    assert "curves: up moved by 0.1 m, down moved by 0.2 m<" in page

@@ -1,4 +1,4 @@
-"""Keeping clear of obstacles and of itself, by constraints of a quadratic program."""
+"""Collision avoidance: constraints of a quadratic program, and checks that the arm can stop clear."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Distances, Scene
-from pinposture.collision.model import MOTION_TOLERANCE
+from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
@@ -24,22 +24,17 @@ TOLERANCE = 1e-9
 SOLVED, SOLVED_SOFTLY = 1, 2
 HARD, EQUAL, SOFT = 0, 5, 8
 SOFTNESS = 1e-7
-"""Softness of rows that may be violated: the inverse of the cost of their violation."""
+"""Softness of rows that may be violated: the inverse of the weight of their violation."""
 
 ZERO_LENGTH = 1e-12
 """Length below which a row counts as zero."""
 
 NO_BOUND = 1e30
-"""Value that the solver takes for no bound."""
+"""Value that the solver treats as infinite."""
 
 
 class ConstraintRows(NamedTuple):
-    """Linear constraints least <= matrix @ x.
-
-    Attributes:
-        matrix: one row for each, (r, n).
-        least: smallest value of each, (r,).
-    """
+    """Linear constraints matrix @ x >= least, with a matrix (r, n) and lower bounds (r,)."""
 
     matrix: Array
     least: Array
@@ -55,11 +50,11 @@ class ConstraintRows(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What the solver found.
+    """Solution of a quadratic program.
 
     Attributes:
         x: the minimiser, within its box, (n,); None if the solver failed.
-        binding: which of the rows hold with equality, (r,).
+        binding: which of the rows are active, (r,).
         softened: whether rows had to be violated, because they contradict each other or the box.
     """
 
@@ -78,8 +73,8 @@ def solve(
 ) -> Solution:
     """Minimise x^T H x / 2 + g^T x within a box, subject to rows.
 
-    If the rows cannot all hold, they are violated as little as possible. The box always holds, and so do the
-    equations, which must be feasible within the box.
+    If the rows are infeasible, they are violated as little as possible. The box always holds, and so do the
+    equations, which must be feasible within it.
 
     Args:
         hessian: H, symmetric positive definite, (n, n).
@@ -92,12 +87,12 @@ def solve(
     n = len(gradient)
     all_rows = ConstraintRows(np.zeros((0, n)), np.zeros(0)) if rows is None else rows.normal()
     binding = np.zeros(len(all_rows.least), dtype=np.bool_)
-    # Most rows cannot bind within the box; the solver would pay for each.
+    # Most rows cannot bind within the box; leaving them out saves time.
     possible = np.flatnonzero(all_rows.lowest(lower, upper) < all_rows.least)
     matrix, least = all_rows.matrix[possible], all_rows.least[possible]
     equations = (np.zeros((0, n)), np.zeros(0)) if equal is None else equal
 
-    def ask(hessian: Array, gradient: Array, least: Array, soft: bool) -> Array | None:
+    def attempt(hessian: Array, gradient: Array, least: Array, soft: bool) -> Array | None:
         size = max(float(np.trace(hessian)) / n, 1e-300)
         kinds = np.repeat([HARD, SOFT if soft else HARD, EQUAL], [n, len(least), len(equations[1])])
         x, _, flag, _ = daqp.solve(
@@ -113,12 +108,12 @@ def solve(
         )
         return x if flag in (SOLVED, SOLVED_SOFTLY) and np.all(np.isfinite(x)) else None
 
-    x, softened = ask(hessian, gradient, least, soft=False), False
+    x, softened = attempt(hessian, gradient, least, soft=False), False
     if x is None and len(least):
-        softened, nearest = True, ask(np.eye(n), np.zeros(n), least, soft=True)
+        softened, nearest = True, attempt(np.eye(n), np.zeros(n), least, soft=True)
         if nearest is not None:  # relax the rows as far as needed, then minimise within them
             least = np.minimum(least, matrix @ nearest - TOLERANCE)
-            x = ask(hessian, gradient, least, soft=False)
+            x = attempt(hessian, gradient, least, soft=False)
             x = nearest if x is None else x
     if x is None:
         return Solution(None, binding, softened)
@@ -127,46 +122,44 @@ def solve(
     return Solution(x, binding, softened)
 
 
-# Keeping clear of obstacles and of the arm itself.
-
 CONSTRAINED_DISTANCE = 0.15
-"""Pairs nearer than this beyond the margin are constrained, in arm lengths: more than a step covers."""
+"""Distance beyond the margin up to which pairs are constrained, in arm lengths: more than a step covers."""
 
 MAX_CLEARANCE_LOSS = 0.5
 """Share of its remaining clearance that a pair may lose in one step."""
 
 STEP_CLEARANCE = 0.002
-"""Clearance that steps keep beyond the margin, in arm lengths, for the curvature within a step."""
+"""Clearance that steps keep beyond the margin, in arm lengths, to allow for curvature within a step."""
 
 PATH_CLEARANCE, PATH_SIGHT = 0.01, 0.05
-"""Clearance that a planned path keeps beyond the margin where it can, and distance beyond that at which pairs
-are seen while a path is relaxed, in arm lengths."""
+"""Clearance that a planned path keeps beyond the margin where possible, and further distance up to which
+pairs are considered while a path is relaxed, in arm lengths."""
 
 GAIN_SHARE, RETREAT_GAIN_SHARE = 0.5, 0.9
-"""Share of the largest gain of clearance in a step that is demanded of a pair that is too close, and of a
-pair of which the obstacle moves."""
+"""Share of the largest possible gain of clearance in a step that is required of a pair that is too close: for
+a fixed obstacle, and for a moving one."""
 
 RETREAT_SHARE = 0.2
-"""Share of what all joints together can accelerate a body away from an obstacle that a retreat counts on."""
+"""Share of the largest acceleration away from an obstacle that a retreat relies on."""
 
 MAX_NAMED_PAIRS = 3
-"""Largest number of pairs that are listed."""
+"""Largest number of pairs that a message lists."""
 
 MAX_HALVINGS = 6
-"""How often a step after which the arm cannot stop clear is moved halfway to braking, before it brakes."""
+"""How often a step from which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
 
 class PathClearance(NamedTuple):
-    """How much closer pairs are than they should be, at several configurations.
+    """Missing clearance of pairs of bodies at several configurations.
 
     Attributes:
-        errors: negative for pairs that are far enough, (r,) [m].
-        samples: the configuration that each belongs to, by its number, (r,); increasing.
-        carried: number of columns of `Objective.columns` that move both bodies, (r, 2); 0 for an obstacle.
-        points: where they are closest, (r, 3) [m], world frame.
-        normals: unit vectors from the second to the first, (r, 3), world frame.
-        minima: the smallest distance at each configuration; those that are far enough count as infinite
-            or as some larger number, (s,) [m].
+        errors: missing clearance, negative for pairs with enough, (r,) [m].
+        samples: index of the configuration of each pair, (r,); increasing.
+        carried: number of columns of `Objective.columns` that move each body, (r, 2); 0 for an obstacle.
+        points: closest points, (r, 3) [m], world frame.
+        normals: unit vectors from the second to the first body, (r, 3), world frame.
+        minima: smallest distance at each configuration, or any larger number, up to infinity, if it is large
+            enough, (s,) [m].
     """
 
     errors: Array
@@ -178,13 +171,13 @@ class PathClearance(NamedTuple):
 
 
 class ClearStep(NamedTuple):
-    """A step after which the arm can stop clear of everything, and how it would.
+    """A step after which the arm can stop clear of everything.
 
     Attributes:
         dq: the step, (nv,) [rad or m].
-        share: the share of what was asked for beyond braking, 1, 1/2, 1/4, ... or 0.
-        stopping: the steps that would follow to stop the arm, (k, nv) [rad or m].
-        violated_constraints: constraints that were relaxed, in words.
+        share: position between braking, 0, and the wanted step, 1: 1, 1/2, 1/4, ... or 0.
+        stopping: the steps that would stop the arm afterwards, (k, nv) [rad or m].
+        violated_constraints: messages naming the constraints that were relaxed.
     """
 
     dq: Array
@@ -194,22 +187,20 @@ class ClearStep(NamedTuple):
 
 
 class Avoidance:
-    """Keeps an arm clear of a scene and of itself: constraints for steps, and checks of steps.
+    """Constraints and checks that keep an arm clear of a scene and of itself.
 
-    A step is clear if the arm keeps its margin on it and while it then brakes to a stop, within all limits.
-    From rest there always is one, which is to stay; and after a clear step there is one again, which is to
-    brake. So the arm never has to stop harder than it can.
+    A step is clear if the arm keeps its margin during the step and while it then brakes to a stop within all
+    limits. From rest, staying is clear; after a clear step, braking is. So the arm never has to brake harder
+    than it can.
 
     Args:
-        clearance: the distances.
+        clearance: the collision model.
         objective: the objective.
-        bounds: the limits of its joints.
-        previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
+        bounds: the limits of the joints.
+        previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
 
     Attributes:
-        clearance: the distances.
         margin: the distance to keep [m].
-        objective: the objective.
         moving: whether obstacles move.
     """
 
@@ -226,7 +217,7 @@ class Avoidance:
         self._seen: tuple[ArmState, Distances] | None = None
         self._approved: tuple[Array, Array] | None = None
         brake = bounds.brake
-        # The way to stop, this step included, is half as many steps long as braking takes, of the longest.
+        # The stopping distance, this step included, is the step times half the number of braking steps.
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
         self._approach = 2.0 / max(steps, 2.0 / MAX_CLEARANCE_LOSS)
         self._dt = 0.0 if bounds.dt is None else bounds.dt
@@ -239,30 +230,28 @@ class Avoidance:
     def of(
         cls, scene: Scene | None, objective: Objective, bounds: JointBounds, previous: Array | None = None
     ) -> Avoidance | None:
-        """Return what keeps an arm clear of a scene; None if there is no scene."""
+        """Return the avoidance of a scene; None if there is no scene."""
         if scene is None:
             return None
         return cls(CollisionModel(objective.arm, scene), objective, bounds, previous)
 
     def for_objective(self, objective: Objective) -> Avoidance:
-        """Return the same around an arm at rest, for another objective."""
+        """Return the avoidance for another objective and an arm at rest."""
         return Avoidance(self.clearance, objective, self._bounds)
 
     def near(self, state: ArmState) -> Distances:
-        """Return the pairs in sight; the last answer is kept, because a step needs it more than once."""
+        """Return the pairs within the constrained distance; the last result is cached."""
         if self._seen is None or self._seen[0] is not state:
-            self._seen = (
-                state,
-                self.clearance.nearest(state, self.margin + CONSTRAINED_DISTANCE * self._length),
-            )
+            sight = self.margin + CONSTRAINED_DISTANCE * self._length
+            self._seen = state, self.clearance.nearest(state, sight)
         return self._seen[1]
 
     def rows(self, state: ArmState, lower: Array, upper: Array) -> ConstraintRows | None:
         """Return the velocity damper: no pair may lose more than a share of its clearance in one step.
 
-        The share leaves room to brake, straight on and from the present speed. A pair that is too close has
-        to gain clearance, as far as the bounds of the step allow. From an obstacle that approaches, the arm
-        retreats early enough to gain its speed within the limits of acceleration.
+        The share leaves room to brake from the current speed. A pair that is too close has to gain clearance,
+        as far as the bounds of the step allow. From an approaching obstacle the arm retreats early enough to
+        match its speed within the acceleration limits.
 
         Args:
             state: the state of the arm.
@@ -277,7 +266,7 @@ class Avoidance:
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         if not self.moving:
             return ConstraintRows(matrix, np.minimum(-self._approach * room, GAIN_SHARE * most))
-        # Retreating at c - a r, with c the speed of the obstacle, takes an acceleration of a c at most.
+        # Retreating at c - a r, where c is the speed of the obstacle, takes an acceleration of at most a c.
         closing, approach = -self._dt * near.rates, np.full(len(room), self._approach)
         if self._bounds.brake is not None:
             brake = self._bounds.brake[self.objective.columns] / self.objective.units
@@ -287,11 +276,11 @@ class Avoidance:
         return ConstraintRows(matrix, np.minimum(closing - approach * room, share * most))
 
     def intrusion(self, state: ArmState) -> float:
-        """Return by how much the nearest pair is closer than the margin [m]; 0 if all keep it."""
+        """Return by how much the nearest pair violates the margin [m]; 0 if all keep it."""
         return max(0.0, self.margin - self.near(state).minimum)
 
     def measure_clearance(self, q: Array, offsets: Array) -> PathClearance:
-        """Return how much closer pairs are than a planned path should come, at several configurations.
+        """Return the missing clearance of pairs at several configurations of a planned path.
 
         Args:
             q: a configuration, (nq,).
@@ -310,21 +299,21 @@ class Avoidance:
 
     @cached_property
     def _carried(self) -> NDArray[np.int64]:
-        """How many columns move what each joint of the model carries, (njoints,)."""
+        """Number of columns that move the body of each joint of the model, (njoints,)."""
         return self.clearance.count_movers(self.objective.columns)
 
     def keeps(self, q: Array, path: Array, least: float) -> bool:
-        """Whether straight motions keep a distance, if they begin so far away.
+        """Whether straight motions keep a distance, given that the first configuration does.
 
         Args:
             q: a configuration, (nq,).
-            path: displacements from it between which the motions are, (N + 1, nv) [rad or m].
+            path: displacements from it that the motions connect, (N + 1, nv) [rad or m].
             least: the distance [m].
         """
         return self.clearance.minimum_on_motions(q, path, least, least).distance >= least
 
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
-        """Whether the arm keeps its margin on a step and while it then stops."""
+        """Whether the arm keeps its margin during a step and while it then stops."""
         stopping = self._stopping(state, dq)
         if not self._is_clear(state, dq, stopping, self.margin - self._rounding):
             return False
@@ -332,11 +321,11 @@ class Avoidance:
         return True
 
     def clear_step(self, state: ArmState, dq: Array) -> ClearStep:
-        """Return the clear step nearest to a wanted one, between it and braking.
+        """Return the clear step closest to a wanted one, between it and braking.
 
-        Where even braking comes too close, because the arm was too close or too fast to begin with, a step
-        that comes no closer than braking does is accepted. Braking itself is given up only where the arm
-        would touch something: it then stops harder than its limits allow.
+        If even braking comes too close, because the arm was too close or too fast before, a step that comes
+        no closer than braking is accepted. Only if braking would cause contact does the arm stop harder than
+        its limits allow.
 
         Args:
             state: the state of the arm.
@@ -352,12 +341,12 @@ class Avoidance:
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin))
         touching = min(now, 0.0) - self._rounding
-        # Something that moves can still be given way where braking would not help.
+        # A moving obstacle can still be evaded where braking does not help.
         least = min(self.margin, lowest if self.moving else max(lowest, touching)) - self._rounding
         close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
-        # What was found clear before may be missed by this much when it is looked at again.
-        missed = MOTION_TOLERANCE * self._length
-        relaxed = (close,) if lowest < min(self.margin, now) - missed else ()
+        # A repeated check may differ from the one in the previous step by this tolerance.
+        tolerance = MOTION_TOLERANCE * self._length
+        relaxed = (close,) if lowest < min(self.margin, now) - tolerance else ()
         for number in range(MAX_HALVINGS):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
@@ -371,20 +360,20 @@ class Avoidance:
             stopping = self._stopping(state, step)
             if number == MAX_HALVINGS or self._is_clear(state, step, stopping, touching):
                 break
-        words = "limits of acceleration: braking within them would touch something"
+        words = "limits of acceleration: braking within them would cause contact"
         return ClearStep(step, 0.0, stopping, (words,))
 
     def _stopping(self, state: ArmState, dq: Array) -> Array:
-        """Return the steps that stop the arm after a step from a state, (k, nv)."""
+        """Return the steps that stop the arm after a step, (k, nv)."""
         bounds = self._bounds
         return stopping_steps(bounds.edges - (state.forward.positions + dq), dq, bounds.bound, bounds.brake)
 
     def _is_clear(self, state: ArmState, step: Array, stopping: Array, least: float) -> bool:
-        """Whether nothing is nearer than `least` during a step, and while the arm then stops."""
+        """Whether all pairs keep the distance `least` during a step and while the arm then stops."""
         return self._lowest(state, np.vstack([step[None], stopping]), least) >= least
 
     def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
-        """Return the smallest distance during steps (k, nv) [m], exact if it is smaller than `below`."""
+        """Return the smallest distance during steps (k, nv) [m]; exact only if it is smaller than `below`."""
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
         times = self._dt * np.arange(float(len(path))) if self.moving else None
         return self.clearance.minimum_on_motions(state.q, path, below, times=times).distance
@@ -394,16 +383,21 @@ class Avoidance:
         return 1e-12 * self._length
 
     def describe_violations(self, state: ArmState) -> tuple[str, ...]:
-        """Describe the pairs that are closer than the margin."""
+        """Describe the pairs that violate the margin."""
         close = self.near(state).distances < self.margin - 1e-9 * self._length
         words = [f"margin of {1e3 * self.margin:.3g} mm: {pair}" for pair in self._describe(state, close)]
         more = (f"and {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
         return (*words[:MAX_NAMED_PAIRS], *more)
 
+    def describe_closest(self, state: ArmState) -> str:
+        """Describe the closest pair."""
+        near = self.near(state)
+        return self._describe(state, near.distances == near.minimum)[0]
+
     def describe_obstruction(
         self, state: ArmState, solution: Solution | None, stuck: bool
     ) -> tuple[str, ...]:
-        """Describe the pairs that hold a step back: those whose rows bind, or all close ones if stuck."""
+        """Describe the pairs that limit a step: those with active rows, or all close ones if stuck."""
         near = self.near(state)
         which = near.distances <= self.margin + 1.5 * STEP_CLEARANCE * self._length if stuck else None
         if solution is not None and len(solution.binding) == len(near.distances):
@@ -411,7 +405,6 @@ class Avoidance:
         return () if which is None else self._describe(state, which)
 
     def _describe(self, state: ArmState, which: NDArray[np.bool_]) -> tuple[str, ...]:
-        """Describe some of the pairs in sight."""
         near = self.near(state)
         chosen = np.flatnonzero(which)
-        return tuple(f"{' to '.join(near.pairs[k])}: {1e3 * near.distances[k]:.3g} mm apart" for k in chosen)
+        return tuple(describe_distance(near.pairs[k], near.distances[k]) for k in chosen)

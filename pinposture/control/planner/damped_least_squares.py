@@ -1,4 +1,4 @@
-"""Damped least squares within limits: one step that reduces all errors, and the search that repeats it."""
+"""Damped least squares within limits: steps that reduce all errors, and a search that iterates them."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from pinposture.kernels.arrays import PostureProblem, SearchSettings
 Array = NDArray[np.float64]
 
 MIN_DAMPING = 1e-10
-"""Damping that remains at the target, relative to the mean diagonal of A^T A: the program needs some."""
+"""Damping that remains at the target, relative to the mean diagonal of A^T A, for positive definiteness."""
 
 DAMPING_SHARE = 0.5
-"""Damping relative to the sum of squared errors, as Sugihara (2011) scales it."""
+"""Damping relative to the sum of squared errors (Sugihara 2011)."""
 
 DECREASE, INCREASE, MIN_FACTOR, MAX_FACTOR = 0.3, 4.0, 1e-6, 1e9
-"""How the factor of the damping changes after a step that reduced the cost or did not, and its range."""
+"""Changes of the damping factor after a step that reduced the cost and one that did not, and its range."""
 
 SEARCH_STEP = 0.2
 """Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
 
 MAX_SEARCH_STEPS, CONVERGED, MAX_IDLE = 120, 1e-6, 3
-"""Largest number of iterations; the relative fall of the cost that counts as none; how often in a row."""
+"""Largest number of iterations; relative decrease of the cost that counts as none; how often in a row."""
 
 MAX_QUICK_STEPS = 6
-"""Largest number of steps of a search for a posture that is near."""
+"""Largest number of steps of a search for a nearby posture."""
 
 INDEPENDENT = 1e-6
 """Smallest singular value of independent rows of tasks with priority, relative to the largest."""
 
 CURVATURE_CORRECTIONS = 4
-"""How often a step is corrected for what its curvature does to tasks with priority."""
+"""How often a step is corrected for the second-order errors of tasks with priority."""
 
 
 class StepBounds(NamedTuple):
-    """What one step may do.
+    """Constraints on one step.
 
     Attributes:
         state: the state of the arm.
         lower: smallest step, (n,), in `Arm.joint_units`.
         upper: largest step, (n,).
         rows: further constraints; None: none.
-        retreating: whether the arm may not stand still, because an obstacle approaches.
+        retreating: whether an approaching obstacle forces the arm to move.
     """
 
     state: ArmState
@@ -63,7 +63,7 @@ class StepBounds(NamedTuple):
     def of(
         cls, objective: Objective, state: ArmState, box: StepBox, avoidance: Avoidance | None
     ) -> StepBounds:
-        """Return what limits and obstacles leave of a step."""
+        """Return the bounds that limits and obstacles impose."""
         lower, upper = (np.clip(objective.normalize(side), -MAX_STEP, MAX_STEP) for side in box.sides)
         if avoidance is None:
             return cls(state, lower, upper, None)
@@ -77,13 +77,13 @@ class StepBounds(NamedTuple):
 
 
 class LeastSquaresResult(NamedTuple):
-    """Where a search ended.
+    """Result of a search.
 
     Attributes:
-        state: the state of the arm there.
-        cost: half the sum of squares that is left [m^2].
+        state: the final state of the arm.
+        cost: half the remaining sum of squares [m^2].
         mean_error: mean distance of the control points from their targets [m].
-        intrusion: by how much the arm is closer to something than it may be [m]; 0 if it is clear.
+        intrusion: by how much the arm is closer to an obstacle or itself than it may be [m]; 0 if clear.
     """
 
     state: ArmState
@@ -95,15 +95,14 @@ class LeastSquaresResult(NamedTuple):
 def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> Solution:
     """Solve for one step x towards all targets at once.
 
-    It minimises |A x - s e|^2 + lambda |x|^2 within its bounds, with all rows A and errors e of the
-    objective. Errors of a far target are scaled down together, by s, so that the largest of a point is one
-    module length: the arm starts in their direction instead of reaching for what no step covers. The damping
-    lambda grows with the errors that are left.
+    The step minimises |A x - s e|^2 + lambda |x|^2 within its bounds, with all rows A and errors e of the
+    objective. For a distant target, s scales all errors so that the largest of a point is one module length,
+    within the range of the linearisation. The damping lambda grows with the errors.
 
     Args:
         objective: the objective.
-        bounds: what the step may do.
-        damping: factor of the damping.
+        bounds: the bounds of the step.
+        damping: damping factor.
     """
     scale = _error_scale(objective, bounds.state)
     if not objective.has_tasks:
@@ -125,15 +124,15 @@ def solve_posture(
 ) -> Solution:
     """Minimise |A x - e|^2 + damping |x - c|^2 over points and chords, within the bounds of a step.
 
-    It takes time linear in the number of joints. Constraints that cannot all hold are violated as little as
-    possible, where needed by the slower `solve`.
+    The time is linear in the number of joints. Infeasible constraints are violated as little as possible;
+    the slower `solve` is the fallback.
 
     Args:
         solver: points and chords, A, at a state.
-        errors: e, what the points should cover, (p, 3) [m].
+        errors: errors e of the points, (p, 3) [m].
         damping: above 0 [m^2].
         center: c, (n,), in `Arm.joint_units`.
-        bounds: what the step may do.
+        bounds: the bounds of the step.
     """
     lower, upper = bounds.lower, bounds.upper
     given = errors, damping, center, lower, upper
@@ -152,11 +151,11 @@ def solve_posture(
 
 
 class PriorityStep(NamedTuple):
-    """What tasks with priority can have in one step.
+    """Solution for the tasks with priority.
 
     Attributes:
-        x: the step that serves them alone, (n,).
-        matrix: independent rows of theirs, (e, n), of full rank.
+        x: the step for these tasks alone, (n,).
+        matrix: independent rows that span theirs, (e, n).
     """
 
     x: Array
@@ -170,9 +169,9 @@ def solve_priority(
 
     Args:
         objective: the objective.
-        bounds: what the step may do.
+        bounds: the bounds of the step.
         tasks: the rows of these tasks.
-        wanted: what the step should do for them, (r,) [m].
+        wanted: the motion that the rows should have, (r,) [m].
     """
     hessian = damped_hessian(tasks.matrix, 1e-8 * _mean_diagonal(objective, tasks.matrix))
     alone = solve(hessian, -(tasks.matrix.T @ wanted), bounds.lower, bounds.upper, bounds.rows)
@@ -185,10 +184,10 @@ def solve_priority(
 def solve_remaining(
     hessian: Array, gradient: Array, bounds: StepBounds, first: PriorityStep | None
 ) -> Solution:
-    """Minimise x^T H x / 2 + g^T x with the freedom that tasks with priority leave.
+    """Minimise x^T H x / 2 + g^T x with equality constraints for the tasks with priority.
 
-    The whole step has to do for them what the step that serves them alone does, as equations. So there always
-    is a solution. Where rounding hides it, because joints are at their bounds, that step itself is taken.
+    Their rows must move as in the step for these tasks alone, which is hence feasible. If the solver fails
+    because of rounding at the bounds, that step is returned.
     """
     if first is None:
         return solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows)
@@ -198,7 +197,7 @@ def solve_remaining(
 
 
 def correct_curvature(objective: Objective, bounds: StepBounds, x: Array) -> Array:
-    """Correct a step for what its curvature does to tasks with priority, as far as its bounds allow."""
+    """Correct a step for second-order errors of tasks with priority, as far as its bounds allow."""
     before = objective.task_rows(bounds.state, priority=True)
     if before is None:
         return x
@@ -222,28 +221,28 @@ def minimize(
     edges: Array,
     avoidance: Avoidance | None,
     good: float,
-    borne: float = 0.0,
+    allowed: float = 0.0,
 ) -> LeastSquaresResult:
-    """Search for a minimum of the cost, step by step from a state.
+    """Search for a local minimum of the cost by steps from a state.
 
-    In a scene, a state that is too close to something first has to come clear, and then stays so.
+    In a scene, a state that violates the margin first becomes clear, and then stays so.
 
     Args:
         objective: the objective.
-        state: where to begin.
-        edges: joint positions to stay between, (2, nv) [rad or m].
+        state: the initial state.
+        edges: smallest and largest joint positions, (2, nv) [rad or m].
         avoidance: the obstacles to avoid; None: none.
-        good: mean distance of the control points from their targets at which the search ends [m], if there
-            are no further tasks.
-        borne: by how much the arm may fall short of the margin to something [m].
+        good: mean distance of the control points from their targets at which the search ends [m], unless
+            there are further tasks.
+        allowed: violation of the margin that is accepted [m].
     """
     if avoidance is None and not objective.tasks:
         return _minimize_alone(objective, state, edges, good)
     columns = objective.columns
     cost, damping, idle = objective.cost(state), 1.0, 0
-    close = borne if avoidance is None else max(avoidance.intrusion(state), borne)
+    close = allowed if avoidance is None else max(avoidance.intrusion(state), allowed)
     for _ in range(MAX_SEARCH_STEPS):
-        if not objective.tasks and close == borne and objective.mean_error(state) <= good:
+        if not objective.tasks and close == allowed and objective.mean_error(state) <= good:
             break
         here = state.positions[columns]
         lower, upper = ((edge[columns] - here) / objective.units for edge in edges)
@@ -255,7 +254,7 @@ def minimize(
         if x is not None:
             tried = objective.state_after(state, correct_curvature(objective, bounds, x))
         found = np.inf if tried is None else objective.cost(tried)
-        closer = 0.0 if avoidance is None or tried is None else max(avoidance.intrusion(tried), borne)
+        closer = 0.0 if avoidance is None or tried is None else max(avoidance.intrusion(tried), allowed)
         if tried is not None and (closer < close or (closer == close and found < cost)):
             idle = idle + 1 if closer == close and found > (1.0 - CONVERGED) * cost else 0
             state, cost, close, damping = tried, found, closer, max(damping * DECREASE, MIN_FACTOR)
@@ -264,7 +263,7 @@ def minimize(
             idle += damping > MAX_FACTOR
         if idle >= MAX_IDLE:
             break
-    return LeastSquaresResult(state, cost, objective.mean_error(state), close - borne)
+    return LeastSquaresResult(state, cost, objective.mean_error(state), close - allowed)
 
 
 def _minimize_alone(objective: Objective, state: ArmState, edges: Array, good: float) -> LeastSquaresResult:
@@ -280,12 +279,12 @@ def find_positions_near(objective: Objective, state: ArmState, edges: Array) -> 
 
     Args:
         objective: points and chords.
-        state: where to begin.
-        edges: joint positions to stay between, (2, nv) [rad or m].
+        state: the initial state.
+        edges: smallest and largest joint positions, (2, nv) [rad or m].
 
     Returns:
-        Joint positions, (nv,) [rad or m]: those of the configuration that the target knows, else those that a
-        short search finds; None if it finds none.
+        Joint positions, (nv,) [rad or m]: those of the configuration of the target if it has one, else those
+        that a short search finds; None if it finds none.
     """
     arm, target = objective.arm, objective.target
     if target.q is not None:
@@ -299,7 +298,7 @@ def find_positions_near(objective: Objective, state: ArmState, edges: Array) -> 
 def _search(
     objective: Objective, positions: Array, edges: Array, good: float, steps: int
 ) -> tuple[float, float]:
-    """Search from joint positions, (nv,), which are changed; return the sum of squares and the mean error."""
+    """Search from joint positions, (nv,), in place; return the sum of squares and the mean error."""
     arm, chain = objective.arm, objective.chain
     problem = PostureProblem(
         arm.kinematics.constants,

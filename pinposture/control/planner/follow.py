@@ -1,4 +1,4 @@
-"""The third stage of the planner: one step along a timed path, within limits and clear of obstacles."""
+"""Third stage of the planner: one step along a timed path, within limits and clear of obstacles."""
 
 from __future__ import annotations
 
@@ -37,58 +37,57 @@ from pinposture.placement.points import TAKEN
 Array = NDArray[np.float64]
 
 MAX_DEVIATION = 0.05
-"""Joint motion by which a measured configuration may differ from the expected one without a new path being
-planned, in `Arm.joint_units`."""
+"""Joint motion between measured and expected configuration beyond which the path is replanned, in
+`Arm.joint_units`."""
 
 PROGRESS_SHARE = 0.005
 """Share of a path that counts as progress for an arm that is hindered."""
 
 ARRIVED = 1e-9
-"""Joint motion left at which the arm is at the end of a path, in `Arm.joint_units`."""
+"""Remaining joint motion at which the arm is at the end of a path, in `Arm.joint_units`."""
 
 ERROR_ROUNDING = 1e-12
-"""Increase of the posture error that counts as rounding, in arm lengths."""
+"""Increase of the posture error that is attributed to rounding, in arm lengths."""
 
 STEPS_AHEAD = 8
 """Number of steps on a path that are computed in one call."""
 
 MAX_ATTEMPTS = 8
-"""How often a step is damped harder when it fails to reduce the errors, before none is taken."""
+"""How often the damping is increased for a step that fails to reduce the errors, before none is taken."""
 
 BOX_SLACK = 1e-12
-"""What is lost in the arithmetic of a step, in `Arm.joint_units`; it is cut at its limits anyway."""
+"""Rounding error of a step, in `Arm.joint_units`; steps are clipped at their limits anyway."""
 
 NEGLIGIBLE_ERROR = 1e-13
-"""Error that no step can reduce, in arm lengths: it is rounding."""
+"""Error that is attributed to rounding and not reduced further, in arm lengths."""
 
 MAX_LAG = 0.5
-"""Share of a step that an arm may lag behind its place on the path and still count as making progress: it
-then goes on by as much as the limits of its slowest joint allow, however little that is of the whole path."""
+"""Share of a step by which an arm may lag behind its place on the path and still count as making progress,
+however short the step that its slowest joint allows."""
 
 CATCH_UP_SHARE = 0.25
-"""Share of the acceleration limit with which an arm that lags behind catches up."""
+"""Share of the acceleration limit that is used to make up a lag."""
 
 MAX_PURSUED_MOTION = 0.5
-"""Joint motion to a moving target up to which each joint goes straight there, in `Arm.joint_units`."""
+"""Joint motion to a moving target up to which the joints move there directly, in `Arm.joint_units`."""
 
 MAX_UNTIMED_BEND = 1e-3
-"""Joint motion by which the end of a path may be moved before its speed is found anew, in
-`Arm.joint_units`."""
+"""Displacement of the end of a path beyond which the path is retimed, in `Arm.joint_units`."""
 
 UNBOUNDED_STEP = np.array([[-np.inf], [np.inf]])
 
 
 class StepsAhead(NamedTuple):
-    """The next steps on a path, for an arm that is where each of them leads.
+    """The next steps on a path, valid while the arm follows them exactly.
 
     Attributes:
         bounds: the limits that they keep.
-        places: where each leads, in waypoints, s numbers.
+        places: place on the path after each step, in waypoints, s numbers.
         errors: sum of the distances of the control points from their targets before the first step and after
             each, s + 1 numbers [m].
         dq: the steps, (s, nv) [rad or m].
-        reached: joint positions after each, (s, nv) [rad or m].
-        at_limit: which joints are at a position limit then, (s, nv).
+        reached: joint positions after each step, (s, nv) [rad or m].
+        at_limit: which joints are then at a position limit, (s, nv).
     """
 
     bounds: JointBounds
@@ -110,12 +109,11 @@ class PathProgress(NamedTuple):
         idle_travel: joint travel that the limits have allowed since then [rad].
         arrived: whether the arm is at the end; the remaining errors are then reduced directly.
         damping: damping factor of these steps.
-        expected: expected joint positions, (nv,) [rad or m]; None before the first
-            step.
+        expected: expected joint positions, (nv,) [rad or m]; None before the first step.
         bend: displacement of the end of the path since it was planned, (nv,) [rad or m]; None: none.
         timed_bend: displacement of the end when the path was timed; None: none.
-        ahead: the next steps, if they are computed already.
-        taken: number of those that have been taken.
+        ahead: the next steps, if already computed.
+        taken: number of those steps that have been taken.
     """
 
     timed: TimedPath
@@ -155,14 +153,14 @@ class PathProgress(NamedTuple):
         Args:
             place: the end of the step.
             travel: joint travel that the limits allow in it [rad].
-            hindered: whether it is shorter than the limits, or the profile, allow. A step that is not
-                hindered counts as progress, however short it is.
+            hindered: whether it is shorter than the limits or the profile allow. Any other step counts as
+                progress, however short.
             expected: expected joint positions after it, (nv,) [rad or m]; None if unknown.
-            ahead: the next steps, if they are computed already.
-            taken: number of those that have been taken.
+            ahead: the next steps, if already computed.
+            taken: number of those steps that have been taken.
         """
         idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.path.end
-        return PathProgress(  # quicker than `_replace`, in nearly each cycle
+        return PathProgress(  # faster than `_replace`, and called in nearly every cycle
             self.timed,
             place,
             place - self.place,
@@ -178,7 +176,7 @@ class PathProgress(NamedTuple):
         )
 
     def matches(self, state: ArmState) -> bool:
-        """Whether the arm is close to its expected position; if not, a new path begins at its position."""
+        """Whether the arm is close enough to its expected position to stay on the path."""
         arm = self.path.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
@@ -187,17 +185,11 @@ class PathProgress(NamedTuple):
         return kernels.joint_distance(*given) <= MAX_DEVIATION
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
-        """Return the same progress on another path of as many waypoints, or within other limits."""
+        """Return this progress on another path with as many waypoints, or within other limits."""
         return self._replace(timed=retime(path, limits, self.timed.max_rate, initial_speed), ahead=None)
 
     def bent_to(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
-        """Return the same progress on a bent path, timed again if it was bent much.
-
-        Args:
-            path: the path.
-            bend: as the attribute.
-            limits: the limits of each step.
-        """
+        """Return this progress on a bent path, retimed if the bend, as in the attribute, changed enough."""
         since = bend if self.timed_bend is None else bend - self.timed_bend
         little = np.all(np.abs(since) <= MAX_UNTIMED_BEND * path.arm.joint_units)
         if little and self.timed.bounds is limits.for_arm(path.arm):
@@ -205,12 +197,12 @@ class PathProgress(NamedTuple):
         return self.retimed(path, limits)._replace(bend=bend, timed_bend=bend)
 
     def along(self, path: JointPath) -> PathProgress:
-        """Return the same progress on a path through the same waypoints, for another objective or scene."""
+        """Return this progress on a path through the same waypoints with another objective or scene."""
         return self._replace(timed=replace(self.timed, path=path), ahead=None)
 
     @classmethod
     def begin(cls, timed: TimedPath, previous: Array | None) -> PathProgress:
-        """Return the progress at the start of a path, for an arm that moved by a step (nv,) before."""
+        """Return the progress at the start of a path, for an arm whose previous step was (nv,) long."""
         if timed.profile is None or previous is None:
             return cls(timed)
         path = timed.path
@@ -222,7 +214,7 @@ class PathProgress(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """A configuration that takes a target, and its motion in the last cycle.
+    """A configuration that takes a target, and its motion since the previous target.
 
     Attributes:
         target: the target.
@@ -246,17 +238,16 @@ class GeodesicMemory(Memory):
 def follow(
     path: TimedPath, state: ArmState, limits: Limits | None = None, memory: Memory | None = None
 ) -> Step:
-    """Take one step along a path: the third stage of `Geodesic`.
+    """Take one step along a path: the third stage of `Geodesic`, which never plans.
 
-    It never plans. The step keeps the limits, avoids the obstacles of `path.path.scene`, and leads the arm
-    back to the path if it is off it. At the end of the path it reduces the remaining errors.
+    The step keeps the limits, avoids the obstacles of `path.path.scene`, and returns an arm that is off the
+    path to it. At the end of the path, steps reduce the remaining errors.
 
     Args:
         path: the timed path, as `retime` returns it.
         state: the state of the arm.
         limits: the limits of the step; those of the path if None.
-        memory: `memory` of the previous step; None at the first step of a path, which begins at rest at the
-            start.
+        memory: `memory` of the previous step. None: the arm is at rest at the start of the path.
 
     Raises:
         InvalidValue: an argument of the wrong type, or of another arm.
@@ -265,7 +256,7 @@ def follow(
         raise InvalidValue("path", path, "a TimedPath, as `retime` returns it")
     require_step_arguments(state, path.path.objective.target, memory)
     if state.arm is not path.path.arm:
-        raise InvalidValue("state", state.arm, "a state of the arm that the path was planned for")
+        raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")
     limits, state = path.limits if limits is None else require_limits(limits), state.compiled
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq
@@ -277,18 +268,15 @@ def follow(
 
 
 def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> Step | None:
-    """Take the next step on a path, if nothing interferes; several are computed in one compiled call.
+    """Take the next step on a path without obstacles in the simple case; several are computed in one call.
 
-    Most steps are of this kind, so it is tried first. `advance` handles all other cases: limits that cannot
-    be kept, an arm away from its expected position, a path at its end or one that leaves the limits.
+    Most steps are of this kind. None in all other cases, which `advance` handles: limits that cannot be kept,
+    an arm away from its expected position, the end of the path, or a path that leaves the limits.
 
     Args:
-        progress: position of the arm on its path, without obstacles.
+        progress: position of the arm on its path.
         state: the state of the arm.
-        bounds: the limits of its joints.
-
-    Returns:
-        The step; None in the other cases.
+        bounds: the limits of the joints.
     """
     timed, objective = progress.timed, progress.objective
     if progress.arrived or timed.profile is not None or objective.has_tasks:
@@ -304,17 +292,24 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
     place, before, after, dq = ahead.places[i], ahead.errors[i], ahead.errors[i + 1], ahead.dq[i].copy()
     hindered = place <= progress.place
     moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
-    diagnostics = Diagnostics(
-        ahead.at_limit[i],
-        rows=len(objective.active) * arm.dimension,
-        error_increasing=after > before + ERROR_ROUNDING * arm.length,
-        following_path=moved.idle_travel == 0.0,
-    )
+    diagnostics = _diagnose(objective, ahead.at_limit[i], before, after, moved.idle_travel == 0.0)
     return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, moved))
 
 
+def _diagnose(
+    objective: Objective, at_limit: NDArray[np.bool_], before: float, after: float, following_path: bool
+) -> Diagnostics:
+    """Return the diagnostics of a step, from the posture errors before and after it [m]."""
+    return Diagnostics(
+        at_limit,
+        rows=len(objective.active) * objective.arm.dimension,
+        error_increasing=after > before + ERROR_ROUNDING * objective.arm.length,
+        following_path=following_path,
+    )
+
+
 def _is_expected(progress: PathProgress, state: ArmState) -> bool:
-    """Whether the arm is where the last step was to lead it, up to rounding."""
+    """Whether the arm is at its expected position, up to rounding."""
     if progress.expected is None:
         return False
     off = state.positions - progress.expected
@@ -322,7 +317,7 @@ def _is_expected(progress: PathProgress, state: ArmState) -> bool:
 
 
 def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -> StepsAhead:
-    """Compute the next usual steps on a path; one only for an arm that does not go as expected."""
+    """Compute the next simple steps on a path; only one if the arm is not at its expected position."""
     arm, path, forward, wanted = state.arm, progress.path, state.forward, progress.objective.chain
     chain = arm.kinematics
     expected, count = progress.expected, STEPS_AHEAD
@@ -337,7 +332,7 @@ def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -
         chain.constants,
         chain.endless,
         bounds.units,
-        bounds.leaning,
+        bounds.slack,
         bounds.edges,
         bounds.bound,
         forward.positions,
@@ -362,17 +357,17 @@ def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -
 
 
 def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:
-    """Take the step to a configuration that takes the target posture, if one short step is enough.
+    """Take the step to a configuration that takes the target posture, if it is one short step away.
 
-    A target that moves a little in each cycle needs such steps.
+    This is the usual case for a target that moves a little in each cycle.
 
     Args:
         objective: the objective, without tasks.
         state: the state of the arm.
-        bounds: the limits of its joints.
+        bounds: the limits of the joints.
 
     Returns:
-        The step; None if there is no such configuration, or if it is farther than one step.
+        The step; None if no such configuration is known within one step.
     """
     if bounds.brake is not None:
         return None
@@ -386,7 +381,7 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
         chain.constants,
         chain.endless,
         bounds.units,
-        bounds.leaning,
+        bounds.slack,
         bounds.edges,
         bounds.bound,
         forward.positions,
@@ -403,24 +398,19 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
     )
     if not (simple and after <= len(objective.active) * GOAL_TOLERANCE * arm.length):
         return None
-    diagnostics = Diagnostics(
-        at_limit,
-        rows=len(objective.active) * arm.dimension,
-        error_increasing=after > before + ERROR_ROUNDING * arm.length,
-        following_path=True,
-    )
+    diagnostics = _diagnose(objective, at_limit, before, after, following_path=True)
     return Step(dq, objective.active, diagnostics, GeodesicMemory(dq))
 
 
 def pursue(
     objective: Objective, state: ArmState, limits: Limits, memory: Memory | None
 ) -> tuple[Step | None, Goal | None]:
-    """Take the step with which each joint meets its moving goal soonest and stays on it.
+    """Take the step with which each joint catches up with its moving goal soonest and then stays on it.
 
     Let r be the distance to the goal, and g(r) the largest step after which a joint can stop in time
-    (`farthest`). For a goal that moves by v in each cycle it is v + g(r - v). Its motion is that of
-    `Target.velocity`, else that of the target in the last cycle, if it is feasible within these limits and
-    not noise. An arm that is far behind follows a path first.
+    (`farthest`). For a goal that moves by v in each cycle, the step is v + g(r - v). The motion v is
+    `Target.velocity`, or else that of the target in the last cycle, unless it is noise or infeasible. An arm
+    that is far behind follows a path first.
 
     Args:
         objective: the objective, without tasks.
@@ -429,8 +419,7 @@ def pursue(
         memory: `memory` of the previous step.
 
     Returns:
-        The step, None if the target is at rest or too far away; and the configuration that takes the target,
-        None if unknown.
+        The step, None if the target is at rest or too far away; and the goal, None if unknown.
     """
     arm, target, bounds = state.arm, objective.target, limits.for_arm(state.arm)
     before = memory.goal if isinstance(memory, GeodesicMemory) else None
@@ -439,7 +428,7 @@ def pursue(
     found, none = find_positions_near(objective, state, bounds.edges), np.zeros(arm.nv)
     if found is None or bounds.brake is None:
         return None, None
-    if target.q is not None:  # does it take the points?
+    if target.q is not None:  # its configuration may miss the points
         missed = objective.mean_error(arm.at(target.q).compiled)
         if missed > GOAL_TOLERANCE * arm.length:
             return None, None
@@ -476,28 +465,23 @@ def pursue(
         reached,
         at_limit,
     )
-    diagnostics = Diagnostics(
-        at_limit,
-        rows=len(objective.active) * arm.dimension,
-        error_increasing=after > error + ERROR_ROUNDING * arm.length,
-        violated_constraints=box.violated_constraints,
-        following_path=True,
-    )
+    diagnostics = _diagnose(objective, at_limit, error, after, following_path=True)
+    diagnostics = diagnostics._replace(violated_constraints=box.violated_constraints)
     return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, None, goal)), goal
 
 
 def _turned(arm: Arm, change: Array) -> Array:
-    """Return displacements (nv,) less the whole turns that make no difference."""
+    """Return displacements (nv,) reduced by whole turns of joints that can make them."""
     turns = np.rint(change / (2.0 * np.pi)) * (arm.kinematics.endless | arm.multi_turn)
     return np.asarray(change - 2.0 * np.pi * turns)
 
 
 class CandidateStep(NamedTuple):
-    """A step before the last checks.
+    """A step before the final checks.
 
     Attributes:
         dq: the step, (nv,) [rad or m].
-        progress: its end on the path.
+        progress: progress on the path after it.
         solution: solution of the quadratic program; None if none was solved.
         reason: why the arm does not move; empty if it does.
     """
@@ -511,7 +495,7 @@ class CandidateStep(NamedTuple):
 def advance(
     progress: PathProgress, state: ArmState, limits: Limits, box: StepBox, avoidance: Avoidance | None
 ) -> Step:
-    """Take a step along a path, or at its end; always finite, within its limits and clear.
+    """Take a step along a path, or at its end; the step is finite, within its limits and clear.
 
     Args:
         progress: position of the arm on its path.
@@ -534,11 +518,10 @@ def step_along(
     limits: Limits,
     avoidance: Avoidance | None = None,
 ) -> CandidateStep:
-    """Return the step along the path if its bounds admit it; else the nearest admissible one.
+    """Return the step along the path if its bounds admit it, else the closest admissible one.
 
-    The nearest minimises |A (x - x_path)|^2 + mu^2 |x - x_path|^2, with all rows A of the objective and the
-    weight mu of joint motion with which the path was found. Tasks with priority come first; the path takes
-    account of the others.
+    That one minimises |A (x - x_path)|^2 + mu^2 |x - x_path|^2, with all rows A of the objective and the
+    weight mu of joint motion. Tasks with priority come first; the path already accounts for the others.
 
     Args:
         progress: position of the arm on its path.
@@ -554,14 +537,14 @@ def step_along(
         progress = progress._replace(arrived=True, place=path.end)
         return reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
     if inside and avoidance is None and not objective.has_tasks:
-        # Any weighing would give the same; and a step that leads on makes progress (`JointPath.stride`).
+        # All weights give the same step here, and a step ahead is progress (see `JointPath.stride`).
         return CandidateStep(dq, progress.moved_to(place, bounds.travel, hindered and place <= here))
     hindered = _lags_behind(progress, state) if progress.timed.profile is None and here < place else hindered
     progress = progress.moved_to(place, bounds.travel, hindered)
     tasks = objective.task_rows(state, priority=True)
     may_follow = inside and tasks is None
     if may_follow and avoidance is not None and not avoidance.moving and avoidance.stops_clear(state, dq):
-        return CandidateStep(dq, progress)  # the rows of constraints need not even be computed
+        return CandidateStep(dq, progress)  # without computing the rows of constraints
     step_bounds, wanted = StepBounds.of(objective, state, box, avoidance), objective.normalize(dq)
     if may_follow and step_bounds.admit(wanted):
         return CandidateStep(dq, progress)
@@ -585,7 +568,7 @@ def step_along(
 
 
 class _Proposal(NamedTuple):
-    """A step along a path before anything else is considered.
+    """A step along a path, before obstacles and tasks are considered.
 
     Attributes:
         place: its end, in waypoints.
@@ -612,7 +595,7 @@ def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds:
     rest = path.offsets[-1] - offset
     left = float(np.abs(rest[columns] / units).max(initial=0.0))
     if path.end == 1.0 and not timed.scheduled and bounds.brake is not None:
-        # So short a path need not be straight: each joint comes to its end as fast as it can stop there.
+        # On so short a path each joint moves to the end on its own, as fast as it can stop there.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
         whole = float(np.abs(path.offsets[-1][columns] / units).max(initial=0.0))
@@ -623,7 +606,7 @@ def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds:
     share = _admissible_share(onward[columns], lag[columns], bounds.bound[columns])
     place, hindered = here + share * wanted, share < 1.0 or here >= path.end
     place = path.end if place > path.end - ARRIVED else place
-    # The lag is made up no faster than the arm can stop, or the arm would swing about its path.
+    # The lag is made up no faster than the arm can stop, or it would oscillate about its path.
     if bounds.brake is not None:
         lag = farthest(lag, CATCH_UP_SHARE * bounds.brake)
     dq = path.smooth_offset(place) - smooth + lag
@@ -634,13 +617,13 @@ def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds:
 
 
 def _lags_behind(progress: PathProgress, state: ArmState) -> bool:
-    """Whether a joint lags behind the position of the arm on its path by more than `MAX_LAG`."""
+    """Whether a joint lags behind its place on the path by more than `MAX_LAG`."""
     lag = progress.path.offset(progress.place) - progress.path.offset_of(state, progress.place)
     return bool(np.any((np.abs(lag) > MAX_LAG * progress.timed.bounds.bound)[progress.objective.columns]))
 
 
 def _admissible_share(onward: Array, lag: Array, bound: Array) -> float:
-    """Return the share of the motion ahead that the joints, (n,), may make while they catch up."""
+    """Return the share of the motion ahead that the joints, (n,), can make while they catch up."""
     gap = np.where(onward < 0.0, bound + lag, bound - lag)
     share = np.where(np.abs(lag) > bound, 0.0, gap / np.maximum(np.abs(onward), 1e-100))
     return float(min(share.min(initial=1.0), 1.0))
@@ -658,32 +641,27 @@ def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateSte
     for _ in range(MAX_ATTEMPTS if cost > (NEGLIGIBLE_ERROR * objective.arm.length) ** 2 else 0):
         found = reduce_errors(objective, bounds, damping)
         x = None if found.x is None else correct_curvature(objective, bounds, found.x)
-        if (
-            x is not None
-            and objective.cost(objective.state_after(bounds.state, x)) < (1.0 - CONVERGED) * cost
-        ):
+        if x is not None and objective.cost(objective.state_after(state, x)) < (1.0 - CONVERGED) * cost:
             less_damped = progress._replace(damping=max(damping * DECREASE, MIN_FACTOR))
             return CandidateStep(objective.displacement(x), less_damped, found)
         damping *= INCREASE
-    rest = np.clip(np.zeros(len(bounds.lower)), bounds.lower, bounds.upper)  # braking may still forbid it
+    rest = np.clip(np.zeros(len(bounds.lower)), bounds.lower, bounds.upper)  # the arm may have to brake
     reason = ""
     if not np.any(rest):
-        reason = f"no step within the limits reduces the errors any more{_describe_rest(objective, bounds)}"
+        reason = f"no step within the limits reduces the errors further{_describe_errors(objective, bounds)}"
     return CandidateStep(objective.displacement(rest), progress, found, reason)
 
 
-def _describe_rest(objective: Objective, bounds: StepBounds) -> str:
-    """Say which tasks are not met, and whether points without tasks were missed."""
+def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
+    """Name the tasks that are not met, and say whether the target posture is missed."""
     left = [
         f"{type(task).__name__} by {np.linalg.norm(task.rows(bounds.state, objective.target).error):.3g} m"
         for task in objective.tasks
     ]
-    words = f"; tasks that are not met: {', '.join(left)}" if left else ""
+    words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""
     target, missed = objective.target, objective.mean_error(bounds.state) > TAKEN * objective.arm.length
     if missed and (target.q is None or target.approximate):
-        words += (
-            "; no posture was found that takes all points, and the closest that was may be a local minimum"
-        )
+        words += "; no posture that takes all points was found; the closest one may be a local minimum"
     return words
 
 
@@ -727,15 +705,10 @@ def _check_step(
     before_error, after_error = kernels.look_ahead(
         arm.kinematics.constants, *given, *targets, dq, reached, at_limit
     )
-    diagnostics = Diagnostics(
-        at_limit,
-        candidate.reason,
-        rows=len(objective.active) * arm.dimension,
-        scale=share,
-        error_increasing=after_error > before_error + ERROR_ROUNDING * arm.length,
-        violated_constraints=violated,
-        near=near,
-        following_path=not progress.arrived and progress.idle_travel == 0.0,
+    following = not progress.arrived and progress.idle_travel == 0.0
+    diagnostics = _diagnose(objective, at_limit, before_error, after_error, following)
+    diagnostics = diagnostics._replace(
+        reason=candidate.reason, scale=share, violated_constraints=violated, near=near
     )
     memory = GeodesicMemory(dq, stopping, progress._replace(expected=reached, ahead=None))
     return Step(dq, objective.active, diagnostics, memory)

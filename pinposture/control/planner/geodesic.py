@@ -1,4 +1,4 @@
-"""The default controller: plans the most direct path, and follows it within limits and around obstacles."""
+"""The default controller: plans the most direct path and follows it within limits and around obstacles."""
 
 from __future__ import annotations
 
@@ -36,37 +36,37 @@ MAX_IDLE_TRAVEL, MAX_PATH_ATTEMPTS = 1.0, 3
 """Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
 
 MIN_CLEARANCE_GAIN = 1e-4
-"""Smallest gain in clearance of a step out of an obstacle, in arm lengths; below it a path is planned."""
+"""Gain in clearance of a step out of an obstacle below which a path is planned, in arm lengths."""
 
 
 @dataclass(frozen=True)
 class Geodesic:
     """Moves the arm along the most direct path to its target posture.
 
-    Three stages, each of which can be called on its own:
+    It has three stages, which can also be called separately:
 
     1. `plan` finds the goal configuration (that of the target, or the one closest to its points) and the path
        along which the control points travel least.
     2. `retime` finds the time parameterization of the path within the limits.
-    3. `follow` takes one step: of all steps within the position, velocity and acceleration limits that lose
-       no more than a share of the distance to any obstacle, the one closest to the step along the path,
+    3. `follow` takes one step. Admissible steps keep the position, velocity and acceleration limits and lose
+       at most a share of the distance to any obstacle; the one closest to the step along the path is taken,
        measured by the motion of control points and chords. At the end of the path, damped least squares
        within the same limits reduce the remaining errors.
 
-    A new path is planned when the target changes, when the arm is away from its expected position, and when
-    it makes no progress. An arm outside its position limits or inside an obstacle first returns, by the
-    smallest sufficient step.
+    The path is replanned if the target changes, if the arm is away from its expected position, or if it makes
+    no progress. An arm outside its position limits or inside an obstacle first returns, by the smallest
+    sufficient step.
 
-    If not all constraints can hold, they are relaxed in this order, and `Diagnostics.violated_constraints`
-    names them: tasks and posture, by their weights, and tasks with priority after the others; then the margin
-    to obstacles, of which each step regains what it can; then acceleration limits, if braking would cause a
+    If the constraints are infeasible, they are relaxed in this order, and `Diagnostics.violated_constraints`
+    names them: tasks and posture, by their weights, tasks with priority last; then the margin to obstacles,
+    which the next steps restore as far as possible; then acceleration limits, if braking would cause a
     collision, and position limits, as in `Limits.box`. Velocity limits always hold.
 
     Attributes:
-        joint_weight: weight of joint motion relative to control point motion: how far, in module lengths,
-            all control points may move to save one radian of a joint. Smaller values, down to about 0.05,
-            give straighter point paths for more joint motion; below that only the number of steps grows.
-            Large values lead to joint interpolation.
+        joint_weight: weight of joint motion relative to control point motion: the distance, in module
+            lengths, that all control points may move to save one radian of a joint. Smaller values, down to
+            about 0.05, give straighter point paths and more joint motion; below that only the number of steps
+            grows. Large values lead to joint interpolation.
         relative_position_weight: weight of the squared error of a chord, relative to that of a point.
         tasks: further tasks.
         scene: the obstacles; None: none. `track(..., scene=)` sets it.
@@ -79,7 +79,7 @@ class Geodesic:
     name: str = "geodesic"
 
     plans: ClassVar[bool] = True
-    """Whether a step plans a path where it needs one; else it raises `PlanNeeded`."""
+    """Whether a step plans when it needs a path; if not, it raises `PlanNeeded`."""
 
     def __post_init__(self) -> None:
         tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
@@ -89,7 +89,7 @@ class Geodesic:
             raise InvalidValue("scene", self.scene, "a Scene(...), or None")
 
     def with_scene(self, scene: Scene | None) -> Geodesic:
-        """Return the same controller in another scene."""
+        """Return this controller in another scene."""
         return replace(self, scene=scene)
 
     def objective(self, arm: Arm, target: Target) -> Objective:
@@ -99,7 +99,7 @@ class Geodesic:
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
-        """Compute one step; see `Controller.step`. The first step for a target plans, and takes longer."""
+        """Compute one step; see `Controller.step`. The first step to a target plans and takes longer."""
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
         bounds = limits.for_arm(state.arm)
@@ -134,7 +134,7 @@ class Geodesic:
         memory: Memory | None,
         before: PathProgress | None,
     ) -> Step:
-        """Take a step along a path, which is planned first if there is none."""
+        """Take a step along a path, planning it first if needed."""
         bounds = limits.for_arm(state.arm)
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
@@ -152,14 +152,17 @@ class Geodesic:
             step = fast_step(progress, state, bounds)
             if step is not None:
                 return step
-        return advance(progress, state, limits, box, avoidance)
+        step = advance(progress, state, limits, box, avoidance)
+        if avoidance is not None and not (step.diagnostics.reason or np.any(step.dq)):
+            step = _explain_collision(step, avoidance, state)
+        return step
 
     def start(self, path: TimedPath, state: ArmState, memory: Memory | None = None) -> GeodesicMemory:
         """Return the memory with which the next steps follow a given path.
 
-        If the path has a schedule (`retime(..., max_rate=)`), the steps stay on it while the target moves
-        along it, until its end. An arm that is away from its expected position, or makes no progress, leaves
-        the path and plans its own to the target, and `memory.progress.timed.scheduled` is False.
+        If the path has a schedule (`retime(..., max_rate=)`), the steps stay on it until its end while the
+        target moves along it. An arm that is away from its expected position or makes no progress leaves it
+        for a path planned to the target; `memory.progress.timed.scheduled` is then False.
 
         Args:
             path: the path; its objective should be `objective(arm, target)` of this controller.
@@ -175,7 +178,7 @@ class Geodesic:
         return GeodesicMemory(motion.dq, motion.stopping, progress)
 
     def _is_unchanged(self, progress: PathProgress, state: ArmState, target: Target) -> bool:
-        """Whether the arm continues as before, without planning or obstacles."""
+        """Whether the step needs neither planning nor collision avoidance."""
         simple = not self.tasks and self.scene is None and progress.idle_travel < MAX_IDLE_TRAVEL
         objective = progress.objective
         return simple and objective.target is target and objective.arm is state.arm
@@ -183,7 +186,7 @@ class Geodesic:
     def _update(
         self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None
     ) -> PathProgress:
-        """Return the progress so far; on a new path at first, for a new target, and without progress."""
+        """Return the progress, on a new path for the first step, a new target or lack of progress."""
         if progress is not None and not progress.matches(state):
             progress = None
         if progress is not None and progress.path.scene is not self.scene:
@@ -197,13 +200,13 @@ class Geodesic:
         return self._plan(state, target, limits, None if scheduled else progress)
 
     def _go_on(self, state: ArmState, target: Target, limits: Limits, progress: PathProgress) -> PathProgress:
-        """Return the progress to the same target, on another path if this one gives none."""
-        if progress.objective.tasks != self.tasks:  # these may move, and the path stays
+        """Return the progress to the same target, on another path if the arm makes none on this one."""
+        if progress.objective.tasks != self.tasks:  # moving tasks need no new path
             progress = progress.along(progress.path.revised(objective=self._objective(state, target)))
         if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
             return _within(progress, limits)
         attempt = progress.path.attempt + 1
-        if self.scene is not None and self.scene.moving:  # another moment, another attempt
+        if self.scene is not None and self.scene.moving:  # the path may be clear later
             attempt = 0
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
@@ -239,7 +242,7 @@ class Geodesic:
         return progress.bent_to(path, bend, limits)
 
     def _objective(self, state: ArmState, target: Target, progress: PathProgress | None = None) -> Objective:
-        """Return the objective; that of a progress with another target where nothing else is different."""
+        """Return the objective; reuse that of the progress if only the target differs."""
         if progress is not None:
             known = progress.objective
             weights = known.relative_position_weight, known.joint_weight
@@ -254,7 +257,7 @@ class Geodesic:
     def _return(
         self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step:
-        """Take a step back into the position limits; the path begins there."""
+        """Take a step back into the position limits, where a path can begin."""
         arm = state.arm
         target.check(arm)
         dq, violated = np.zeros(arm.nv), box.violated_constraints
@@ -272,9 +275,7 @@ class Geodesic:
     def _back_out(
         self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step | None:
-        """Take the smallest step that leads the arm out of an obstacle, before a path begins.
-
-        No path is planned from inside an obstacle: none would be clear.
+        """Take the smallest step that leads the arm out of an obstacle, from inside which no path is clear.
 
         Returns:
             None if the arm is not in collision, or if no such step gains clearance.
@@ -297,21 +298,21 @@ class Geodesic:
     def keep_clear(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Memory:
-        """Take the smallest step that keeps the arm clear, wherever the target is, while a path is planned.
+        """Take the smallest step that keeps the arm clear, regardless of the target, while a path is planned.
 
-        Without obstacles that move, the arm brakes and stands still.
+        Without moving obstacles, the arm brakes to a stop.
 
         Args:
             state: the state of the arm.
             target: the target posture.
             limits: the limits of the step; `Limits()` if None.
-            memory: `memory` of the step before; None: the arm is at rest.
+            memory: `memory` of the previous step; None: the arm is at rest.
 
         Returns:
-            The memory after the step, which is its `dq`. What is known of a path stays.
+            The memory after the step, which is its `dq`; progress on a path is kept.
 
         Raises:
-            InvalidValue: arguments of a wrong type.
+            InvalidValue: an argument of the wrong type.
         """
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
@@ -327,7 +328,7 @@ class Geodesic:
 
 
 class PromptGeodesic(Geodesic):
-    """The same, but its steps never plan: they raise `PlanNeeded`, and `plan_from` does it elsewhere."""
+    """Variant whose steps never plan but raise `PlanNeeded`; `plan_from` plans in another process."""
 
     plans: ClassVar[bool] = False
 
@@ -335,7 +336,7 @@ class PromptGeodesic(Geodesic):
 def plan_from(
     controller: Geodesic, arm: Arm, q: Array, target: Target, limits: Limits, previous: Array, attempt: int
 ) -> PathProgress:
-    """Plan for a step that needs a path, in another process.
+    """Plan for a step that raised `PlanNeeded`, in another process.
 
     Args:
         controller: the controller.
@@ -352,7 +353,7 @@ def plan_from(
     state, objective = arm.at(q).compiled, controller.objective(arm, target)
     path = controller._find_path(objective, state, limits, attempt)
     progress = PathProgress.begin(retime(path, limits), previous)
-    bare: dict[str, Any] = {"objective": None, "scene": None}  # large, and known to the caller
+    bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
     return progress.along(progress.path.revised(**bare))._replace(expected=state.forward.positions)
 
 
@@ -364,15 +365,15 @@ def adopt_plan(
     limits: Limits,
     late: Memory | None,
 ) -> PathProgress:
-    """Return the progress of a plan, with what `plan_from` left out.
+    """Return the progress that `plan_from` returned, with objective and scene restored.
 
     Args:
         controller: as for `plan_from`.
-        progress: what it returned.
-        arm: as for it.
-        target: as for it.
-        limits: as for it.
-        late: the motion of an arm that comes later than planned, and has braked; None: it is in time.
+        progress: the result of `plan_from`.
+        arm: as for `plan_from`.
+        target: as for `plan_from`.
+        limits: as for `plan_from`.
+        late: memory of an arm that arrived late at the start of the path and has braked; None: it is on time.
     """
     path = progress.path.revised(objective=controller.objective(arm, target), scene=controller.scene)
     timed = replace(progress.timed, path=path, limits=limits, bounds=limits.for_arm(arm))
@@ -382,7 +383,7 @@ def adopt_plan(
 
 
 def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
-    """Return the smallest step within bounds that keeps or becomes clear."""
+    """Return the smallest step within bounds that keeps or makes the arm clear."""
     solver, rest = ChainSolver(avoidance.objective, bounds.state, weight=0.0), np.zeros(len(bounds.lower))
     found = solve_posture(solver, solver.covered(rest), 1.0, rest, bounds).x
     x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
@@ -390,7 +391,7 @@ def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
 
 
 def _within(progress: PathProgress, limits: Limits) -> PathProgress:
-    """Return the progress, with the speed that the limits allow if they are others."""
+    """Return the progress, retimed if the limits have changed."""
     same = progress.timed.bounds is limits.for_arm(progress.path.arm)
     return progress if same else progress.retimed(progress.path, limits)
 
@@ -404,7 +405,7 @@ def _step_before_planning(
     reason: str,
     stopping: Array | None,
 ) -> Step:
-    """Return a step to where a path can begin. Nothing is remembered but the step."""
+    """Return a step to where a path can begin, with a memory of the step alone."""
     arm, active = state.arm, tuple(int(k) for k in np.flatnonzero(target.has_target))
     after = arm.at(arm.integrate(state.q, dq)).compiled
     diagnostics = Diagnostics(
@@ -419,8 +420,16 @@ def _step_before_planning(
     return Step(dq, active, diagnostics, GeodesicMemory(dq, stopping))
 
 
+def _explain_collision(step: Step, avoidance: Avoidance, state: ArmState) -> Step:
+    """Return a step that does not move; if the arm is in collision, it says that no step leads out."""
+    if avoidance.near(state).minimum >= 0.0:
+        return step
+    reason = f"the arm is in collision, and no step leads out: {avoidance.describe_closest(state)}"
+    return step._replace(diagnostics=step.diagnostics._replace(reason=reason))
+
+
 def _are_alike(one: Target, other: Target) -> bool:
-    """Whether two targets ask for the same."""
+    """Whether two targets are equivalent."""
     if one is other:
         return True
     known = one.q is other.q if one.q is None or other.q is None else np.array_equal(one.q, other.q)

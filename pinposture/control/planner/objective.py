@@ -1,4 +1,4 @@
-"""The objective of the planner: one weighted sum of squares over control points, chords and further tasks."""
+"""The objective of the planner: a weighted sum of squares over control points, chords and further tasks."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 
 PRIORITY_WEIGHT = 1e4
-"""Weight of the squared errors of tasks with priority in the cost. Steps put these tasks first exactly."""
+"""Weight of the squared errors of tasks with priority in the cost. Steps give them strict priority."""
 
 MAX_JOINT_WEIGHT = 1e6
-"""Largest joint weight: numbers overflow beyond it, and paths are joint interpolation long before."""
-
+"""Largest joint weight; numbers overflow beyond it, and paths are joint interpolation long before."""
 
 GOAL_TOLERANCE = 1e-8
 """Mean distance of the control points from their targets at which a configuration takes the posture, in arm
-lengths: a run converges at 1e-6 unless told otherwise."""
+lengths; well below the default tolerance of runs, 1e-6."""
 
 MAX_LAYOUTS = 16
-"""Number of weightings that an arm remembers."""
+"""Number of weightings cached per arm."""
 
 MAX_PULL = 1e-3
-"""Share of the slope of the squared violations that the objective may hold, where rows cannot all hold."""
+"""Largest share of the gradient of the squared violations that the objective may balance, if the rows are
+infeasible."""
 
 VIOLATED = 1e-7
-"""Violation of a row of length 1 that is no rounding, in units of a joint."""
+"""Violation of a row of length 1 that exceeds rounding, in units of a joint."""
 
 
 class LinearRows(NamedTuple):
@@ -56,18 +56,18 @@ class LinearRows(NamedTuple):
 
 
 class ChainObjective(NamedTuple):
-    """Points and chords of an objective as the arrays that kernels take. Do not write to them.
+    """Points and chords of an objective as arrays for kernels. Do not write to them.
 
     Attributes:
-        joints: joints of `Objective.columns` by their numbers along the chain, (n,).
-        ends: how many of them carry each control point that has a target, (p,).
-        units: the motion of each of them that counts as one, (n,) [rad or m].
+        joints: index along the chain of each joint of `Objective.columns`, (n,).
+        ends: how many of them move each control point that has a target, (p,).
+        units: unit of motion of each of them, (n,) [rad or m].
         has_target: indices of the control points that have a target, (p,).
         flags: the same as a mask, (m,).
         targets: target positions of all control points, (m, 3) [m].
         goals: target positions of those that have one, (p, 3) [m].
         weights: weights of their squared errors, (p,).
-        chords: weights of the squared errors of the chords to the point before, (p,); 0 for the first.
+        chords: weights of the squared errors of the chords to the previous point, (p,); 0 for the first.
         normal: normal of the plane of a planar arm, (3,); zero for a spatial one.
     """
 
@@ -89,7 +89,7 @@ class ChainObjective(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """What objectives with the same weights of an arm share; see `Objective`."""
+    """Data shared by objectives of an arm with the same weights; see `Objective`."""
 
     columns: NDArray[np.int64]
     units: Array
@@ -100,7 +100,7 @@ class _Layout(NamedTuple):
 
 
 def _layout_of(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
-    """Return the layout, remembered with the arm."""
+    """Return the layout, cached with the arm."""
     known: dict[tuple[float, bytes], _Layout] = arm.cache.setdefault(_layout_of, {})
     key = relative_position_weight, weights.tobytes()
     if key not in known:
@@ -135,11 +135,11 @@ def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> _Layo
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """What the arm is to achieve: the target posture, and further tasks.
+    """The goals of the arm: the target posture, and further tasks.
 
-    The rows ask each control point that has a target to cover its error, and each pair of neighbours among
-    them to cover the error of the chord between them (the difference of the two). Chords make the sum of
-    squares depend on directions as well as places. That conditions it better and leaves fewer local minima.
+    Rows are the errors of the control points that have a target, and of the chords between consecutive ones
+    (the differences of the point errors). Chords weigh directions as well as positions, which improves the
+    conditioning and leaves fewer local minima.
 
     Attributes:
         arm: the arm.
@@ -166,12 +166,12 @@ class Objective:
 
     @property
     def units(self) -> Array:
-        """The motion of each of them that counts as one, (n,) [rad or m]."""
+        """Unit of motion of each of them, (n,) [rad or m]."""
         return self._layout.units
 
     @property
     def mu(self) -> float:
-        """Weight of joint motion [m per `Arm.joint_units`]: `joint_weight` module lengths for each point."""
+        """Weight of joint motion [m per `Arm.joint_units`]: `joint_weight` module lengths per point."""
         return self.joint_weight * self.arm.length / sqrt(self.arm.n_modules)
 
     @property
@@ -181,12 +181,12 @@ class Objective:
 
     @property
     def has_tasks(self) -> bool:
-        """Whether there is more than points and chords. If not, a pass along the chain solves it."""
+        """Whether there are further tasks; points and chords alone are solved by a pass along the chain."""
         return bool(self.tasks)
 
     @cached_property
     def chain(self) -> ChainObjective:
-        """Points and chords as kernels take them."""
+        """Points and chords as arrays for kernels."""
         points, layout = np.array(self.target.points), self._layout
         goals = points if len(layout.active) == len(points) else points[layout.chain.has_target]
         return layout.chain._replace(targets=points, goals=goals)
@@ -196,7 +196,7 @@ class Objective:
         return replace(self, target=target)
 
     def rows(self, state: ArmState) -> LinearRows:
-        """Return the rows that are weighed against each other, scaled so that their squares add up."""
+        """Return all rows without priority, times the roots of their weights."""
         points = self.posture_rows(state, task_errors(state, self.target)[self.chain.has_target])
         weighed = self.task_rows(state, priority=False)
         if weighed is None:
@@ -204,22 +204,19 @@ class Objective:
         return LinearRows(*(np.concatenate(both) for both in zip(points, weighed, strict=True)))
 
     def posture_rows(self, state: ArmState, errors: Array) -> LinearRows:
-        """Return the rows of points and chords alone, for given errors of the points, (p, dimension) [m]."""
+        """Return the rows of points and chords, for errors of the points, (p, dimension) [m]."""
         jacobians = state.task_jacobians[self.chain.has_target][:, :, self.columns]
         return LinearRows(self._weigh(jacobians).reshape(-1, len(self.columns)), self._weigh(errors).ravel())
 
     def _weigh(self, values: Array) -> Array:
-        """Return what belongs to points, (p, ...), and to chords, times the roots of their weights."""
+        """Return values of points, (p, ...), and their differences for chords, times the roots of weights."""
         points, chords = (root.reshape(-1, *[1] * (values.ndim - 1)) for root in self._layout.roots)
         if self.relative_position_weight == 0.0:
             return np.asarray(points * values)
         return np.concatenate([points * values, chords * (values[1:] - values[:-1])])
 
     def task_rows(self, state: ArmState, priority: bool) -> LinearRows | None:
-        """Return the rows of the tasks with or without priority, times the roots of their weights.
-
-        None if there are no such tasks.
-        """
+        """Return the rows of the tasks with or without priority, times the roots of weights; None if none."""
         matrices, errors = [], []
         for task in self.tasks:
             if task.priority == priority:
@@ -231,7 +228,7 @@ class Objective:
     def point_errors(self, state: ArmState) -> tuple[Array, float]:
         """Return the errors of the control points that have a target, (p, 3) [m], and their sum of squares.
 
-        The errors of a planar arm are measured in its plane. The sum includes weights and chords.
+        The errors of a planar arm are measured in its plane. The sum is weighted and includes chords.
         """
         chain, errors = self.chain, np.empty((len(self.active), 3))
         given = chain.points_of(state), chain.goals, chain.weights, chain.chords, chain.normal
@@ -252,7 +249,7 @@ class Objective:
         return kernels.sum_point_errors(errors, np.zeros_like(errors), self._layout.every) / len(errors)
 
     def distance_to(self, other: Objective) -> float:
-        """Return the mean distance between two target postures [m]; infinite if other points have targets."""
+        """Return the mean distance between two target postures [m]; infinite unless the same points count."""
         if self.active != other.active:
             return float("inf")
         every = self._layout.every
@@ -264,8 +261,8 @@ class Objective:
         The metric adds the motion of control points and that of joints times `mu`.
 
         Args:
-            positions: joint positions that displacements are counted from, (nv,) [rad or m].
-            offsets: displacements between which the motions are, (N + 1, nv) [rad or m].
+            positions: joint positions at the start, (nv,) [rad or m].
+            offsets: displacements from there that the motions connect, (N + 1, nv) [rad or m].
         """
         points = self.arm.kinematics.points(positions + offsets)
         joints = np.diff(offsets[:, self.columns], axis=0) / self.units
@@ -277,7 +274,7 @@ class Objective:
         return self.arm.at(self.arm.integrate(state.q, self.displacement(x))).compiled
 
     def displacement(self, x: Array) -> Array:
-        """Return joint displacements (..., nv) [rad or m] of steps x, (..., n); other joints stand still."""
+        """Return joint displacements (..., nv) [rad or m] of steps x, (..., n); other joints do not move."""
         dq = np.zeros((*x.shape[:-1], self.arm.nv))
         dq[..., self.columns] = x * self.units
         return dq
@@ -290,11 +287,7 @@ class Objective:
 def check_objective(
     joint_weight: float, relative_position_weight: float, tasks: Sequence[ControlTask]
 ) -> None:
-    """Check the settings that a user gives.
-
-    Raises:
-        InvalidValue: a weight out of range, or something that is no task.
-    """
+    """Raise InvalidValue if a weight is out of range or a task is invalid."""
     require_positive("joint_weight", joint_weight)
     if joint_weight > MAX_JOINT_WEIGHT:
         raise InvalidValue("joint_weight", joint_weight, f"at most {MAX_JOINT_WEIGHT:g}")
@@ -309,7 +302,7 @@ class ConstrainedStep(NamedTuple):
 
     Attributes:
         x: the step, (n,), in `Arm.joint_units`.
-        binding: which of the rows push, (r,).
+        binding: which of the rows are active, (r,).
         softened: whether rows had to be violated.
     """
 
@@ -321,12 +314,12 @@ class ConstrainedStep(NamedTuple):
 class ChainSolver:
     """Least squares over points and chords at one state, in time linear in the number of joints.
 
-    A dense solver with all rows of `Objective.rows` gives the same step in cubic time.
+    A dense solver with the rows of `Objective.rows` would give the same step in cubic time.
 
     Args:
         objective: points and chords.
         state: the state of the arm.
-        weight: of all points and chords, relative to that of joint motion; 0: only joint motion counts.
+        weight: weight of all points and chords relative to joint motion; 0: only joint motion counts.
     """
 
     def __init__(self, objective: Objective, state: ArmState, weight: float = 1.0) -> None:
@@ -349,7 +342,7 @@ class ChainSolver:
         return kernels.stiffness(self._points)
 
     def covered(self, x: Array) -> Array:
-        """Return what a step x (n,) covers of each error, (p, 3) [m]."""
+        """Return the motion of each point in a step x (n,), (p, 3) [m]."""
         screws, ends, points, *_ = self._points
         covered = np.empty_like(points)
         kernels.move_points(screws, ends, points, x, covered)
@@ -359,7 +352,7 @@ class ChainSolver:
         """Return the x within a box that minimises |A x - e|^2 + damping |x - center|^2, (n,).
 
         Args:
-            errors: what the points should cover, (p, 3) [m]; chords should cover the differences.
+            errors: wanted motion of the points, (p, 3) [m]; that of the chords is the difference.
             damping: above 0 [m^2].
             center: (n,), in `Arm.joint_units`.
             lower: smallest x, (n,).
@@ -379,20 +372,10 @@ class ChainSolver:
         upper: Array,
         rows: LinearRows,
     ) -> ConstrainedStep | None:
-        """Return the x of `step` for which matrix @ x >= errors of rows.
+        """Return the x of `step` subject to rows.matrix @ x >= rows.errors; None if the search fails.
 
-        Rows that cannot all hold are violated, by the smallest sum of squares.
-
-        Args:
-            errors: as for `step`.
-            damping: likewise.
-            center: likewise.
-            lower: likewise.
-            upper: likewise.
-            rows: rows of length 1, and their smallest values.
-
-        Returns:
-            None if it was not found.
+        Infeasible rows are violated by the smallest sum of squares. Rows have length 1; the other arguments
+        are those of `step`.
         """
         n, matrix, least = len(center), rows.matrix, rows.errors
         x, binding = np.empty(n), np.empty(len(least), dtype=np.bool_)
@@ -403,7 +386,7 @@ class ChainSolver:
             return ConstrainedStep(x, binding, False) if np.all(np.isfinite(x)) else None
         if not (kernels.minimise_with_rows(*given, True, binding, x) and np.all(np.isfinite(x))):
             return None
-        # The objective pulls, too: does that leave the violations as small as the box allows?
+        # The objective adds to the violations; accept only if they are minimal within the box.
         missing = np.maximum(least - matrix @ x, 0.0)
         push = missing @ matrix
         free = np.where(push > 0.0, x < upper, x > lower)

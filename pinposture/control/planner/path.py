@@ -1,4 +1,4 @@
-"""Paths through joint space, and the second stage of the planner: their time parameterization."""
+"""Joint-space paths, and the second stage of the planner: their time parameterization."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from pinposture.errors import InvalidValue
 Array = NDArray[np.float64]
 
 MAX_STEP = 10.0
-"""Largest joint motion of a step where limits allow any, in `Arm.joint_units`."""
+"""Largest joint motion of a step without limits, in `Arm.joint_units`."""
 
 SHORT_MOTION = 0.1
-"""Joint motion up to which joint interpolation will do, in `Arm.joint_units`: one step is no more direct."""
+"""Joint motion up to which joint interpolation is direct enough, in `Arm.joint_units`."""
 
 NO_ERRORS = np.zeros(0)
 
@@ -33,9 +33,8 @@ class Stride(NamedTuple):
     """A step along a path.
 
     Attributes:
-        place: where it leads, in waypoints from the start, in [0, N]; where the arm was if the limits admit
-            no step ahead.
-        left: largest joint motion that was left before the step, in `Arm.joint_units`.
+        place: its end, in waypoints from the start, in [0, N]; unchanged if the limits admit no step ahead.
+        left: largest remaining joint motion before the step, in `Arm.joint_units`.
         inside: whether it is within its limits.
         dq: the step, (nv,) [rad or m].
     """
@@ -48,9 +47,9 @@ class Stride(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """A path: waypoints joined by straight lines in joint space, and its objective.
+    """A path: waypoints connected by straight lines in joint space, and its objective.
 
-    A place on the path is a number of waypoints from the start, in [0, N].
+    A place on the path is measured in waypoints from the start, in [0, N].
 
     Attributes:
         objective: the objective, which includes the target posture.
@@ -58,10 +57,10 @@ class JointPath:
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
         scene: the obstacles; None: none.
         attempt: number of paths to the same target that were abandoned before this one.
-        hindrance: what the path comes too close to, in words; empty if it is clear.
+        hindrance: message naming the pair that comes too close; empty if the path is clear.
         found_by: how it was found: "relaxation", "tree search" or "withdrawal".
-        task_errors: errors of the tasks with priority at the start and at the end, 2 x (r,) [m]. In
-            between they change linearly with the place.
+        task_errors: errors of the tasks with priority at the start and the end, 2 x (r,) [m]. In between they
+            should change linearly with the place.
     """
 
     objective: Objective
@@ -85,7 +84,7 @@ class JointPath:
 
     @cached_property
     def slopes(self) -> Array:
-        """Slope of the smooth curve at each waypoint, (N + 1, nv) [rad or m per waypoint]."""
+        """Slope of the cubic spline at each waypoint, (N + 1, nv) [rad or m per waypoint]."""
         slopes = np.empty_like(self.offsets)
         kernels.spline_slopes(self.offsets, slopes)
         return slopes
@@ -112,7 +111,7 @@ class JointPath:
         return np.asarray((1.0 - share) * self.offsets[i] + share * self.offsets[i + 1])
 
     def smooth_offset(self, place: float) -> Array:
-        """Return the same on natural cubic splines through the waypoints, (nv,)."""
+        """Return the displacement from the start on the cubic spline through the waypoints, (nv,)."""
         i = min(int(place), len(self.offsets) - 2)
         t = place - i
         before, after = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * t * (3.0 - 2.0 * t)
@@ -124,27 +123,28 @@ class JointPath:
         return self.arm.integrate(self.start, self.offset(place))
 
     def offset_of(self, state: ArmState, place: float) -> Array:
-        """Return the displacement (nv,) from the start to a state near a place, turns of joints included."""
+        """Return the displacement (nv,) from the start to a state near a place, with full turns of joints."""
         here = self.offset(place)
         on_path = self.arm.integrate(self.start, here)
         return np.asarray(here + self.arm.difference(on_path, state.q))
 
     def revised(self, **changes: Any) -> JointPath:
-        """Return the path with another objective or scene, and keep what its waypoints give."""
+        """Return the path with another objective or scene; cached values of the waypoints are kept."""
         other = replace(self, **changes)
         kept = {"positions", "slopes", "configurations"} & vars(self).keys()
         vars(other).update({name: vars(self)[name] for name in kept})
         return other
 
     def within(self, edges: Array) -> JointPath:
-        """Return the path with a curve through its waypoints that stays between joint positions, as they do.
+        """Return the path with its spline slopes reduced to keep position limits, as the waypoints do.
 
         Args:
-            edges: the joint positions, (2, nv) [rad or m]. From a start beyond them, the curve comes back.
+            edges: smallest and largest joint positions, (2, nv) [rad or m]; from a start beyond them, the
+                curve returns.
         """
         lowest, highest = edges - self.positions
         room = np.minimum(np.maximum(highest, 0.0) - self.offsets, self.offsets - np.minimum(lowest, 0.0))
-        # The curve lies within the hull of its waypoints and of places a third of a slope beside them.
+        # The curve is in the hull of its Bezier points: waypoints, and a third of a slope before and after.
         slopes = np.maximum(np.minimum(self.slopes, 3.0 * room), -3.0 * room)
         if np.array_equal(slopes, self.slopes):
             return self
@@ -153,12 +153,12 @@ class JointPath:
         return other
 
     def bent(self, place: float, change: Array, edges: Array) -> JointPath:
-        """Return the path to another end, bent increasingly from a place on.
+        """Return the path to another end, with a displacement that grows linearly from a place on.
 
         Args:
-            place: where bending begins.
+            place: where the displacement begins.
             change: displacement of the end, (nv,) [rad or m].
-            edges: joint positions to stay between, (2, nv) [rad or m].
+            edges: smallest and largest joint positions, (2, nv) [rad or m].
         """
         shares = np.arange(len(self.offsets)) - place
         shares = np.maximum(shares / max(shares[-1], 1e-9), 0.0)
@@ -169,17 +169,17 @@ class JointPath:
         return replace(self, offsets=offsets)
 
     def stride(self, state: ArmState, place: float, sides: Array) -> Stride:
-        """Return the step to the farthest place that the limits admit, all places before it included.
+        """Return the step to the farthest place such that the limits admit all places up to it.
 
-        Such steps come to the end, however long the path and however different the joints. Measure what is
-        left of the path piece by piece, each in steps of its slowest joint: L = sum over pieces of
-        max_j |dq_j| / b_j, with b_j the largest step of joint j, at most `MAX_STEP`. A step that does not end
-        at the end is as long as b_j for some joint j. That joint goes no farther in it than the pieces of the
-        path that the step passes add up to, so L falls by 1 at least, and ceil(L) steps are enough.
+        Such steps always reach the end. Let L = sum over remaining pieces of max_j |dq_j| / b_j be the length
+        of the remaining path in steps of its slowest joints, where b_j is the largest step of joint j, at
+        most `MAX_STEP`. A step that does not reach the end has length b_j for some joint j, which travels no
+        farther than along the pieces that the step passes. So L decreases by at least 1, and ceil(L) steps
+        suffice.
 
         Args:
             state: the state of the arm.
-            place: where it is on the path, or was last.
+            place: its place on the path.
             sides: smallest and largest step, (2, nv) [rad or m].
         """
         dq, objective = np.zeros(self.arm.nv), self.objective
@@ -189,26 +189,26 @@ class JointPath:
         return Stride(*found, dq)
 
 
-# How fast a path can be followed where acceleration is limited.
+# Time-optimal speed along a path with acceleration limits.
 #
-# A place s on the path moves by v places per step. Joints then move by q' v per step, and change that by
-# q'' v^2 + q' u from one step to the next, u being the change of v. With b the largest step and A the largest
-# change of it, less a share that is left to corrections, every joint asks for
+# The place s on the path advances by v per step. Joints then move by q' v per step, and this changes by
+# q'' v^2 + q' u between steps, where u is the change of v. With the largest step b and its largest change A,
+# less a reserve for corrections, each joint requires
 #
 # |q'| v <= b, |q' u + q'' v^2| <= A.
 #
-# The time-optimal v under these is found by a pass from the end to the start, which leaves the speeds from
-# which all that follows can be kept, and one from the start to the end, which accelerates as much as these
-# allow (as TOPP-RA does). Steps are means of the speed, so that limits that hold at all times hold for them.
+# A backward pass finds the speeds from which these can be kept up to the end, and a forward pass accelerates
+# as much as those allow (as in TOPP-RA). Steps are means of the speed, so limits that hold at all times hold
+# for steps.
 
 SPEED_SHARE, ACCELERATION_SHARE = 0.98, 0.97
-"""Shares of the limits of speed and acceleration that the profile uses; the rest is for corrections."""
+"""Shares of the velocity and acceleration limits that the profile uses; the rest is for corrections."""
 
 LEAST_PARTS = 128
-"""Least number of parts of a path on which its acceleration is constant."""
+"""Smallest number of parts of a path with constant acceleration each."""
 
 ZERO_SLOPE = 1e-12
-"""Slope of a path that counts as none, relative to the largest."""
+"""Slope of a path that counts as zero, relative to the largest."""
 
 
 class SpeedProfile:
@@ -218,10 +218,10 @@ class SpeedProfile:
         path: the path.
         bounds: the limits.
         max_rate: largest number of waypoints in one step.
-        initial_speed: number of waypoints in the step before, if the arm is moving.
+        initial_speed: number of waypoints in the previous step, if the arm is moving.
 
     Attributes:
-        top: the highest speed at equal distances, (K + 1,) [waypoints per step].
+        top: the highest speed at equidistant places, (K + 1,) [waypoints per step].
     """
 
     def __init__(
@@ -244,7 +244,7 @@ class SpeedProfile:
         return float((2.0 * self._waypoints / len(speeds) / speeds).sum())
 
     def next(self, place: float, speed: float) -> float:
-        """Return the places to go in this step, after `speed` places in the step before."""
+        """Return the number of waypoints to advance in this step, after `speed` in the previous one."""
         return kernels.next_path_speed(
             place, speed, ZERO_SLOPE, self._most, *self._rows, self.top, self._waypoints
         )
@@ -258,8 +258,8 @@ class TimedPath:
         path: the path.
         limits: the limits.
         bounds: the limits of the joints of the arm.
-        profile: the highest speed along the path; None if neither acceleration nor a schedule limits it. Each
-            step then goes as far as its slowest joint can.
+        profile: the highest speed along the path; None without acceleration limit and schedule. Each step
+            then goes as far as its slowest joint can.
         max_rate: largest number of waypoints in one step; infinite on a path without a schedule.
     """
 
@@ -276,9 +276,9 @@ class TimedPath:
 
     @cached_property
     def places(self) -> Array:
-        """Place on the path after each step, (K + 1,) [waypoints], of an arm that follows it undisturbed.
+        """Place after each step of an arm that follows the path undisturbed, (K + 1,) [waypoints].
 
-        Without a profile the arm may cut corners between waypoints, and arrive earlier.
+        Without a profile the arm may cut corners at waypoints and arrive earlier.
         """
         end, profile = self.path.end, self.profile
         if profile is None:
@@ -302,7 +302,7 @@ class TimedPath:
 
     @cached_property
     def configurations(self) -> Array:
-        """Configuration after each step, (K + 1, nq): with a profile, on the curve through the waypoints."""
+        """Configuration after each step, (K + 1, nq): with a profile, on the spline through the waypoints."""
         offset = self.path.offset if self.profile is None else self.path.smooth_offset
         return np.array([self.path.arm.integrate(self.path.start, offset(place)) for place in self.places])
 
@@ -312,15 +312,14 @@ def retime(
 ) -> TimedPath:
     """Find the time parameterization of a path within limits: the second stage of `Geodesic`.
 
-    It keeps the velocity and acceleration limits with a reserve for corrections, and brakes in time for slow
-    places and for the end.
+    It keeps the velocity and acceleration limits, with a reserve for corrections.
 
     Args:
         path: the path, as `plan` returns it.
         limits: the limits of each step; `Limits()` if None.
-        max_rate: largest number of waypoints in one step. A finite number means that the waypoints are a
-            schedule: the target moves along the path.
-        initial_speed: number of waypoints in the step before, if the arm is moving along the path already.
+        max_rate: largest number of waypoints in one step. A finite number makes the waypoints a schedule: the
+            target moves along the path.
+        initial_speed: number of waypoints in the previous step, if the arm already moves along the path.
 
     Raises:
         InvalidValue: not a path, limits that do not fit the arm, or a rate that is not positive.

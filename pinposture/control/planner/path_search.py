@@ -1,10 +1,9 @@
-"""Paths among obstacles that relaxation does not find: withdrawal along the arm, and a tree search.
+"""Search for clear paths that relaxation does not find: withdrawal along the arm, and a tree search.
 
-An arm that reaches through a hole leaves it as it came in: backwards, each point along the curve that the arm
-lies on, while the part near the base takes up the slack. At the end of this withdrawal the arm is compact, in
-front of what it had entered. The same is done for the goal posture. Between two compact postures a
-bidirectional tree search (RRT-Connect, Kuffner and LaValle 2000) finds a path quickly. Shortcuts and
-relaxation then make it direct.
+An arm that reaches through a hole can withdraw: its points move backwards along the curve of the arm, while
+the part near the base takes up the slack. The arm is then compact in front of the hole. The same is done for
+the goal posture. Between two compact postures a bidirectional tree search (RRT-Connect, Kuffner and LaValle
+2000) finds a path quickly. Shortcuts and relaxation then make it direct.
 """
 
 from __future__ import annotations
@@ -27,37 +26,37 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 
 WITHDRAWAL_STEP, NEAR_SHARE = 0.01, 0.3
-"""By how much a withdrawal moves on in a step, and how much of the arm takes up the slack, in arm lengths."""
+"""Length of a withdrawal step, and of the part of the arm that takes up the slack, in arm lengths."""
 
 WITHDRAWAL_ERROR = 0.002
-"""Mean distance from the curve at which a step of a withdrawal is taken, in arm lengths."""
+"""Mean distance from the curve at which a withdrawal step is accepted, in arm lengths."""
 
 MAX_FAILURES = 3
-"""How many steps in a row may fail before a withdrawal ends."""
+"""Number of consecutive failed steps that ends a withdrawal."""
 
 JOIN_EVERY = 0.2
-"""Depth of withdrawal after which a join is tried again, in arm lengths."""
+"""Depth of withdrawal between attempts to join the ends, in arm lengths."""
 
 JOIN_NODES, SEARCH_NODES = 150, 2000
-"""Largest number of tree nodes of a join, and of the last one."""
+"""Largest number of tree nodes of an attempt to join the ends, and of the last one."""
 
 TREE_STEP, PIECE_TURN = 0.3, 0.1
 """Largest joint motion of an edge of the trees, and of a piece of the path when it is shortened, in
 `Arm.joint_units`."""
 
 UNIFORM_SHARE, MAX_AMPLITUDE, NOISE = 0.5, 1.5, 0.3
-"""Samples of the tree search: the share that is uniform within limits; of the others, the largest amplitude
-of smooth random configurations, and the noise about the line from one end to the other."""
+"""Samples of the tree search: the share that is uniform within limits; for the others, the largest amplitude
+of smooth random configurations, and the noise about the line between both ends."""
 
 MAX_TURN = np.pi
 """Largest motion of a joint from the start in a sample, in `Arm.joint_units`."""
 
 FEW_JOINTS = 40
-"""Number of joints up to which the joint motions above hold; with more, each moves less, in proportion: an
-arm of many joints bends as far as one of few."""
+"""Number of joints up to which the joint motions above apply; with more, they decrease in proportion, so that
+the whole arm bends equally far."""
 
 SHORTCUTS = 60
-"""Number of shortcuts that are tried."""
+"""Number of attempted shortcuts."""
 
 
 class FoundPath(NamedTuple):
@@ -73,21 +72,17 @@ class FoundPath(NamedTuple):
 
 
 class PathSearch:
-    """Searches for a clear path between two configurations; the same for the same arguments.
+    """Deterministic search for a clear path between two configurations.
 
     Args:
-        objective: the arm, its joints, and what the goal is for.
-        start: where the path begins.
-        goal: where it ends.
-        edges: joint positions to stay between, (2, nv) [rad or m].
-        avoidance: what to keep clear of.
-        least: the distance that must be kept on the path [m].
-        seed: other seeds may lead to other paths.
-        until: time of `perf_counter` at which the search is given up.
-
-    Attributes:
-        arm: the arm.
-        objective, start, edges, avoidance, least, until: as above.
+        objective: the objective of the path.
+        start: start of the path.
+        goal: end of the path.
+        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        avoidance: the obstacles to avoid.
+        least: the distance to keep along the path [m].
+        seed: seed of the random numbers.
+        until: time of `perf_counter` at which the search ends.
     """
 
     def __init__(
@@ -114,11 +109,7 @@ class PathSearch:
         )
 
     def find(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
-        """Return a clear path, shortened; None if none was found.
-
-        Args:
-            tell: called with what is tried next.
-        """
+        """Return a clear path, shortened; None if none was found. `tell` is called with each attempt."""
         tell("tree search")
         end = np.asarray(self.arm.difference(self.start.q, self._goal.q))
         joined = self._connect(np.zeros(self.arm.nv), end, JOIN_NODES)
@@ -128,20 +119,20 @@ class PathSearch:
         return None if joined is None else FoundPath(self._shorten(joined), found_by)
 
     def is_clear(self, path: Array) -> bool:
-        """Whether the straight motions between offsets, (N + 1, nv), keep clear, if the first one does."""
+        """Whether straight motions between offsets, (N + 1, nv), are clear, given that the first one is."""
         return self.avoidance.keeps(self.start.q, path, self.least)
 
     # Withdrawal.
 
     def _join_withdrawn(self, end: Array, tell: Callable[[str], None]) -> Array | None:
-        """Withdraw both ends step by step until they can be joined."""
+        """Withdraw both ends until they can be joined; return the path, None if that fails."""
         ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, end)]
         nodes = JOIN_NODES
         while perf_counter() < self.until:
             if not any([each.go_on(JOIN_EVERY) for each in ends]):
                 if nodes == SEARCH_NODES:
                     break
-                nodes = SEARCH_NODES  # nothing is left but to search longer
+                nodes = SEARCH_NODES  # neither end can withdraw further: search longer
             depths = " and ".join(f"{100.0 * each.depth:.0f} %" for each in ends)
             tell(f"tree search after withdrawing start and goal by {depths} of the arm length")
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)
@@ -168,7 +159,7 @@ class PathSearch:
             if at is None:
                 continue
             there, reached = from_.offsets[at], None
-            while True:  # as far as it goes
+            while True:  # as far as possible
                 reached = self._extend(to, there, units)
                 if reached is None or np.array_equal(to.offsets[reached], there):
                     break
@@ -181,7 +172,7 @@ class PathSearch:
         return None
 
     def _extend(self, tree: _Tree, wanted: Array, units: Array) -> int | None:
-        """Add a node one step towards an offset; return it, or None if the step is not clear."""
+        """Add a node one step towards an offset; return its index, or None if the step is not clear."""
         near = tree.nearest(wanted, units)
         change = wanted - tree.offsets[near]
         size = float(np.abs(change / units).max())
@@ -204,10 +195,10 @@ class PathSearch:
             offset = offset + self._share * NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
         return np.asarray(np.clip(offset, *self._sides))
 
-    # What comes out is made shorter.
+    # Shortcuts.
 
     def _shorten(self, offsets: Array) -> Array:
-        """Straighten parts of a path, of all joints or of some in a row, where that is clear and shorter."""
+        """Straighten parts of a path where that is clear and shorter, for all or some consecutive joints."""
         path = self._divide(offsets)
         columns = self.objective.columns
         for number in range(SHORTCUTS):
@@ -240,7 +231,7 @@ class PathSearch:
 
 
 class _Tree:
-    """Nodes of a tree of offsets, and where each comes from.
+    """Nodes of a tree of offsets, and their parents.
 
     Attributes:
         offsets: the nodes, the first `count` rows, (capacity, nv).
@@ -272,10 +263,10 @@ class _Tree:
 
 
 class _Withdrawal:
-    """The withdrawal of an arm from a posture, along the curve that it lies on.
+    """The withdrawal of an arm from a posture along its own curve.
 
     Attributes:
-        offsets: the configurations so far as displacements from the start of the search, (nv,) each.
+        offsets: the configurations so far, as displacements from the start of the search, (nv,) each.
     """
 
     def __init__(self, search: PathSearch, offset: Array) -> None:
@@ -289,11 +280,11 @@ class _Withdrawal:
 
     @property
     def depth(self) -> float:
-        """How far the arm has withdrawn, in arm lengths."""
+        """Distance withdrawn so far, in arm lengths."""
         return float(self._depth / self._places[-1])
 
     def go_on(self, distance: float) -> bool:
-        """Withdraw farther, by so many arm lengths if it can; whether it moved."""
+        """Withdraw by up to a distance in arm lengths; return whether the arm moved."""
         failures, begun, goal = 0, len(self.offsets), self._depth + distance * self._places[-1]
         step = WITHDRAWAL_STEP * self._places[-1]
         while not self._over and self._depth < goal:
@@ -305,7 +296,7 @@ class _Withdrawal:
         return len(self.offsets) > begun
 
     def _withdraw_to(self, depth: float) -> bool:
-        """Move the far part along the curve, as far as it stays clear of the near part."""
+        """Move the distal part along the curve to a depth, if that is clear; return whether it was."""
         search, arm = self._search, self._search.arm
         places = self._places[1:] - depth
         weights = (places >= self._near).astype(np.float64)

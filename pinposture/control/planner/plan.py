@@ -1,4 +1,4 @@
-"""The first stage of the planner: the goal configuration, and the most direct clear path to it."""
+"""First stage of the planner: the goal configuration, and the most direct clear path to it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pinposture import kernels
 from pinposture._validation import require_positive
 from pinposture.arm import ArmState
 from pinposture.collision import Closest, Scene
+from pinposture.collision.model import describe_distance
 from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
@@ -40,7 +41,7 @@ Array = NDArray[np.float64]
 
 
 class PlanNeeded(Exception):
-    """A step needs a path, or a goal, that takes longer to find than a control cycle may.
+    """A step needs a path or a goal that takes too long to find in a control cycle.
 
     Attributes:
         attempt: number of paths to the same target that were abandoned before.
@@ -52,7 +53,7 @@ class PlanNeeded(Exception):
 
 
 Report = Callable[[str, JointPath | None], None]
-"""Called with the next attempt, and the shortest clear path so far."""
+"""Called with the next attempt and the shortest clear path so far."""
 
 RANDOM_STARTS, RANDOM_SPREAD = 6, 0.5
 """Number of random starts if no configuration is known, and their spread, in `Arm.joint_units`."""
@@ -65,10 +66,10 @@ MUCH_BETTER = 0.5
 
 TASK_ROOT, CLEARANCE_ROOTS = 0.4, (33.0, 10.0)
 """Roots of the weights of tasks and of clearances on the path, relative to the motion of control points.
-Attempts alternate between a large and a small one: the first pushes out, the second leads around."""
+Attempts alternate between a large and a small weight of clearance, which lead to different paths."""
 
 SMALL_CHANGE = 0.3
-"""Largest motion of the points of a target that counts as a small change, in module lengths."""
+"""Mean motion of the points of a target that counts as a small change, in module lengths."""
 
 NOISE_FACTOR = 2.0
 """Factor by which the error of a goal may exceed the expected one, for noisy targets."""
@@ -83,10 +84,10 @@ MAX_PROMPT_MOTION = 0.5
 """Joint motion up to which a path without obstacles is found well within a cycle, in `Arm.joint_units`."""
 
 MAX_PATHS = 12
-"""Largest number of relaxed paths that are tried for a clear one; fewer in later attempts."""
+"""Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
 
 MAX_DETOUR = 2.0
-"""Length of a clear path, relative to the most direct one, above which a shorter one is searched."""
+"""Length of a clear path, relative to the most direct one, above which the search looks for a shorter one."""
 
 SEARCHED_ROOT = 10.0
 """Root of the weight of clearance on searched paths."""
@@ -154,17 +155,17 @@ def find_path(
     until: float = inf,
     report: Report | None = None,
 ) -> JointPath:
-    """Find where to go, and the most direct clear path there.
+    """Find the goal configuration and the most direct clear path to it.
 
     Args:
         objective: the objective.
-        state: where it is.
-        bounds: the limits of its joints.
+        state: the state of the arm.
+        bounds: the limits of the joints.
         avoidance: the obstacles to avoid; None: none.
-        attempt: how many paths were given up before; each attempt tries others.
-        until: time of `perf_counter` from which on no further path is tried.
-        report: called with what is tried next, and the shortest clear path so far. If there is one, a
-            `KeyboardInterrupt` ends the search, and the best path so far is returned.
+        attempt: number of abandoned paths; each attempt tries other paths.
+        until: time of `perf_counter` after which no further path is tried.
+        report: progress callback. If given, a `KeyboardInterrupt` ends the search, which then returns the
+            best path so far.
     """
     goal = None if objective.tasks or avoidance is not None else _known_goal(objective, bounds, state.q)
     if goal is None:
@@ -179,7 +180,7 @@ def find_path(
     return replace(path, scene=scene, attempt=attempt, task_errors=(first.errors, last.errors))
 
 
-# The configuration to go to: found before the arm moves.
+# The goal configuration.
 
 
 def find_goal(
@@ -194,41 +195,41 @@ def find_goal(
 ) -> LeastSquaresResult:
     """Find the configuration with the smallest cost.
 
-    A configuration that the target knows is taken, and improved where it does not achieve everything.
-    Otherwise the search begins where the arm is; then at the configuration that takes the points module by
-    module (`placement.points`), or where that search ended; then at the fit of the whole arm to the points,
-    which knows how far the links turn; then at random configurations, always the same ones. These are also
-    tried where the known configuration collides or misses a task with priority. The search ends with the
-    first result that is good enough, or when several in a row agree, and takes the best.
+    If the target has a configuration, the search starts there. Otherwise it starts at the current state; then
+    at the configuration that takes the points module by module (`placement.points`), or the last state of
+    that search; then at the fit of the whole arm to the points, within the limits; then at random
+    configurations from a fixed seed. Those are also tried if the configuration of the target collides or
+    misses a task with priority. The search ends at the first result that is good enough, or when several
+    consecutive ones agree, and returns the best.
 
     Args:
         objective: the objective.
-        state: where it is.
-        edges: joint positions to stay between, (2, nv) [rad or m].
+        state: the state of the arm.
+        edges: smallest and largest joint positions, (2, nv) [rad or m].
         avoidance: the obstacles to avoid; None: none.
         good: mean distance of the control points from their targets that is good enough [m].
-        before: where to begin, if the target does not say: the goal of a target that was much like it.
-        enough: mean distance with which the search ends, if no better was found for that target [m].
+        before: first start if the target has no configuration: the goal of a similar target.
+        enough: mean distance that is good enough in view of the error for that target [m].
         prompt: whether to raise `PlanNeeded` if the first search is not enough.
     """
     known, has_priority = objective.target.q is not None, any(task.priority for task in objective.tasks)
-    # Where a task with priority holds the arm, what is near can be reached, and what is far perhaps not.
+    # If a task with priority holds the arm, a distant goal may not be reachable: prefer one nearby.
     held = _is_held(objective, state)
     better = MUCH_BETTER if held else 1.0
-    # Where the arm is too close to begin with, it may stay as close as it is.
-    borne = 0.0 if avoidance is None else avoidance.intrusion(state)
+    # An arm that violates the margin at the start may do so at the goal by as much.
+    allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(objective, state, edges, held, before)
-    best = found = minimize(objective, next(starts), edges, avoidance, good, borne)
+    best = found = minimize(objective, next(starts), edges, avoidance, good, allowed)
     wanted, agreeing = max(good, enough), 1
     while agreeing < MAX_AGREEING and not (
         found.intrusion == 0.0 and (_is_good_enough(objective, found, wanted) or (known and not has_priority))
     ):
         if prompt:
             raise PlanNeeded
-        start = next(starts, None)  # computed only now: to find one can take long
+        start = next(starts, None)  # lazily, as computing one can take long
         if start is None:
             break
-        found = minimize(objective, start, edges, avoidance, good, borne)
+        found = minimize(objective, start, edges, avoidance, good, allowed)
         alike = found.intrusion == best.intrusion == 0.0 and not objective.tasks
         agreeing = agreeing + 1 if alike and abs(found.cost - best.cost) <= SAME_COST * best.cost else 1
         if (found.intrusion, found.cost) < (best.intrusion, better * best.cost):
@@ -237,14 +238,14 @@ def find_goal(
 
 
 def _is_good_enough(objective: Objective, found: LeastSquaresResult, good: float) -> bool:
-    """Whether a result takes the target posture, and fulfils the tasks with priority."""
+    """Whether a result takes the target posture and fulfils the tasks with priority."""
     tasks = objective.task_rows(found.state, priority=True)
     fulfilled = tasks is None or float(np.linalg.norm(tasks.errors)) <= good
     return fulfilled and found.mean_error <= good
 
 
 def _is_held(objective: Objective, state: ArmState) -> bool:
-    """Whether tasks with priority are to stay nearly as they are: within a module length."""
+    """Whether tasks with priority hold the arm: their errors are within a module length."""
     tasks = objective.task_rows(state, priority=True)
     typical = objective.arm.length / objective.arm.n_modules
     return tasks is not None and float(np.linalg.norm(tasks.errors)) <= typical
@@ -273,14 +274,14 @@ def _starts(
 
 
 def _within_limits(objective: Objective, state: ArmState, q: Array, edges: Array) -> ArmState:
-    """Return the state at a configuration, as far as its joints matter and their limits allow.
+    """Return the state at a configuration, clipped at the limits; joints that do not matter stay.
 
-    Of the turns of a joint at which the posture is the same, the nearest is taken.
+    Multi-turn joints take the turn nearest to the current state.
     """
     arm = objective.arm
     change = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, edges)))
     here = arm.positions(state.q)
-    if not objective.tasks:  # joints beyond the last control point that has a target need not move
+    if not objective.tasks:  # joints beyond the last control point with a target need not move
         last = int(np.flatnonzero(objective.target.has_target)[-1])
         change = change * arm.support[last]
     moved = np.zeros(arm.nv)
@@ -289,7 +290,7 @@ def _within_limits(objective: Objective, state: ArmState, q: Array, edges: Array
     return arm.at(arm.integrate(state.q, moved)).compiled
 
 
-# The path to it.
+# The path.
 
 
 def _clearest_path(
@@ -302,11 +303,11 @@ def _clearest_path(
     until: float,
     report: Report | None,
 ) -> JointPath:
-    """Return a direct clear path; if there is none, the one with the largest clearance.
+    """Return a direct clear path; if none is found, the one with the largest clearance.
 
     The candidates are, in this order: the most direct path; two paths relaxed among the obstacles from
     different initial guesses; one found by search and then relaxed; further relaxed paths. The first clear
-    one is returned, unless it is long: then the search may find a shorter one.
+    one is returned; if it is long, the shorter of it and the searched one.
     """
     start = state.q
 
@@ -348,7 +349,7 @@ def _clearest_path(
             closest = _closest_on(path, avoidance, possible)
             if closest.distance >= possible:
                 clear.append(path)
-                if objective.tasks or path.length <= short:  # a searched path would disregard the tasks
+                if objective.tasks or path.length <= short:  # the search would disregard the tasks
                     return path
             else:
                 hindered.append((closest.distance, _hindered(path, closest)))
@@ -367,9 +368,8 @@ def _clearest_path(
 
 def _hindered(path: JointPath, closest: Closest) -> JointPath:
     """Return the path with the pair that comes too close as its hindrance."""
-    pair = " to ".join(closest.pair or ())
-    words = f"no clear path was found; on the best, {pair} are {1e3 * closest.distance:.3g} mm apart"
-    return replace(path, hindrance=words)
+    apart = describe_distance(closest.pair or (), closest.distance)
+    return replace(path, hindrance=f"no clear path was found; on the best one, {apart}")
 
 
 def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], None]) -> Iterator[JointPath]:
@@ -383,7 +383,7 @@ def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], 
     try:
         relaxed = relax_path(search.objective, search.start.q, found.offsets, search.edges, penalties)
     except KeyboardInterrupt:
-        yield raw  # it is kept
+        yield raw
         raise
     yield from (replace(path, found_by=found.found_by) for path in relaxed)
     yield raw
@@ -402,7 +402,7 @@ def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRow
             tasks = objective.task_rows(at, priority)
             if tasks is None or first is None or last is None:
                 continue
-            # The errors should change linearly from those at the start to those at the goal.
+            # Errors should change linearly from the start to the goal.
             left = tasks.errors - (1.0 - share) * first.errors - share * last.errors
             parts.append(LinearRows(root * tasks.matrix, root * left))
         matrices, errors = zip(*parts, strict=True)
@@ -412,11 +412,11 @@ def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRow
 
 
 def _closest_on(path: JointPath, avoidance: Avoidance, below: float) -> Closest:
-    """Return the closest pair on a path, ends included; any pair if none is closer than `below`."""
+    """Return the closest pair on a path including its ends; any pair if none is closer than `below`."""
     return avoidance.clearance.minimum_on_motions(path.start, path.offsets, below)
 
 
-# A moving target: the path is bent if that suffices.
+# Moving targets.
 
 
 def is_small_change(before: Objective, after: Objective) -> bool:
@@ -434,10 +434,10 @@ def replan(
     avoidance: Avoidance | None,
     prompt: bool = False,
 ) -> tuple[JointPath, Array | None]:
-    """Find a path as `find_path` does, for a target close to the previous one, from the previous path.
+    """Update a path for a target close to the previous one.
 
-    The search for a goal starts at the previous goal. If the new goal is close, compared to the remaining
-    path, the path is bent to end there, so that a moving target does not need a new path in each step.
+    The search for the goal starts at the previous goal. If the new one is close, compared to the remaining
+    path, the end of the path is moved there, so that a moving target does not need a new path in each step.
 
     Args:
         path: the path to the previous target.
@@ -445,13 +445,12 @@ def replan(
         bend: displacement of its end so far, (nv,) [rad or m]; None: none.
         objective: the current objective.
         state: the state of the arm.
-        bounds: the limits of its joints.
-        avoidance: the obstacles to avoid; None: none. A slightly bent path is not checked again; each
-            step on it is.
-        prompt: whether to raise `PlanNeeded` if this takes more than a search for the goal and a short path.
+        bounds: the limits of the joints.
+        avoidance: the obstacles to avoid; None: none. A bent path is not checked again, but each step is.
+        prompt: whether to raise `PlanNeeded` if more than a search for the goal and a short path is needed.
 
     Returns:
-        The path, and the displacement of its end since it was planned, None for a new path.
+        The path; and the displacement of its end since it was planned, None for a new path.
     """
     arm = objective.arm
     before = path.configuration(path.end)
@@ -461,7 +460,7 @@ def replan(
     else:
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
-        if prompt and avoidance is not None:  # the search can take long; the previous goal will do
+        if prompt and avoidance is not None:  # the search can take long; keep the previous goal
             return path.revised(objective=objective), np.zeros(arm.nv) if bend is None else bend
         start = arm.at(before).compiled
         first = start if objective.target.q is None else None
@@ -484,9 +483,9 @@ def replan(
 
 
 def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> float:
-    """Return the mean error that counts as no worse than at the previous goal, for a moved target [m].
+    """Return the mean error that is good enough for a moved target, given that at the previous goal [m].
 
-    It is zero, so that the search continues, if the target moved so far that a better goal may exist.
+    It is zero if the target moved so far that a better goal may exist.
     """
     left, moved = before.mean_error(goal), before.distance_to(after)
     small = SMALL_CHANGE * after.arm.length / after.arm.n_modules
@@ -496,7 +495,7 @@ def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> fl
 def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> ArmState | None:
     """Return the state at the configuration of a target, if it is within limits and takes the posture.
 
-    Joints are within half a turn of those at the previous goal.
+    Multi-turn joints are within half a turn of a previous configuration.
     """
     arm, q = objective.arm, objective.target.q
     if q is None or len(objective.active) < arm.n_modules:

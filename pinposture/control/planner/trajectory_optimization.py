@@ -1,20 +1,18 @@
-"""The path on which the control points travel least: geodesics through joint space.
+"""The path along which the control points travel least: a geodesic in joint space.
 
-The configurations between a start and a goal are free. Joint interpolation takes a straight line through
-joint space, on which the control points sweep wide. A path of waypoints x_0 ... x_N with control points
-P(x_i) instead minimises
+On a straight line in joint space the control points sweep wide. A path of waypoints x_0 ... x_N with control
+points P(x_i) instead minimises
 
     sum over i of |P(x_{i+1}) - P(x_i)|^2 + mu^2 |x_{i+1} - x_i|^2,
 
-the energy of the motion in the metric J^T J + mu^2 I. Its minimum is a geodesic, at constant speed. The first
-term makes the points go straight, the second keeps joints from turning far for little; mu balances the two.
-Both ends are fixed. The search begins with joint interpolation, so that joints turn the way that the goal
-configuration means. Waypoints stay within the position limits.
+the energy of the motion in the metric J^T J + mu^2 I. The minimum is a geodesic at constant speed. The first
+term straightens the paths of the points, the second limits joint motion; mu balances the two. Both ends are
+fixed. The initial guess is joint interpolation, so that joints turn in the direction that the goal
+configuration implies. Waypoints stay within the position limits.
 
-Without penalties one waypoint after the other is relaxed, first few and then more. With penalties, for
-obstacles or tasks, all waypoints move together, by damped Gauss-Newton steps. Both take time linear in the
-number of joints (`kernels.path_relaxation`). Pairs count that a step would bring too close. A path that is
-clear stays clear, between waypoints too.
+Without penalties, waypoints are relaxed one by one, from coarse to fine. With penalties, for obstacles or
+tasks, all waypoints move together in damped Gauss-Newton steps. Both take time linear in the number of joints
+(`kernels.path_relaxation`). A clear path stays clear, also between waypoints.
 """
 
 from __future__ import annotations
@@ -37,18 +35,18 @@ from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 Array = NDArray[np.float64]
 
 TaskRows = Callable[[ArmState, float], LinearRows]
-"""Rows whose squares are added to the energy, for a state and its place on the path as a share."""
+"""Returns rows whose squares are added to the energy, for a state and its place on the path in [0, 1]."""
 
 
 class Penalties(NamedTuple):
-    """What counts on a path besides its length.
+    """Terms that are added to the energy of a path.
 
     Attributes:
-        tasks: rows of tasks, whose errors should vanish at each waypoint; None: there are none.
+        tasks: rows of tasks, whose errors should vanish at each waypoint; None: none.
         avoidance: the obstacles to avoid; None: none.
-        clearance_root: root of the weight of clearance that is missing, against the motion of points.
+        clearance_root: root of the weight of missing clearance, relative to the motion of points.
         least: the distance that a clear path keeps [m].
-        until: time of `perf_counter` at which to end.
+        until: time of `perf_counter` at which the relaxation ends.
     """
 
     tasks: TaskRows | None = None
@@ -62,11 +60,11 @@ class Stage(NamedTuple):
     """A stage of the relaxation of a path.
 
     Attributes:
-        pieces: number of straight pieces, as a multiple of the first number.
-        joint_share: least weight of joint motion, relative to the mean stiffness of the straight arm.
+        pieces: number of straight pieces, as a multiple of the initial number.
+        joint_share: smallest weight of joint motion, relative to the mean stiffness of the straight arm.
         passes: largest number of passes over all waypoints.
-        good_ratio: path length ratio of the control points that is good enough to end with; 0: not measured.
-        again: whether it starts from the first guess again.
+        good_ratio: path length ratio of the control points at which the relaxation ends; 0: not measured.
+        again: whether to restart from the initial guess.
     """
 
     pieces: int
@@ -88,52 +86,51 @@ STAGES = (
     Stage(8, 0.0, 40, 1.1),
     Stage(16, 0.0, 20, 1.0),
 )
-"""First few pieces and a large weight of joint motion, then more and less. A large weight converges quickly;
-with a small one and few pieces, a path is short at its waypoints only: the joints go far in between. If that
-leads nowhere, as for arms that fold onto themselves, many pieces and the small weight start again."""
+"""From few pieces and a large weight of joint motion, which converge quickly, to many pieces and a small
+weight. A small weight with few pieces would allow long joint motions between waypoints. If the path is still
+long, as for arms that fold onto themselves, the relaxation restarts with many pieces and the small weight."""
 
 _STAGES = np.array(STAGES)
 
 FIRST_PIECES, FIRST_PIECES_OF_LONG, LONG_ARM = 5, 6, 30
-"""First number of pieces, the same for a long arm, and from how many modules on an arm is long."""
+"""Initial number of pieces, that for a long arm, and the number of modules from which an arm is long."""
 
 MIN_DECREASE = 1e-4
 """Relative decrease of the energy in one pass at which a stage ends."""
 
 PENALIZED_PIECES, GIVEN_PATH_PIECES = 48, (64, 128, 256)
-"""Number of pieces of a path with penalties; and numbers into which a given path is divided, more where fewer
-cut corners that are not clear."""
+"""Number of pieces of a path with penalties; and of a given path, the first with which it is still clear."""
 
 KEPT_RATIO = 1.01
 """Path length ratio up to which joint interpolation is kept."""
 
 REFINEMENT, MIN_PIECES = 4, 96
-"""Number of pieces into which each one is divided at the end, on a smooth curve; more if there are few."""
+"""Number of pieces into which each is divided at the end, on a spline, and smallest total number."""
 
 SMALL_BEND, LARGE_BEND = 0.05, 0.4
-"""How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
-symmetries; more for the variants."""
+"""Sideways bend of the initial guess, relative to the largest joint motion, which breaks symmetries; and that
+of the variants."""
 
 MAX_PATH_ITERATIONS, NEWTON_CONVERGED = 60, 1e-3
-"""Largest number of Gauss-Newton steps, and the relative fall of the energy at which they end."""
+"""Largest number of Gauss-Newton steps, and the relative decrease of the energy at which they end."""
 
 MAX_HINDERED_ITERATIONS, PATIENT_ITERATIONS, SLOW_SHARE = 30, 6, 0.4
-"""Number of Gauss-Newton steps after which a path that is still not clear is given up; and number of those
-after which it is given up if the energy is still above a share of the first."""
+"""Number of Gauss-Newton steps after which a path that is not clear is abandoned; number after which it is
+abandoned if the energy exceeds a share of the initial one, and that share."""
 
 MAX_WAYPOINT_STEP = 0.3
 """Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
 
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
-"""Damping of Gauss-Newton steps at first, at least, and where the search gives up, relative to the mean
+"""Initial and smallest damping of Gauss-Newton steps, and that at which the search ends, relative to the mean
 diagonal of J^T J."""
 
 DAMPING_DECREASE, DAMPING_INCREASE = 1.0 / 3.0, 2.0
-"""Factors of the damping after a step that lowered the energy, and after one that did not; the latter is
-squared from one failure to the next."""
+"""Damping factors after a step that lowered the energy and one that did not; the latter is squared with each
+consecutive failure."""
 
 MAX_HELD_BACK = 8
-"""How often waypoints of a step are held back, so that a clear path stays clear, before it is given up."""
+"""How often waypoints of a step are held back to keep a clear path clear, before the step is rejected."""
 
 
 def direct_path(
@@ -147,12 +144,12 @@ def direct_path(
     """Find the most direct path between two configurations.
 
     Args:
-        objective: the arm, its joints, and their weight.
-        start: configuration to start from, (nq,).
-        goal: configuration to go to, (nq,).
-        edges: joint positions to stay between, (2, nv) [rad or m].
-        penalties: what else counts on the path; None: nothing.
-        variant: how the first guess is bent, from 0; other numbers may lead to another path.
+        objective: the objective of the path.
+        start: configuration at the start, (nq,).
+        goal: configuration at the end, (nq,).
+        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        penalties: further terms; None: none.
+        variant: number of the initial guess; others may lead to another path.
     """
     arm = objective.arm
     change = objective.normalize(arm.difference(start, goal))
@@ -178,14 +175,14 @@ def relax_path(
     """Find the most direct path near a given one.
 
     Args:
-        objective: the arm, its joints, and their weight.
-        start: configuration to start from, (nq,).
+        objective: the objective of the path.
+        start: configuration at the start, (nq,).
         offsets: waypoints of the given path as displacements from there, (N + 1, nv) [rad or m].
-        edges: joint positions to stay between, (2, nv) [rad or m].
-        penalties: what else counts on the path.
+        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        penalties: further terms.
 
     Returns:
-        The path on a smooth curve through its waypoints, and with straight lines between them.
+        The path on a spline through its waypoints, and with straight lines between them.
     """
     waypoints = _Waypoints(objective, start, edges)
     relaxation = _PathRelaxation(waypoints, penalties)
@@ -203,8 +200,8 @@ class _Waypoints:
     """Operations on waypoints as displacements from the start, (N + 1, n), in `Arm.joint_units`.
 
     Attributes:
-        objective: the arm, its joints, and their weight.
-        start: configuration that waypoints are displacements from, (nq,).
+        objective: the objective of the path.
+        start: configuration at the start, (nq,).
         positions: joint positions there, (nv,) [rad or m].
         weight: mu^2 [m^2].
         within: smallest and largest displacement, 2 x (n,).
@@ -227,25 +224,20 @@ class _Waypoints:
         return self._clip(shares * change + np.sin(np.pi * shares) * bend)
 
     def refine(self, x: Array, pieces: int) -> Array:
-        """Return more waypoints, on a cubic spline, so that joints change speed gradually.
-
-        Args:
-            x: waypoints.
-            pieces: number of pieces, a multiple of the present one.
-        """
+        """Return waypoints on a cubic spline through x, with a multiple of its number of pieces."""
         finer = np.empty((pieces + 1, x.shape[1]))
         kernels.refine_waypoints(x, finer)
         return self._clip(finer)
 
     def space(self, offsets: Array, pieces: int) -> Array:
-        """Return waypoints on a path, (N + 1, nv), at equal distances in the metric that is minimised."""
+        """Return waypoints on a path, (N + 1, nv), equidistant in the metric of the planner."""
         objective = self.objective
         places = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
         wanted, x = np.linspace(0.0, places[-1], pieces + 1), offsets[:, objective.columns] / objective.units
         return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
 
     def relax(self, change: Array, bend: Array) -> Array:
-        """Return the waypoints of the most direct path that is found, with as many pieces as it needs."""
+        """Return the waypoints of the most direct path found, with as many pieces as it needs."""
         arm = self.objective.arm
         pieces = FIRST_PIECES if arm.n_modules < LONG_ARM else FIRST_PIECES_OF_LONG
         stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
@@ -263,24 +255,24 @@ class _Waypoints:
 
 
 def _bend(objective: Objective, variant: int) -> Array:
-    """Return a bend of the whole arm to one side, (n,); each variant is another one."""
+    """Return a sideways bend of the whole arm, (n,), different for each variant."""
     along = (np.arange(len(objective.columns)) + 0.5) / len(objective.columns)
     size, sign, waves = LARGE_BEND if variant else SMALL_BEND, (-1.0) ** variant, 1 + variant // 2
     return np.asarray(size * sign * np.cos(np.pi * waves * along))
 
 
-# With penalties: all waypoints move together.
+# Relaxation with penalties.
 
 
 class _Iterate(NamedTuple):
-    """Waypoints with all that belongs to them.
+    """Waypoints and derived quantities.
 
     Attributes:
         x: displacements from the start, (N + 1, n), in `Arm.joint_units`.
         points: control points, (N + 1, r) [m].
-        rows: the rows of the tasks.
-        contacts: what is too close, or near.
-        clear: which pieces keep the least distance, (N,).
+        rows: rows of the tasks.
+        contacts: pairs of bodies that are near.
+        clear: which pieces keep the smallest distance, (N,).
         energy: the sum that is minimised [m^2].
     """
 
@@ -293,14 +285,7 @@ class _Iterate(NamedTuple):
 
 
 class _PathRelaxation:
-    """Minimises the energy of a path and its penalties, by damped Gauss-Newton steps.
-
-    Joints at a limit that the descent would push past it are held there.
-
-    Args:
-        waypoints: what is known of the waypoints.
-        penalties: what else counts.
-    """
+    """Minimises the energy of a path with penalties by damped Gauss-Newton steps, within the limits."""
 
     def __init__(self, waypoints: _Waypoints, penalties: Penalties) -> None:
         self._waypoints, self._penalties = waypoints, penalties
@@ -309,12 +294,12 @@ class _PathRelaxation:
         self._lower, self._upper = waypoints.within
 
     def is_clear(self, x: Array) -> bool:
-        """Return whether straight motions between waypoints, (N + 1, n), keep the least distance."""
+        """Return whether straight motions between waypoints, (N + 1, n), keep the smallest distance."""
         avoidance, path = self._penalties.avoidance, self._objective.displacement(x)
         return avoidance is None or avoidance.keeps(self._start, path, self._penalties.least)
 
     def run(self, x: Array) -> Array:
-        """Return waypoints at a minimum, (N + 1, n), from a first guess within the limits."""
+        """Return waypoints at a minimum, (N + 1, n), from an initial guess within the limits."""
         now, damping, increase = self._evaluate(x), FIRST_DAMPING, DAMPING_INCREASE
         first = now.energy
         for number in range(MAX_PATH_ITERATIONS):
@@ -335,10 +320,9 @@ class _PathRelaxation:
         return now.x
 
     def _move(self, now: _Iterate, step: Array) -> _Iterate | None:
-        """Return the path after a step of the waypoints between the ends, (N - 1, n).
+        """Return the path after a step of the inner waypoints, (N - 1, n).
 
-        Of a clear path, waypoints beside a piece that would no longer be clear stay where they are. None if
-        that does not help.
+        On a clear path, waypoints beside a piece that would no longer be clear stay; None if that fails.
         """
         moved = now.x.copy()
         moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, self._lower), self._upper)
@@ -362,28 +346,22 @@ class _PathRelaxation:
         return _Iterate(x, points, rows, contacts, clear, energy)
 
     def _task_rows(self, offsets: Array) -> PathRows:
-        """Return the rows of tasks at the waypoints between the ends."""
+        """Return the rows of tasks at the inner waypoints."""
         arm, tasks, last = self._objective.arm, self._penalties.tasks, len(offsets) - 1
-        found = (
-            []
-            if tasks is None
-            else [
-                tasks(arm.at(arm.integrate(self._start, offsets[i])).compiled, i / last)
-                for i in range(1, last)
-            ]
-        )
-        counts = [len(each.errors) for each in found]
         n = len(self._objective.columns)
+        if tasks is None:
+            return PathRows(np.zeros((0, n)), np.zeros(0), np.zeros(0, dtype=np.int64))
+        found = [
+            tasks(arm.at(arm.integrate(self._start, offsets[i])).compiled, i / last) for i in range(1, last)
+        ]
         return PathRows(
-            matrix=np.ascontiguousarray(
-                np.concatenate([each.matrix for each in found] or [np.zeros((0, n))])
-            ),
-            errors=np.concatenate([each.errors for each in found] or [np.zeros(0)]),
-            waypoints=np.repeat(np.arange(1, len(found) + 1), counts),
+            matrix=np.ascontiguousarray(np.concatenate([each.matrix for each in found])),
+            errors=np.concatenate([each.errors for each in found]),
+            waypoints=np.repeat(np.arange(1, last), [len(each.errors) for each in found]),
         )
 
     def _clearance(self, offsets: Array) -> tuple[PathContacts, NDArray[np.bool_]]:
-        """Return the contacts at the waypoints between the ends, and which pieces are clear."""
+        """Return the contacts at the inner waypoints, and which pieces are clear."""
         avoidance, least = self._penalties.avoidance, self._penalties.least
         root = self._penalties.clearance_root
         if avoidance is None:
@@ -401,7 +379,7 @@ class _PathRelaxation:
         minima = np.concatenate([[inf], found.minima, [inf]])
         lowest = np.minimum(minima[:-1], minima[1:])
         clear = lowest >= least
-        if clear.all():  # a piece on which all is farther away than the arm moves is clear
+        if clear.all():  # a piece is clear if the arm moves less on it than its clearance
             points = self._objective.arm.kinematics.points(self._positions + offsets)
             moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
             for i in np.flatnonzero(lowest - least < moved):
@@ -409,7 +387,7 @@ class _PathRelaxation:
         return contacts, clear
 
     def _step(self, now: _Iterate, damping: float) -> Array | None:
-        """Return the damped step of all waypoints between the ends, (N - 1, n); None if it fails."""
+        """Return the damped step of the inner waypoints, (N - 1, n); None if it fails."""
         steps = self._waypoints.step(now.x, damping, now.rows, now.contacts)
         if steps is None:
             return None

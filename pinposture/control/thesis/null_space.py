@@ -1,4 +1,4 @@
-"""Objectives for the null space of Selection and Projection (Section 2.2.1), besides the posture error."""
+"""Null-space objectives for Selection and Projection besides the posture error (Section 2.2.1)."""
 
 from __future__ import annotations
 
@@ -16,23 +16,22 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 
 FINITE_STEP = 1e-5
-"""Largest motion of a joint by which Jacobians are differentiated, in `Arm.joint_units`."""
+"""Largest joint motion of finite differences of Jacobians, in `Arm.joint_units`."""
 
 NEAREST = 1e-3
-"""Distance from an obstacle below which its potential does not become steeper, as a share of the reach."""
+"""Distance from an obstacle below which the slope of its potential is constant, as a share of `within`."""
 
 
 @dataclass(frozen=True)
 class JointSpeeds:
-    """Away from postures in which the control points can move only if the joints move fast.
+    """Avoids postures in which control points can move only if joints move fast.
 
-    It descends h(q), half the squared norm of the joint displacement that brings all control points to their
-    targets, as damped least squares has it, with its damping counted: h = e^T (J J^T + d^2 I)^-1 e / 2. The
-    gradient is that by the joints, with the errors e as they are.
+    It descends h = e^T (J J^T + d^2 I)^-1 e / 2, half the squared norm of the damped least-squares step to
+    the targets, damping included. The gradient is taken with the errors e held constant.
 
     Attributes:
-        weight: displacement per gradient; 1 is about as large as the displacement itself.
-        damping: d, relative to the length of the arm [1/rad]; singular values far below count little.
+        weight: displacement per gradient; with 1 it is about as large as the least-squares step.
+        damping: d, relative to the arm length [1/rad]; singular values far below it have little effect.
     """
 
     weight: float = 1.0
@@ -52,7 +51,7 @@ class JointSpeeds:
         largest = float(np.abs(speeds).max(initial=0.0))
         if largest == 0.0:
             return np.zeros(arm.nv)
-        # Second derivatives of positions are symmetric: (dJ/dq_u) v summed over the rows by weights is the
+        # Second derivatives of positions are symmetric: the weighted sum over rows of (dJ/dq_u) v is the
         # derivative of J^T times the weights along v.
         step = FINITE_STEP / largest
         ahead, back = (
@@ -73,15 +72,15 @@ def _stacked(state: ArmState, target: Target) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ObstaclePotential:
-    """Away from obstacles, down an artificial potential.
+    """Moves away from obstacles, down an artificial potential.
 
-    Each pair of a body and an obstacle that is nearer than `within` adds (within / d - 1)^2 / 2. Below a
-    thousandth of `within`, and where they overlap, the slope stays as it is there. A potential does not keep
-    a distance: only the default controller does.
+    Each body and obstacle at a distance d below `within` adds (within / d - 1)^2 / 2. Below a thousandth of
+    `within`, and in collision, the slope is constant. A potential does not guarantee a clearance; the default
+    controller does.
 
     Attributes:
-        scene: the obstacles; its margin does not count.
-        within: distance at which an obstacle begins to be felt [m].
+        scene: the obstacles; its margin is ignored.
+        within: distance below which an obstacle repels [m].
         weight: displacement per gradient.
         largest: largest displacement of a joint in one step, in `Arm.joint_units`.
     """

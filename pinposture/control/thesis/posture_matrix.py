@@ -17,8 +17,6 @@ from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, LOCAL, Factors, Rows, Screws
 from pinposture.placement import Target
 
-# The posture control matrix as the chain has it: products and solutions by passes along the arm.
-
 Array = NDArray[np.float64]
 
 VALUE_TOLERANCE = 1e-12
@@ -26,10 +24,10 @@ VALUE_TOLERANCE = 1e-12
 
 
 class PostureMatrix:
-    """A posture control matrix J = L Q, (4.6) and (5.9), that is never written out.
+    """A posture control matrix J = L Q, (4.6) and (5.9), in factored form.
 
-    Its rows are motions of control points along directions, its columns joints in comparable units. It takes
-    memory and time in proportion to the length of the arm; `kernels.posture_matrix` says how.
+    Its rows are motions of control points along directions, its columns joints in comparable units. Products
+    and solutions are passes along the arm, linear in its length; see `kernels.posture_matrix`.
     """
 
     def __init__(self, screws: Screws, rows: Rows) -> None:
@@ -44,11 +42,11 @@ class PostureMatrix:
         return int(self._rows.ranks.sum())
 
     def step(self, arm: Arm, values: Array, secondary: Array) -> Array:
-        """J^+ dr + (I - J^+ J) g: follow the velocities exactly, and g as far as they leave room (4.7).
+        """Return J^+ dr + (I - J^+ J) g (4.7): exact velocities dr, and g in their null space.
 
         Args:
             arm: the arm.
-            values: velocities dr along the directions that have a row, (p, 3) [m].
+            values: velocities dr along the directions of the rows, (p, 3) [m].
             secondary: joint displacement g, (nv,), in `Arm.joint_units`.
 
         Returns:
@@ -72,9 +70,9 @@ class PostureMatrix:
 
     @property
     def _own(self) -> Array:
-        """Singular values of the blocks on the diagonal of L, the whole of it for LOCAL rows.
+        """Singular values of the diagonal blocks of L, which are all of L for LOCAL rows.
 
-        A block of fewer rows is filled up with its first entry, which is between its singular values.
+        A block with fewer rows is padded with its first entry, which is between its singular values.
         """
         used = self._rows.ranks > 0
         there, triangles = np.arange(3) < self._rows.ranks[used, None], self._factors.triangles[used]
@@ -87,14 +85,12 @@ class PostureMatrix:
         return float(kernels.extreme_value(*given, smallest, VALUE_TOLERANCE))
 
 
-# The gain K of (4.7): one for all control points, or one for each.
-
 Gain: TypeAlias = "float | Sequence[float]"
-"""Share of its error that a control point is asked to cover in one step: of all, or of each, (m,)."""
+"""Gain K of (4.7): share of its error that a control point should cover in one step; one number or (m,)."""
 
 
 def checked_gain(gain: Gain) -> float | tuple[float, ...]:
-    """Return a gain as it is kept; raises InvalidValue unless all numbers are positive."""
+    """Return a gain with a tuple for a sequence; raise InvalidValue unless all numbers are positive."""
     if not isinstance(gain, (Sequence, np.ndarray)):
         require_positive("gain", gain)
         return gain
@@ -116,17 +112,15 @@ def gained(gain: Gain, errors: Array) -> Array:
     return np.array(gain)[:, None] * errors
 
 
-# The null-space term of (4.7), with its sign, sum and scale put right; or what the user asks for.
-
 NullObjective: TypeAlias = Callable[[ArmState, Target], ArrayLike]
-"""Joint displacement to take as far as the control points leave room, (nv,), in `Arm.joint_units`: for
-instance down the gradient of an objective, at a state on the way to a target."""
+"""Returns the joint displacement to follow in the null space, (nv,), in `Arm.joint_units`: for instance down
+the gradient of an objective."""
 
 
 def null_motion(
     objective: NullObjective | None, state: ArmState, target: Target, screws: Screws, errors: Array
 ) -> Array:
-    """Return what to follow in the null space, (nv,) in `Arm.joint_units`: `descent`, or an objective's.
+    """Return the displacement to follow in the null space, (nv,) in `Arm.joint_units`; default `descent`.
 
     Raises:
         InvalidValue: the objective returns another shape, or something that is not finite.
@@ -137,7 +131,7 @@ def null_motion(
 
 
 def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -> Array:
-    """Errors c_k - p_k along the directions in which the arm can move, zero for points without a target.
+    """Return the errors c_k - p_k in the axes of the arm's motion, zero for points without a target.
 
     Args:
         state: the state of the arm.
@@ -147,6 +141,8 @@ def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -
     Returns:
         Array (m, 3) [m]; the last column is zero for a planar arm.
     """
+    if target.points.shape != state.forward.points.shape:
+        target.check(state.arm)
     errors = (target.points - state.forward.points) * placed[:, None]
     if state.arm.dimension == 3:
         return np.asarray(errors)
@@ -156,15 +152,14 @@ def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -
 
 
 def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
-    """Joint displacement down the gradient of the posture error.
+    """Return the joint displacement down the gradient of the posture error: (4.7) with sign and scale fixed.
 
-    The sum must run over all control points: over the active ones alone the projection would cancel it.
-    Its length is the one at which the linearised squared error along it is least, so that it needs no
-    scale of its own and vanishes with the error.
+    The sum is over all control points; the projection would cancel the contribution of active ones. The step
+    length minimises the linearised squared error along the gradient.
 
     Args:
         arm: the arm.
-        screws: how its joints move it.
+        screws: the screws of its joints.
         errors: c_k - p_k, (m, 3) [m], from `aligned_errors`.
         distances: their norms, (m,) [m].
 

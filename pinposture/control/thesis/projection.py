@@ -1,4 +1,4 @@
-"""The Projection method: move every control point, each where it can move (Chapter 5)."""
+"""The Projection method: move every control point along the directions in which it moves well (Chapter 5)."""
 
 from __future__ import annotations
 
@@ -40,25 +40,24 @@ COUPLINGS: tuple[Coupling, ...] = ("full", "local", "relative")
 class Projection:
     """Projection method with its parameters; the defaults come from `benchmarks/parameters.py`.
 
-    The motion of each control point relative to the one before it is confined to its manipulability
-    space: the left singular vectors of the module's own Jacobian whose singular values exceed a threshold
-    (5.3)-(5.5). The posture control matrix stacks what is left (5.9), (5.10).
+    The motion of each control point relative to the previous one is confined to its manipulability space: the
+    left singular vectors of the module's own Jacobian whose singular values exceed a threshold (5.3)-(5.5).
+    The posture control matrix stacks the remaining rows (5.9), (5.10).
 
     Attributes:
-        threshold: smallest singular value that counts as motion (kappa), relative to the length of the
-            module [1/rad]. Where points have no target, the modules up to the next one that has count as one.
-        coupling: "relative" asks of each point to cover the error that it has relative to the point before,
-            so that a module turns into its direction on the target posture wherever its base is; "full" asks
-            for the whole error of each point and keeps the columns of all joints that move it. Both know
-            that the base of a module moves; "local", (5.9) as printed, keeps the module's own columns only
-            and does not.
-        gain: share of its projected error that a point is asked to cover in one step (K); one number, or one
-            for each control point, (m,).
+        threshold: smallest singular value that counts as motion (kappa), relative to the module length
+            [1/rad]. Modules up to the next point with a target count as one.
+        coupling: "relative": each point covers its error relative to the previous point, so that a module
+            takes its direction on the target posture wherever its base is. "full": each point covers its
+            whole error, with the columns of all joints that move it. Both account for the motion of the base
+            of a module; "local", (5.9) as printed, has only the module's own columns and does not.
+        gain: share of its projected error that a point covers in one step (K); one number or (m,).
         null_gain: weight of the null-space term of (4.7).
-        null_objective: what to follow in the null space in its place, as for `Selection`.
-        strides: how many modules a section may have, as for `Selection`: (2, 3) for planar arms of one-joint
-            modules (Section 4.6). The ends of the chain of sections with the best geometric mean of indices
-            are moved, and the points between follow in the null space. None: every control point is moved.
+        null_objective: replacement of the null-space descent, as for `Selection`.
+        strides: numbers of modules that a section may have, as for `Selection`: (2, 3) for planar arms of
+            one-joint modules (Section 4.6). The controller moves the ends of the chain of sections with the
+            best geometric mean of indices, and the points between follow in the null space. None: every
+            control point is moved.
     """
 
     threshold: float = 0.2
@@ -81,10 +80,10 @@ class Projection:
 
     @classmethod
     def as_printed(cls, planar: bool = False) -> Projection:
-        """Return the method as Chapter 5 prints it, with the sign of the errors put right.
+        """Return the method as printed in Chapter 5, with the sign of the errors corrected.
 
-        The matrix is block diagonal (5.9), and there is no null-space term. Planar arms of one-joint modules
-        have sections of two and three joints.
+        The matrix is block diagonal (5.9), without a null-space term. Planar arms of one-joint modules have
+        sections of two and three joints.
         """
         return cls(coupling="local", null_gain=0.0, strides=(2, 3) if planar else None)
 
@@ -104,15 +103,14 @@ class Projection:
         limits: Limits | None = None,
         memory: Memory | None = None,
     ) -> Step:
-        """Compute one step with something else to follow in the null space than the descent of (4.7).
+        """Compute one step with another null-space motion than the descent of (4.7).
 
         Args:
-            secondary: joint displacement to follow as far as the control points leave room, (nv,), in
-                `Arm.joint_units`.
+            secondary: joint displacement to follow in the null space, (nv,), in `Arm.joint_units`.
             state: the state of the arm.
             target: the target posture.
             limits: the limits of the step; `Limits()` if None.
-            memory: what the previous step returned; None at the first.
+            memory: `memory` of the previous step; None at the first.
         """
         return self._step(secondary, screws_of(state), state, target, limits, memory)
 
@@ -152,10 +150,10 @@ class Projection:
     def posture_control_matrix(
         self, state: ArmState, errors: Array, eligible: NDArray[np.bool_]
     ) -> tuple[Array, Array, tuple[int, ...], float]:
-        """Posture control matrix (5.9) and desired velocities (5.10).
+        """Return the posture control matrix (5.9) and the desired velocities (5.10).
 
-        The rotations E of (5.7) need no explicit factor: singular values do not depend on the frame, and
-        the left singular vectors of the Jacobian in task axes are those of the module frame, turned.
+        The rotations E of (5.7) are not needed: singular values do not depend on the frame, and left singular
+        vectors rotate with it.
 
         Args:
             state: the state of the arm.
@@ -182,10 +180,10 @@ class Projection:
         return matrix[kept], velocity[kept], active, smallest
 
     def _rows(self, arm: Arm, screws: Screws, eligible: NDArray[np.bool_]) -> tuple[Rows | None, float]:
-        """Directions in which each section moves its end well, and their smallest ratio; None if none does.
+        """Return the directions in which each section moves its end well, if any, and their smallest ratio.
 
-        The own columns of a section are the same in all couplings, and those of later ones are zero: the
-        matrix is block triangular, and of full row rank, in each of them.
+        The own columns of a section are the same in all couplings, and those of later ones are zero, so the
+        matrix is block triangular with full row rank.
         """
         if self.strides is not None:
             eligible = best_chain(arm, screws, eligible, self.strides)
@@ -199,7 +197,7 @@ class Projection:
         return Rows(stations, ranks, directions, NUMBERS[self.coupling]), smallest
 
     def _along(self, rows: Rows, errors: Array) -> Array:
-        """What the rows ask for, (p, 3) [m], of errors (m, 3) in world axes."""
+        """Return the errors, (m, 3) in world axes, along the directions of the rows, (p, 3) [m]."""
         wanted = errors[rows.stations]
         if self.coupling == "relative":
             wanted = _differences(wanted)
@@ -207,7 +205,7 @@ class Projection:
 
 
 def _differences(rows: Array) -> Array:
-    """Each entry along the first axis less the one before; the first as it is."""
+    """Return the differences of consecutive entries along the first axis; the first entry is unchanged."""
     differences = np.array(rows)
     differences[1:] -= rows[:-1]
     return differences

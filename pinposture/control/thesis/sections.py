@@ -1,4 +1,4 @@
-"""Control sets as chains of short sections: the tree of Section 4.6.1 and the best branch of it."""
+"""Control sets as chains of short sections: the tree of Section 4.6.1 and its best branch."""
 
 from __future__ import annotations
 
@@ -18,30 +18,29 @@ from pinposture.arm.kinematics import Chain, constants_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import Screws
 
-# Where modules have one joint, neighbouring control points always conflict (Appendix A). Points two or three
-# joints apart conflict only where the section between them is singular, so a control set is a chain of such
+# If modules have one joint, neighbouring control points always conflict (Appendix A). Points two or three
+# joints apart conflict only if the section between them is singular, so a control set is a chain of such
 # sections. All chains over a region of the arm form a tree (Figure 4.7): nodes are control points, edges are
-# sections. Algorithm 2 leaves out the points at which an unstable edge ends.
+# sections. Algorithm 2 removes the points at the ends of unstable edges.
 #
-# The points left have a posture control matrix of full row rank. For neighbours r < s among them, the matrix
-# is block lower triangular with the Jacobian of s relative to r on its diagonal. The edge (v, s] of the
-# branch has v >= r and a positive index, so the Jacobian of s relative to v has full row rank; that relative
-# to r has the same columns and more, so its smallest singular value is no smaller. The first point clears
-# the absolute condition. Every other point must, too, because a later point need not clear it when an
-# earlier one does.
+# The remaining points have a posture control matrix of full row rank. For neighbours r < s among them, the
+# matrix is block lower triangular with the Jacobian of s relative to r on its diagonal. The edge (v, s] of
+# the branch has v >= r and a positive index, so the Jacobian of s relative to v has full row rank; that
+# relative to r has additional columns, so its smallest singular value is no smaller. The first point meets
+# the absolute condition, and so must every other: a later point may fail it although an earlier one does not.
 
 Array = NDArray[np.float64]
 SectionScore = Literal["thesis", "geometric"]
 
 
 class SectionSet(NamedTuple):
-    """What Algorithm 2 leaves of a branch.
+    """A branch pruned by Algorithm 2.
 
     Attributes:
-        points: control points, 0-based and increasing; empty if none is left.
-        edges: number of edges left (eta).
+        points: remaining control points, 0-based and increasing.
+        edges: number of remaining edges (eta).
         score: natural logarithm of the score, because a product of many indices underflows; minus infinity
-            if no point is left.
+            without points.
     """
 
     points: tuple[int, ...]
@@ -53,11 +52,11 @@ EMPTY_SET = SectionSet((), 0, -np.inf)
 
 
 class SectionEdges(NamedTuple):
-    """Sections as edges of the tree, by their number of modules and by the node that they lead to.
+    """Sections as edges of the tree, by their number of modules and by the node at which they end.
 
     Attributes:
-        strides: how many modules a section may have, (S,); increasing.
-        stable: edges that Algorithm 2 leaves, (S, m + 1).
+        strides: numbers of modules that a section may have, (S,); increasing.
+        stable: edges that Algorithm 2 keeps, (S, m + 1).
         logs: logarithms of their indices, (S, m + 1).
         usable: which control points may be active, (m,).
     """
@@ -71,13 +70,13 @@ class SectionEdges(NamedTuple):
     def of(
         cls, indices: Array, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
     ) -> SectionEdges:
-        """Leave out edges that are unstable, and those to points that are not usable.
+        """Return the edges; those that are unstable or end at points that are not usable are not kept.
 
         Args:
             indices: index of each section, (S, m + 1); zero where there is none.
             usable: which control points may be active, (m,).
             threshold: an edge is unstable unless its index exceeds this.
-            strides: how many modules a section may have; increasing.
+            strides: numbers of modules that a section may have; increasing.
         """
         stable = (indices > threshold) & np.append(False, usable)
         return cls(np.array(strides, dtype=np.int64), stable, np.log(np.where(stable, indices, 1.0)), usable)
@@ -85,17 +84,17 @@ class SectionEdges(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SectionTree:
-    """The tree of sections over a region of the arm; it is never built.
+    """The tree of sections over a region of the arm, which is never built.
 
     Nodes are numbered as in the matrix of indices: 0 is the base, k + 1 is control point k.
 
     Attributes:
-        indices: manipulability index of each section, (m + 1, m + 1), as `section_indices` gives them.
-        usable: which control points may be active: they have a target and clear the absolute condition, (m,).
+        indices: manipulability index of each section, (m + 1, m + 1), from `section_indices`.
+        usable: which control points have a target and meet the absolute condition, (m,).
         threshold: an edge is unstable unless its index exceeds this.
         first: first control point of the region, 0-based.
         last: last control point of the region, 0-based.
-        strides: how many modules a section may have.
+        strides: numbers of modules that a section may have.
     """
 
     indices: Array
@@ -117,24 +116,20 @@ class SectionTree:
 
     @property
     def root(self) -> int:
-        """Where every branch begins: the first control point of the region.
-
-        It is the base if the region starts at control point 0, which is one module from the base and hence
-        less than a section.
-        """
+        """First node of every branch: the first control point of the region; the base if that is point 0."""
         return _root(self.first)
 
     @property
     def leaf(self) -> int:
-        """The last node of the region; no branch goes beyond it."""
+        """Last node of the region."""
         return self.last + 1
 
     def branches(self) -> Iterator[tuple[int, ...]]:
-        """Enumerate all branches, one at a time, depth first.
+        """Enumerate all branches, depth first.
 
         Yields:
-            Nodes from the root to where no further section fits into the region. Their number grows
-            exponentially with the region: take what you need from the iterator.
+            Nodes from the root to where no further section fits into the region. The number of branches grows
+            exponentially with the region.
         """
         begun: list[tuple[int, ...]] = [(self.root,)]
         while begun:
@@ -145,12 +140,12 @@ class SectionTree:
             begun.extend((*branch, end) for end in reversed(ends))
 
     def pruned(self, branch: Sequence[int], score: SectionScore) -> SectionSet:
-        """Leave out the nodes that an unstable edge leads to, and those that are not usable (Algorithm 2).
+        """Remove the nodes at the ends of unstable edges and those that are not usable (Algorithm 2).
 
         Args:
-            branch: nodes, as `branches` gives them.
-            score: "thesis" for (4.8), (eta + 1) times the product of the indices of the edges left; or
-                "geometric", with the geometric mean in place of the product.
+            branch: nodes, as from `branches`.
+            score: "thesis" for (4.8), (eta + 1) times the product of the remaining indices; or "geometric",
+                with the geometric mean instead of the product.
         """
         kept = [edge for edge in pairwise(branch) if self._stable[edge]]
         points = tuple(end - 1 for _, end in kept)
@@ -162,14 +157,7 @@ class SectionTree:
         return SectionSet(points, len(kept), float(_scores(np.array([len(kept)]), logs, score)[0]))
 
     def best(self, score: SectionScore) -> SectionSet:
-        """The set with the largest score over all branches, without looking at them one by one.
-
-        Args:
-            score: see `pruned`.
-
-        Returns:
-            The best set; an empty one if Algorithm 2 leaves no branch a point.
-        """
+        """Return the set with the largest score over all branches; see `best_branch`."""
         indices = np.zeros((len(self.strides), len(self.indices)))
         for row, stride in zip(indices, self.strides, strict=True):
             row[stride:] = np.diagonal(self.indices, stride)
@@ -178,12 +166,12 @@ class SectionTree:
 
     @cached_property
     def _stable(self) -> NDArray[np.bool_]:
-        """Edges that are left, (m + 1, m + 1)."""
+        """Edges that are kept, (m + 1, m + 1)."""
         return np.asarray((self.indices > self.threshold) & np.append(False, self.usable))
 
     @cached_property
     def _logs(self) -> Array:
-        """Logarithms of the indices of the edges that are left, (m + 1, m + 1)."""
+        """Logarithms of the indices of the edges that are kept, (m + 1, m + 1)."""
         return np.log(np.where(self._stable, self.indices, 1.0))
 
     @property
@@ -192,11 +180,11 @@ class SectionTree:
 
 
 def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore) -> SectionSet:
-    """Return the set with the largest score over all branches over a region.
+    """Return the set with the largest score over all branches over a region, without enumerating them.
 
-    The score depends on how many edges are left and on the product of their indices. Of all ways to a node
-    on which as many edges are left, only that with the largest product can be part of the best branch:
-    O(m^2) ways for m points.
+    The score depends on the number of remaining edges and the product of their indices. Among partial
+    branches to a node with equally many edges, only the one with the largest product can be part of the best
+    branch: O(m^2) of them for m points.
 
     Args:
         edges: the sections.
@@ -205,7 +193,7 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
         score: see `SectionTree.pruned`.
 
     Returns:
-        The best set; an empty one if Algorithm 2 leaves no branch a point.
+        The best set; empty if Algorithm 2 removes all points from every branch.
     """
     root, leaf, path = _root(first), last + 1, np.empty(last + 2, dtype=np.int64)
     root_counts = root > 0 and bool(edges.usable[root - 1])
@@ -221,19 +209,19 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
 
 
 LEAST_INDEX = 1e-6
-"""What the index of a singular section counts as where it may be part of a chain."""
+"""Lower bound of indices in `best_chain`, where singular sections are allowed."""
 
 
 def best_chain(
     arm: Arm, screws: Screws, eligible: NDArray[np.bool_], strides: tuple[int, ...]
 ) -> NDArray[np.bool_]:
-    """Choose the ends of the chain of sections with the best geometric mean of indices; none is left out.
+    """Choose the ends of the chain of sections with the best geometric mean of indices, without pruning.
 
     Args:
         arm: the arm.
-        screws: how its joints move it.
+        screws: the screws of its joints.
         eligible: which control points have a target, (m,).
-        strides: how many modules a section may have; increasing.
+        strides: numbers of modules that a section may have; increasing.
 
     Returns:
         Which control points are ends of sections, (m,); the last eligible one if no section fits.
@@ -255,11 +243,7 @@ def _root(first: int) -> int:
 
 
 def checked_strides(strides: Sequence[int]) -> tuple[int, ...]:
-    """Numbers of modules that a section may have, increasing.
-
-    Raises:
-        InvalidValue: none, or other than whole numbers of at least 1.
-    """
+    """Return strides sorted; raise InvalidValue unless they are one or more whole numbers of at least 1."""
     allowed = "one or more whole numbers of at least 1"
     try:
         listed = tuple(strides)
@@ -272,30 +256,30 @@ def checked_strides(strides: Sequence[int]) -> tuple[int, ...]:
 
 
 def _scores(edges: NDArray[np.intp], logs: Array, score: SectionScore) -> Array:
-    """Logarithm of the score by the number of edges and the logarithm of the product of their indices."""
+    """Return the logarithm of the score for numbers of edges and logarithms of the products of indices."""
     mean = logs / np.maximum(edges, 1) if score == "geometric" else logs
     return np.asarray(np.log(edges + 1.0) + mean)
 
 
-# Manipulability indices of sections, next to the best that links of those lengths can have.
+# Indices of sections, relative to the best that links of those lengths can have.
 #
-# The index of (4.4) is 1 only where the arm moves its end equally well in every direction. Two links of one
-# length never get there: their best is (sqrt(5) - 1) / 2. A score that multiplies indices, as (4.8) does,
-# would count every such section as a loss, however good its posture; relative to the best it does not.
+# The index of (4.4) is 1 only if the end moves equally well in every direction. Two links of equal length
+# have at best (sqrt(5) - 1) / 2. A score that multiplies indices, such as (4.8), would penalise every such
+# section even in its best posture; indices relative to the best avoid this.
 
 ALWAYS_SINGULAR = 1e-3
-"""A section whose best index is below this counts as always singular; its indices stay as they are."""
+"""Best index below which a section counts as always singular, and its indices are not normalised."""
 
 
 def best_index(lengths: tuple[float, ...]) -> float:
-    """Largest manipulability index of a planar chain of hinges, over all its postures.
+    """Return the largest manipulability index of a planar chain of revolute joints over all postures.
 
     Args:
-        lengths: distances from each hinge to the next and from the last one to the end, (n,) [m].
+        lengths: distances from each joint to the next and from the last one to the end, (n,) [m].
 
     Returns:
-        An index in [0, 1]: exact for two links, to about 1e-9 for three, an upper bound of 1 for more; 0 for
-        fewer, or where links without length leave one direction only.
+        An index in [0, 1]: exact for two links, to about 1e-9 for three, the upper bound 1 for more; 0 for
+        fewer, or if all but one have no length.
     """
     if len(lengths) < 2 or max(lengths) <= 0.0:
         return 0.0
@@ -310,10 +294,10 @@ def best_index(lengths: tuple[float, ...]) -> float:
 
 @lru_cache(maxsize=1024)
 def _best_of_three(lengths: tuple[float, float, float]) -> float:
-    """Best index of three links: a grid over the two inner joints, then a search from each of its peaks.
+    """Return the best index of three links: a grid over the two inner joints, then a search from its peaks.
 
-    Peaks where the index is 1 are sharp and can look low on the grid, hence several of them. Mirrored
-    postures have the same index, hence half of them.
+    Peaks with index 1 are sharp and can be low on the grid, so several are tried. Mirrored postures have the
+    same index, so half of the grid suffices.
     """
     angles = np.linspace(-np.pi, np.pi, 180, endpoint=False)
     index = _planar_index(lengths, angles[:, None], angles)
@@ -333,9 +317,9 @@ def _best_of_three(lengths: tuple[float, float, float]) -> float:
 
 
 def _planar_index(lengths: tuple[float, float, float], middle: Array, last: Array) -> Array:
-    """Index of three links at given inner joint positions.
+    """Return the index of three links at given inner joint positions.
 
-    With z_u the vector from hinge u to the end as a complex number, the eigenvalues of J J^T have the sum
+    With z_u the vector from joint u to the end as a complex number, the eigenvalues of J J^T have the sum
     sum |z_u|^2 and the difference |sum z_u^2|.
     """
     third = lengths[2] + 0j
@@ -347,18 +331,18 @@ def _planar_index(lengths: tuple[float, float, float], middle: Array, last: Arra
 
 
 def section_indices(state: ArmState, strides: tuple[int, ...]) -> Array:
-    """Manipulability indices of the sections of one of the strides, relative to the best that each can have.
+    """Return the manipulability indices of sections, relative to the best that each can have.
 
-    The best is known for planar sections of two or three hinges. The indices of longer sections, of sections
-    with a slide and of spatial arms stay as they are.
+    The best is known for planar sections of two or three revolute joints. Indices of longer sections, of
+    sections with a prismatic joint and of spatial arms are not normalised.
 
     Args:
         state: the state of the arm.
-        strides: how many modules a section may have.
+        strides: numbers of modules that a section may have.
 
     Returns:
-        Array (m + 1, m + 1) like that of `ArmState.manipulability`, in [0, 1]; what is not a section of one
-        of the strides stays as it is, too.
+        Array (m + 1, m + 1) like that of `ArmState.manipulability`, in [0, 1], with the entries for these
+        numbers of modules normalised.
     """
     indices = np.array(state.manipulability())
     for stride, best in zip(strides, _best_indices(state.arm.chain, strides), strict=True):
@@ -370,14 +354,14 @@ def section_indices(state: ArmState, strides: tuple[int, ...]) -> Array:
 def section_edges(
     arm: Arm, screws: Screws, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
 ) -> SectionEdges:
-    """The edges of the tree of sections, with the indices that `section_indices` has for them.
+    """Return the edges of the tree of sections, with indices as in `section_indices`.
 
     Args:
         arm: the arm.
-        screws: how its joints move it.
+        screws: the screws of its joints.
         usable: which control points may be active, (m,).
         threshold: an edge is unstable unless its index exceeds this.
-        strides: how many modules a section may have; increasing.
+        strides: numbers of modules that a section may have; increasing.
     """
     indices = np.zeros((len(strides), arm.n_modules + 1))
     wanted = np.array(strides, dtype=np.int64)
@@ -389,7 +373,7 @@ def section_edges(
 
 @lru_cache(maxsize=64)
 def _best_indices(chain: Chain, strides: tuple[int, ...]) -> Array:
-    """Best index of the section to each node from so many modules before, (S, m + 1)."""
+    """Return the best index of the section of each number of modules that ends at each node, (S, m + 1)."""
     m = len(chain.points)
     best = np.ones((len(strides), m + 1))
     if len(chain.plane) == 2:
@@ -403,9 +387,9 @@ def _best_indices(chain: Chain, strides: tuple[int, ...]) -> Array:
 
 
 def _section_lengths(chain: Chain, start: int, end: int) -> tuple[float, ...]:
-    """Distances between the axes of the hinges of a section and from the last to its end; () with a slide.
+    """Return the link lengths of a section of revolute joints; () if it has a prismatic joint.
 
-    Rounded to twelve digits: sections of equal links are equal however the file writes them.
+    They are rounded to twelve digits, so that sections of equal links share cached results.
     """
     joints = slice(chain.module_slices[start].start, chain.module_slices[end - 1].stop)
     if not np.all(chain.revolute[joints]):

@@ -1,4 +1,4 @@
-"""The Selection method: move the control points that can be moved safely (Chapter 4)."""
+"""The Selection method: move the control points that can move well together (Chapter 4)."""
 
 from __future__ import annotations
 
@@ -31,26 +31,24 @@ from pinposture.placement import Target
 
 # Candidate control sets, and the active one among them (Sections 4.3 and 4.4).
 #
-# A set of control points is a candidate if each of its points clears the absolute manipulability condition
-# and each pair of neighbours in it the relative one. Both concern single points and pairs of neighbours
-# only, so the sets are the paths of a directed graph, and the set with the largest sum of errors is a
-# longest path: found in O(m^2), without looking at the up to 2^m sets.
+# A set of control points is a candidate if each of its points meets the absolute manipulability condition and
+# each pair of neighbours in it the relative one. The sets are hence the paths of a directed graph, and the
+# one with the largest sum of errors is a longest path, found in O(m^2) without enumerating up to 2^m sets.
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 
 def candidate_sets(indices: Array, absolute: float, relative: float) -> Iterator[tuple[int, ...]]:
-    """Enumerate all candidate control sets, one at a time (Figure 4.5).
+    """Enumerate all candidate control sets (Figure 4.5).
 
     Args:
-        indices: manipulability indices (m + 1, m + 1) as `ArmState.manipulability` gives them.
+        indices: manipulability indices (m + 1, m + 1) from `ArmState.manipulability`.
         absolute: threshold that the index of each point relative to the base must exceed.
-        relative: threshold that the index of each point relative to the one before it must exceed.
+        relative: threshold that the index of each point relative to the previous one must exceed.
 
     Yields:
-        Increasing tuples of control point indices, 0-based. There can be 2^m - 1 of them: take what you
-        need from the iterator.
+        Increasing tuples of control point indices, 0-based; up to 2^m - 1 of them.
     """
     clears, follows = _conditions(indices, absolute, relative)
 
@@ -66,14 +64,14 @@ def candidate_sets(indices: Array, absolute: float, relative: float) -> Iterator
 def active_set(
     indices: Array, errors: Array, absolute: float, relative: float, eligible: NDArray[np.bool_] | None = None
 ) -> tuple[int, ...]:
-    """The candidate control set with the largest sum of errors (4.5), without enumerating any.
+    """Return the candidate control set with the largest sum of errors (4.5), without enumerating them.
 
     Args:
         indices: manipulability indices (m + 1, m + 1).
         errors: distance of each control point from its target, (m,) [m].
         absolute: threshold of the absolute condition.
         relative: threshold of the relative condition.
-        eligible: which points may be used at all, (m,); all of them if None.
+        eligible: which points may be used, (m,); all of them if None.
 
     Returns:
         Increasing indices of control points, 0-based; empty if there is no candidate set.
@@ -99,19 +97,19 @@ def active_set(
 
 
 def base_indices(arm: Arm, screws: Screws, threshold: float) -> Array:
-    """Indices of all control points relative to the base, (m,), to be compared with a threshold."""
+    """Return the indices of all points relative to the base, (m,), accurate where near the threshold."""
     indices = np.empty(arm.n_modules)
     kernels.base_indices(*screws, constants_of(arm).plane, threshold, indices)
     return indices
 
 
 def best_set(arm: Arm, screws: Screws, usable: NDArray[np.bool_], errors: Array, relative: float) -> Whole:
-    """The same set as `active_set`, without the indices of all sections: few of them are looked at.
+    """Return the set of `active_set`, computing only the few indices that it needs.
 
     Args:
         arm: the arm.
-        screws: how its joints move it.
-        usable: which control points clear the absolute condition and may be used, (m,).
+        screws: the screws of its joints.
+        usable: which control points meet the absolute condition and may be used, (m,).
         errors: distance of each control point from its target, (m,) [m].
         relative: threshold of the relative condition.
 
@@ -126,7 +124,7 @@ def best_set(arm: Arm, screws: Screws, usable: NDArray[np.bool_], errors: Array,
 def _conditions(
     indices: Array, absolute: float, relative: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which points clear the absolute condition (m,), and which may follow which (m, m)."""
+    """Return which points meet the absolute condition (m,), and which may follow which (m, m)."""
     if indices.ndim != 2 or indices.shape[0] != indices.shape[1] or indices.shape[0] < 2:
         raise InvalidValue("indices (shape)", indices.shape, "(m + 1, m + 1) with m >= 1")
     clears = indices[0, 1:] > absolute
@@ -134,7 +132,7 @@ def _conditions(
 
 
 MAX_COUNTED_MODULES = 50
-"""How many modules of an arm count as its length where its conditioning is judged."""
+"""Largest number of modules that count towards the arm length to which conditioning is relative."""
 
 NO_CONDITIONING = 1e-12  # a bound on singular values that drops no point
 
@@ -145,36 +143,33 @@ SCORES = ("auto", "error", "geometric", "thesis")
 class Selection:
     """Selection method with its parameters; the defaults come from `benchmarks/parameters.py`.
 
-    At each step it takes the control set with the largest score, stacks the Jacobians of its points into the
-    posture control matrix (4.6), and moves them straight towards their targets; the other points follow the
-    descent direction of the posture error as far as that leaves room (4.7).
+    Each step selects the control set with the largest score, stacks the Jacobians of its points into the
+    posture control matrix (4.6), and moves them straight towards their targets. The other points descend the
+    posture error in the null space (4.7).
 
     Attributes:
-        absolute: the manipulability index of each active point relative to the base exceeds this.
-        relative: the index of each active point relative to the one before it exceeds this. In a tree of
-            sections, that of the section into each point does, relative to the best it can have.
-        conditioning: smallest singular value that the posture control matrix must have, relative to the
-            arm length [1/rad], of which 50 modules count at most: it does not grow with the number of
-            modules. Points with which it would not are dropped, from the base on: full rank is not yet good
-            conditioning.
-        gain: share of its error that an active point is asked to cover in one step (K); one number, or one
-            for each control point, (m,).
+        absolute: threshold of the manipulability index of each active point relative to the base.
+        relative: threshold of the index of each active point relative to the previous one. In a tree of
+            sections, it applies to the index of the section that ends at the point, relative to its best.
+        conditioning: smallest singular value allowed for the posture control matrix, relative to the length
+            [1/rad] of at most 50 modules, as it does not grow with the number of modules. Points that would
+            violate it are dropped, starting from the base.
+        gain: share of its error that an active point covers in one step (K); one number or (m,).
         null_gain: weight of the null-space term (alpha, positive for descent); see `posture_matrix`.
-        null_objective: what to follow in the null space in place of the descent of (4.7), as a function of
-            `ArmState` and `Target`; see `NullObjective`.
-        score: which control sets there are, and which of them is taken:
+        null_objective: replacement of the null-space descent of (4.7); see `NullObjective`.
+        score: which control sets are considered, and which of them is selected:
 
-            * "error": the candidate sets of Section 4.3; the one with the largest posture error (4.5).
-            * "thesis": the branches of the tree of sections of Section 4.6.1, over the region from the first
-              to the last point that has a target; the one with the largest (4.8). It takes few points: one
-              more pays only if the index of its section exceeds (eta + 1) / (eta + 2).
+            * "error": of the candidate sets of Section 4.3, the one with the largest posture error (4.5).
+            * "thesis": of the branches of the tree of sections of Section 4.6.1, over the region from the
+              first to the last point with a target, the one with the largest (4.8). It selects few points:
+              one more raises the score only if the index of its section exceeds (eta + 1) / (eta + 2).
             * "geometric": the same tree; (4.8) with the geometric mean of the indices for their product.
-            * "auto": "geometric" for planar arms of one-joint modules, as long as no point within the region
-              is free; otherwise "error". The planar arm of the thesis ends equally close with both, but more
-              steadily with "geometric": on the way to random postures, the posture error rises on 5 % of the
-              steps in place of 25 %. "error" takes turns among the points.
-        strides: how many modules a section of the tree may have; of no use to "error". Modules of two joints
-            call for (1,).
+            * "auto": "geometric" for planar arms of one-joint modules if all points of the region have
+              targets, otherwise "error". The planar arm of the thesis ends equally close with both, but the
+              posture error rises on 5 % of the steps to random postures with "geometric", and on 25 % with
+              "error", which alternates between points.
+        strides: numbers of modules that a section of the tree may have; ignored with "error". Modules of two
+            joints need (1,).
     """
 
     absolute: float = 0.001
@@ -199,17 +194,18 @@ class Selection:
 
     @classmethod
     def as_printed(cls, planar: bool = False) -> Selection:
-        """Return the method as Chapter 4 prints it, with the sign of the errors put right.
+        """Return the method as printed in Chapter 4, with the sign of the errors corrected.
 
-        The set has the largest posture error (4.5), or in planar arms of one-joint modules the largest (4.8).
-        No point is dropped for conditioning. The null-space term (4.7), summed over active points, is zero.
+        The set has the largest posture error (4.5), or for planar arms of one-joint modules the largest
+        (4.8). No point is dropped for conditioning. The null-space term (4.7), summed over active points, is
+        zero.
         """
         return cls(score="thesis" if planar else "error", conditioning=NO_CONDITIONING, null_gain=0.0)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
-        """Compute one step; see `Controller.step`. Without a candidate set it stands still and says so."""
+        """Compute one step; see `Controller.step`. Without a candidate set the arm stops, with a reason."""
         limits = require_limits(limits)
         previous = memory.dq if memory is not None else None
         arm, screws, placed = state.arm, screws_of(state), target.has_target
@@ -220,7 +216,7 @@ class Selection:
         kept = self._conditioned(arm, screws, chosen)
         active, dropped = chosen[kept], tuple(chosen[~kept].tolist())
         if not len(active):
-            held, reason = limits.hold(state, previous), self._why_none(base, chosen, placed)
+            held, reason = limits.hold(state, previous), self._explain_failure(base, chosen, placed)
             none = Diagnostics(held.clipped, reason, dropped=dropped, scale=held.scale)
             return Step(held.dq, (), none, Memory(held.dq))
         matrix = PostureMatrix(screws, _full_rows(arm, active))
@@ -240,7 +236,7 @@ class Selection:
     def _chosen(
         self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array
     ) -> NDArray[np.int64]:
-        """The control set with the largest score; empty if there is none."""
+        """Return the control set with the largest score; empty if there is none."""
         usable, region = (base > self.absolute) & placed, np.flatnonzero(placed)
         score = self._section_score(arm, region)
         if score is None or not len(region):
@@ -250,7 +246,7 @@ class Selection:
         return np.array(points, dtype=np.int64)
 
     def _section_score(self, arm: Arm, region: NDArray[np.intp]) -> SectionScore | None:
-        """How branches of the tree of sections are scored; None if the sets are not taken from it."""
+        """Return the score of branches of the tree of sections; None if it is not used."""
         if self.score == "auto":
             planar = arm.dimension == 2 and len(arm.columns) == arm.n_modules
             unbroken = planar and len(region) and region[-1] - region[0] == len(region) - 1
@@ -258,13 +254,13 @@ class Selection:
         return None if self.score == "error" else self.score
 
     def _conditioned(self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which of the points keep the posture control matrix far enough from singular."""
+        """Return which of the points keep the posture control matrix well conditioned."""
         kept = np.empty(len(chosen), dtype=bool)
         least = self.conditioning * _effective_length(arm)
         kernels.well_conditioned(screws, _full_rows(arm, chosen), least, kept)
         return kept
 
-    def _why_none(self, base: Array, chosen: NDArray[np.int64], placed: NDArray[np.bool_]) -> str:
+    def _explain_failure(self, base: Array, chosen: NDArray[np.int64], placed: NDArray[np.bool_]) -> str:
         if len(chosen):
             kept = f"conditioning = {self.conditioning:g} of the arm length"
             return f"no control point keeps the smallest singular value of its own Jacobian above {kept}"
@@ -283,11 +279,11 @@ class Selection:
 
 
 def _full_rows(arm: Arm, points: NDArray[np.int64]) -> Rows:
-    """The rows of control points in all directions."""
+    """Return the rows of control points in all directions."""
     known, count = constants_of(arm), len(points)
     return Rows(points, known.dimensions[:count], known.frames[:count], FULL)
 
 
 def _effective_length(arm: Arm) -> float:
-    """The length of an arm as far as it counts for its conditioning [m]."""
+    """Return the arm length to which conditioning is relative [m]."""
     return arm.length * min(1.0, MAX_COUNTED_MODULES / arm.n_modules)

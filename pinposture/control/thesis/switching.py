@@ -1,4 +1,4 @@
-"""Selection with Projection to fall back on (Section 4.6.2), for planar and spatial arms."""
+"""Selection with Projection as fallback (Section 4.6.2), for planar and spatial arms."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Phase(NamedTuple):
     """State of a switching controller between two steps.
 
     Attributes:
-        method: the method that has control, "selection" or "projection".
-        best: posture error below which Selection makes progress [m].
-        waited: joint travel since it last did [rad].
-        left: joint travel until Projection hands back control [rad].
-        failovers: number of times that Selection has lost control.
+        method: the active method, "selection" or "projection".
+        best: posture error relative to which the progress of Selection is measured [m].
+        waited: joint travel since its last progress [rad].
+        left: remaining joint travel of the stint of Projection [rad].
+        failovers: number of failovers so far.
     """
 
     method: str
@@ -43,48 +43,47 @@ INITIAL_PHASE = Phase("selection", np.inf, 0.0, 0.0, 0)
 
 @dataclass(frozen=True, eq=False)
 class SwitchingMemory(Memory):
-    """The memory of `Switching`: the phase that it is in, too."""
+    """The memory of `Switching`, which includes its phase."""
 
     phase: Phase = INITIAL_PHASE
 
 
 HandBack = Literal["after_stay", "when_possible"]
-"""When Selection gets control again; see `Switching`."""
+"""When Selection takes over again; see `Switching`."""
 
 RESUMED = "Selection can lower the posture error again"
 
 HANDED_BACK = "the stint of Projection is over, and Selection has control points"
 
 TRAVEL_ROUNDING = 1e-6
-"""Share of a step by which sums of steps may be off."""
+"""Rounding error of sums of steps, as a share of a step."""
 
 
 @dataclass(frozen=True)
 class Switching:
-    """Selection as long as it has control points and reduces the posture error, else Projection for a while.
+    """Selection while it has control points and reduces the posture error, else Projection for a stint.
 
     The first failover is that of Figure 4.8: some steps of Projection towards the target. It frees an arm
-    that Selection cannot move, but not one that folds up on the straight path to the target: Selection would
-    lead back to the same posture. So from the second failover on, Projection aims at a waypoint: the posture
-    a short distance ahead on the straight line in joint space to the configuration of the target, if known
-    (`Target.q`; `fit_points` finds it for measured points). Each of these stints is twice as long as the
-    previous one, so that the methods cannot alternate for ever; if Selection has no control points after one,
-    the next begins at once. If Projection cannot move any point either, the joints follow that line directly.
+    that Selection cannot move, but not one that folds up on the straight path to the target, where Selection
+    would lead back to the same posture. From the second failover on, Projection therefore aims at a waypoint:
+    the posture a short distance ahead on the straight line in joint space to the configuration of the target,
+    if known (`Target.q`; `fit_points` finds it for measured points). Each of these stints is twice as long as
+    the previous one, so that the methods cannot alternate forever; if Selection has no control points after
+    one, the next begins at once. If Projection cannot move any point either, the joints follow that line
+    directly.
 
-    Durations are joint travel, as the limits allow it in each step, so that they do not depend on the cycle
-    time.
+    Durations are measured in the joint travel that the limits allow, independent of the cycle time.
 
     Attributes:
         selection: the primary method.
-        projection: the one to fall back on.
-        patience: how long Selection may continue without progress [rad].
-        progress: share by which the posture error must fall in that time.
+        projection: the fallback method.
+        patience: joint travel that Selection may use without progress [rad].
+        progress: share by which the posture error must decrease in that time.
         stay: length of the first stint of Projection [rad].
-        reach: distance to a waypoint, as the largest change of a joint [rad or
-            `Arm.characteristic_length`].
-        hand_back: when Selection gets control again: "after_stay", at the end of a stint; or "when_possible",
+        reach: distance to a waypoint: largest joint motion [rad or `Arm.characteristic_length`].
+        hand_back: when Selection takes over again: "after_stay", at the end of a stint; or "when_possible",
             as soon as it has control points and its step lowers the posture error at the rate of
-            `progress` per `patience`, and at the end of the stint at the latest.
+            `progress` per `patience`, at the latest at the end of the stint.
     """
 
     selection: Selection = field(default_factory=Selection)
@@ -115,7 +114,7 @@ class Switching:
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
-        """Compute one step; see `Controller.step`. The diagnostics say which method made it, and why."""
+        """Compute one step; see `Controller.step`. The diagnostics name the method, and why it was chosen."""
         limits = require_limits(limits)
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
         travel = limits.travel(state)
@@ -139,20 +138,20 @@ class Switching:
         step = self.selection.step(state, target, limits, memory)
         if not step.diagnostics.reason:
             return _labelled(step, entered, HANDED_BACK if idle else "")
-        if idle and target.q is None:  # there is nothing to hand back to yet
+        if idle and target.q is None:  # Selection cannot take over yet
             return self._project(state, target, limits, memory, phase, travel, "")
         failed = self._failover(entered, target)
         why = "" if idle else step.diagnostics.reason
         return self._project(state, target, limits, memory, failed, travel, why)
 
     def _promises(self, step: Step, state: ArmState, target: Target, error: float, travel: float) -> bool:
-        """Whether a step lowers the posture error as fast as Selection must to keep control."""
+        """Whether a step lowers the posture error as fast as Selection must to stay active."""
         ahead = state.arm.at(state.arm.integrate(state.q, step.dq)).compiled
         left = float(np.linalg.norm(task_errors(ahead, target), axis=1).sum())
         return left < error * (1.0 - self.progress * min(travel / self.patience, 1.0))
 
     def _failover(self, phase: Phase, target: Target) -> Phase:
-        """Hand control to Projection, for twice as long as the last time if that may help."""
+        """Switch to Projection, for twice as long as the last time if the target has a configuration."""
         stint = self.stay * 2.0 ** (min(phase.failovers, 60) if target.q is not None else 0)
         return phase._replace(method="projection", left=stint, failovers=phase.failovers + 1)
 
@@ -191,7 +190,7 @@ class Switching:
         step = self.selection.step(state, target, limits, memory)
         if step.diagnostics.reason:
             return _labelled(held, phase, why)
-        # A reason to fail over means that Selection had control: it keeps it, and nothing changes.
+        # With a reason to fail over, Selection was active and stays so: the method does not change.
         changed = "" if why else held.diagnostics.reason
         return _labelled(step, INITIAL_PHASE._replace(failovers=phase.failovers), changed)
 
@@ -200,7 +199,7 @@ class Switching:
     ) -> Step:
         """Return a step of Projection to the posture a short distance ahead on the line in joint space.
 
-        Joints with freedom left by the control points follow that line too, such as those before a region.
+        In the null space the joints follow that line too, for instance those before a region.
         """
         arm = state.arm
         way = np.array(arm.difference(state.q, goal)) * arm.moved
@@ -208,7 +207,7 @@ class Switching:
         ahead = way * min(1.0, self.reach / max(farthest, 1e-300))
         waypoint = replace(target, points=arm.at(arm.integrate(state.q, ahead)).points)
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
-        if step.diagnostics.reason:  # no control point can move: the joints go on their own
+        if step.diagnostics.reason:  # no control point can move: follow the line in joint space
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
             moved = Diagnostics(limited.clipped, scale=limited.scale)
             step = Step(limited.dq, (), moved, Memory(limited.dq))

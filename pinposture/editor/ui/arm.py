@@ -25,7 +25,7 @@ from pinposture.viz.postures import MIN_ELLIPSOID_RADIUS, drawn_length, principa
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
-COLORINGS = ("limits that bind", "nearness to singular", "modules only")
+COLORINGS = ("joints at limits", "distance from singularity", "modules only")
 NEAR_SINGULAR = 0.02  # manipulability index below which a stretch is near singular
 STRETCH_SHARE = 0.2  # of the arm that a stretch is
 MAX_STRETCHES_NAMED = 4
@@ -53,8 +53,8 @@ class ArmDrawing:
         surfaces = arm_surfaces(arm)
         shades = [palette.MODULES[body.module % len(palette.MODULES)] for body in bodies(arm)]
         self.shades: Colors = np.array([color(tint or shade) for shade in shades], dtype=np.uint8)
-        self._colors, self._q = self.shades.copy(), arm.straight()
-        poses = body_poses(arm, self._q)
+        self._colors, self.q = self.shades.copy(), arm.straight()
+        poses = body_poses(arm, self.q)
         self._base = server.scene.add_mesh_simple(
             f"{name}/base",
             surfaces.base.vertices,
@@ -79,9 +79,9 @@ class ArmDrawing:
 
     def move(self, q: Array) -> None:
         """Show it at another configuration, (nq,)."""
-        if np.array_equal(q, self._q):
+        if np.array_equal(q, self.q):
             return
-        self._q = np.array(q)
+        self.q = np.array(q)
         poses = body_poses(self.arm, q)
         wxyzs = quaternions(poses[:, :3, :3]).astype(np.float32)
         for handle, members in self._kinds:
@@ -120,9 +120,8 @@ def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
         return colors
     if coloring == COLORINGS[1]:
         indices = stretch_indices(live.state)
-        by_module: Colors = np.array(
-            [color(palette.index_color(float(index))) for index in indices], dtype=np.uint8
-        )
+        shown = [color(palette.index_color(float(index))) for index in indices]
+        by_module: Colors = np.array(shown, dtype=np.uint8)
         return np.repeat(by_module, [len(joints) for joints in live.arm.module_joints], axis=0)
     return shades
 
@@ -242,20 +241,15 @@ class ArmTab:
         self._ellipsoids = Ellipsoids(server, drawing.arm)
         self._steps, self._due = -1, 0.0
         self._facts = gui.add_markdown("")
-        self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="What moves the arm")
-        speed = gui.add_number(
-            "Speed [rad/s]", 0.0, min=0.0, step=0.1, hint="Of each joint at most; 0: as the arm is described"
-        )
-        acceleration = gui.add_number(
-            "Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint="Of each joint at most; 0: no limit"
-        )
-        self._at_once = gui.add_checkbox(
-            "At once", False, hint="Take each shape at once, whatever the limits"
-        )
+        self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
+        hint = "Limit of each joint; 0: that of the robot description"
+        speed = gui.add_number("Speed [rad/s]", 0.0, min=0.0, step=0.1, hint=hint)
+        hint = "Limit of each joint; 0: none"
+        acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
+        self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
-        self._with_ellipsoids = gui.add_checkbox(
-            "Ellipsoids", False, hint="Manipulability; red and flat: singular"
-        )
+        hint = "Manipulability; red and flat: singular"
+        self._with_ellipsoids = gui.add_checkbox("Ellipsoids", False, hint=hint)
         on_change(self._controller, self._set_controller)
         self._limits = (
             Typed(speed, partial(self._set_limit, "velocity", "speed")),
@@ -283,7 +277,7 @@ class ArmTab:
 
     def _set_limit(self, key: str, what: str, value: float, _: bool) -> None:
         limit = None if value == 0.0 else float(value)
-        text = f"{what} {value:g}" if limit else f"no limit of {what} of our own"
+        text = f"{what} {value:g}" if limit else f"no {what} limit in the task"
         self._post(lambda session: session.edit(with_limits(**{key: limit}), text))
 
     def _set_at_once(self, value: bool) -> None:

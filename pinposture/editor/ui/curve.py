@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import viser
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.editor.edits import keyframes_of, required_length
+from pinposture.editor.edits import configuration_of, keyframes_of, required_length
+from pinposture.editor.postures import arm_line, drag_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
-from pinposture.editor.tip import drag_tip
 from pinposture.editor.ui.parts import (
     Post,
     Typed,
@@ -48,8 +48,15 @@ PALE_SHARE = 0.1  # of white in the colours of other curves
 SHOWN_DIGITS = 4  # of coordinates [m]
 
 
+def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
+    """Return the curve of a keyframe in the world; of a taught configuration, the line along the arm."""
+    if keyframe.curve is not None:
+        return place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)[0]
+    return Curve.spline(arm_line(arm, configuration_of(arm, keyframe)), degree=1)
+
+
 class CurveDrawing:
-    """The curve of the keyframe that is edited: what the arm covers of it, and whether it can."""
+    """The curve of the keyframe that is edited: what the arm covers of it, and whether it can take it."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._shown: tuple[object, ...] = ()
@@ -63,7 +70,7 @@ class CurveDrawing:
         if key == self._shown:
             return
         self._shown = key
-        curve = shape.curve
+        curve = shape.curve if len(shape.points) else drawn_curve(session.arm, session.keyframe)
         along = np.linspace(0.0, curve.length, CURVE_PIECES + 1)
         places = np.asarray(curve.at(along))
         self._line.points = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
@@ -97,11 +104,11 @@ def move_point(
     Args:
         index: of the point, 0-based.
         position: where to, (3,) [m], world frame.
-        final: whether it is to be accepted; else the hand is still dragging.
+        final: whether it is to be accepted; else the drag continues.
         session: the session.
         keyframe: the one that is dragged; nothing is done if another was selected meanwhile, perhaps in
             another window. None: the one that is selected.
-        snap: whether the point comes to the grid of the session, if there is one.
+        snap: whether the point snaps to the grid of the session, if there is one.
     """
     if keyframe is not None and keyframe != session.selected:
         if final:
@@ -131,7 +138,7 @@ def insert_point(session: Session) -> None:
 
 def duplicate_points(session: Session) -> None:
     """Propose the curve with copies of the selected control points, which are then selected."""
-    if _is_any_selected(session):
+    if is_any_selected(session):
         chosen = sorted(session.handles)
         what = f"duplicated {named(chosen)}"
         session.reshape(lambda arm, shape: shape.duplicated(arm, *chosen), what)
@@ -141,16 +148,17 @@ def duplicate_points(session: Session) -> None:
 
 def delete_points(session: Session) -> None:
     """Propose the curve without the selected control points."""
-    if _is_any_selected(session):
+    if is_any_selected(session):
         chosen = session.handles
         session.reshape(lambda arm, shape: shape.removed(arm, *chosen), f"deleted {named(chosen)}")
         if session.proposal is not None:
             session.handle = max(min(chosen) - 1, 1)
 
 
-def _is_any_selected(session: Session) -> bool:
-    if not session.handles:
-        session.say("no control point is selected: click on one first", "warning")
+def is_any_selected(session: Session) -> bool:
+    """Return whether a control point is selected; if none is, say so."""
+    if session.has_points() and not session.handles:
+        session.say("no control point is selected: click on one, or press N", "warning")
     return bool(session.handles)
 
 
@@ -197,7 +205,9 @@ class Handles:
                 self._colors[index] = own
                 ball.color = color(own)
         ends = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-        if self._frame.points.shape != ends.shape or not np.allclose(self._frame.points, ends, atol=1e-7):
+        put(self._frame, visible=len(ends) > 0)
+        same = self._frame.points.shape == ends.shape and np.allclose(self._frame.points, ends, atol=1e-7)
+        if len(ends) > 0 and not same:
             self._frame.points = ends
         with_axes = session.handle is not None and session.handle > 0
         if session.handle is not None and with_axes:
@@ -335,9 +345,8 @@ def error_colors(errors: Array, unit: float) -> Colors:
     sizes = np.clip(errors / unit, SMALL_ERROR, LARGE_ERROR)
     shares = 1.0 - np.log(sizes / SMALL_ERROR) / np.log(LARGE_ERROR / SMALL_ERROR)
     # Squared, since `index_color` takes the square root of the index.
-    return np.array(
-        [color(palette.index_color(palette.REGULAR_INDEX * s * s)) for s in shares], dtype=np.uint8
-    )
+    colors = [color(palette.index_color(palette.REGULAR_INDEX * s * s)) for s in shares]
+    return np.array(colors, dtype=np.uint8)
 
 
 class OtherCurves:
@@ -373,7 +382,7 @@ class OtherCurves:
 
     def _line(self, keyframe: Keyframe) -> Array:
         """Return places along the part of the curve that the arm needs, (OTHER_PIECES + 1, 3) [m]."""
-        laid, _ = place_curve(self._arm, cast(Curve, keyframe.curve), keyframe.placement, keyframe.roll)
+        laid = drawn_curve(self._arm, keyframe)
         end = min(laid.length, required_length(self._arm))
         return np.asarray(laid.at(np.linspace(0.0, end, OTHER_PIECES + 1)))
 
@@ -385,15 +394,20 @@ class ShapeTab:
         self._post, gui = post, server.gui
         self._index, self._keyframe = 0, 0
         hint = "Or click on one in the picture; Shift and a click selects several"
-        self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
-        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="In the world")
-        self._place = Typed(place, self._move, preview=True)
-        hint = "Insert after keeps the curve as it is, Duplicate keeps all other points where they are"
-        edit = gui.add_button_group("Points", tuple(POINT_ACTIONS), hint=hint)
-        self._snap = gui.add_checkbox("Snap to a grid", False, hint="Points that are dragged, in the world")
-        self._step = gui.add_number(
-            "Grid [mm]", round(1e3 * round_number(GRID * arm.length), 1), min=0.1, step=1.0
+        self._taught = gui.add_markdown(
+            "A taught configuration has no control points. *Keyframes*, *To curve* draws a curve through it.",
+            visible=False,
         )
+        self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
+        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="World frame")
+        self._place = Typed(place, self._move, preview=True)
+        hint = "Insert after keeps the curve, Duplicate keeps the other points"
+        edit = gui.add_button_group("Points", tuple(POINT_ACTIONS), hint=hint)
+        self._snap = gui.add_checkbox(
+            "Snap to a grid", False, hint="Snap dragged points to a grid in the world frame"
+        )
+        first = round(1e3 * round_number(GRID * arm.length), 1)
+        self._step = gui.add_number("Grid [mm]", first, min=0.1, step=1.0)
         self._step.precision = 1
         for control in (self._snap, self._step):
             on_change(control, lambda _: post(partial(set_grid, self._grid)))
@@ -407,9 +421,10 @@ class ShapeTab:
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
-        count = len(session.shape.points)
-        suffixes = [" (base)", *[""] * (count - 2), " (end)"]
-        names = ("none", *(f"{k + 1}{suffix}" for k, suffix in enumerate(suffixes)))
+        last = len(session.shape.points) - 1
+        put(self._taught, visible=last < 0)
+        suffixes = {0: " (base)", last: " (end)"}
+        names = ("none", *(f"{k + 1}{suffixes.get(k, '')}" for k in range(last + 1)))
         if self._point.options != names:
             self._point.options = names
         handle = session.handle
@@ -418,7 +433,7 @@ class ShapeTab:
             self._place.finish()  # it was meant for the one before
             self._index, self._keyframe = handle, session.selected
         place = session.shape.points[self._index] if handle is not None else self._place.control.value
-        shown = tuple(round(float(x), SHOWN_DIGITS) for x in place)
+        shown = tuple(round(float(x), SHOWN_DIGITS) + 0.0 for x in place)  # no -0.0
         self._place.show(shown, disabled=handle is None or handle == 0)
         put(self._snap, value=session.grid > 0.0)
 

@@ -22,7 +22,7 @@ from pinposture.task import Task
 
 logger = logging.getLogger(__name__)
 
-NO_FILE = "a task file of the folder"  # what stands where none is chosen
+NO_FILE = "choose a task file"  # shown where none is chosen
 LISTING_PERIOD = 2.0  # between two looks at the folder [s]
 
 TOUR_SEEN_KEY = "pinposture-tour"  # in the storage of each browser that has shown the tour

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from html import escape
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
+from pinposture.arm import Arm
 from pinposture.control import EndEffector
 from pinposture.editor import edits
 from pinposture.editor.edits import keyframes_of
+from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.postures import add_taught, draw_curve, teach
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
 from pinposture.placement.resolve import METHODS
 from pinposture.task import Keyframe
 from pinposture.viz import palette
+
+Array = NDArray[np.float64]
 
 LISTED_ROWS = 8
 MARK_COLORS = {"collides": palette.ACTIVE, "refused": palette.MARK}
@@ -26,8 +33,10 @@ SECOND_DIGITS = 3  # of times, behind the point
 class KeyframesTab:
     """Controls for the keyframes of the task."""
 
-    def __init__(self, server: viser.ViserServer, post: Post) -> None:
+    def __init__(self, server: viser.ViserServer, arm: Arm, states: JointStates | None, post: Post) -> None:
         self._post, gui = post, server.gui
+        self._states = states if states is not None and states.arm is arm else None
+        self._present = arm.straight()
         self._first, self._shown = 0, (-1, -1)  # the first row; which keyframe of how many was selected
         self._index = 0
         self._above = gui.add_button("", icon=viser.Icon.CHEVRON_UP, color="gray", visible=False)
@@ -35,13 +44,17 @@ class KeyframesTab:
         self._below = gui.add_button("", icon=viser.Icon.CHEVRON_DOWN, color="gray", visible=False)
         hint = "Add a keyframe after this one, with its shape; delete it; move it earlier or later"
         actions = gui.add_button_group("Keyframe", tuple(ACTIONS), hint=hint)
+        hint = "Uses the posture of the measured arm if there is one, else of the arm shown"
+        taught = gui.add_button_group("Taught", tuple(TAUGHT_ACTIONS), hint=hint)
         name = gui.add_text("Name", "", hint="Empty: its number")
         when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When the arm reaches it")
         hold = gui.add_number("Hold [s]", 0.0, step=0.1, hint="How long to stay; later keyframes shift")
         when.precision = hold.precision = SECOND_DIGITS
+        speed = gui.add_number("Speed [%]", 100.0, step=5.0, hint="Of the velocity limits, on the way to it")
         self._name, self._time = Typed(name, self._rename), Typed(when, self._retime)
         self._hold = Typed(hold, self._set_hold)
-        self._fields = (self._name, self._time, self._hold)
+        self._speed = Typed(speed, self._set_speed)
+        self._fields = (self._name, self._time, self._hold, self._speed)
         hint = "Placement of the modules on the curve; auto: one by one, or all at once if that zigzags"
         self._method = gui.add_dropdown("Method", METHODS, hint=hint)
         self._about = gui.add_html("")
@@ -51,6 +64,7 @@ class KeyframesTab:
         on_click(self._above, partial(self._scroll, -LISTED_ROWS))
         on_click(self._below, partial(self._scroll, LISTED_ROWS))
         on_choice(actions, self._act)
+        on_choice(taught, self._act_taught)
         on_change(self._method, lambda method: post(partial(choose_method, method)))
 
     @property
@@ -58,8 +72,10 @@ class KeyframesTab:
         """Whether the curves of the other keyframes are to be shown."""
         return bool(self._others.value)
 
-    def show(self, session: Session, _: Live) -> None:
+    def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
+        measured = None if self._states is None else self._states.latest
+        self._present = measured.q if measured is not None and measured.count > 0 else live.state.q
         keyframes, times = keyframes_of(session.task), edits.times_of(session.task)
         self._list(keyframes, times, session.selected, session.marks)
         if session.selected != self._index:
@@ -71,7 +87,8 @@ class KeyframesTab:
         at = round(times[self._index], SECOND_DIGITS)
         self._time.show(at, disabled=self._index == 0 and times[0] == 0.0)
         self._hold.show(round(own.hold, SECOND_DIGITS))
-        put(self._method, value=own.method)
+        self._speed.show(round(100.0 * own.speed, SECOND_DIGITS))
+        put(self._method, value=own.method, disabled=own.curve is None)
         put(self._about, content=about(own), visible=bool(about(own)))
 
     def _list(
@@ -113,6 +130,10 @@ class KeyframesTab:
         self._finish_typing()
         self._post(ACTIONS[action])
 
+    def _act_taught(self, action: str) -> None:
+        self._finish_typing()
+        self._post(lambda session: TAUGHT_ACTIONS[action](self._present, session))
+
     def _rename(self, name: str, _: bool) -> None:
         self._post(partial(rename, self._index, name))
 
@@ -122,6 +143,11 @@ class KeyframesTab:
 
     def _set_hold(self, hold: float, _: bool) -> None:
         edit, what = edits.held(self._index, float(hold)), f"keyframe {self._index + 1} held {hold:g} s"
+        self._post(lambda session: session.edit(edit, what))
+
+    def _set_speed(self, share: float, _: bool) -> None:
+        edit = edits.with_keyframe(self._index, speed=float(share) / 100.0)
+        what = f"keyframe {self._index + 1} at {share:g} % of the velocity limits"
         self._post(lambda session: session.edit(edit, what))
 
 
@@ -146,6 +172,13 @@ def move(places: int, session: Session) -> None:
 ACTIONS = {"Add": add, "Delete": delete, "Earlier": partial(move, -1), "Later": partial(move, 1)}
 """What the buttons do to the selected keyframe, by their labels."""
 
+TAUGHT_ACTIONS: dict[str, Callable[[Array, Session], None]] = {
+    "Add taught": add_taught,
+    "Teach": teach,
+    "To curve": lambda _, session: draw_curve(session),
+}
+"""What the buttons do with the present posture and the selected keyframe, by their labels."""
+
 
 def rename(index: int, name: str, session: Session) -> None:
     """Rename a keyframe."""
@@ -162,7 +195,7 @@ def choose_method(method: str, session: Session) -> None:
 def row_label(keyframes: tuple[Keyframe, ...], times: list[float], index: int, mark: str = "") -> str:
     """Return the label of a keyframe: number, name, time, and whether it can be taken if that is known."""
     named = f"  {keyframes[index].name}" if keyframes[index].name else ""
-    marked = f"  ·  {mark}" if mark else ""
+    marked = "".join(f"  ·  {word}" for word in ("taught" * (keyframes[index].curve is None), mark) if word)
     return f"{index + 1}{named}  ·  {round(times[index], SECOND_DIGITS):g} s{marked}"
 
 

@@ -18,10 +18,10 @@ from pinposture.arm import Arm
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import Surroundings
-from pinposture.editor.tip import hold_tip
 from pinposture.editor.ui.arm import ArmDrawing, ArmTab, MeasuredArm
 from pinposture.editor.ui.curve import (
     CurveDrawing,
@@ -33,6 +33,7 @@ from pinposture.editor.ui.curve import (
     delete_points,
     duplicate_points,
     insert_point,
+    is_any_selected,
     move_point,
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
@@ -59,7 +60,7 @@ MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
 SMALLEST_ERROR = 1e-6  # smaller ones are shown as 0 [mm]
-STATUS_HEIGHT = 104  # [pixels]
+STATUS_HEIGHT = 124  # [pixels]
 
 
 class Status:
@@ -74,11 +75,9 @@ class Status:
         notice, message = session.notice, ""
         if notice.text:
             style = f"color:{STATUS_COLORS[notice.kind]};margin-top:4px"
-            message = (
-                f'<div id="notice" data-kind="{notice.kind}" style="{style}">{escape(notice.text)}</div>'
-            )
-        text = f"<span>{escape(more) or '&nbsp;'}</span>"
-        content = framed_html("status", STATUS_COLORS[kind], escape(head), text, message)
+            about = f'id="notice" data-kind="{notice.kind}" style="{style}"'
+            message = f"<div {about}>{escape(notice.text)}</div>"
+        content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)
         # Of fixed height, so that nothing below it jumps.
         put(self._html, content=f'<div style="height:{STATUS_HEIGHT}px;overflow-y:auto">{content}</div>')
 
@@ -93,9 +92,7 @@ class Toolbar:
         actions = {"Undo": Session.undo, "Redo": Session.redo, "Save": files.save}
         edit = server.gui.add_button_group("Edit", tuple(actions), hint="Ctrl Z, Ctrl Shift Z, Ctrl S")
         on_choice(edit, lambda label: post(actions[label]))
-        view = server.gui.add_button_group(
-            "View", tuple(DIRECTIONS), hint="Frame all that is edited, from a side (F)"
-        )
+        view = server.gui.add_button_group("View", tuple(DIRECTIONS), hint="Frame the arm and its curve (F)")
         on_choice(view, frame)
 
     def show(self, session: Session, _: Live) -> None:
@@ -119,7 +116,7 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
     if found is not None and found.distance < 0.0:
         return "error", "The arm is in collision", f"{clearance_text(found)}; {head[0].lower()}{head[1:]}"
     if verdict.collision:
-        return "warning", "The arm on this curve would collide", verdict.notes[0]
+        return "warning", "The arm in this posture would collide", verdict.notes[0]
     if live.reason and live.reason != NOT_DONE and live.status != "converged":
         return "warning", head, live.reason
     notes, controller = list(verdict.notes), session.task.controller.name
@@ -178,7 +175,7 @@ CAMERA_DISTANCE = 1.75  # in arm lengths
 CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of the arm
 LOOK_BELOW = 0.13  # of the arm, in arm lengths: the plots cover the bottom of the picture
 FLOOR_CELLS = 10  # along the arm
-MAX_COVERED, FRAME_MARGIN = 0.6, 1.15  # of the picture by the plots; room around what is framed
+MAX_COVERED, FRAME_MARGIN = 0.6, 0.15  # of the picture by the plots; beside what is framed, of the rest
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
     "Front": np.array([1.0, 0.0, 0.0]),
@@ -236,6 +233,8 @@ async def _on_trigger(post: Post, act: Callable[[Session], object], key: str, _:
 
 def _select_next(by: int, session: Session) -> None:
     """Select the next or previous control point; the one at the base is skipped."""
+    if not session.has_points():
+        return
     count = len(session.shape.points)
     at = session.handle if session.handle is not None else (0 if by > 0 else count)
     session.take_hold((at - 1 + by) % (count - 1) + 1)
@@ -243,8 +242,7 @@ def _select_next(by: int, session: Session) -> None:
 
 def _nudge(axis: int, sign: float, session: Session) -> None:
     """Move the selected control points a little along an axis of the world, or by a step of the grid."""
-    if session.handle is None:
-        session.say("no control point is selected: click on one, or press N", "warning")
+    if not is_any_selected(session) or session.handle is None:
         return
     place = np.array(session.shape.points[session.handle])
     place[axis] += sign * (session.grid or NUDGE * session.arm.length)
@@ -280,14 +278,18 @@ def framing(points: Array, direction: Array, aspect: float, covered: float) -> V
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     axes = np.array([right, np.cross(right, ahead), ahead])
-    low, high = (points @ axes.T).min(axis=0), (points @ axes.T).max(axis=0)
-    middle, half = 0.5 * (low + high) @ axes, 0.5 * (high - low)
-    slope = float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
-    across = FRAME_MARGIN * max(half[0] / aspect, half[1] / (1.0 - covered))
-    distance = max(float(half[2] + across / slope), 1e-3)
-    # The plots cover the bottom: the middle of the points is to be in the middle of what is above them.
-    look_at = middle - covered * slope * distance * axes[1]
-    return Viewpoint(look_at - distance * ahead, look_at, float(np.radians(FIELD_OF_VIEW)))
+    seen, slope = points @ axes.T, float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
+    middle, inside = 0.5 * (seen.min(axis=0) + seen.max(axis=0)), 1.0 - FRAME_MARGIN
+    # Rays through the edges of the part to fill, at the left and right, and below and above [tangents].
+    edges = slope * np.array([[-aspect, aspect], [2.0 * covered - 1.0, 1.0]])
+    edges = edges.mean(axis=1, keepdims=True) + inside * (edges - edges.mean(axis=1, keepdims=True))
+    low = (seen[:, :2] - seen[:, 2:] * edges[:, 0]).min(axis=0)
+    high = (seen[:, :2] - seen[:, 2:] * edges[:, 1]).max(axis=0)
+    # All points are within the rays from a camera at this depth, or farther back.
+    depth = float(np.min((low - high) / (edges[:, 1] - edges[:, 0]), initial=middle[2] - 1e-3))
+    across = 0.5 * (low + high + depth * edges.sum(axis=1))
+    position = np.append(across, depth) @ axes
+    return Viewpoint(position, position + (middle[2] - depth) * ahead, float(np.radians(FIELD_OF_VIEW)))
 
 
 def set_stage(server: viser.ViserServer, arm: Arm) -> None:
@@ -323,7 +325,7 @@ class Page:
     """What browsers show, all of them the same.
 
     Attributes:
-        url: where a browser on this machine finds it; whoever has it can edit.
+        url: where a browser on this machine finds it; anyone who has it can edit.
 
     Raises:
         ViewerError: it cannot be served.
@@ -371,7 +373,7 @@ class Page:
         with tabs.add_tab("Shape"):
             self._parts.append(ShapeTab(server, arm, post))
         with tabs.add_tab("Keyframes"):
-            keyframes = KeyframesTab(server, post)
+            keyframes = KeyframesTab(server, arm, self._states, post)
             self._parts += [keyframes, OtherCurves(server, arm, lambda: keyframes.others)]
         with tabs.add_tab("Scene"):
             self._parts.append(SceneTab(server, scans, post))
@@ -382,8 +384,9 @@ class Page:
         add_shortcuts(server, self._files, partial(self._frame, "All"), post)
 
     def _frame(self, direction: str, session: Session) -> None:
-        """Move the cameras of all browsers so that the base and all control points are in sight."""
-        points = np.vstack([session.arm.chain.base, session.shape.points])
+        """Move the cameras of all browsers so that the arm and all control points are in sight."""
+        arm, q = session.arm, self._arm.q
+        points = np.vstack([arm.chain.base, session.shape.points, arm.at(q).points])
         for client in self._server.get_clients().values():
             camera = client.camera
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet

@@ -38,7 +38,7 @@ MILLI = 1e3
 MOTION_PERIOD, LIVE_PERIOD = 0.1, 0.3  # between two plots of a motion, and of the live arm [s]
 SETTLING_PERIOD, SETTLING_PLOTS = 3.0, 2  # the same after a browser connects, and how many [s]
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
-PLOT_HEIGHT = 100  # [pixels]
+PLOT_HEIGHT, LEGEND_HEIGHT = 90, 30  # the latter of two lines [pixels]
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
 SMALLEST_SHOWN_ERROR = 1e-9  # smaller ones are shown as 0, in arm lengths
 MAX_SHARE = 1.2  # of limits that is shown
@@ -249,8 +249,9 @@ class Plots:
             entries.append((ACCELERATION_COLOR, f"acceleration {100.0 * acceleration:.0f} %"))
         style = "margin-right:9px;color"
         words = "".join(f'<span style="{style}:{color}">{text}</span>' for color, text in entries)
-        style = "font-size:11px;line-height:1.2;padding:2px 10px;white-space:nowrap;overflow:hidden"
-        put(self._legend, content=f'<div style="{style}">{words}</div>')
+        style = f"font-size:11px;line-height:1.2;padding:2px 10px;height:{LEGEND_HEIGHT}px"
+        style += ";display:flex;flex-wrap:wrap;align-content:flex-start"
+        put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
 
     def _in_words(self, error: float) -> str:
         return "0 mm" if error < SMALLEST_SHOWN_ERROR * self._length else f"{MILLI * error:.3g} mm"
@@ -318,7 +319,7 @@ for (const kind of ['pointerup', 'pointercancel']) window.addEventListener(kind,
 event.preventDefault();
 if (!keyframe) tell('seek', event);
 """
-"""What a press on the timeline does: a text in a field that is not shown tells the editor what a hand wants.
+"""What a press on the timeline does: it writes the request into a hidden field.
 
 The text is what to do, the keyframe, the share of the timeline, and the time, so that no two are the same.
 The timeline may be drawn anew at any time, even between the press and this script: what is pressed is then in
@@ -328,7 +329,8 @@ the page no more.
 STYLES = {
     "strip": "position:relative;height:42px;margin:2px 20px 4px 20px;touch-action:none;user-select:none",
     "line": f"position:absolute;top:11px;height:5px;width:100%;border-radius:3px;background:{palette.FAINT}",
-    "tick": "position:absolute;top:28px;font-size:10px;line-height:12px;transform:translateX(-50%)",
+    "tick": "position:absolute;top:28px;font-size:10px;line-height:12px;transform:translateX(-50%);"
+    "white-space:nowrap",
     "hold": "position:absolute;top:8px;height:11px;opacity:0.4",
     "keyframe": "position:absolute;top:3px;width:18px;height:21px;line-height:21px;border-radius:4px;"
     "transform:translateX(-50%);text-align:center;font-size:12px;font-weight:bold;color:white;cursor:grab",
@@ -410,7 +412,7 @@ class Player:
         panel = server.gui.add_panel()
         tab = panel.add_tab("Motion", viser.Icon.PLAYER_PLAY)
         with tab:
-            hint = "Of the whole task as it stands, in real time at 1x"
+            hint = "Motion of the whole task; 1x is real time"
             self._buttons = server.gui.add_button_group("Motion", _labels(Playback()), hint=hint, order=0.0)
             self._timeline = TimeAxis(server, post)
         self._plots = Plots(server, tab, arm.length)

@@ -105,19 +105,12 @@ class ScanControls:
         self._folder: Path | None = None
         gui.add_markdown(EXPLANATION)
         self._kind = gui.add_dropdown("Load as", LOAD_KINDS, hint="Files: .ply .xyz .npy .stl .obj")
-        self._scale = gui.add_number(
-            "scale",
-            1.0,
-            min=0.0,
-            step=0.001,
-            hint="Scale factor of an obstacle: 0.001 for a file in millimetres",
-            visible=False,
-        )
-        self._path = gui.add_text("File", "", hint="Its name, relative to the folder of the task")
+        hint = "Scale factor of an obstacle: 0.001 for a file in millimetres"
+        self._scale = gui.add_number("scale", 1.0, min=0.0, step=0.001, hint=hint, visible=False)
+        self._path = gui.add_text("File", "", hint="File name, relative to the folder of the task")
         load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN)
-        upload = gui.add_upload_button(
-            "Upload", icon=viser.Icon.UPLOAD, hint="It is stored next to the task file"
-        )
+        hint = "The file is stored next to the task file"
+        upload = gui.add_upload_button("Upload", icon=viser.Icon.UPLOAD, hint=hint)
         self._listed = gui.add_dropdown("Scans", ("none",), visible=False)
         self._remove = gui.add_button_group("Scan", ("Remove",), visible=False)
         self._paths: dict[str, Path] = {}
@@ -171,10 +164,7 @@ Array = NDArray[np.float64]
 HANDLE_RADIUS = 2.0  # relative to that of the bars of the arm
 MIN_AXES_SIZE = 0.16  # of the axes that move and turn the selected obstacle, relative to the arm
 AXES_REACH = 1.5  # of these axes, relative to the obstacle
-HALF_SPACE_WIDTH, HALF_SPACE_THICKNESS = (
-    1.6,
-    0.01,
-)  # of the plate that stands for a half-space, relative to the arm
+HALF_SPACE_WIDTH, HALF_SPACE_THICKNESS = 1.6, 0.01  # of the plate drawn for a half-space, relative to the arm
 SELECTED_COLOR = palette.mixed(palette.OBSTACLE, palette.START, 0.55)
 HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of the curve
 CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
@@ -182,13 +172,13 @@ MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the a
 
 KIND_LABELS = {kind.replace("_", "-").capitalize(): kind for kind in obstacles.NEW_OBSTACLE_KINDS}
 VECTOR_LABELS = {
-    "center": ("Centre [m]", "Of the obstacle, in the world"),
-    "start": ("Start [m]", "Middle of one end, in the world"),
-    "end": ("End [m]", "Middle of the other end"),
-    "point": ("Point [m]", "Any point of its surface"),
-    "normal": ("Normal", "Away from the solid, to the side that is free"),
+    "center": ("Centre [m]", "World frame"),
+    "start": ("Start [m]", "Centre of one end, world frame"),
+    "end": ("End [m]", "Centre of the other end"),
+    "point": ("Point [m]", "Any point on its surface"),
+    "normal": ("Normal", "Points out of the solid"),
     "size": ("Size [m]", "Edges along its own axes"),
-    "rotation": ("Turned [deg]", "Roll, pitch, yaw"),
+    "rotation": ("Rotation [deg]", "Roll, pitch, yaw"),
 }
 """Labels and hints of values of three numbers, by attribute."""
 
@@ -430,9 +420,7 @@ class SceneTab:
         self._points = np.zeros((0, 3))
         self._name = ""
         self._about = gui.add_html("")
-        add = gui.add_button_group(
-            "Add", tuple(KIND_LABELS), hint="It appears next to the arm; drag it into place"
-        )
+        add = gui.add_button_group("Add", tuple(KIND_LABELS), hint="Next to the arm; drag it into place")
         self._chosen = gui.add_dropdown("Obstacle", ("none",), hint="Or click on one in the picture")
         self._called = Typed(gui.add_text("Name", "", visible=False), self._rename)
         self._vectors: dict[str, Typed] = {}
@@ -444,13 +432,11 @@ class SceneTab:
         self._radius = Typed(radius, partial(self._set_value, "radius"), preview=True)
         self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, visible=False)
         with gui.add_folder("Keep clear"):
-            margin = gui.add_number(
-                "Margin [m]", 0.0, min=0.0, step=0.001, hint="Distance to keep from obstacles"
-            )
+            hint = "Distance to keep from obstacles"
+            margin = gui.add_number("Margin [m]", 0.0, min=0.0, step=0.001, hint=hint)
             self._margin = Typed(margin, self._set_margin)
-            self._self_collision = gui.add_checkbox(
-                "Self-collision", False, hint="Whether the arm avoids itself too"
-            )
+            hint = "Avoid collisions of the arm with itself, too"
+            self._self_collision = gui.add_checkbox("Self-collision", False, hint=hint)
             hint = "Radius of its links; 0: as in its description"
             thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=0.001, hint=hint)
             self._arm_radius = Typed(thickness, self._set_arm_radius)
@@ -521,7 +507,7 @@ class SceneTab:
         self._post(lambda session: session.edit(edit, text))
 
     def _set_self_collision(self, value: bool) -> None:
-        text = "the arm avoids itself" if value else "the arm may touch itself"
+        text = "self-collision avoided" if value else "self-collision not avoided"
         self._post(lambda session: session.edit(with_scene(self_collision=value), text))
 
 

@@ -115,7 +115,10 @@ def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
     if not guarded:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
-        raise ViewerError("viser", f"{viser.__version__} lets anybody in; pip install 'viser==1.1.1'")
+        raise ViewerError(
+            "viser",
+            f"{viser.__version__} cannot be restricted to the secret address; pip install 'viser==1.1.1'",
+        )
     for message in (ShareUrlRequest, ShareUrlDisconnect):  # would publish it by a server of viser's makers
         server._websock_server.unregister_handler(message)
     local = "127.0.0.1" if host in ("0.0.0.0", "::", "") else f"[{host}]" if ":" in host else host

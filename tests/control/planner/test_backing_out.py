@@ -48,6 +48,23 @@ def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monke
     assert before >= 0.0
 
 
+def test_an_arm_that_an_obstacle_encloses_on_both_sides_stays_and_says_why():
+    """A straight arm through the middle of a box: every small motion is along it, or turns within it."""
+    arm = template_arm("RyRz", 20)
+    box = pp.Scene({"box": pp.Box((0.5, 0.0, 0.0), (0.1, 0.2, 0.3))})
+    q, goal = arm.straight(), pp.Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 0.1)))
+    run = pp.track(arm, goal, q, scene=box)
+    assert run.status == "stalled"
+    assert run.steps == 0
+    assert "in collision" in run.reason
+    assert "to box: overlapping by" in run.reason
+    tracker = pp.Tracker(arm, limits=pp.Limits(dt=0.02), scene=box)
+    tracker.update(goal)
+    assert not np.any(tracker.step(q))
+    assert tracker.report.status == "stalled"
+    assert "overlapping" in tracker.report.reason
+
+
 def test_where_there_is_no_way_out_it_plans_and_says_why():
     arm = template_arm("RyRz", 3)
     q = arm.straight()

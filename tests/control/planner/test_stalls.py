@@ -73,6 +73,16 @@ def test_an_obstacle_on_the_target_stops_it_short_and_is_named() -> None:
         assert between.minimum_along(q, shares * dq).distance >= 0.004 - 1e-9
 
 
+def test_a_target_posture_inside_an_obstacle_is_said_to_be() -> None:
+    arm = pp.Arm.from_template("RyRz", 6)
+    goal = np.full(arm.nv, 0.15)
+    scene = Scene({"post": Sphere(tuple(arm.at(goal).points[4]), 0.02)}, margin=0.01, arm_radius=0.005)
+    run = pp.track(arm, pp.Target.from_configuration(arm, goal), arm.straight(), scene=scene, max_steps=600)
+    assert run.status == "stalled"
+    for part in ("in the target posture", "post", "the margin is 10 mm"):
+        assert part in run.reason
+
+
 def test_an_obstacle_beside_the_target_does_not() -> None:
     arm = pp.Arm.from_template("Rz", 6)
     start, goal = np.full(6, -0.3), np.full(6, 0.15)

@@ -12,7 +12,7 @@ import pytest
 
 import pinposture as pp
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def snippets(page: str, language: str) -> list[str]:

@@ -15,7 +15,7 @@ from PIL import Image
 import pinposture as pp
 from pinposture.cli import app
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
 

@@ -136,7 +136,7 @@ def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
         (("-o", "motion.json", "--dt", "x"), "--dt"),
         (("-o", "motion.txt", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
         (("-o", "motion", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
-        (("-o", "motion.json", "--dt", "1e9", "--force"), "in a message of ROS 2"),
+        (("-o", "motion.json", "--dt", "1e9", "--force"), "in a ROS 2 message"),
         (("-o", "motion.json", "--dt", "0.1"), "should not be sent to a robot: it ran out of steps: "),
         (("--dt", "0.1"), "-o"),
     ],
@@ -156,7 +156,7 @@ def test_what_cannot_be_written_is_said_in_one_line(
 def test_a_duration_that_contradicts_the_run_is_refused(command, timed_run, tmp_path) -> None:
     result = command("export", timed_run, "--dt", 0.03, "-o", tmp_path / "a.csv")
     assert (result.code, list(tmp_path.iterdir())) == (2, [])
-    assert "dt is 0.03; allowed: 0.02 s, which the limits of this run have, or nothing" in result.err
+    assert "dt is 0.03; allowed: 0.02 s, from the limits of this run, or None" in result.err
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not a run", b"PK\x03\x04"])

@@ -56,7 +56,7 @@ def test_a_person_reads_what_became_of_it(command, task):
     assert "reached the target (converged): " in words["verdict"]
     assert "as planned" in words["duration"]
     assert "straight" in words["keyframes"]
-    assert {"speed", "point errors"} <= set(words)
+    assert {"speed", "point errors"} <= set(words) and "jerk" not in words
     assert [path.name for path in task.parent.iterdir()] == ["bow.toml"]
 
 
@@ -232,6 +232,26 @@ def test_a_motion_that_does_not_get_there_ends_with_code_1_and_is_kept_for_no_ro
     assert f"pinposture export {out} --force" in result.err
     assert command("export", out, "-o", tmp_path / "joints.csv").code == 2
     assert command("export", out, "--force", "-o", tmp_path / "joints.csv").code == 0
+
+
+def test_a_keyframe_that_is_missed_is_a_fault(command, task, tmp_path):
+    limits = '[limits]\nacceleration = "6 rad/s^2"\njerk = "5 rad/s^3"'
+    back = '[[keyframes]]\ntime = "2 s"\njoints = [0, 0, 0, 0, 0, 0, 0, 0]\n[output]'
+    task.write_text(TASK.replace("[limits]", limits).replace("[output]", back))
+    result = command("run", task, "-o", tmp_path / "out")
+    words = {line.split("  ")[0].strip(): line for line in result.out.splitlines()}
+    assert result.code == 1
+    assert "did not reach the target (missed): 1 of 3 postures is missed, bowed, by" in words["verdict"]
+    assert re.search(r"bowed +planned +1 s, missed +[0-9.]+ s, mean error", result.out)
+    assert re.search(r"keyframe 3 +planned +2 s, passed", result.out)
+    assert "no motion.csv and motion.json for a robot: it missed a target: 1 of 3" in result.err
+    data = json.loads(command("run", task, "--json").out)
+    assert (data["status"], data["converged"], len(data["faults"])) == ("missed", False, 1)
+    assert [place["missed"] for place in data["keyframes"]] == [False, True, False]
+    # The largest jerk, from the configurations alone.
+    q = np.concatenate([np.zeros((3, 8)), pp.load(tmp_path / "out" / "motion.npz").q, np.zeros((3, 8))])
+    assert data["largest_jerk"] == pytest.approx(np.abs(np.diff(q, 3, axis=0)).max() / 0.05**3 / 5.0)
+    assert f"at most {100 * data['largest_jerk']:.4g} % of the limit" in words["jerk"]
 
 
 def test_a_view_comes_last(command, task, monkeypatch):

@@ -1,4 +1,4 @@
-"""The harness of `make bench` runs without peers, and judges everybody by kinematics that are right."""
+"""The benchmarks run, in small, and judge everybody by kinematics that are right."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from PIL import Image
 
 import pinposture as pp
 
@@ -82,3 +84,40 @@ def test_a_tiny_run_without_peers(tmp_path: Path) -> None:
         [*command, "--compare", str(saved)], check=True, capture_output=True, text=True, timeout=120
     )
     assert "before" in ran.stdout
+
+
+def printed(script: str, *options: str) -> Any:
+    """What a benchmark prints as JSON."""
+    command = [sys.executable, str(BENCHMARKS / script), "--json", *options]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=300).stdout)
+
+
+@pytest.mark.studies
+def test_every_problem_with_many_joints_is_solved_and_drawn(tmp_path: Path) -> None:
+    plot = tmp_path / "joints.png"
+    rows = printed("obstacle_joints.py", "--joints", "20,40", "--draws", "2", "-o", str(plot))
+    assert [(row["joints"], row["boxes"]) for row in rows] == [(20, 30), (40, 30), (20, 150), (40, 150)]
+    assert all(row["found"] == row["of"] == 2 for row in rows)
+    assert all(0.0 < row["cycle_ms"] <= row["cycle_p99_ms"] for row in rows)
+    assert min(Image.open(plot).size) > 200
+
+
+@pytest.mark.studies
+def test_boxes_and_scans_of_them_are_equally_far() -> None:
+    boxes, points, triangles = printed("scan_obstacles.py", "--boxes", "5", "--items", "4000").values()
+    assert set(boxes) == set(points) == set(triangles)
+    assert triangles["clearance"] == pytest.approx(boxes["clearance"], abs=0.5)
+    assert -0.5 < points["clearance"] - boxes["clearance"] < 5.0  # there is nothing between the points
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("options", [(), ("--free", "--seed", "3")])
+def test_limits_hold_in_a_loop_where_everything_goes_wrong(options: tuple[str, ...]) -> None:
+    found = printed("soak.py", "--steps", "400", "--modules", "4", *options)
+    assert found["steps"] == 400 and len(found["memory [MB], ten times on the way"]) == 10
+    assert found["largest speed, of its limit"] <= 1.0 + 1e-9
+    hardest = found["largest acceleration, of its limit"]
+    assert hardest is None if "--free" in options else 0.5 < hardest <= 1.0 + 1e-9
+    assert found["farthest beyond a position limit [rad]"] <= 1e-9
+    cycles = {name: count for name, count in found.items() if name.startswith("cycles ")}
+    assert sum(cycles.values()) == 400 and cycles["cycles moving"] > 20 and cycles["cycles holding"] > 2
