@@ -2,7 +2,7 @@
 
     python benchmarks/obstacle_joints.py                             # 40 to 1,000 joints, 8 draws each
     python benchmarks/obstacle_joints.py --joints 40,200 --draws 3 --json
-    python benchmarks/obstacle_joints.py -o docs/pictures/obstacle_joints.png
+    python benchmarks/obstacle_joints.py -o docs/obstacle_joints.png
 
 An arm of RyRz modules, 1 m long and 20 mm thick, among 30 boxes of 5 cm, or 150 of 3 cm, with limits of
 speed and acceleration. Start and goal are drawn until they are clear; half of the draws are such that the

@@ -1,6 +1,6 @@
-"""The pictures of the documentation: the concepts, drawn here, and the figures that the examples save.
+"""The pictures of the documentation: drawn here, figures that examples save, and frames of their animations.
 
-python docs/pictures.py            # all, into docs/pictures, and docs/dragging.gif
+python docs/pictures.py            # all, into docs/pictures, and docs/dragging.gif; frames need Chromium
 python docs/pictures.py limits     # those named
 """
 
@@ -10,6 +10,7 @@ import contextlib
 import io
 import os
 import runpy
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
@@ -28,8 +29,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinposture as pp
+from pinposture.study import case
 from pinposture.study.clutter import KINDS_OF_CLUTTER, draw_problem, run_problem
 from pinposture.study.pictures import draw_clutter
+from pinposture.study.reproduce.runs import thesis_arm
+from pinposture.study.scenarios import SCENARIOS
 from pinposture.study.scenes import situation_arm
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
@@ -238,6 +242,19 @@ def between() -> Figure:
     return figure
 
 
+def helix() -> Figure:
+    """Four controllers on one helix, as in `make demo`."""
+    arm = thesis_arm("ryrz20")
+    start, goal = case(arm, SCENARIOS["helix"], 17)
+    names = ("geodesic", "selection", "projection", "switching")
+    return pp.plot_comparison({name: pp.track(arm, goal, start, name) for name in names})
+
+
+def keyframes() -> Figure:
+    """The motion of the example of a task file."""
+    return pp.plot(pp.Task.load(HERE.parent / "examples" / "tasks" / "keyframes.toml").perform())
+
+
 DRAGGED, FRAMES, CYCLE = 3, 150, 0.04
 """The control point that the animation drags, its number of frames, and the time between two of them [s]."""
 
@@ -331,7 +348,10 @@ def animate(path: Path) -> None:
 
 CONCEPTS: dict[str, Callable[[], Figure]] = {
     drawing.__name__: drawing
-    for drawing in (modules, target, ellipsoids, active, direct, limits, scene, clutter, between)
+    for drawing in (
+        *(modules, target, ellipsoids, active, direct, limits),
+        *(scene, clutter, between, helix, keyframes),
+    )
 }
 """The pictures that are drawn here."""
 
@@ -353,11 +373,54 @@ EXAMPLES = {
 """The figure that each example of the tutorial saves."""
 
 
+ANIMATIONS = {
+    "first_posture": ("01_first_posture", "out/first_posture/run.html", 0.58, 1.5),
+    "obstacles": ("05_around_obstacles", "out/around_obstacles/run.html", 0.44, 1.6),
+}
+"""The animation that an example saves, the share of its time that is shown, and how far it is enlarged."""
+
+MEASURED = {
+    "steps.png": "python benchmarks/bench.py",
+    "obstacle_joints.png": "python benchmarks/obstacle_joints.py",
+    "leader.png": "pinposture study leader",
+    "figure-6.04.png": "pinposture reproduce 6.4",
+    "figure-6.04-own.png": "pinposture reproduce 6.4 --controller 14_your_own_controller:JacobianTranspose",
+    "figure-6.12.png": "pinposture reproduce 6.12",
+}
+"""Pictures beside the pages that other commands draw from what they measure."""
+
+
+def photograph(page: Path, share: float, zoom: float) -> bytes:
+    """Return a frame of an animation as PNG, as Chromium shows it.
+
+    Args:
+        page: the animation, HTML.
+        share: share of its duration at which the picture is taken.
+        zoom: how far the view is enlarged.
+    """
+    from playwright.sync_api import sync_playwright
+
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
+        window = browser.new_page(viewport={"width": 1100, "height": 560})
+        window.goto(page.absolute().as_uri())
+        window.evaluate(
+            "([share, zoom]) => {viewer.camera.zoom *= zoom; viewer.camera.updateProjectionMatrix();"
+            "time.value = share * time.max; time.dispatchEvent(new Event('input'))}",
+            [share, zoom],
+        )
+        window.wait_for_timeout(2000)
+        picture = window.screenshot()
+        browser.close()
+    return picture
+
+
 def draw(name: str, folder: Path) -> Path:
     """Make one picture.
 
     Args:
-        name: a key of `CONCEPTS` or of `EXAMPLES`.
+        name: a key of `CONCEPTS`, `EXAMPLES` or `ANIMATIONS`.
         folder: where to leave it.
 
     Returns:
@@ -367,12 +430,13 @@ def draw(name: str, folder: Path) -> Path:
     if name in CONCEPTS:
         CONCEPTS[name]().savefig(made, dpi=DPI)
     else:
+        example, saved, *shares = ANIMATIONS.get(name, (name, EXAMPLES.get(name, "")))
         back = Path.cwd()
         with tempfile.TemporaryDirectory() as place, contextlib.redirect_stdout(None):
             os.chdir(place)
             try:
-                runpy.run_path(str(HERE.parent / "examples" / f"{name}.py"), run_name="__main__")
-                made = io.BytesIO(Path(EXAMPLES[name]).read_bytes())
+                runpy.run_path(str(HERE.parent / "examples" / f"{example}.py"), run_name="__main__")
+                made = io.BytesIO(photograph(Path(saved), *shares) if shares else Path(saved).read_bytes())
             finally:
                 os.chdir(back)
     picture = Image.open(made).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)
@@ -383,7 +447,7 @@ def draw(name: str, folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES, "dragging"):
+    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES, *ANIMATIONS, "dragging"):
         if wanted == "dragging":
             animate(HERE / "dragging.gif")
         else:

@@ -24,7 +24,7 @@ start = smooth_configuration(arm, np.random.default_rng(0), amplitude=0.6)
 run = pp.track(arm, target, start, limits=pp.Limits(step=0.1))
 
 print(run.status, "-", run.reason)
-print(f"posture error {run.posture_error[0]:.3f} m -> {run.posture_error[-1]:.2g} m in {run.steps} steps")
+print(f"mean point error {run.mean_error[0]:.3f} m -> {run.mean_error[-1]:.2g} m in {run.steps} steps")
 
 out = Path("out/first_posture")
 pp.save(run, out / "run.npz")

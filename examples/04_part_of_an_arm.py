@@ -25,8 +25,7 @@ target = goal.region(22, 44)
 names = ("geodesic", "selection", "projection", "switching")
 runs = {name: pp.track(arm, target, start, name) for name in names}
 for name, run in runs.items():
-    mean = run.posture_error[-1] / target.has_target.sum()
-    print(f"{name}: {run.status} after {run.steps} steps, mean point error {mean:.2g} m")
+    print(f"{name}: {run.status} after {run.steps} steps, mean point error {run.mean_error[-1]:.2g} m")
 for switch in runs["switching"].switches:
     print(f"  step {switch.step + 1}: {switch.method}, because {switch.reason}")
 

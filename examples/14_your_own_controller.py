@@ -40,7 +40,7 @@ def main() -> None:
     CONTROLLERS["transpose"] = JacobianTranspose  # now it has a name
     runs = {name: pp.track(arm, target, q0, name) for name in ("transpose", "projection", "geodesic")}
     for name, run in runs.items():
-        print(f"{name:12}{run.posture_error[-1]:8.2g} m after {run.steps} steps")
+        print(f"{name:12}{run.mean_error[-1]:8.2g} m after {run.steps} steps")
 
     out = Path("out/your_own_controller")
     out.mkdir(parents=True, exist_ok=True)

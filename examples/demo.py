@@ -30,7 +30,7 @@ def main() -> None:
     scenarios = (*SPATIAL_SCENARIOS, *PLANAR_SCENARIOS[:2])
     console.print(f"starts and targets from seed {SEED}, |dq| <= 0.1 rad per step")
     table = Table(
-        "arm", "scenario", "controller", r"posture error \[m]", "steps", "paths", "points used", "ending"
+        "arm", "scenario", "controller", r"mean point error \[m]", "steps", "paths", "points used", "ending"
     )
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("tracking", total=len(CONTROLLERS) * len(scenarios))
@@ -40,7 +40,7 @@ def main() -> None:
             runs = {}
             for name in CONTROLLERS:
                 run = runs[name] = pp.track(arm, target, start, name)
-                errors, points = run.posture_error, run.active.sum(axis=1)
+                errors, points = run.mean_error, run.active.sum(axis=1)
                 used = f"{points[0]} -> {points[-1]}" if run.steps else "none"
                 change = f"{errors[0]:.3g} -> {errors[-1]:.3g}"
                 ending = f"{run.status}: {run.reason}"

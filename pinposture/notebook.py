@@ -76,13 +76,18 @@ def show_target(target: Target) -> str:
 def show_run(run: Trajectory) -> str:
     """Return a run as HTML: how it ended, and the figure of `plot`."""
     from pinposture.viz import plot
+    from pinposture.viz.palette import controller_name
 
     rows = [
         ("status", f"{run.status}: {run.reason}"),
         ("steps", str(run.steps)),
-        ("posture error", f"{run.posture_error[0]:.4g} m at first, {run.posture_error[-1]:.4g} m at last"),
+        (
+            "mean point error",
+            f"{run.mean_error[0]:.4g} m at the start, {run.mean_error[-1]:.4g} m at the end",
+        ),
+        ("largest point error", f"{run.point_errors[-1].max():.4g} m at the end"),
     ]
-    return _page(f"Run of {run.arm.name} by {run.controller.partition('(')[0]}", rows, plot(run))
+    return _page(f"Run of {run.arm.name} by {controller_name(run)}", rows, plot(run))
 
 
 def show_motion(motion: Motion) -> str:
@@ -92,6 +97,11 @@ def show_motion(motion: Motion) -> str:
     rows = [
         ("status", ": ".join(filter(None, (motion.run.status, motion.run.reason)))),
         ("duration", f"{motion.dt * motion.run.steps:.4g} s, {motion.run.steps} cycles of {motion.dt:.4g} s"),
+        (
+            "mean point error",
+            f"{motion.mean_error.max():.4g} m at most, {motion.mean_error[-1]:.4g} m at the end",
+        ),
+        ("largest point error", f"{motion.run.point_errors.max():.4g} m"),
         *_listed("deviation", motion.deviations),
     ]
     return _page(f"Motion of {motion.arm.name}", rows, plot(motion))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pinposture.cli.inputs import (
+    CURVE_HELP,
     MOTION,
     OUTPUT,
     STARTS,
@@ -46,9 +47,7 @@ def run(
     arm_options: ArmOptions,
     curve: Annotated[
         list[str],
-        TARGET(
-            "A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m). One or more.", "CURVE"
-        ),
+        TARGET(f"{CURVE_HELP} One or more.", "CURVE"),
     ],
     placement_options: PlacementOptions,
     controller_options: ControllerOptions,

@@ -86,6 +86,7 @@ def run(
     A motion that did not converge, exceeds its limits, or penetrates something is rejected unless --force is
     given. The summary lists the largest velocity and acceleration, from rest to rest.
     """
+    from pinposture.motion import Motion
     from pinposture.storage import check_writable
 
     check_form(output, form)
@@ -100,6 +101,13 @@ def run(
     if coupled:
         trajectory = trajectory.with_coupled(kept.arm)
     _write(trajectory, output, form, kept.arm)
+    limits = (kept.run if isinstance(kept, Motion) else kept).limits
+    if limits.acceleration is None:
+        most = _in_words(trajectory)["acceleration"]
+        print_warning(
+            f"no acceleration limit: joints accelerate by {most}; plan again with --dt {limits.dt or dt:g} "
+            "--acceleration A, or acceleration in the [limits] of a task"
+        )
     for fault in kept.faults:
         print_warning(f"exported despite a fault: {fault}")
     verdict = {"verdict": kept.verdict, "faults": list(kept.faults)}

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from pinposture.placement import Target
 
 STARTS = ("straight", "smooth", "random")
+USUAL_MODULES = 20
+"""Number of modules for which the preset helix is made."""
 AMPLITUDES = (0.2, 1.0)
 """Range of the maximum joint position of a smooth start [rad or m]."""
 
@@ -193,8 +195,11 @@ def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float
     return couplings
 
 
-def read_curve(name: str) -> Curve:
-    """Return the preset of a name, or the curve in a file.
+def read_curve(name: str, arm: Arm) -> Curve:
+    """Return the preset of a name, scaled to an arm, or the curve in a file.
+
+    Presets are those of the thesis on an arm of 1 m with 20 modules. A module of an arm with fewer modules
+    covers a larger share of the arm, so the helix is wider for it, and bends by the same angle per module.
 
     Raises:
         UnknownName: neither a preset nor a file.
@@ -203,7 +208,8 @@ def read_curve(name: str) -> Curve:
     from pinposture.curve import CURVES, Curve
 
     if name in CURVES:
-        return CURVES[name]
+        preset, wider = CURVES[name], max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
+        return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
     if not Path(name).suffix:  # all curve files have one
         raise UnknownName("curve preset or file", name, CURVES)
     return Curve.load(name)
@@ -420,6 +426,8 @@ class LimitOptions:
         for option, text in given.items():
             if self.dt is None and text is not None:
                 raise InvalidValue("--dt", None, f"the duration of a step [s], required with {option}")
+        if self.jerk is not None and self.acceleration is None:
+            raise InvalidValue("--acceleration", None, "the acceleration limit, required with --jerk")
         speed, change, jerk = (_for_joints(option, text) for option, text in given.items())
         return Limits(
             step=self.step_limit,
@@ -507,9 +515,11 @@ def _controller_named(name: str) -> Controller:
     return controller_named(name)
 
 
-CurveOption = Annotated[
-    str, TARGET("A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m).", "CURVE")
-]
+CURVE_HELP = (
+    "A .json, .csv or .txt file, or a preset, scaled to the arm: line (1.1 arm lengths) or helix (2.5 turns "
+    "of the arm; with fewer than 20 modules, a turn for every 8)."
+)
+CurveOption = Annotated[str, TARGET(CURVE_HELP, "CURVE")]
 
 
 @dataclass(frozen=True)
@@ -554,7 +564,7 @@ class PlacementOptions:
         placement = usual_placement(scene) if self.placement is None else self.placement
         target = resolve_targets(
             arm,
-            read_curve(curve),
+            read_curve(curve, arm),
             placement=cast(Literal["as_is", "translate", "align"], placement),  # checked by the callee
             roll=self.roll,
             incomplete="partial" if self.partial else "raise",

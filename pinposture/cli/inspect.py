@@ -130,12 +130,12 @@ def _print_tables(about: Mapping[str, Any]) -> None:
         "chain": f"from link {about['base']} to link {about['tip']}",
         "kind": "planar" if about["dimension"] == 2 else "spatial",
         "modules": str(about["modules"]),
-        "why so": about["modules_reason"],
+        "reason": about["modules_reason"],
         "DOF": str(about["dof"]),
         "length": f"{about['length']:.4g} m",
         "reach": f"{about['reach']:.4g} m",
         "kinematics": "; ".join(filter(None, (placing, about["closed_form_reason"]))),
-        "held still": ", ".join(about["held"]) or "no joint",
+        "locked": ", ".join(about["held"]) or "no joint",
         **({"coupled": f"{coupled} joints follow others"} if coupled else {}),
         **_following_in_words(about),
     }
@@ -218,7 +218,7 @@ def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
     """Describe how well an arm can follow a curve at its base, as JSON-compatible data; lengths in metres."""
     from pinposture.placement import resolve_targets
 
-    target = resolve_targets(arm, read_curve(curve), incomplete="partial")
+    target = resolve_targets(arm, read_curve(curve, arm), incomplete="partial")
     if target.curve is None or target.residual is None:
         raise InvalidValue("--curve", curve, "one on which the control points can be placed")
     return {

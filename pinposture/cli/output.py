@@ -111,7 +111,10 @@ def _print(content: RenderableType) -> None:
 
     # Not the console's own terminal detection, which forced colours would change.
     width = None if sys.stdout.isatty() else UNLIMITED
-    Console(width=width, highlight=False).print(content)
+    console = Console(width=width, highlight=False)
+    with console.capture() as printed:
+        console.print(content)
+    typer.echo("\n".join(line.rstrip() for line in printed.get().splitlines()), color=True)
 
 
 def print_note(text: str) -> None:
@@ -174,12 +177,12 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
     import numpy as np
 
     # Short enough to leave room for the ^C of the terminal: on a full line it would spoil the next line.
-    text = "step {task.completed} of {task.total}, posture error {task.fields[error]:.4g} m"
+    text = "step {task.completed} of {task.total}, mean point error {task.fields[error]:.4g} m"
     with _progress_bar("tracking", text) as update:
 
         def show(step: int, state: Any, _: object) -> None:
             distances = np.linalg.norm(target.points - state.points, axis=1)
-            update(step, steps, error=float(distances[target.has_target].sum()))
+            update(step, steps, error=float(distances[target.has_target].mean()))
 
         yield show
 
@@ -240,6 +243,21 @@ def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> s
         f"{clearance['smallest']:.4g} m where it is smallest, {' to '.join(clearance['pair'])}, {after}; "
         f"{clearance['final']:.4g} m at the end; the margin is {clearance['margin']:.4g} m"
     )
+
+
+FULL = 1.0 - 1e-6
+"""Fraction of a limit that counts as reached."""
+
+
+def shares_in_words(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Describe the largest speed, acceleration and jerk of a summary relative to limits, if there are any."""
+    words = {}
+    for kind in ("speed", "acceleration", "jerk"):
+        share = summary.get(f"largest_{kind}")
+        if share is not None:
+            reached = ", which is reached" if FULL <= share <= 2.0 - FULL else ""
+            words[kind] = f"at most {100.0 * share:.4g} % of the limit{reached}"
+    return words
 
 
 def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:

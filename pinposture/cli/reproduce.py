@@ -9,6 +9,7 @@ import typer
 
 from pinposture.cli.inputs import MOTION, OUTPUT, JobsOption, JsonOption, Panel
 from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table
+from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from pinposture.control import Controller
@@ -195,6 +196,10 @@ def run_score(
     """
     from pinposture.study.benchmark import score
 
+    if results.exists() and not cases.exists():
+        raise InvalidValue(
+            "--cases", str(cases), "the file of cases; the repository has it in benchmarks/cases"
+        )
     program, scores = score(results, cases)
     if as_json:
         print_json({"program": program, "scores": [each._asdict() for each in scores]})

@@ -24,6 +24,7 @@ from pinposture.cli.output import (
     print_note,
     print_result,
     print_table,
+    shares_in_words,
     time_progress,
     verdict_in_colour,
 )
@@ -247,21 +248,17 @@ def _kept_in(folder: Folder) -> Iterator[None]:
         raise
 
 
-FULL = 1.0 - 1e-6
-"""Fraction of a limit that counts as reached."""
-
-
 def summarize_motion(motion: Motion) -> dict[str, Any]:
     """Summarize a motion as JSON-compatible data; lengths in metres, times in seconds.
 
-    Errors are those along the plan, from its start to its end. The posture error is the sum of the distances
-    of the control points from their targets, the mean error is their mean.
+    Errors are those along the plan, from its start to its end. The posture error, and the final error, is the
+    sum of the distances of the control points from their targets, the mean error is their mean.
     """
     from pinposture.motion.trajectory import closest, largest_shares
 
     run, begun = motion.run, motion.start_index
     errors, means = run.posture_error[begun:], motion.mean_error[begun:]
-    worst = begun + int(errors.argmax())
+    worst, worst_mean = begun + int(errors.argmax()), begun + int(means.argmax())
     return {
         "verdict": motion.verdict,
         "status": run.status,
@@ -289,8 +286,11 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "worst_at": float(motion.time[worst]),
         "mean_posture_error": float(errors.mean()),
         "worst_mean_error": float(means.max()),
+        "worst_mean_at": float(motion.time[worst_mean]),
         "mean_error": float(means.mean()),
         "final_error": float(errors[-1]),
+        "mean_final_error": float(means[-1]),
+        "largest_error": float(run.point_errors[begun:].max()),
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
         "clearance": closest(run),
@@ -303,22 +303,15 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
     words: dict[str, str | tuple[str, str]] = {
         "verdict": verdict_in_colour(summary),
         "duration": _duration(summary),
+        **shares_in_words(summary),
     }
-    for kind in ("speed", "acceleration", "jerk"):
-        share = summary[f"largest_{kind}"]
-        if share is not None:
-            reached = ", which is reached" if FULL <= share <= 2.0 - FULL else ""
-            words[kind] = f"at most {100.0 * share:.4g} % of the limit{reached}"
     if summary["keyframes"]:
         words["keyframes"] = _keyframes(summary["keyframes"])
-    words["posture error"] = (
-        f"at most {summary['worst_posture_error']:.4g} m along the way, at {summary['worst_at']:.4g} s; "
-        f"{summary['mean_posture_error']:.4g} m on average, {summary['final_error']:.4g} m at the end"
-    )
-    words["mean error"] = (
-        f"at most {summary['worst_mean_error']:.4g} m for each point, "
-        f"{summary['worst_mean_error'] / summary['arm_length']:.2g} of the arm length; "
-        f"{summary['mean_error']:.4g} m on average"
+    worst = summary["worst_mean_error"]
+    words["point errors"] = (
+        f"mean at most {worst:.4g} m along the way, at {summary['worst_mean_at']:.4g} s, "
+        f"{worst / summary['arm_length']:.2g} of the arm length; {summary['mean_error']:.4g} m on average, "
+        f"{summary['mean_final_error']:.4g} m at the end; largest {summary['largest_error']:.4g} m"
     )
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])

@@ -34,6 +34,7 @@ from pinposture.cli.output import (
     keep,
     print_note,
     print_result,
+    shares_in_words,
     step_progress,
     verdict_in_colour,
 )
@@ -242,12 +243,19 @@ WORDY = 200
 
 
 def summarize(motion: Trajectory) -> dict[str, Any]:
-    """Summarize a run as JSON-compatible data; lengths in metres."""
+    """Summarize a run as JSON-compatible data; lengths in metres.
+
+    The start, final and lowest errors are sums over the control points.
+    """
     import numpy as np
 
-    from pinposture.motion.trajectory import closest
+    from pinposture.motion.trajectory import closest, largest_shares
 
     target, errors, points = motion.target, motion.posture_error, motion.active.sum(axis=1)
+    timed: dict[str, float | None] = {}
+    if motion.limits.dt is not None:
+        timed = {f"largest_{kind}": share for kind, share in largest_shares(motion).items()}
+        timed["duration"] = motion.steps * motion.limits.dt
     off = None if target.residual is None else float(target.residual[target.has_target].max())
     return {
         "verdict": motion.verdict,
@@ -259,7 +267,10 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         "start_error": float(errors[0]),
         "final_error": float(errors[-1]),
         "lowest_error": float(errors.min()),
-        "mean_error": float(errors[-1]) / int(target.has_target.sum()),
+        "mean_start_error": float(motion.mean_error[0]),
+        "mean_error": float(motion.mean_error[-1]),
+        "largest_error": float(motion.point_errors[-1].max()),
+        **timed,
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
         "placed_points": int(target.has_target.sum()),
@@ -292,18 +303,18 @@ def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     """Return a summary in words; the verdict comes with the colour to print it in."""
-    first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
     from pinposture.placement.target import Moved
 
-    off, length = summary["largest_residual"], summary["arm_length"]
+    off, length, mean = summary["largest_residual"], summary["arm_length"], summary["mean_error"]
     words: dict[str, str | tuple[str, str]] = {
         "verdict": verdict_in_colour(summary),
-        "steps": str(summary["steps"]),
+        "steps": str(summary["steps"]) + (f", {summary['duration']:.4g} s" if "duration" in summary else ""),
         "placed by": f"{summary['placed_by']} placement, control points at most {off:.2g} m off the curve, "
         f"{off / length:.2g} of the arm length",
         **_whole_arm(summary),
-        "posture error": f"{first:.4g} m at the start, {last:.4g} m at the end",
-        "mean error": f"{mean:.4g} m for each point, {mean / length:.2g} of the arm length",
+        "point errors": f"mean {summary['mean_start_error']:.4g} m at the start, {mean:.4g} m at the end, "
+        f"{mean / length:.2g} of the arm length; largest {summary['largest_error']:.4g} m",
+        **shares_in_words(summary),
         "active points": f"{summary['first_active_points']} at the first step, "
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
         "paths": f"of control points {summary['path_length_ratio']:.3g} times as long as straight ones",

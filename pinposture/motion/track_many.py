@@ -227,7 +227,7 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[s
         steps=run.steps,
         start_error=float(run.posture_error[0]),
         final_error=float(run.posture_error[-1]),
-        mean_error=float(run.posture_error[-1]) / int(np.count_nonzero(target.has_target)),
+        mean_error=float(run.mean_error[-1]),
         path_length_ratio=run.path_length_ratio,
         clearance=float(run.clearance.min()),
         q_start=run.q[0],

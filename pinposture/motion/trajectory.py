@@ -368,6 +368,11 @@ class Trajectory:
         return np.asarray(self.point_errors.sum(axis=1))
 
     @cached_property
+    def mean_error(self) -> Array:
+        """Mean distance of the control points with a target from it, (steps + 1,) [m]."""
+        return self.posture_error / max(int(np.count_nonzero(self.target.has_target)), 1)
+
+    @cached_property
     def distance_from_curve(self) -> float | None:
         """Largest distance of the links from the curve of the target at the end [m]; None without a curve.
 
@@ -414,8 +419,8 @@ class Trajectory:
         return JointTrajectory.from_configurations(self.arm, self.q, step)
 
     def __repr__(self) -> str:
-        first, last = self.posture_error[0], self.posture_error[-1]
-        return f"Trajectory({self.status}, {self.steps} steps, posture error {first:.4g} -> {last:.4g} m)"
+        first, last = self.mean_error[[0, -1]]
+        return f"Trajectory({self.status}, {self.steps} steps, mean point error {first:.4g} -> {last:.4g} m)"
 
 
 # Motions in time.

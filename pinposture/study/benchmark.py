@@ -167,8 +167,8 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
             name an unknown case or one twice, do not begin at its start, or contain non-finite numbers.
     """
     results, cases = Path(results), Path(cases)
-    known = _read(cases, CASES_FORMAT, ("step_limit", "max_steps", "reached", "arms", "cases"))
     given = _read(results, RESULTS_FORMAT, ("cases", "program", "runs"))
+    known = _read(cases, CASES_FORMAT, ("step_limit", "max_steps", "reached", "arms", "cases"))
     if given["cases"] != checksum(cases):
         raise FileError(
             results, f"contains results for other cases; the checksum of {cases} is {checksum(cases)}"

@@ -249,7 +249,9 @@ def draw_leader(found: Sequence[Following]) -> Figure:
 def _draw(ax: Axes, found: Sequence[Following], shape: str) -> None:
     from pinposture.viz import palette
 
-    colors = dict(zip(ARMS, (palette.START, palette.FINAL, palette.CONTROLLERS["projection"]), strict=True))
+    colors = dict(
+        zip(ARMS, (palette.START, palette.FINAL, palette.CONTROLLER_COLORS["projection"]), strict=True)
+    )
     bound = sorted({(each.bending, each.sagitta) for each in found})
     ax.plot(*zip(*bound, strict=True), color=palette.REST, ls="--", lw=1.0, label="sagitta of a module")
     for arm, method in dict.fromkeys((each.arm, each.method) for each in found):

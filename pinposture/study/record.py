@@ -191,7 +191,7 @@ def record_run(run: Trajectory, case: Case, controller: str, seconds: float = 0.
 
 def final_error(run: Trajectory) -> float:
     """Return the mean point error at the end of a run, relative to the arm length."""
-    return float(run.posture_error[-1]) / int(run.target.has_target.sum()) / run.arm.length
+    return float(run.mean_error[-1]) / run.arm.length
 
 
 def one_line(text: str) -> str:

@@ -10,7 +10,7 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import Motion, Tracker, Trajectory
 from pinposture.placement import Target
 from pinposture.viz.arm_figure import plot_arm
-from pinposture.viz.drawing import visual_model
+from pinposture.viz.drawing import require_type, visual_model
 from pinposture.viz.foxglove import FoxgloveViewer
 from pinposture.viz.meshcat import AnimationPage, Viewer, animate, save_html
 from pinposture.viz.panels import (
@@ -90,11 +90,13 @@ def view(
 
     Raises:
         UnknownName: an unknown viewer or control point.
-        InvalidValue: a run or target of another arm, or an invalid `fps` or choice of control points.
+        InvalidValue: an argument of another type, a run or target of another arm, or an invalid `fps` or
+            choice of control points.
         ViewerError: the server cannot be started or reached.
     """
     if viewer not in VIEWERS:
         raise UnknownName("viewer", viewer, VIEWERS)
+    require_type("scene", scene, Scene, type(None))
     if isinstance(run, Trajectory | Motion):
         scene = scene or (run.run.scene if isinstance(run, Motion) else run.scene)
     if target is None and isinstance(run, Trajectory):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm, ControlPoints, Ellipsoid
 from pinposture.collision import Scene
 from pinposture.viz import palette
+from pinposture.viz.drawing import require_type
 from pinposture.viz.palette import FIGURE_WIDTH, add_title
 from pinposture.viz.postures import (
     PosturePanel,
@@ -50,9 +51,10 @@ def plot_arm(
         A figure, 1200 pixels wide, as from `plot`; in the plane for a planar arm, otherwise in space.
 
     Raises:
-        InvalidValue: a configuration of the wrong size or not finite, or an invalid choice of control points.
+        InvalidValue: no arm, a configuration of the wrong size or not finite, or an invalid choice of points.
         UnknownName: an unknown control point.
     """
+    require_type("arm", arm, Arm)
     shown = arm.neutral() if q is None else q
     forward, chosen = arm.at(shown).forward, arm.at(shown).ellipsoids(ellipsoids)
     # Half the length of the bars: short compared to the links, but visible compared to the arm.

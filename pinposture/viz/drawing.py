@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import coal
@@ -17,8 +18,9 @@ from scipy.spatial.transform import Rotation
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import HalfSpace, Scene
+from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
-from pinposture.motion import Motion, Trajectory
+from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.viz import palette
 from pinposture.viz.body import (
@@ -171,10 +173,32 @@ def link_radius(arm: Arm) -> float:
     return min(0.25 * module, float(np.clip(0.16 * module, 0.004 * arm.length, 0.015 * arm.length)))
 
 
+SHOWN_BY: dict[type | tuple[type, ...], str] = {
+    Arm: "pp.plot_arm(arm) and pp.view(arm) show an arm",
+    Target: "pp.view(arm, target=target) shows a target",
+    Curve: "pp.resolve_targets(arm, curve) makes a target of a curve",
+    (Trajectory, Motion): "pp.plot(run) and pp.view(run.arm, run) show a run",
+    JointTrajectory: "pp.plot(trajectory) shows a joint trajectory",
+    np.ndarray: "pp.plot_arm(arm, q) shows a configuration",
+    (list, tuple, dict): "pp.plot_comparison({name: run, ...}) shows several runs",
+    (str, Path): "pp.load(path), pp.Arm.load(path) and pp.Scene.load(path) read files",
+}
+"""What shows an object of a type, or reads it."""
+
+
+def require_type(name: str, value: object, *allowed: type) -> None:
+    """Raise InvalidValue unless a value is of an allowed type, and name the function that shows it."""
+    if not isinstance(value, allowed):
+        kinds = ["None" if each is type(None) else f"a {each.__name__}" for each in allowed]
+        instead = [f"; {words}" for shown, words in SHOWN_BY.items() if isinstance(value, shown)]
+        raise InvalidValue(name, value, " or ".join(kinds).replace("a Arm", "an Arm") + "".join(instead))
+
+
 def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | None) -> None:
-    """Raise InvalidValue unless a run or motion and a target fit an arm."""
-    if run is not None and not isinstance(run, (Trajectory, Motion)):
-        raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
+    """Raise InvalidValue unless these are an arm, a run or motion and a target that fit each other."""
+    require_type("arm", arm, Arm)
+    require_type("run", run, Trajectory, Motion, type(None))
+    require_type("target", target, Target, type(None))
     if run is not None and run.q.shape[1] != arm.nq:
         raise InvalidValue("run.q (shape)", run.q.shape, f"(steps + 1, {arm.nq}) for this arm")
     if target is not None and target.points.shape != (arm.n_modules, 3):

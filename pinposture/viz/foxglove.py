@@ -149,11 +149,12 @@ class FoxgloveViewer(Viewer):
 
     def _play(self, shown: drawing.Timeline, stop: Event) -> None:
         run, motion = shown.run, shown.motion
+        means = (motion or run).mean_error
         pauses = np.diff(shown.key_times, append=shown.key_times[-1:]) / shown.fps
         while not stop.is_set():
             for row, pause in zip(shown.rows[shown.key_rows], pauses, strict=True):
                 moving = None if motion is None else Target(motion.targets[row], motion.target_mask[row])
-                status = {"status": run.status, "reason": run.reason, "mean_error": run.posture_error[row]}
+                status = {"status": run.status, "reason": run.reason, "mean_error": means[row]}
                 with self._lock:  # nothing after what `show` shows
                     if not stop.is_set():
                         self._put(run.q[row], self.target or moving, self.scene, None, status)

@@ -481,7 +481,7 @@ def captions(shown: Timeline) -> list[str]:
 def _step_text(shown: Timeline, row: int) -> str:
     """Describe a configuration of a run."""
     run = shown.run
-    text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
+    text = f"step {row} of {run.steps}, {_errors(run.mean_error[row], run.point_errors[row])}"
     if run.steps:
         count = int(run.active[min(row, run.steps - 1)].sum())
         text += f", {count} of {run.arm.n_modules} control points active"
@@ -500,7 +500,11 @@ def _motion_text(motion: Motion, row: int) -> str:
         text += ", coming to the first posture"
     elif count:
         text += f", reached {motion.waypoints[count - 1].name} ({count} of {len(motion.waypoints)})"
-    return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
+    return f"{text}, {_errors(motion.mean_error[row], motion.run.point_errors[row])}"
+
+
+def _errors(mean: float, errors: Array) -> str:
+    return f"mean point error {mean:.3g} m (largest {errors.max():.3g} m)"
 
 
 def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) -> str:
@@ -607,6 +611,7 @@ def animate(
         InvalidValue: a run of another arm, or an invalid `fps`, `max_frames` or choice of control points.
         UnknownName: an unknown control point.
     """
+    drawing.require_type("run", run, Trajectory, Motion)
     target = run.target if target is None and isinstance(run, Trajectory) else target
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +17,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.text import Annotation
 from matplotlib.ticker import MaxNLocator, NullFormatter
+from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.control import registry
 from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import ENDINGS
 
@@ -28,7 +29,7 @@ START = "#0072B2"  # initial posture
 FINAL = "#D55E00"  # final posture of a controller without a colour of its own
 TARGET = "#000000"  # target curve and target points
 REST = "#9A9A9A"  # the target curve beyond the reach of the arm, and other secondary items
-CONTROLLERS = {  # by controller name
+CONTROLLER_COLORS = {  # by controller name
     "selection": "#D55E00",
     "projection": "#009E73",
     "switching": "#CC79A7",
@@ -61,7 +62,7 @@ FAINT = "#DDDDDD"  # grid lines
 
 def controller_color(controller: str) -> str:
     """Return the colour of a controller, given by name or by its description in a trajectory."""
-    return CONTROLLERS.get(controller.partition("(")[0].strip().lower(), FINAL)
+    return CONTROLLER_COLORS.get(controller.partition("(")[0].strip().lower(), FINAL)
 
 
 def distinct_colors(controllers: Iterable[str]) -> list[str]:
@@ -69,7 +70,7 @@ def distinct_colors(controllers: Iterable[str]) -> list[str]:
     colors: list[str] = []
     for controller in controllers:
         own = controller_color(controller)
-        free = [color for color in (own, *SPARE, *CONTROLLERS.values()) if color not in colors]
+        free = [color for color in (own, *SPARE, *CONTROLLER_COLORS.values()) if color not in colors]
         colors.append(free[0] if free else own)
     return colors
 
@@ -169,16 +170,18 @@ def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: s
     The last value is in the right margin (above the axis if below its range), the least above its point.
     """
     low, high = ax.get_ylim()
-    place = (x, float(np.clip(value, low, high)))  # a logarithmic axis cannot show 0
-    ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5)
+    below = value <= low  # a logarithmic axis cannot show 0
+    place, scale = (x, 0.0 if below else value), ax.get_xaxis_transform() if below else ax.transData
+    ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale)
     ax.set_ylim(low, high)
     styles = {"start": (7, 4, "left", "bottom"), "least": (0, 8, "center", "bottom")}
-    lower = sum(text.xy[1] <= low for text in ax.texts if isinstance(text, Annotation))  # one above the other
-    styles["end"] = (6, 4 + 11 * lower, "left", "bottom") if value <= low else (6, 0, "left", "center")
+    styles["end"] = (6, 4, "left", "bottom") if below else (6, 0, "left", "center")
     right, up, ha, va = styles[where]
-    ax.annotate(
+    taken = [text.get_window_extent().padded(2.0) for text in ax.texts]
+    written = ax.annotate(
         f"{value:.3g} {unit}",
         place,
+        xycoords=scale,
         xytext=(right, up),
         textcoords="offset points",
         ha=ha,
@@ -188,6 +191,9 @@ def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: s
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         annotation_clip=False,
     )
+    while written.get_window_extent().count_overlaps(taken):
+        up += 4
+        written.xyann = right, up
 
 
 def colors_along(count: int) -> tuple[LinearSegmentedColormap, Normalize]:
@@ -213,7 +219,8 @@ def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
     """Return a figure, its axes for postures of an arm, and the panels beside them, from top to bottom."""
     size = FIGURE_WIDTH, FIGURE_HEIGHT + max(0, rows - 3)
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
-    grid = figure.add_gridspec(rows, 2, width_ratios=(1.1, 1.0))
+    room: dict[str, Any] = {"left": 0.01, "right": 0.97, "bottom": 0.08, "top": 0.88}  # before it is laid out
+    grid = figure.add_gridspec(rows, 2, width_ratios=(1.75, 1.0), **room)
     postures = figure.add_subplot(grid[:, 0], projection="3d" if arm.dimension == 3 else None)
     return figure, postures, [figure.add_subplot(grid[row, 1]) for row in range(rows)]
 
@@ -231,9 +238,9 @@ def add_title(figure: Figure, sentences: Sequence[str]) -> None:
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=INK, parse_math=False)
 
 
-def add_footnote(figure: Figure, text: str) -> None:
-    """Write details below the panels."""
-    text = textwrap.fill(textwrap.shorten(text, 500), 190)
+def add_footnote(figure: Figure, *details: str) -> None:
+    """Write details below the panels; empty ones are left out."""
+    text = textwrap.fill(textwrap.shorten("; ".join(filter(None, details)), 500), 190)
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=QUIET, parse_math=False)
 
 
@@ -252,7 +259,66 @@ def placement_text(run: Trajectory | Motion) -> str:
 
 def controller_name(run: Trajectory) -> str:
     """Return the name of the controller of a run, without its parameters."""
-    return run.controller.partition("(")[0].strip() or "The run"
+    named = re.match(r"<?(?:[\w<>]+\.)*(\w+)", run.controller)  # a repr, perhaps that of any object
+    return named[1] if named else "The run"
+
+
+def controller_text(run: Trajectory) -> str:
+    """Return the name of the controller of a run, and the parameters that are not at their defaults."""
+    given = _parameters(run.controller)
+    usual = registry.CONTROLLERS.get(given.get("name", "").strip("'"))
+    changed = list(_differences(given, {} if usual is None else _parameters(repr(usual()))))
+    defaults = "" if usual is None else " with default parameters"
+    return controller_name(run) + (f" with {', '.join(changed)}" if changed else defaults)
+
+
+def _parameters(text: str) -> dict[str, str]:
+    """Split the repr of a dataclass into the names and values of its fields."""
+    depth, pieces = 0, [""]
+    for character in text.partition("(")[2][:-1]:
+        depth += (character in "([{") - (character in ")]}")
+        if character == "," and not depth:
+            pieces.append("")
+        else:
+            pieces[-1] += character
+    return {
+        name: value for name, equals, value in (piece.strip().partition("=") for piece in pieces) if equals
+    }
+
+
+def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator[str]:
+    for name, value in given.items():
+        kind, default = value.partition("(")[0], usual.get(name, "")
+        if name in ("name", "scene") or value == default:
+            continue
+        words = name.replace("_", " ")
+        if kind and default.startswith(f"{kind}("):
+            yield from (f"{words} {each}" for each in _differences(_parameters(value), _parameters(default)))
+        else:
+            classes = re.findall(r"(?:^\(?|\), )([A-Za-z_]\w*)\(", value)
+            plain = re.sub(r"^<\w+ ([\w.]+) .*>$", r"\1", value.strip("'"))  # a function by its name
+            yield f"{words} {', '.join(classes) or plain}"
+
+
+def limits_text(run: Trajectory) -> str:
+    """Return the limits of the steps of a run in words."""
+    limits, slides = run.limits, run.arm.slides[run.arm.columns]
+    units = ["m"] * bool(slides.any()) + ["rad"] * (not slides.all())
+
+    def most(value: float | NDArray[np.float64], per: str) -> str:
+        low, high = float(np.min(value)), float(np.max(value))
+        text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        return f"{text} {' or '.join(unit + per for unit in units)}"
+
+    found = [] if limits.step is None else [f"{most(limits.step, '')} per step"]
+    if limits.dt is not None:
+        found.append("speeds of the arm" if limits.velocity is None else most(limits.velocity, "/s"))
+        rates = ((limits.acceleration, "/s²"), (limits.jerk, "/s³"))
+        found += [most(value, per) for value, per in rates if value is not None]
+        found.append(f"steps of {limits.dt:.3g} s")
+    if limits.position_margin:
+        found.append(f"{most(limits.position_margin, '')} from the ends of the joints")
+    return f"limits: {', '.join(found) or 'joint positions only'}"
 
 
 def ending_text(run: Trajectory) -> str:

@@ -18,6 +18,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
 from pinposture.viz import palette
+from pinposture.viz.drawing import require_type
 from pinposture.viz.palette import (
     FIGURE_HEIGHT,
     FIGURE_WIDTH,
@@ -28,11 +29,13 @@ from pinposture.viz.palette import (
     add_title,
     colors_along,
     controller_name,
+    controller_text,
     ending_text,
     format_step_axes,
     format_time_axes,
     group_alike,
     is_slowed,
+    limits_text,
     mark_value,
     motion_ending_text,
     new_figure,
@@ -82,15 +85,32 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
         color: colour of the line; None: that of the controller.
         label: label of the line in a legend. For a labelled line, only the last value is annotated.
     """
-    color = palette.controller_color(run.controller) if color is None else color
-    style: dict[str, Any] = {"lw": 1.8, "marker": marker(run.steps + 1), "clip_on": bool(run.steps)}
-    ax.plot(np.arange(run.steps + 1), run.posture_error, color=color, label=label, **style)
-    format_step_axes(ax, "posture error [m]")
+    _plot_errors([(run, label, color)], ax, "posture error [m]", lambda run: run.posture_error)
+
+
+def plot_mean_error(run: Trajectory, ax: Axes) -> None:
+    """Plot the mean error of the control points [m] over steps, annotated as by `plot_posture_error`."""
+    _plot_errors([(run, None, None)], ax, "mean point error [m]", lambda run: run.mean_error)
+
+
+def _plot_errors(
+    runs: Sequence[tuple[Trajectory, str | None, str | None]],
+    ax: Axes,
+    name: str,
+    errors: Callable[[Trajectory], Array],
+) -> None:
+    """Plot an error of runs, each with its label and colour, then annotate their first and last values."""
+    colors = [palette.controller_color(run.controller) if color is None else color for run, _, color in runs]
+    for (run, label, _), color in zip(runs, colors, strict=True):
+        style: dict[str, Any] = {"lw": 1.8, "marker": marker(run.steps + 1), "clip_on": bool(run.steps)}
+        ax.plot(np.arange(run.steps + 1), errors(run), color=color, label=label, **style)
+    format_step_axes(ax, name)
     scale_values(ax)
-    if label is None:
-        mark_value(ax, 0, float(run.posture_error[0]), color, "m", "start")
-    if run.steps:
-        mark_value(ax, run.steps, float(run.posture_error[-1]), color, "m", "end")
+    for (run, label, _), color in zip(runs, colors, strict=True):
+        if label is None:
+            mark_value(ax, 0, float(errors(run)[0]), color, "m", "start")
+        if run.steps:
+            mark_value(ax, run.steps, float(errors(run)[-1]), color, "m", "end")
 
 
 def plot_point_errors(run: Trajectory, ax: Axes) -> None:
@@ -254,19 +274,19 @@ def mark_violations(run: Trajectory, ax: Axes, time: Array | None = None) -> Non
         _mark_on_axis(ax, places[steps + 1], label, marker="|", ms=7.0, mew=1.2)
 
 
-def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
-    """Add a legend, above the axes or at the best place inside, if anything has a label."""
+def add_legend(ax: Axes) -> None:
+    """Add a legend above the axes if anything has a label: in one column if the labels are long."""
     handles, labels = ax.get_legend_handles_labels()
     if handles:
+        columns = 3 if sum(map(len, labels)) < LEGEND_LENGTH else 1
         style: dict[str, Any] = {"fontsize": 8, "borderaxespad": 0.2, "labelspacing": 0.3, "ncols": columns}
         where: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
-        if inside:
-            where = {"loc": "best", "facecolor": "white", "edgecolor": "none", "framealpha": 0.8}
         legend = ax.legend(handles, labels, **where, **style)
         for text in legend.get_texts():
             text.set_parse_math(False)
 
 
+LEGEND_LENGTH = 48  # length of all labels from which a legend has one column [characters]
 LETTER_WIDTH = 4.6  # mean letter width of the names above the axes [pt]
 MIN_NAME_DISTANCE = 18.0  # [pt]
 NO_ERROR = 1e-9  # posture error shown as 0, in arm lengths
@@ -274,17 +294,21 @@ DASHES = (0, (4, 2))
 
 
 def plot_error(motion: Motion, ax: Axes) -> None:
-    """Plot the posture error [m] of a motion over time, with violated constraints.
+    """Plot the mean and largest error of the control points of a motion over time, with violated constraints.
 
     Errors below `NO_ERROR` are not shown.
     """
     run, color = motion.run, palette.controller_color(motion.run.controller)
     floor = NO_ERROR * motion.arm.length
-    values = np.where(run.posture_error > floor, run.posture_error, 0.0)
-    ax.plot(motion.time, values, color=color, lw=1.8, marker=marker(run.steps + 1))
-    format_time_axes(ax, "posture error [m]")
+    largest = run.point_errors.max(axis=1)
+    style: dict[str, Any] = {"color": color, "marker": marker(run.steps + 1)}
+    values, most = (np.where(each > floor, each, 0.0) for each in (motion.mean_error, largest))
+    ax.plot(motion.time, values, lw=1.8, label="mean" if most.any() else None, **style)
+    if most.any():
+        ax.plot(motion.time, most, lw=0.8, label="largest", **style)
+    format_time_axes(ax, "point errors [m]")
     scale_values(ax)
-    if not values.any():
+    if not most.any():
         ax.set_yticks([0.0])
         where: dict[str, Any] = {"transform": ax.transAxes, "ha": "center", "va": "center"}
         text = f"below {floor:.2g} m throughout"
@@ -299,9 +323,9 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     mark_rising_steps(run, ax, motion.time)
     mark_violations(run, ax, motion.time)
     if motion.start_index:
-        style: dict[str, Any] = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
+        style = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
         ax.axvspan(0.0, motion.time[motion.start_index], label="coming to the first posture", **style)
-    add_legend(ax, inside=True)
+    add_legend(ax)
 
 
 def plot_joint_rates(motion: Motion, ax: Axes) -> None:
@@ -319,7 +343,7 @@ def plot_joint_rates(motion: Motion, ax: Axes) -> None:
     ax.plot(ends, [1.0, 1.0], color=palette.INK, lw=1.0, ls=DASHES, label="limit")
     format_time_axes(ax, "largest of all joints\n[share of limit]")
     ax.set_ylim(-0.03 * largest, 1.12 * largest)
-    add_legend(ax, columns=3)
+    add_legend(ax)
 
 
 def plot_plan_time(motion: Motion, ax: Axes) -> None:
@@ -331,7 +355,7 @@ def plot_plan_time(motion: Motion, ax: Axes) -> None:
     ax.plot(motion.time, motion.plan_time, color=palette.SPARE[1], lw=1.6, label=label)
     format_time_axes(ax, "time of the plan [s]")
     ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
-    add_legend(ax, columns=2)
+    add_legend(ax)
 
 
 def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence[float]) -> None:
@@ -345,6 +369,8 @@ def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence
     first = panels[0]
     low, high = first.get_xlim()
     scale = 72.0 * first.bbox.width / first.figure.dpi / (high - low)  # [pt/s]
+    legend = first.get_legend()
+    above = 3.0 if legend is None else 72.0 * legend.get_window_extent().height / first.figure.dpi
     names = _merge_close_names(places, [scale * time for time in times])
     slanted = any(
         (at - before) < LETTER_WIDTH * (len(name) + len(other)) / 2.0 + LETTER_WIDTH
@@ -354,7 +380,7 @@ def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence
         style: dict[str, Any] = {"fontsize": 8, "color": palette.INK, "parse_math": False, "va": "bottom"}
         style |= {"rotation": 30, "ha": "left", "rotation_mode": "anchor"} if slanted else {"ha": "center"}
         where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
-        first.annotate(name, (at / scale, 1.0), xytext=(0, 3), annotation_clip=False, **where, **style)
+        first.annotate(name, (at / scale, 1.0), xytext=(0, above), annotation_clip=False, **where, **style)
 
 
 def _merge_close_names(places: Sequence[Place], positions: Sequence[float]) -> list[tuple[float, str]]:
@@ -395,7 +421,7 @@ def plot_motion(motion: Motion) -> Figure:
         deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
     ending = f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}"
     add_title(figure, [ending, *deviations])
-    add_footnote(figure, "; ".join(filter(None, [placement_text(motion), run.controller])))
+    add_footnote(figure, controller_text(run), limits_text(run), placement_text(motion))
     figure.draw_without_rendering()  # the layout of a tall legend needs two passes
     return figure
 
@@ -462,13 +488,13 @@ def plot_joints(trajectory: JointTrajectory) -> Figure:
 
 
 def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
-    """Plot a run in one figure: postures, posture error, point errors, active points, clearance.
+    """Plot a run in one figure: postures, mean and single point errors, active points, clearance.
 
     Active points are omitted if the controller does not choose any, clearance if there was no scene. For a
-    switching controller, red dots on the axis mark the steps by Projection. Shading behind the posture
+    switching controller, red dots on the axis mark the steps by Projection. Shading behind the mean
     error marks steps in which it may rise; red bars below it mark violated constraints.
 
-    For a motion in time, the figure shows the postures at its named places and, over time, the posture error,
+    For a motion in time, the figure shows the postures at its named places and, over time, point errors,
     joint speeds and accelerations relative to their limits, delays, and clearance. For a joint trajectory, it
     shows positions, velocities and accelerations, with a line per joint.
 
@@ -486,9 +512,8 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
         return plot_motion(run)
     if isinstance(run, JointTrajectory):
         return plot_joints(run)
-    if not isinstance(run, Trajectory):
-        raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
-    draws = [plot_posture_error, plot_point_errors]
+    require_type("run", run, Trajectory, Motion, JointTrajectory)
+    draws = [plot_mean_error, plot_point_errors]
     if chooses_points(run):
         draws.append(plot_active_points)
     if has_clearance(run):
@@ -505,12 +530,12 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
         mark_method(run, rows[-1])
         rows[-1].set_xlabel("step (red: steps by Projection)")
     add_title(figure, [f"{controller_name(run)} {ending_text(run)}: {run.reason}"])
-    add_footnote(figure, "; ".join(filter(None, [placement_text(run), run.controller])))
+    add_footnote(figure, controller_text(run), limits_text(run), placement_text(run))
     return figure
 
 
 def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
-    """Plot several runs to one target in one figure: postures, posture errors, active points, clearance.
+    """Plot several runs to one target in one figure: postures, mean errors, active points, clearance.
 
     Args:
         runs: the runs by their labels in the figure.
@@ -519,10 +544,12 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
         A figure, 1200 pixels wide, as from `plot`.
 
     Raises:
-        InvalidValue: no runs, or runs with different arms or targets.
+        InvalidValue: no runs by label, or runs with different arms or targets.
     """
-    if not runs:
-        raise InvalidValue("runs", dict(runs), "at least one run")
+    if not (isinstance(runs, Mapping) and runs):
+        raise InvalidValue("runs", runs, "at least one run by its label, as in {label: run, ...}")
+    for label, run in runs.items():
+        require_type(f"runs[{label!r}]", run, Trajectory)
     first_label, first = next(iter(runs.items()))
     for label, run in runs.items():
         same = run.target.points.shape == first.target.points.shape
@@ -533,8 +560,8 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     near = any(has_clearance(run) for run in runs.values())
     figure, postures, rows = new_figure(first.arm, 2 + near)
     draw_runs(drawn, postures)
-    for number, (run, label, color) in enumerate(drawn):
-        plot_posture_error(run, rows[0], color, label)
+    _plot_errors(drawn, rows[0], "mean point error [m]", lambda run: run.mean_error)
+    for number, (run, _, color) in enumerate(drawn):
         plot_point_count(run, rows[1], color, (len(drawn) - 1) / 2.0 - number)
         if near:
             plot_clearance(run, rows[2], color)

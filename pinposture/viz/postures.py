@@ -39,7 +39,8 @@ from pinposture.viz.palette import add_grid
 
 Array = NDArray[np.float64]
 
-PLOT_SHARE = 0.78  # share of the plot in 3D axes; the rest is for the scales
+PLOT_SHARE = 0.78  # share of the plot in the room for 3D axes; the rest is for the scales
+MAX_PLOT_SHARE = 0.98  # share of the plot in 3D axes, which clip it
 
 
 class DrawnLine(NamedTuple):
@@ -185,7 +186,10 @@ def _frame_space(ax: Any, points: Array) -> None:
     ax.set_proj_type("ortho")
     ax.view_init(elev=np.degrees(framing.elevation), azim=np.degrees(framing.azimuth))
     ax.set_box_aspect(tuple(half))  # a copy, because it scales arrays in place
-    ax.set_box_aspect(tuple(half), zoom=PLOT_SHARE / box_extent(ax).max())
+    room = ax.get_position(original=True).size * ax.figure.get_size_inches()
+    # 3D axes are square: where they have more room to the sides, the scales may use that.
+    share = np.minimum(PLOT_SHARE * room / room.min(), MAX_PLOT_SHARE)
+    ax.set_box_aspect(tuple(half), zoom=(share / box_extent(ax)).min())
 
 
 def box_extent(ax: Any) -> Array:

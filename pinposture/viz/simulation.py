@@ -1,4 +1,4 @@
-"""The figure of a simulated motion: joint errors, posture error and torques."""
+"""The figure of a simulated motion: joint errors, mean point errors and torques."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pinposture.viz.panels import add_legend, marker
 
 
 def plot_simulation(simulation: Simulation) -> Figure:
-    """Plot a simulated motion in one figure: joint errors, posture error and torques over time.
+    """Plot a simulated motion in one figure: joint errors, mean point errors and torques over time.
 
     Each joint has a line, darkest at the base. Torques are relative to their limits, which grey lines mark;
     if no joint has a limit, they are in N m (N for prismatic joints).
@@ -42,7 +42,7 @@ def plot_simulation(simulation: Simulation) -> Figure:
     figure = Figure(figsize=(FIGURE_WIDTH, FIGURE_HEIGHT), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
     _plot_joint_error(simulation, panels[0])
-    _plot_posture_errors(simulation, panels[1])
+    _plot_point_errors(simulation, panels[1])
     _plot_torques(simulation, panels[2])
     share_axis(panels)
     count = len(simulation.arm.columns)
@@ -50,7 +50,10 @@ def plot_simulation(simulation: Simulation) -> Figure:
     strength = float(np.linalg.norm(simulation.gravity))
     weight = f"gravity {strength:.4g} m/s²" if strength else "no gravity"
     add_title(figure, [f"{simulation.loop} loop, {weight}: {simulation.status}, {simulation.reason}"])
-    add_footnote(figure, str(simulation.servos))
+    servos = simulation.servos
+    compensated = f"{'with' if servos.gravity_compensation else 'without'} gravity compensation"
+    described = f"servos of {servos.frequency:g} Hz, damping ratio {servos.damping:g}, {compensated}"
+    add_footnote(figure, described, f"physics steps of at most {servos.timestep:g} s")
     return figure
 
 
@@ -61,20 +64,21 @@ def _plot_joint_error(simulation: Simulation, ax: Axes) -> None:
     ax.set_ylim(bottom=0.0)
 
 
-def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
-    """Plot the posture error relative to the set points and, if any, to the targets."""
-    lines = {"to the set points": (simulation.posture_error, palette.FINAL)}
-    if simulation.target_errors is not None:
-        lines["to the targets"] = (simulation.target_errors.sum(axis=1), palette.TARGET)
+def _plot_point_errors(simulation: Simulation, ax: Axes) -> None:
+    """Plot the mean point error relative to the set points and, if any, to the targets."""
+    lines = {"to the set points": (simulation.point_errors.mean(axis=1), palette.FINAL)}
+    if simulation.target_errors is not None and simulation.weights is not None:
+        targeted = np.maximum((simulation.weights > 0.0).sum(axis=1), 1)
+        lines["to the targets"] = (simulation.target_errors.sum(axis=1) / targeted, palette.TARGET)
     for label, (values, color) in lines.items():
         ax.plot(
             simulation.time, values, color=color, lw=1.8, label=label, marker=marker(len(simulation.time))
         )
-    format_time_axes(ax, "posture error [m]")
+    format_time_axes(ax, "mean point error [m]")
     scale_values(ax)
     for values, color in lines.values():
         mark_value(ax, simulation.time[-1], float(values[-1]), color, "m", "end")
-    add_legend(ax, columns=2)
+    add_legend(ax)
 
 
 def _plot_torques(simulation: Simulation, ax: Axes) -> None:

@@ -35,7 +35,7 @@ def test_a_run_is_written_in_the_format_of_the_name(command, run_directory, tmp_
     file = tmp_path / "new" / f"motion.{suffix}"
     result = command("export", run_directory / name, "--dt", 0.05, "--force", "-o", file)
     assert result.code == 0
-    assert result.err.splitlines()[1:] == [f"wrote {file}"]
+    assert result.err.splitlines()[2:] == [f"wrote {file}"]
     assert "12 joints, 21 points, 1 s" in result.out
     run = pp.load(run_directory / "run.npz", pp.Trajectory)
     found = pp.load(file, JointTrajectory).matched(run.arm)
@@ -73,7 +73,18 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
         "points": STEPS + 1,
         "file": str(file),
     }
-    assert result.err == f"wrote {file}\n"
+    warning, written = result.err.splitlines()
+    assert written == f"wrote {file}"
+    reached = np.abs(changes).max() / 0.02**2
+    assert f"no acceleration limit: joints accelerate by at most {reached:.4g} rad/s^2; plan again" in warning
+    assert "--dt 0.02 --acceleration A" in warning
+
+
+def test_a_run_with_an_acceleration_limit_is_written_without_a_warning(command, timed_run, tmp_path) -> None:
+    run = pp.load(timed_run, pp.Trajectory)
+    limits = pp.Limits(step=None, velocity=1.5, dt=0.02, acceleration=80.0)
+    pp.save(dataclasses.replace(run, limits=limits), tmp_path / "run.npz")
+    assert command("export", tmp_path, "-o", tmp_path / "a.csv").err == f"wrote {tmp_path / 'a.csv'}\n"
 
 
 def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(

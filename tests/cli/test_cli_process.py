@@ -130,7 +130,7 @@ def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path, comma
     )
     os.close(theirs)
     shown = b""
-    while b"posture error" not in shown:
+    while b"point error" not in shown:
         shown += os.read(ours, 1000)
     child.send_signal(signal.SIGINT)
     assert child.stdout.read() == b""

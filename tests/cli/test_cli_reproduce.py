@@ -188,3 +188,11 @@ def test_the_help_says_what_figures_there_are(command):
     for word in ("6.3 to 6.12", "claims", "all", "results.json", "claims.md", "--seeds", "--jobs"):
         assert word in out
     assert max(map(len, out.splitlines())) <= 80
+
+
+def test_a_score_names_the_file_that_is_missing_first_that_of_the_results(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where there are no cases either
+    assert command("score", "nothing.json").err == "error: nothing.json: no such file\n"
+    Path("results.json").write_text("{}")
+    asked = command("score", "results.json")
+    assert asked.code == 2 and "--cases is 'benchmarks/cases/postures-1.json'; allowed: " in asked.err

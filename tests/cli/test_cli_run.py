@@ -56,7 +56,7 @@ def test_a_person_reads_what_became_of_it(command, task):
     assert "reached the target (converged): " in words["verdict"]
     assert "as planned" in words["duration"]
     assert "straight" in words["keyframes"]
-    assert {"speed", "posture error", "mean error"} <= set(words) and "jerk" not in words
+    assert {"speed", "point errors"} <= set(words) and "jerk" not in words
     assert [path.name for path in task.parent.iterdir()] == ["bow.toml"]
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.cli.inputs import read_curve
 from pinposture.curve import CURVES
 
 
@@ -65,10 +66,16 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
     assert facts["verdict"] == summary["verdict"]
     assert summary["verdict"] == f"did not reach the target (max_steps): {summary['reason']}"
     assert facts["steps"] == "4"
-    assert f"{summary['start_error']:.4g} m at the start" in facts["posture error"]
-    assert f"{summary['final_error']:.4g} m at the end" in facts["posture error"]
+    first, last = (summary[key] / 6 for key in ("start_error", "final_error"))
+    assert f"mean {first:.4g} m at the start, {last:.4g} m at the end, " in facts["point errors"]
+    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    largest = np.linalg.norm(run.points[-1] - run.target.points, axis=1).max()
+    assert facts["point errors"].endswith(f"; largest {largest:.4g} m")
+    assert summary["largest_error"] == pytest.approx(largest)
+    assert not {"speed", "acceleration", "jerk"} & set(facts)  # without a duration of steps
     first, last = summary["first_active_points"], summary["last_active_points"]
     assert facts["active points"] == f"{first} at the first step, {last} at the last, of 6"
+    assert all(line == line.rstrip() for line in result.out.splitlines())
     # What it says besides the result goes to stderr, and no progress bar when that is no terminal.
     assert result.err.splitlines() == [f"wrote {tmp_path / name}" for name in NAMES]
 
@@ -82,6 +89,22 @@ def test_options_reach_the_run(command, arm_file, tmp_path):
     assert np.abs(np.diff(run.q, axis=0)).max() == pytest.approx(0.02)
     target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], roll=0.5)
     np.testing.assert_allclose(run.target.points, target.points, atol=1e-12)
+
+
+@pytest.mark.parametrize(("modules", "length"), [(20, 0.5), (20, 5.0), (6, 0.5), (50, 5.0)])
+def test_presets_are_scaled_to_the_arm(command, tmp_path, modules, length):
+    links = ",".join([str(length / modules / 2)] * 2)
+    made = command("generate", "RyRz", "-n", modules, "--link-lengths", links, "-o", tmp_path / "arm.urdf")
+    assert made.code == 0
+    arm = pp.Arm.load(tmp_path / "arm.urdf")
+    for name, least in (("line", 1.1), ("helix", 1.6)):
+        summary = track(command, tmp_path / "arm.urdf", "--curve", name)
+        assert summary["converged"] and summary["mean_error"] < 1e-6 * length
+        curve = read_curve(name, arm)
+        assert curve.length > 0.99 * least * arm.length
+    turns = np.unwrap(np.arctan2(*curve.resample(2000)[:, 1:].T))
+    covered = arm.length / curve.length * abs(turns[-1] - turns[0]) / (2.0 * np.pi)
+    assert covered == pytest.approx(2.5 if modules >= 20 else modules / 8, rel=0.02)
 
 
 @pytest.mark.usefixtures("no_pictures")

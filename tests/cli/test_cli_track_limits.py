@@ -36,6 +36,18 @@ def test_a_limit_of_jerk_holds_and_binds(track):
     assert 0.2 * 30 < np.abs(jerks).max() <= 30 + 1e-6
 
 
+def test_the_summary_has_what_the_motion_takes_of_each_limit(command, arm_file, tmp_path, no_pictures):
+    asked = ("--acceleration", 5, "--jerk", 30, "--dt", 0.05, "--steps", 400, "-o", tmp_path)
+    out = command("track", arm_file, "--curve", "helix", *asked).out
+    facts = {line[:15].strip(): line[15:].strip() for line in out.splitlines()}
+    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    moved, rates = np.pad(np.diff(run.q, axis=0), ((2, 2), (0, 0))), {}
+    for order, (kind, most) in enumerate({"speed": 0.1 / 0.05, "acceleration": 5.0, "jerk": 30.0}.items()):
+        rates[kind] = np.abs(np.diff(moved, order, axis=0)).max() / 0.05 ** (order + 1) / most
+        assert facts[kind].startswith(f"at most {100.0 * rates[kind]:.4g} % of the limit")
+    assert facts["steps"] == f"{run.steps}, {0.05 * run.steps:.4g} s"
+
+
 def test_one_number_for_each_joint(track):
     speeds = np.linspace(0.5, 1.6, 12)
     run = track("--velocity", ",".join(map(str, speeds)), "--dt", 0.05)
@@ -66,7 +78,7 @@ def test_an_infinite_step_is_no_limit(track):
     [
         (("--velocity", 1), ("--dt is None", "with --velocity")),
         (("--acceleration", 1), ("--dt is None", "with --acceleration")),
-        (("--jerk", 1, "--dt", 1), ("acceleration is None", "needed to limit the jerk")),
+        (("--jerk", 1, "--dt", 1), ("--acceleration is None", "required with --jerk")),
         (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "numbers separated by commas")),
         (("--velocity", 0, "--dt", 1), ("velocity is 0", "positive")),
         (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import runpy
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from PIL import Image
 DOCS = Path(__file__).parents[2] / "docs"
 CONCEPTS = (
     *("modules", "target", "ellipsoids", "active", "direct", "limits", "scene", "clutter", "between"),
+    *("helix", "keyframes"),
 )
 
 
@@ -25,11 +27,24 @@ def script() -> dict[str, Any]:
 def test_each_picture_is_made_by_the_script_small_and_shown_somewhere(script: dict[str, Any]) -> None:
     files = sorted((DOCS / "pictures").glob("*.png"))
     assert tuple(script["CONCEPTS"]) == CONCEPTS
-    assert {path.stem for path in files} == {*CONCEPTS, *script["EXAMPLES"]}
-    pages = "".join(path.read_text() for path in DOCS.rglob("*.md"))
+    assert {path.stem for path in files} == {*CONCEPTS, *script["EXAMPLES"], *script["ANIMATIONS"]}
+    pages = "".join(path.read_text() for path in (DOCS.parent / "README.md", *DOCS.rglob("*.md")))
     for path in files:
         assert path.stat().st_size < 120_000
         assert f"pictures/{path.name})" in pages
+
+
+def test_every_other_picture_is_shown_and_has_a_command_that_draws_it(script: dict[str, Any]) -> None:
+    beside = {path.name for kind in ("png", "gif", "svg", "jpg") for path in DOCS.glob(f"*.{kind}")}
+    assert beside == {*script["MEASURED"], "dragging.gif"}
+    pages = "".join(path.read_text() for path in (DOCS.parent / "README.md", *DOCS.rglob("*.md")))
+    for name in beside:
+        assert re.search(rf"[(/]{re.escape(name)}\)", pages)
+    for command in script["MEASURED"].values():
+        program, what, *_ = command.split()
+        assert (DOCS.parent / what).is_file() if program == "python" else what in ("study", "reproduce")
+    folders = {path.parent.name for path in DOCS.rglob("*.png")}
+    assert folders == {"docs", "pictures", "screenshots"}  # the last by the tests of the editor
 
 
 def test_every_picture_has_words_for_those_who_cannot_see_it() -> None:
@@ -46,6 +61,16 @@ def test_the_drag_can_be_drawn_and_is_what_is_kept(script: dict[str, Any]) -> No
             kept.seek(k)
             difference = np.asarray(frame.convert("L"), float) - np.asarray(kept.convert("L"), float)
             assert np.abs(difference).mean() < 3.0
+
+
+@pytest.mark.pictures
+def test_a_frame_of_an_animation_can_be_taken(script: dict[str, Any], tmp_path: Path) -> None:
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if shutil.which("chromium") is None:
+        pytest.skip("no Chromium on this machine")
+    drawn = np.asarray(Image.open(script["draw"]("first_posture", tmp_path)).convert("L"), dtype=float)
+    kept = np.asarray(Image.open(DOCS / "pictures" / "first_posture.png").convert("L"), dtype=float)
+    assert np.abs(drawn - kept).mean() < 5.0
 
 
 @pytest.mark.pictures

@@ -281,13 +281,16 @@ def test_figures_show_the_data(case):
         np.testing.assert_array_equal(line.get_xdata(), ended.time)
         np.testing.assert_array_equal(line.get_ydata(), ended.joint_error[:, k])
     assert joints.get_yscale() == "linear"
+    assert figure.get_supxlabel().startswith("servos of 10 Hz, damping ratio 1, without gravity compensation")
     assert joints.get_ylim()[1] > ended.joint_error.max()
-    np.testing.assert_array_equal(posture.get_lines()[0].get_ydata(), ended.posture_error)
+    np.testing.assert_array_equal(
+        posture.get_lines()[0].get_ydata(), ended.posture_error / ended.arm.n_modules
+    )
     legend = posture.get_legend()
     assert next(text.get_text() for text in legend.get_texts()) == "to the set points"
     assert not legend.get_window_extent().overlaps(posture.get_window_extent())
     if ended.target_errors is not None:
-        np.testing.assert_array_equal(posture.get_lines()[1].get_ydata(), ended.target_errors.sum(axis=1))
+        np.testing.assert_array_equal(posture.get_lines()[1].get_ydata(), ended.target_errors.sum(axis=1) / 4)
     given = torques.get_lines()[0].get_ydata()
     limit = ended.torque_limits[0]
     shown = 100.0 * ended.torques[:, 0] / limit if np.isfinite(limit) else ended.torques[:, 0]

@@ -61,10 +61,14 @@ def names_above(ax) -> list:
 def test_a_motion_as_planned_has_errors_and_rates_over_time_and_nothing_to_say_of_its_clock():
     motion = some_motion()
     figure = pp.plot(motion)
-    assert labels(figure) == ["posture error [m]", RATES]
-    error = lines(panel(figure, "posture error [m]"))["_child0"]
-    np.testing.assert_array_equal(error.get_xdata(), motion.time)
-    np.testing.assert_allclose(error.get_ydata(), 5e-3)
+    assert labels(figure) == ["point errors [m]", RATES]
+    errors = motion.run.point_errors * np.linspace(1.0, 2.0, 5)
+    shown = lines(
+        panel(pp.plot(replace(motion, run=replace(motion.run, point_errors=errors))), "point errors [m]")
+    )
+    np.testing.assert_array_equal(shown["mean"].get_xdata(), motion.time)
+    np.testing.assert_allclose(shown["mean"].get_ydata(), 1.5e-3)
+    np.testing.assert_allclose(shown["largest"].get_ydata(), 2e-3)
     assert figure.axes[-1].get_xlabel() == "time [s]"
     assert "after 3 s: it is there" in figure.get_suptitle()
     draw(figure)
@@ -94,7 +98,7 @@ def test_what_has_no_limit_is_left_out():
     assert "acceleration" not in drawn
     assert "speed" in drawn
     free = pp.Limits(step=None, dt=0.05, velocity=np.inf)
-    assert labels(pp.plot(some_motion(limits=free))) == ["posture error [m]"]
+    assert labels(pp.plot(some_motion(limits=free))) == ["point errors [m]"]
 
 
 def test_a_slowed_motion_shows_the_time_of_the_plan_and_says_by_how_much():
@@ -107,8 +111,8 @@ def test_a_slowed_motion_shows_the_time_of_the_plan_and_says_by_how_much():
     planned = drawn["as planned"]
     np.testing.assert_allclose(np.array(planned.get_data()).T, [[0.0, 0.0], [0.5, 0.0], [2.0, 1.5]])
     assert "from 0.5 s on 1.67 times as long as planned" in figure.get_suptitle()
-    words = [text.get_text() for text in panel(figure, "posture error [m]").get_legend().get_texts()]
-    assert words == ["coming to the first posture"]
+    words = [text.get_text() for text in panel(figure, "point errors [m]").get_legend().get_texts()]
+    assert words == ["mean", "largest", "coming to the first posture"]
     draw(figure)
 
 
@@ -203,7 +207,7 @@ def test_escapes_and_limits_that_gave_way_are_marked_at_their_moments():
     escape, relaxed = run.error_increasing.copy(), run.violated_constraints.astype("<U40")
     escape[10:14], relaxed[20] = True, "acceleration of joint 3"
     figure = pp.plot(replace(motion, run=replace(run, error_increasing=escape, violated_constraints=relaxed)))
-    ax = panel(figure, "posture error [m]")
+    ax = panel(figure, "point errors [m]")
     (span,) = [each for each in ax.collections if str(each.get_label()).startswith("4 steps in which")]
     corners = span.get_paths()[0].vertices
     assert (corners[:, 0].min(), corners[:, 0].max()) == pytest.approx((0.5, 0.7))
@@ -214,7 +218,7 @@ def test_escapes_and_limits_that_gave_way_are_marked_at_their_moments():
 
 def test_an_error_of_rounding_is_none_to_speak_of():
     figure = pp.plot(some_motion(off=1e-17))
-    ax = panel(figure, "posture error [m]")
+    ax = panel(figure, "point errors [m]")
     assert "below 2.5e-10 m throughout" in [text.get_text() for text in ax.texts]
     np.testing.assert_array_equal(ax.get_lines()[0].get_ydata(), 0.0)
     draw(figure)

@@ -108,6 +108,9 @@ def test_a_target_and_a_run_show_how_well_they_did(shown: Any, arm: pp.Arm) -> N
     run = pp.track(arm, target, arm.straight())
     page = shown(run)
     assert table(page)["status"] == f"converged: {run.reason}"
+    first, last = np.linalg.norm(run.points[[0, -1]] - target.points, axis=2)
+    assert table(page)["mean point error"].startswith(f"{first.mean():.4g} m at the start")
+    assert table(page)["largest point error"] == f"{last.max():.4g} m at the end"
     assert table(page)["steps"] == str(run.steps)
     assert picture(page).startswith(b"\x89PNG")
     bare = table(shown(pp.Target.from_points(arm, target.points)))

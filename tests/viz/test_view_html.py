@@ -105,7 +105,8 @@ def test_each_configuration_shown_is_described(tmp_path):
     page = Page(save_html(run.arm, run, tmp_path / "run.html").read_text(encoding="utf-8"))
     texts = page.constant("run")["texts"]
     assert len(texts) == run.steps + 1
-    assert f"posture error {run.posture_error[3]:.3g} m" in texts[3]
+    errors = np.linalg.norm(run.points[3] - run.target.points, axis=1)
+    assert f"mean point error {errors.mean():.3g} m (largest {errors.max():.3g} m)" in texts[3]
     assert f"{run.active[3].sum()} of 6 control points" in texts[3]
 
 

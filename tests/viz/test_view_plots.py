@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from arms import template_arm
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d import Axes3D, proj3d
 from sampling import cases
 
 import pinposture as pp
@@ -180,10 +180,64 @@ def test_a_figure_says_who_ran_how_it_ended_and_why():
     figure = pp.plot(run)
     assert titles(figure).startswith("Projection")
     assert " ".join(run.reason.split()) in titles(figure)
-    assert "threshold=" in figure.get_supxlabel()
+    words = "Projection with default parameters; limits: 0.1 rad per step; curve moved by"
+    assert figure.get_supxlabel().startswith(words)
     assert draw(figure).shape[1] == 1200
     long = replace(run, reason="word " * 100)
     assert max(map(len, pp.plot(long).get_suptitle().splitlines())) < 150
+
+
+def straighten(state, target):
+    """An objective of a user."""
+
+
+@pytest.mark.parametrize(
+    ("controller", "words"),
+    [
+        (pp.Geodesic(), "Geodesic with default parameters"),
+        (pp.Geodesic(joint_weight=0.5), "Geodesic with joint weight 0.5"),
+        (pp.Geodesic(tasks=(pp.EndEffector(position=(0.1, 0.0, 0.2)),)), "Geodesic with tasks EndEffector"),
+        (pp.Switching(projection=pp.Projection(gain=0.7)), "Switching with projection gain 0.7"),
+        ("Own(gain=2.0, shape=array([[1., 2.],\n [3., 4.]]))", "Own with gain 2.0, shape array"),
+        (pp.Selection(null_objective=straighten), "Selection with null objective straighten"),
+        ("<robot.lab.Own object at 0x7f00>", "Own"),
+    ],
+)
+def test_the_footnote_names_parameters_that_are_not_at_their_defaults(controller, words):
+    told = controller if isinstance(controller, str) else repr(controller)
+    assert palette.controller_text(replace(some_run(), controller=told)) == words
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (pp.Limits(step=0.05), "0.05 rad per step"),
+        (pp.Limits(step=None), "joint positions only"),
+        (pp.Limits(step=None, dt=0.02), "speeds of the arm, steps of 0.02 s"),
+        (
+            pp.Limits(None, np.linspace(1, 2, 12), dt=0.01, acceleration=4.0, jerk=50.0, position_margin=0.1),
+            "1 to 2 rad/s, 4 rad/s², 50 rad/s³, steps of 0.01 s, 0.1 rad from the ends of the joints",
+        ),
+    ],
+)
+def test_the_footnote_has_the_limits_in_words(limits, words):
+    assert palette.limits_text(replace(some_run(), limits=limits)) == f"limits: {words}"
+
+
+def test_the_arm_is_the_largest_panel_and_lies_within_its_room():
+    figure = pp.plot(some_run())
+    draw(figure)
+    postures, *others = figure.axes
+    sizes = [ax.get_position(original=True).size.prod() for ax in (postures, *others)]
+    assert sizes[0] > 2.0 * max(sizes[1:])
+    room = postures.get_position(original=True).transformed(figure.transFigure)
+    corners = np.array(np.meshgrid(postures.get_xlim(), postures.get_ylim(), postures.get_zlim())).reshape(
+        3, 8
+    )
+    x, y, _ = proj3d.proj_transform(*corners, postures.get_proj())
+    shown = postures.transData.transform(np.column_stack([x, y]))
+    assert np.all((shown > room.min) & (shown < room.max))
+    assert np.max(np.ptp(shown, axis=0) / room.size) > 0.65
 
 
 def test_text_that_looks_like_mathematics_is_shown_as_it_is():
@@ -263,7 +317,7 @@ def test_runs_that_lie_on_each_other_are_all_seen_in_a_comparison():
     low, high = len(drawn) - int(box.y1) - 5, len(drawn) - int(box.y0)
     inside = drawn[low:high, int(box.x0) : int(box.x1)]
     for name in names:
-        color = 255.0 * np.array(palette.rgb(palette.CONTROLLERS[name]))
+        color = 255.0 * np.array(palette.rgb(palette.CONTROLLER_COLORS[name]))
         assert (np.abs(inside - color).max(axis=2) < 40.0).sum() > 100
     labels = [text.get_window_extent() for text in panel.texts]
     assert len(labels) == 4
@@ -278,10 +332,10 @@ def test_a_comparison_draws_a_common_start_once_and_every_end_in_its_colour():
     assert labels.count("initial posture") == 1
     assert {"first", "second", "target curve"} <= set(labels)
     for (label, run), line in zip(runs.items(), counts.get_lines(), strict=True):
-        np.testing.assert_array_equal(lines(errors)[label].get_ydata(), run.posture_error)
+        np.testing.assert_array_equal(lines(errors)[label].get_ydata(), run.mean_error)
         np.testing.assert_array_equal(line.get_ydata(), run.active.sum(axis=1))
-    assert lines(errors)["first"].get_color() == palette.CONTROLLERS["selection"]
-    assert lines(errors)["second"].get_color() == palette.CONTROLLERS["projection"]
+    assert lines(errors)["first"].get_color() == palette.CONTROLLER_COLORS["selection"]
+    assert lines(errors)["second"].get_color() == palette.CONTROLLER_COLORS["projection"]
     starts = [
         line
         for line in postures.get_lines()
@@ -316,9 +370,29 @@ def test_several_runs_in_one_panel_all_fit():
     assert high > run.posture_error.max()
 
 
-def test_what_is_no_run_is_not_drawn():
-    with pytest.raises(InvalidValue, match=r"run is .*Target.*allowed: a Trajectory"):
-        pp.plot(helix())
+@pytest.mark.parametrize(
+    ("show", "words"),
+    [
+        (lambda: pp.plot(helix()), r"run is Target.*a Trajectory or .*pp\.view\(arm, target=target\)"),
+        (lambda: pp.plot(six_modules()), r"run is Arm.*pp\.plot_arm\(arm\)"),
+        (lambda: pp.plot([some_run()]), r"run is \[Traj.*pp\.plot_comparison"),
+        (lambda: pp.plot("run.npz"), r"run is 'run.npz'.*pp\.load"),
+        (lambda: pp.plot_arm(some_run()), r"arm is Traj.*an Arm; pp\.plot\(run\)"),
+        (lambda: pp.plot_comparison([some_run()]), r"runs is \[.*\{label: run"),
+        (lambda: pp.plot_comparison({"a": six_modules()}), r"runs\['a'\] is Arm.*a Trajectory; pp\.plot_arm"),
+        (lambda: pp.view(helix()), r"arm is Target.*an Arm; pp\.view\(arm, target=target\)"),
+        (lambda: pp.view(six_modules(), helix()), r"run is Target.*or None; pp\.view\(arm, target=target\)"),
+        (lambda: pp.view(six_modules(), scene="a.toml"), r"scene is 'a.toml'.*pp\.Scene\.load"),
+        (lambda: pp.animate(six_modules(), None), "run is None; allowed: a Trajectory or a Motion"),
+        (
+            lambda: pp.animate(six_modules(), some_run(), pp.Curve.line((0, 0), (1, 0))),
+            "target is Curve.*resolve",
+        ),
+    ],
+)
+def test_what_a_viewer_cannot_show_is_refused_with_the_function_that_can(show, words):
+    with pytest.raises(InvalidValue, match=words):
+        show()
 
 
 def test_runs_that_have_nothing_in_common_are_not_compared():
@@ -331,8 +405,8 @@ def test_runs_that_have_nothing_in_common_are_not_compared():
 def test_runs_of_one_controller_get_different_colours():
     assert len(set(palette.distinct_colors(["Selection()"] * 8))) == 8
     assert palette.distinct_colors(["Projection(x=1)", "selection"]) == [
-        palette.CONTROLLERS["projection"],
-        palette.CONTROLLERS["selection"],
+        palette.CONTROLLER_COLORS["projection"],
+        palette.CONTROLLER_COLORS["selection"],
     ]
 
 
@@ -348,7 +422,7 @@ def test_what_must_be_told_apart_differs_in_more_than_hue():
 
     assert contrast(palette.ACTIVE, palette.IDLE) > 1.8
     assert contrast(*palette.MODULES) > 2.0
-    for color in (palette.START, palette.TARGET, palette.INK, *palette.CONTROLLERS.values()):
+    for color in (palette.START, palette.TARGET, palette.INK, *palette.CONTROLLER_COLORS.values()):
         assert contrast(color, "#FFFFFF") > 2.0
     along = [luminance(color) for color in palette.ALONG]
     assert np.all(np.diff(along) > 0.0)

@@ -88,7 +88,7 @@ def test_points_used_are_dots_at_their_steps(selection):
         (step + 1, point + 1) for step, points in enumerate(selection.active_sets) for point in points
     }
     assert line.get_linestyle() == "None"
-    assert line.get_color() == palette.CONTROLLERS["selection"]
+    assert line.get_color() == palette.CONTROLLER_COLORS["selection"]
     assert ax.get_ylim() == (0, 6) and ax.get_xlim()[1] > selection.steps
 
 
@@ -129,8 +129,8 @@ def test_final_postures_have_the_colours_of_the_thesis(selection, projection):
         return any(each.shape == line.shape and np.allclose(each, line) for each in found)
 
     for ax in (whole, closer):
-        assert drawn(ax, selection.q[-1], palette.CONTROLLERS["selection"])
-        assert drawn(ax, projection.q[-1], palette.CONTROLLERS["projection"])
+        assert drawn(ax, selection.q[-1], palette.CONTROLLER_COLORS["selection"])
+        assert drawn(ax, projection.q[-1], palette.CONTROLLER_COLORS["projection"])
         assert drawn(ax, selection.q[0], palette.START) is (ax is whole)
     labels = [text.get_text() for text in whole.get_legend().get_texts()]
     assert {"initial posture", "Selection, final posture", "Projection, final posture"} <= set(labels)
