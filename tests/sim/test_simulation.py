@@ -281,7 +281,7 @@ def test_figures_show_the_data(case):
         np.testing.assert_array_equal(line.get_xdata(), ended.time)
         np.testing.assert_array_equal(line.get_ydata(), ended.joint_error[:, k])
     assert joints.get_yscale() == "linear"
-    assert figure.get_supxlabel().startswith("servos of 10 Hz, damping ratio 1, without gravity compensation")
+    assert figure.get_supxlabel().startswith(f"servos of {ended.servos.frequency:g} Hz, damping")
     assert joints.get_ylim()[1] > ended.joint_error.max()
     np.testing.assert_array_equal(
         posture.get_lines()[0].get_ydata(), ended.posture_error / ended.arm.n_modules
