@@ -31,10 +31,12 @@ class JointBounds(NamedTuple):
         bound: largest |dq|, (nv,) [rad or m]; infinite where there is no limit.
         travel: joint travel per step, median over the joints, at most `USUAL_STEP` [rad].
         edges: position limits with the margin, (2, nv) [rad or m].
-        brake: largest change of dq between steps, (nv,) [rad or m]; None: no limit.
+        brake: largest change of dq between steps of a controller, (nv,) [rad or m]; None: no limit. It is
+            `acceleration`, or less with a jerk limit (`JerkFilter`).
         units: unit of motion of each joint of the chain, (n,) [rad or m].
         slack: excess over a position limit beyond which a joint is brought back, (n,) [rad or m].
         dt: duration of a step [s]; None: undefined.
+        acceleration: largest change of dq between steps, (nv,) [rad or m]; None: no limit.
         jerk: largest change between steps of the change of dq, (nv,) [rad or m]; None: no limit.
 
     The arrays are passed to kernels. Do not write to them.
@@ -47,6 +49,7 @@ class JointBounds(NamedTuple):
     units: Array
     slack: Array
     dt: float | None
+    acceleration: Array | None
     jerk: Array | None
 
 
@@ -64,7 +67,7 @@ def joint_bounds(
     Raises:
         InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
     """
-    bound, brake, change_of_brake = np.full(arm.nv, np.inf), None, None
+    bound, brake, change, change_of_change = np.full(arm.nv, np.inf), None, None, None
     if step is not None:
         bound = np.minimum(bound, _per_joint("step", step, arm))
     if dt is not None:
@@ -72,13 +75,15 @@ def joint_bounds(
         bound = np.minimum(bound, speed * dt)
         if acceleration is not None:
             change = _per_joint("acceleration", acceleration, arm) * dt**2
-            brake = np.clip(change, 1e-100, 1e200)  # neither overflow nor division by zero
+            brake = change = np.clip(change, 1e-100, 1e200)  # neither overflow nor division by zero
             if jerk is not None:
-                change_of_brake = np.maximum(_per_joint("jerk", jerk, arm) * dt**3, 1e-100)
+                change_of_change = np.maximum(_per_joint("jerk", jerk, arm) * dt**3, 1e-100)
+                brake = _smoothable(arm, change, change_of_change)
     edges = _edges(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
-    return JointBounds(bound, travel, edges, brake, units, POSITION_SLACK * units, dt, change_of_brake)
+    slack = POSITION_SLACK * units
+    return JointBounds(bound, travel, edges, brake, units, slack, dt, change, change_of_change)
 
 
 def _edges(arm: Arm, margin: float) -> Array:
@@ -427,11 +432,32 @@ class Limits:
 # a_k = d_k - d_(k-1), its change of step changes by (a_k - a_(k-w)) / w, which is at most 2 A / w. Hence
 # w = ceil(2 A / J) for the joint with the largest ratio, the same for all joints: each configuration is then
 # a mean of unfiltered ones, and a straight path in joint space stays straight. On a curved one the arm cuts
-# the corner, by at most A w^2 / 24 = a^3 / (6 j^2) for a joint. It arrives w - 1 steps later.
+# the corner, by at most A (w^2 - 1) / 24 for a joint, about a^3 / (6 j^2). It arrives w - 1 steps later.
+# So A is not the acceleration limit, but less if need be: the joint then cuts no corner by more than e if
+# a <= (6 e j^2)^(1/3). This makes small motions faster as well: one over a distance D takes
+# 2 sqrt(D / a) + 2 a / j, which is least for a = (D j^2 / 4)^(1/3).
 # (Moving averages for smooth motions: Biagiotti and Melchiorri, Control Engineering Practice 20, 2012.)
 
 MAX_JERK_CYCLES = 10_000
 """Largest number of cycles over which steps are averaged."""
+
+MAX_CORNER_CUT = 0.005
+"""Largest deviation of a joint from its path due to a jerk limit, in `Arm.joint_units`."""
+
+
+def _smoothable(arm: Arm, change: Array, change_of_change: Array) -> Array:
+    """Return the acceleration, as in `JointBounds.brake`, with which no corner is cut too much."""
+    cut = MAX_CORNER_CUT * arm.joint_units
+    brake = np.minimum(change, np.cbrt(6.0 * cut) * change_of_change ** (2.0 / 3.0))
+    cycles = _filter_cycles(arm, brake, change_of_change)
+    return brake if cycles <= 1.0 else np.minimum(brake, 24.0 * cut / (cycles**2 - 1.0))
+
+
+def _filter_cycles(arm: Arm, brake: Array, change_of_change: Array) -> float:
+    """Return the number of steps to average, which is whole."""
+    finite = np.isfinite(change_of_change)
+    ratios = np.divide(2.0 * brake, change_of_change, out=np.zeros(arm.nv), where=finite)
+    return max(float(np.ceil(ratios[arm.columns].max() - 1e-9)), 1.0)
 
 
 class JerkFilter:
@@ -451,13 +477,10 @@ class JerkFilter:
     def __init__(self, arm: Arm, limits: Limits) -> None:
         bounds, cycles = limits.for_arm(arm), 1.0
         if bounds.brake is not None and bounds.jerk is not None:
-            ratios = np.where(np.isfinite(bounds.jerk), 2.0 * bounds.brake / bounds.jerk, 0.0)
-            cycles = float(np.ceil(ratios[arm.columns].max() - 1e-9))
+            cycles = _filter_cycles(arm, bounds.brake, bounds.jerk)
         if not cycles <= MAX_JERK_CYCLES:
-            least = f"at least 2 acceleration / ({MAX_JERK_CYCLES} dt)"
-            raise InvalidValue(
-                "jerk", limits.jerk, f"{least}, or steps are averaged over {cycles:.4g} cycles"
-            )
+            allowed = f"more; it averages steps over {cycles:.4g} cycles, {MAX_JERK_CYCLES} at most"
+            raise InvalidValue("jerk", limits.jerk, allowed)
         self.cycles = max(int(cycles), 1)
         self._steps = np.zeros((self.cycles, arm.nv))
         self._owed = np.arange(self.cycles)[:, None] / self.cycles

@@ -77,14 +77,14 @@ def limit_shares(run: Trajectory) -> Shares:
     limited = bool(np.any(np.isfinite(bounds.bound)))
     return Shares(
         speeds.max(axis=1) if limited else None,
-        None if bounds.brake is None else accelerations.max(axis=1),
+        None if bounds.acceleration is None else accelerations.max(axis=1),
     )
 
 
 def largest_shares(run: Trajectory) -> dict[str, float | None]:
     """Return the largest speed, acceleration and jerk relative to their limits; None without a limit."""
     bounds = run.limits.for_arm(run.arm)
-    limits = {"speed": bounds.bound, "acceleration": bounds.brake, "jerk": bounds.jerk}
+    limits = {"speed": bounds.bound, "acceleration": bounds.acceleration, "jerk": bounds.jerk}
     return {
         kind: None if limit is None or np.all(np.isinf(limit)) else float(shares.max(initial=0.0))
         for (kind, limit), shares in zip(limits.items(), _joint_shares(run), strict=True)
@@ -100,7 +100,7 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     for each in shares[1:]:
         each[run.steps - 1] = each[run.steps - 1 :].max(axis=0)
     rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
-    largest = (bounds.bound, bounds.brake, bounds.jerk)
+    largest = (bounds.bound, bounds.acceleration, bounds.jerk)
     over = np.stack(
         [
             each[: run.steps] - (0.0 if most is None else 2.0**order * rounding / most)
@@ -131,7 +131,7 @@ def _joint_shares(run: Trajectory) -> tuple[Array, Array, Array]:
     arm, bounds = run.arm, run.limits.for_arm(run.arm)
     moved = [arm.difference(a, b) for a, b in zip(run.q[:-1], run.q[1:], strict=True)]
     values, shares = np.reshape(moved, (run.steps, arm.nv)), []
-    for most in (bounds.bound, bounds.brake, bounds.jerk):
+    for most in (bounds.bound, bounds.acceleration, bounds.jerk):
         shares.append(np.abs(values) / (np.inf if most is None else most))
         values = np.diff(np.pad(values, ((1, 1), (0, 0))), axis=0)
     return shares[0], shares[1], shares[2]

@@ -601,7 +601,7 @@ class _Performance:
             text += "; it is outside the joint limits, or within their position margin"
         elif cycles > 1:
             text += f"; the jerk limit smooths the motion over {cycles * cycle_of(limits):.3g} s: hold the "
-            text += "posture for that long, allow more time, or raise the limit"
+            text += "posture for that long, allow more time, lower the acceleration limit, or raise this one"
         return text
 
     def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:

@@ -235,7 +235,7 @@ def test_a_motion_that_does_not_get_there_ends_with_code_1_and_is_kept_for_no_ro
 
 
 def test_a_keyframe_that_is_missed_is_a_fault(command, task, tmp_path):
-    limits = '[limits]\nacceleration = "6 rad/s^2"\njerk = "5 rad/s^3"'
+    limits = '[limits]\nacceleration = "6 rad/s^2"\njerk = "50 rad/s^3"\nposition_margin = "3 rad"'
     back = '[[keyframes]]\ntime = "2 s"\njoints = [0, 0, 0, 0, 0, 0, 0, 0]\n[output]'
     task.write_text(TASK.replace("[limits]", limits).replace("[output]", back))
     result = command("run", task, "-o", tmp_path / "out")
@@ -250,7 +250,7 @@ def test_a_keyframe_that_is_missed_is_a_fault(command, task, tmp_path):
     assert [place["missed"] for place in data["keyframes"]] == [False, True, False]
     # The largest jerk, from the configurations alone.
     q = np.concatenate([np.zeros((3, 8)), pp.load(tmp_path / "out" / "motion.npz").q, np.zeros((3, 8))])
-    assert data["largest_jerk"] == pytest.approx(np.abs(np.diff(q, 3, axis=0)).max() / 0.05**3 / 5.0)
+    assert data["largest_jerk"] == pytest.approx(np.abs(np.diff(q, 3, axis=0)).max() / 0.05**3 / 50.0)
     assert f"at most {100 * data['largest_jerk']:.4g} % of the limit" in words["jerk"]
 
 
