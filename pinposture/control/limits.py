@@ -533,6 +533,9 @@ def cycle_of(limits: object) -> float:
 SPEED_ROUNDING = 1e-6
 """Relative excess over the velocity limit of the description that is not reported."""
 
+IN_DEGREES = 10.0
+"""Ratio of a speed to that of the description above which it may be in degrees."""
+
 _NO_BOUND = np.empty(0)
 _MAX_CACHED = 16  # limits cached per arm
 
@@ -551,7 +554,9 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
         f"velocity {speed[worst]:.4g} {unit} is above the {known[worst]:.4g} {unit} that the description "
         f"of the arm allows joint {arm.joint_names[worst]!r}" + (f", and {more} others" if more else "")
     )
-    warnings.warn(f"{text}; is it in degrees?", PostureWarning, stacklevel=4)
+    if speed[worst] > IN_DEGREES * known[worst]:
+        text += "; is it in degrees?"
+    warnings.warn(text, PostureWarning, stacklevel=4)
 
 
 def _previous(arm: Arm, previous: Array | None) -> Array:

@@ -238,7 +238,7 @@ def test_a_taught_keyframe_has_no_curve_and_keeps_all_else() -> None:
     )
     assert (frames[1].time, frames[1].hold, frames[1].region) == (1.0, 0.5, (0, 3))
     assert all(frames[k] is before.motion[k] for k in (0, 2, 3))  # type: ignore[index]
-    with pytest.raises(TaskError, match="keyframe 2: joints is 9 for joint 1, whose limits"):
+    with pytest.raises(TaskError, match="keyframe 2: joints is 9 rad for joint 1 'm01_j1_y', whose limits"):
         edits.taught(1, np.full(12, 9.0))(before)
 
 

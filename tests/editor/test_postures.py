@@ -168,7 +168,7 @@ def test_a_posture_is_taught_to_a_keyframe_and_added_as_one() -> None:
     assert (session.keyframe.curve, session.keyframe.hold) == (None, 0.5)
     session.undo()
     teach(session.arm.configuration(np.full(12, 9.0)), session)
-    assert "joints is 9 for joint 1, whose limits are" in session.notice.text
+    assert "joints is 9 rad for joint 1 'm01_j1_y', whose limits are" in session.notice.text
     assert session.task is before
 
 

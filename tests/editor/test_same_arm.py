@@ -130,7 +130,7 @@ def test_a_posture_with_a_task_of_its_tip_is_the_same_arm(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("joints", "why"),
-    [((0.1, 0.2), "has 2 values, and the arm 12 joints"), ((0.0,) * 11 + (9.0,), "is 9 for joint 12")],
+    [((0.1, 0.2), "has 2 values; needed: 12"), ((0.0,) * 11 + (9.0,), "is 9 rad for joint 12")],
 )
 def test_joints_that_do_not_fit_the_arm_are_ignored_with_a_warning(
     joints: tuple[float, ...], why: str, tmp_path: Path

@@ -52,14 +52,14 @@ def test_what_cannot_be_run_is_refused(arm: pp.Arm, goal: pp.Target, change: dic
 RESOLVE_AGAIN = "the target belongs to another arm: resolve it for this one"
 
 
-def others() -> list[pp.Arm]:
-    """Arms with fewer modules, with fewer joints, and with longer links than that of the target."""
-    longer = pp.Arm.from_template("RyRz", 4, link_lengths=(0.04, 0.03))
-    return [pp.Arm.from_template("RyRz", 3), pp.Arm.from_template("Rz", 4), longer]
-
-
-@pytest.mark.parametrize("other", others(), ids=["modules", "joints", "links"])
-def test_a_target_of_another_arm_is_refused(arm: pp.Arm, other: pp.Arm) -> None:
+@pytest.mark.parametrize(
+    ("template", "modules", "links"),
+    [("RyRz", 3, None), ("Rz", 4, None), ("RyRz", 4, (0.04, 0.03))],  # fewer modules or joints; longer links
+)
+def test_a_target_of_another_arm_is_refused(
+    arm: pp.Arm, template: str, modules: int, links: tuple[float, ...] | None
+) -> None:
+    other = pp.Arm.from_template(template, modules, link_lengths=links)
     arc = pp.Curve.helix(0.2, 0.0, 0.5, axis=(0, 0, 1))
     target = pp.resolve_targets(arm, arc, placement="align")
     pp.track(arm, target, arm.straight(), max_steps=1)
