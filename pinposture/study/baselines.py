@@ -127,48 +127,20 @@ def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array
     return np.asarray(matrix.right.T @ (share * (matrix.left.T @ velocity)))
 
 
-def limit_step(
-    state: ArmState,
-    points: tuple[int, ...],
-    rows: int,
-    sigma: Array,
-    asked: Array,
-    limits: Limits,
-    previous: Array | None,
-) -> Step:
-    """Apply the limits to a step and add its diagnostics.
+class Request(NamedTuple):
+    """The step that a method asks for, before limits.
 
-    Args:
-        state: state before the step.
-        points: the control points that it moves.
+    Attributes:
+        dq: joint displacement, (nv,), in `Arm.joint_units`.
+        points: the control points that it moves, 0-based.
         rows: number of rows of the inverted matrix.
         sigma: its singular values in any order, at least one [m/rad].
-        asked: requested joint displacement, (nv,), in `Arm.joint_units`.
-        limits: the limits of the step.
-        previous: the previous step, (nv,) [rad or m], or None.
-
-    Returns:
-        The step. Its manipulability index is the smallest of its points relative to the base.
     """
-    arm = state.arm
-    # Joints off the chain have zero columns, but singular vectors only up to rounding error.
-    moved = asked * arm.joint_units * arm.moved
-    limited = limits.apply(state, moved, previous)
-    diagnostics = Diagnostics(
-        limited.clipped,
-        manipulability=float(state.manipulability()[0, np.array(points) + 1].min()),
-        spectrum=SingularValues(float(sigma.min()), float(sigma.max())),
-        rows=rows,
-        scale=limited.scale,
-    )
-    return Step(limited.dq, points, diagnostics, Memory(limited.dq))
 
-
-def hold_step(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
-    """Return a step that only brakes, if the arm moves, with the reason."""
-    still = limits.hold(state, previous)
-    none = Diagnostics(still.clipped, reason, scale=still.scale)
-    return Step(still.dq, (), none, Memory(still.dq))
+    dq: Array
+    points: tuple[int, ...]
+    rows: int
+    sigma: Array
 
 
 class Baseline(ABC):
@@ -177,16 +149,32 @@ class Baseline(ABC):
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
-        """Compute one step; see `Controller.step`."""
+        """Compute one step; see `Controller.step`.
+
+        Its manipulability index is the smallest of its points relative to the base.
+        """
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
-        if not np.any(target.has_target):
-            return hold_step(state, "no control point has a target", limits, previous)
-        return self._step(state, target, limits, previous)
+        has_target = bool(np.any(target.has_target))
+        asked = self._request(state, target) if has_target else "no control point has a target"
+        if isinstance(asked, str):
+            still = limits.hold(state, previous)
+            return Step(still.dq, (), Diagnostics(still.clipped, asked, scale=still.scale), Memory(still.dq))
+        # Joints off the chain have zero columns, but singular vectors only up to rounding error.
+        moved = asked.dq * state.arm.joint_units * state.arm.moved
+        limited = limits.apply(state, moved, previous)
+        diagnostics = Diagnostics(
+            limited.clipped,
+            manipulability=float(state.manipulability()[0, np.array(asked.points) + 1].min()),
+            spectrum=SingularValues(float(asked.sigma.min()), float(asked.sigma.max())),
+            rows=asked.rows,
+            scale=limited.scale,
+        )
+        return Step(limited.dq, asked.points, diagnostics, Memory(limited.dq))
 
     @abstractmethod
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
-        """Compute one step; at least one control point has a target."""
+    def _request(self, state: ArmState, target: Target) -> Request | str:
+        """Return the step to make, or why there is none; at least one control point has a target."""
 
 
 @dataclass(frozen=True)
@@ -212,14 +200,14 @@ class NullSpaceMethod(Baseline):
     def _task(self, state: ArmState, target: Target) -> BaselineTask:
         """Return the control points to move."""
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _request(self, state: ArmState, target: Target) -> Request | str:
         task = self._task(state, target)
         matrix = decompose(task.jacobian)
         kappa = np.zeros(state.arm.nv)
         if self.objective is not None:
             kappa = self.null_gain * objective_gradient(self.objective, state, task.end_effector)
         asked = pseudo_inverse_step(regular_part(matrix), self.gain * task.errors, kappa)
-        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return Request(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -272,12 +260,12 @@ class DampedLeastSquares(Baseline):
         require_positive("damping", self.damping)
         require_positive("gain", self.gain)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _request(self, state: ArmState, target: Target) -> Request | str:
         task = all_points_task(state, target)
         matrix = decompose(task.jacobian)
         damping = (self.damping * state.arm.length) ** 2
         asked = damped_step(matrix, self.gain * task.errors, damping)
-        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return Request(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -299,14 +287,14 @@ class LevenbergMarquardt(Baseline):
     def __post_init__(self) -> None:
         require_positive("bias", self.bias)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _request(self, state: ArmState, target: Target) -> Request | str:
         task = all_points_task(state, target)
         weights = np.repeat(np.sqrt(target.weights[list(task.points)]), state.arm.dimension)
         matrix = decompose(weights[:, None] * task.jacobian)
         errors, length = weights * task.errors, state.arm.length
         damping = 0.5 * float(errors @ errors) + self.bias * length**2
         asked = damped_step(matrix, errors, damping)
-        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return Request(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -337,7 +325,7 @@ class TaskConstraints(Baseline):
             require_whole("constraints", self.constraints, 0)
         require_positive("gain", self.gain)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _request(self, state: ArmState, target: Target) -> Request | str:
         primary = end_effector_task(state, target)
         left, every, right = np.linalg.svd(primary.jacobian)
         matrix = regular_part(Decomposition(left, every, right[: len(every)]))
@@ -346,7 +334,7 @@ class TaskConstraints(Baseline):
         asked = matrix.right.T @ ((matrix.left.T @ (self.gain * primary.errors)) / matrix.sigma)
         secondary = self._constraints(state, target, primary, rank)
         if not secondary.points:
-            return limit_step(state, primary.points, len(primary.errors), every, asked, limits, previous)
+            return Request(asked, primary.points, len(primary.errors), every)
         # J_c (I - J^+J) has the singular values of J_c V with the basis V, without a final projection.
         projected = decompose(secondary.jacobian @ null.T)
         inverted = regular_part(projected)
@@ -354,7 +342,7 @@ class TaskConstraints(Baseline):
         asked = asked + null.T @ (inverted.right.T @ ((inverted.left.T @ missing) / inverted.sigma))
         rows = len(primary.errors) + len(secondary.errors)
         sigma = np.concatenate([every, projected.sigma])
-        return limit_step(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
+        return Request(asked, secondary.points + primary.points, rows, sigma)
 
     def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
         """Return the task of the other control points that (2.9) allows."""
@@ -410,28 +398,18 @@ class ExtendedJacobian(Baseline):
         require_positive("gain", self.gain)
         require_positive("restore", self.restore, zero=True)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _request(self, state: ArmState, target: Target) -> Request | str:
         task = end_effector_task(state, target)
         columns, extended, constraint = self.system(state, task)
         if len(extended) < len(columns):
-            return hold_step(
-                state,
-                "the Jacobian of the end-effector is singular: there is no extended Jacobian",
-                limits,
-                previous,
-            )
+            return "the Jacobian of the end-effector is singular: there is no extended Jacobian"
         matrix = decompose(extended)
         if matrix.sigma[-1] <= RANK * matrix.sigma[0]:
-            return hold_step(
-                state,
-                f"the extended Jacobian is singular: {self.objective} has no single extremum",
-                limits,
-                previous,
-            )
+            return f"the extended Jacobian is singular: {self.objective} has no single extremum"
         velocity = np.concatenate([self.gain * task.errors, -self.restore * constraint])
         asked = np.zeros(state.arm.nv)
         asked[columns] = pseudo_inverse_step(matrix, velocity, np.zeros(len(columns)))
-        return limit_step(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
+        return Request(asked, task.points, len(extended), matrix.sigma)
 
     def system(self, state: ArmState, task: BaselineTask) -> tuple[NDArray[np.intp], Array, Array]:
         """Return the extended Jacobian J_e and the constraint f_c.

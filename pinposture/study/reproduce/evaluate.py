@@ -14,7 +14,7 @@ from pinposture.control import Controller
 from pinposture.motion.processes import in_order
 from pinposture.study.claims import CLAIMS, Claim
 from pinposture.study.reproduce import measures
-from pinposture.study.reproduce.measures import RULES, Finding, Share, Verdict, judge, share
+from pinposture.study.reproduce.measures import MEASURES, RULES, Finding, Share, Verdict, judge, share
 from pinposture.study.reproduce.runs import (
     ANY_STEP,
     DEFAULT,
@@ -227,14 +227,6 @@ POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
 }
 """Measures of the claims of `pinposture.study.claims.POSTURES`."""
 
-
-MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
-    **measures.TRACKING_MEASURES,
-    **measures.MOVING_MEASURES,
-    **measures.SINGULAR_MEASURES,
-    **measures.CHOOSING_MEASURES,
-}
-"""Measures of all claims about runs; those about postures are in `POSTURES_MEASURES`."""
 
 _PROJECTIONS = ("projection", "projection, full", "projection, local", "projection, kappa 0.6")
 _SCORES = ("selection, (4.8)", "selection, (4.8) relative")
