@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -52,9 +53,7 @@ class PostureCycle(NamedTuple):
         arm: name of the arm.
         target: what is known of the postures: their "configuration", or only their "points".
         seed: seed of the cycle.
-        drift: see `Rounds`.
-        error: see `Rounds`.
-        steps: see `Rounds`.
+        drift, error, steps: see `Rounds`.
     """
 
     arm: str
@@ -135,14 +134,8 @@ def study_cycles(
     for known in knowledge:
         if known not in CYCLE_KNOWLEDGE:
             raise UnknownName("knowledge of the target", known, CYCLE_KNOWLEDGE)
-    chosen = named_controllers([controller])[0]
     seeds = range(first_seed, first_seed + cycles)
-    cases = (
-        (subject, known, seed, rounds, chosen)
-        for subject in subjects
-        for known in knowledge
-        for seed in seeds
-    )
+    cases = product(subjects, knowledge, seeds, [rounds], named_controllers([controller]))
     return run_all(_one, cases, jobs, progress)
 
 

@@ -17,6 +17,7 @@ from pinposture.study.reproduce import measures
 from pinposture.study.reproduce.measures import MEASURES, RULES, Finding, Share, Verdict, judge, share
 from pinposture.study.reproduce.runs import (
     ANY_STEP,
+    ARM_NAMES,
     DEFAULT,
     READINGS,
     SWITCHING_READINGS,
@@ -35,7 +36,6 @@ from pinposture.study.scenarios import arbitrary_configuration
 
 Array = NDArray[np.float64]
 
-ARM_NAMES = {"ryrz20": "spatial", "planar45": "planar"}
 KINDS = ("smooth", "any")
 """Postures like the arbitrary ones of the runs, and with every joint anywhere within its limits."""
 

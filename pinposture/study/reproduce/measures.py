@@ -43,12 +43,7 @@ RULES: Mapping[str, Rule] = {
 
 
 class Share(NamedTuple):
-    """The number of cases in which a claim is true.
-
-    Attributes:
-        true: number of cases in which it is true.
-        cases: number of all cases.
-    """
+    """The number of cases in which a claim is true, of all cases."""
 
     true: int
     cases: int

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +17,7 @@ from pinposture.control import Controller
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress, check_jobs, in_order
-from pinposture.storage import check_writable, write_bytes, write_text
+from pinposture.storage import check_writable, write_bytes, write_json, write_table, write_text
 from pinposture.study.baselines import named_controllers
 from pinposture.study.claims import FIGURES, ThesisFigure
 from pinposture.study.reproduce.evaluate import (
@@ -87,6 +86,10 @@ class FigureSettings:
                 if name not in known:
                     raise UnknownName(kind, name, known)
 
+    def seed_of(self, figure: ThesisFigure) -> int:
+        """Return the seed of start and target of a figure."""
+        return figure.seed if self.seed is None else self.seed
+
 
 METHODS = ("selection", "projection", "switching")
 """Methods of the thesis, by controller name."""
@@ -148,26 +151,21 @@ def run_figures(
         done[key] = run
         if progress is not None:
             progress(1)
-    figures = []
-    for about in listed:
-        seed = about.seed if settings.seed is None else settings.seed
-        found = {
-            name: done[about.scenario, name, seed] for name in (*about.controllers, *about.compared, *own)
-        }
-        ours = {name.capitalize(): found[name] for name in about.controllers}
-        beside = {name.capitalize(): found[name] for name in about.compared}
-        figures.append(FigureRuns(about, ours | {name: found[name] for name in own}, beside, seed))
-    return figures
+
+    def show(about: ThesisFigure) -> FigureRuns:
+        seed = settings.seed_of(about)
+        runs = {name.capitalize(): done[about.scenario, name, seed] for name in about.controllers}
+        runs |= {name: done[about.scenario, name, seed] for name in own}
+        compared = {name.capitalize(): done[about.scenario, name, seed] for name in about.compared}
+        return FigureRuns(about, runs, compared, seed)
+
+    return [show(about) for about in listed]
 
 
 def count_runs(
     numbers: Iterable[str], own: Iterable[str] = (), settings: FigureSettings | None = None
 ) -> int:
-    """Return the number of runs for these figures and the names of the user's own controllers.
-
-    Raises:
-        UnknownName: there is no such figure.
-    """
+    """Return the number of runs for these figures and own controllers; raises as `run_figures`."""
     return len(_todo([_figure(number) for number in numbers], own, settings or FigureSettings()))
 
 
@@ -182,7 +180,7 @@ def _todo(
 ) -> list[tuple[str, str, int]]:
     """Return scenario, controller and seed of each run, without duplicates."""
     wanted = (
-        (figure.scenario, name, figure.seed if settings.seed is None else settings.seed)
+        (figure.scenario, name, settings.seed_of(figure))
         for figure in figures
         for name in (*figure.controllers, *figure.compared, *own)
     )
@@ -203,8 +201,8 @@ def draw_figure(figure: FigureRuns, width: float | None = None) -> Figure:
     return (draw_final_postures if about.layout == "postures" else draw_errors)(figure.runs, title, width)
 
 
-def figure_tables(figure: FigureRuns) -> dict[str, str]:
-    """Return the data of a figure as CSV by file name: errors for each step, and postures."""
+def figure_tables(figure: FigureRuns) -> dict[str, list[Sequence[object]]]:
+    """Return the rows of tables by file name: errors for each step, and postures."""
     every, found = {**figure.runs, **figure.compared}, {}
     if figure.about.layout != "postures":
         points = next(iter(every.values())).arm.n_modules
@@ -220,7 +218,7 @@ def figure_tables(figure: FigureRuns) -> dict[str, str]:
                     by_projection = int(run.method[step - 1] == "projection")
                     told = (used[step - 1], run.index[step - 1], by_projection)
                 rows.append((name, step, run.posture_error[step], *told, *errors))
-        found[f"{figure.stem}.csv"] = _csv(rows)
+        found[f"{figure.stem}.csv"] = rows
     if figure.about.layout != "errors":
         rows = [("posture", "point", "x_m", "y_m", "z_m")]
         first = next(iter(every.values()))
@@ -228,14 +226,8 @@ def figure_tables(figure: FigureRuns) -> dict[str, str]:
         postures |= {f"final, {name}": run.points[-1] for name, run in every.items()}
         for name, posture in postures.items():
             rows += [(name, k + 1, *point) for k, point in enumerate(posture)]
-        found[f"{figure.stem}-postures.csv"] = _csv(rows)
+        found[f"{figure.stem}-postures.csv"] = rows
     return found
-
-
-def _csv(rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 def describe_figure(figure: FigureRuns) -> dict[str, Any]:
@@ -283,14 +275,7 @@ VERSION = 2
 def describe(
     figures: Sequence[FigureRuns], judged: Sequence[JudgedClaim], evidence: Evidence | None, max_steps: int
 ) -> dict[str, Any]:
-    """Return all results as JSON-compatible data.
-
-    Args:
-        figures: the reproduced figures.
-        judged: the judged claims.
-        evidence: the data by which they were judged; None if there are none.
-        max_steps: maximum number of steps of a run.
-    """
+    """Return all results as JSON-compatible data; without evidence there are no judged claims."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -451,7 +436,7 @@ def reproduce(
         kept = {name: results[name] for name in ("format", "version", "parameters", "claims")}
         files += [Path(page), Path(page).with_suffix(".json")]
         update_page(files[-2], kept)
-        write_text(files[-1], json.dumps(kept, indent=1, allow_nan=False) + "\n")
+        write_json(files[-1], kept)
     return Reproduction(figures, judged, results, files)
 
 
@@ -489,15 +474,15 @@ def _write(
             drawn.savefig(picture, format=form, dpi=100 if settings.width is None else 300)
             files.append(directory / f"{figure.stem}.{form}")
             write_bytes(files[-1], picture.getvalue())
-        for name, text in figure_tables(figure).items():
+        for name, rows in figure_tables(figure).items():
             files.append(directory / name)
-            write_text(files[-1], text)
+            write_table(files[-1], rows)
     if results["claims"]:
         files.append(directory / CLAIMS_TABLE)
         write_text(files[-1], claims_as_markdown(results))
     files.append(directory / RESULTS)
     kept = _with_earlier(results, files[-1], bool(results["claims"]))
-    write_text(files[-1], json.dumps(kept, indent=1, allow_nan=False) + "\n")
+    write_json(files[-1], kept)
     return files
 
 
