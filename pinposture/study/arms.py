@@ -329,11 +329,6 @@ def draw_case(subject: Subject, family: Family, seed: int) -> tuple[Array, Targe
     Starts and targets are drawn from separate streams, so that a seed has the same start for every kind of
     target, and the same target for every kind of start. Each target includes its configuration.
 
-    Args:
-        subject: the arm.
-        family: kind of case.
-        seed: a whole number >= 0.
-
     Raises:
         UnknownName: no such kind of start, or a kind of target that this arm cannot take.
         InvalidValue: a "folded" target for an arm that cannot fold back.

@@ -65,11 +65,8 @@ class PositionDerivatives:
         The triple product a x (b x c) = b (a . c) - c (a . b) splits each term into factors of one joint
         each, so that the sum can be computed by running sums over the chain.
 
-        Args:
-            weights: one vector for each joint, (d, n), along the task directions.
-
-        Returns:
-            Array (n, n): sum over t of weights[:, t] . d3 p / dq_u dq_v dq_t.
+        With weights (d, n) along the task directions, this is the array (n, n) of the sums over t of
+        weights[:, t] . d3 p / dq_u dq_v dq_t.
         """
         axes, columns = self.axes, self.jacobian.T
         lifted = weights.T @ self.plane  # (n, 3)
@@ -103,12 +100,7 @@ RANK = 1e-12
 
 
 def manipulability_measure(state: ArmState, point: int) -> float:
-    """Return the product w of the singular values of the position Jacobian (3.3), relative to length^d.
-
-    Args:
-        state: the state of the arm.
-        point: control point, 0-based.
-    """
+    """Return the product w of the singular values of the position Jacobian (3.3), relative to length^d."""
     sigma = np.linalg.svd(state.task_jacobians[point], compute_uv=False)
     return float(np.prod(sigma / state.arm.length))
 
@@ -198,13 +190,7 @@ def require_objective(objective: str | None) -> None:
 
 
 def objective_value(objective: Objective, state: ArmState, end_effector: int) -> float:
-    """Return the value h of an objective function; higher is better.
-
-    Args:
-        objective: name of the function.
-        state: the state of the arm.
-        end_effector: the control point with the task, 0-based.
-    """
+    """Return the value h of an objective function; higher is better. The end-effector is 0-based."""
     if objective == "manipulability":
         return manipulability_measure(state, end_effector)
     rooms = np.concatenate(_rooms(state))

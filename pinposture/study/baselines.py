@@ -94,13 +94,8 @@ def decompose(matrix: Array) -> Decomposition:
 def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array) -> Array:
     """Return J^+ dr + (I - J^+ J) g: the velocities exactly, and g as far as they allow (2.6).
 
-    Args:
-        matrix: decomposition of J; its smallest singular value is positive.
-        velocity: desired velocities of the rows, (r,) [m].
-        gradient: desired joint displacement, (nv,), in the units of the columns of J.
-
-    Returns:
-        Joint displacement (nv,) in the same units.
+    Here dr are the desired velocities of the rows, (r,) [m], and g is the gradient, a desired joint
+    displacement, (nv,), in the units of the columns of J, like the result. J has full row rank.
     """
     along = matrix.right @ gradient
     return np.asarray(gradient + matrix.right.T @ ((matrix.left.T @ velocity) / matrix.sigma - along))
@@ -113,15 +108,9 @@ def regular_part(matrix: Decomposition) -> Decomposition:
 
 
 def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array:
-    """Return the dq that minimises |J dq - dr|^2 + damping |dq|^2, for damping > 0.
+    """Return the dq, (nv,), that minimises |J dq - dr|^2 + damping |dq|^2, for damping > 0.
 
-    Args:
-        matrix: decomposition of J.
-        velocity: desired velocities of the rows dr, (r,).
-        damping: weight of the step, in the units of J squared.
-
-    Returns:
-        Joint displacement (nv,) in the units of the columns of J.
+    Here dr are the desired velocities of the rows, (r,), and the damping is in the units of J squared.
     """
     share = matrix.sigma / (matrix.sigma**2 + damping)
     return np.asarray(matrix.right.T @ (share * (matrix.left.T @ velocity)))

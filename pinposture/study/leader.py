@@ -77,9 +77,7 @@ def fed_arm(name: str) -> Arm:
 
 
 def bent_path(shape: str, curvature: float) -> Curve:
-    """Return a path of constant curvature [1/m].
-
-    It is nearly as long as the arm, but an arc is at most three quarters of a turn.
+    """Return a path of constant curvature [1/m], nearly as long as the arm; arcs turn by at most 270 degrees.
 
     Raises:
         UnknownName: there is no such shape.

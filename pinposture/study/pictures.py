@@ -31,9 +31,6 @@ def draw_postures(records: Sequence[Record]) -> Figure:
     on the right the path lengths of the control points in runs that moved and came near. Boxes reach from the
     first to the third quartile, whiskers from the 10th to the 90th percentile.
 
-    Args:
-        records: the runs.
-
     Raises:
         InvalidValue: no run.
     """
@@ -56,10 +53,8 @@ def draw_headings(records: Sequence[Record]) -> Figure:
     """Draw the results of `study_headings`.
 
     A row for each arm, both panels against the largest change of heading: the share of runs that end near the
-    target within the limits, and the path lengths of the control points, as in `draw_postures`.
-
-    Args:
-        records: the runs; those with unknown `turn` are skipped.
+    target within the limits, and the path lengths of the control points, as in `draw_postures`. Runs with
+    unknown `turn` are skipped.
 
     Raises:
         InvalidValue: no run.
@@ -73,13 +68,10 @@ def draw_headings(records: Sequence[Record]) -> Figure:
         ax = figure.add_subplot(grid[i, 0])
         for controller, color, offset, width in _side_by_side(controllers):
             found = [bins[arm, name, controller] for name in BINS if (arm, name, controller) in bins]
-            shares = [each.reached / each.runs if each.runs else 0.0 for each in found]
             places = np.arange(len(found)) + offset
             # A share of zero would be invisible.
-            seen = [
-                max(share, 0.008) if each.runs else 0.0 for share, each in zip(shares, found, strict=True)
-            ]
-            ax.bar(places, seen, 0.9 * width, color=color, label=controller)
+            shares = [max(each.reached / each.runs, 0.008) if each.runs else 0.0 for each in found]
+            ax.bar(places, shares, 0.9 * width, color=color, label=controller)
         ax.set_xticks(range(len(BINS)), BINS)
         ax.set_ylim(0.0, 1.2)  # room for the legend
         ax.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
@@ -101,10 +93,7 @@ def _present(records: Sequence[Record]) -> tuple[list[str], list[str]]:
     """Return the names of the arms and of the controllers."""
     if not records:
         raise InvalidValue("records", list(records), "at least one run")
-    return (
-        distinct(record.arm for record in records),
-        distinct(record.controller for record in records),
-    )
+    return distinct(each.arm for each in records), distinct(each.controller for each in records)
 
 
 def _figure(height: float) -> Figure:
@@ -227,10 +216,7 @@ def draw_leader(found: Sequence[Following]) -> Figure:
     """Draw the results of `study_leader`.
 
     A panel for each shape of path: the largest distance of any part of the arm against curvature times module
-    length, and the sagitta of a module whose ends are on the path.
-
-    Args:
-        found: the results; refused paths are skipped.
+    length, and the sagitta of a module whose ends are on the path. Refused paths are skipped.
 
     Raises:
         InvalidValue: no result.

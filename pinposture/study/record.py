@@ -387,13 +387,7 @@ def write_records(
 ) -> Path:
     """Write a CSV file with one row for each run and a header of field names, at full precision.
 
-    Args:
-        records: the runs, named tuples with those fields.
-        path: the file.
-        fields: names of the fields.
-
-    Returns:
-        The path of the file.
+    The runs are named tuples with those fields. The path of the file is returned.
 
     Raises:
         FileError: the file cannot be written.
