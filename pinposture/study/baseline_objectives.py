@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import ArmState
-from pinposture.errors import UnknownName
 
 # Second and third derivatives of the position of a control point, in closed form.
 #
@@ -181,12 +180,6 @@ outwards; so within `NEAREST` of a limit it is continued along its tangent, whic
 
 NEAREST = 0.1
 """Distance to a limit, in `Arm.joint_units`, within which (2.8) is continued along its tangent."""
-
-
-def require_objective(objective: str | None) -> None:
-    """Raise UnknownName unless it is the name of an objective function, or None."""
-    if objective is not None and objective not in OBJECTIVES:
-        raise UnknownName("objective", objective, OBJECTIVES)
 
 
 def objective_value(objective: Objective, state: ArmState, end_effector: int) -> float:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.arm import ArmState
 from pinposture.control.controller import (
     Controller,
@@ -23,15 +23,15 @@ from pinposture.control.controller import (
 )
 from pinposture.control.limits import Limits
 from pinposture.control.registry import CONTROLLERS, controller_named
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.study.baseline_objectives import (
+    OBJECTIVES,
     RANK,
     Objective,
     PositionDerivatives,
     objective_gradient,
     objective_hessian,
-    require_objective,
 )
 
 Array = NDArray[np.float64]
@@ -181,7 +181,8 @@ class NullSpaceMethod(Baseline):
     null_gain: float = 0.1
 
     def __post_init__(self) -> None:
-        require_objective(self.objective)
+        if self.objective is not None:
+            require_known("objective", self.objective, OBJECTIVES)
         require_positive("gain", self.gain)
         require_positive("null_gain", self.null_gain, zero=True)
 
@@ -381,9 +382,7 @@ class ExtendedJacobian(Baseline):
     name: str = "extended"
 
     def __post_init__(self) -> None:
-        if self.objective is None:
-            raise UnknownName("objective", None, ("manipulability", "joint_limits"))
-        require_objective(self.objective)
+        require_known("objective", self.objective, OBJECTIVES)
         require_positive("gain", self.gain)
         require_positive("restore", self.restore, zero=True)
 

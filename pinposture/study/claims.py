@@ -37,7 +37,14 @@ class Claim:
 
 always, usually, rather = partial(Claim, "always"), partial(Claim, "usually"), partial(Claim, "rather")
 
-TRACKING = (
+ALL_POINTS = (
+    "a module has a singular value of at least half its length in every posture, so that no point is left "
+    "out while kappa is below 0.5"
+)
+HALF_THE_POINTS = f"Selection never has two neighbours, half of the points at most; and {ALL_POINTS}"
+
+_CLAIMS = (
+    # Postures that the arm reaches.
     usually(
         "tracks-arbitrary",
         "Abstract; 1.2; 6.3 (1); 7",
@@ -148,11 +155,7 @@ TRACKING = (
         "every module on the target curve.",
         "cases with all control point targets within 1e-5 of the arm length of the curve, which is sampled",
     ),
-)
-"""Claims about the postures that the arm reaches."""
-
-
-MOVING = (
+    # Motion of the arm.
     usually(
         "selection-monotone",
         "6.1.2; 6.2.1",
@@ -250,18 +253,7 @@ MOVING = (
         ("selection", "projection"),
         general=True,
     ),
-)
-"""Claims about how the arm moves."""
-
-
-ALL_POINTS = (
-    "a module has a singular value of at least half its length in every posture, so that no point is left "
-    "out while kappa is below 0.5"
-)
-
-HALF_THE_POINTS = f"Selection never has two neighbours, half of the points at most; and {ALL_POINTS}"
-
-POINTS = (
+    # Control points in use.
     usually(
         "many-points",
         "6.2.1",
@@ -322,10 +314,7 @@ POINTS = (
         "steps whose posture control matrix has full row rank",
         ("projection",),
     ),
-)
-"""Claims about the control points in use."""
-
-SWITCHING = (
+    # Switching between the methods.
     rather(
         "switching-lower",
         "6.2.4; 6.3 (5)",
@@ -348,13 +337,7 @@ SWITCHING = (
         "runs in which Projection makes at most half of the steps",
         ("switching",),
     ),
-)
-"""Claims about switching between the methods."""
-
-CHOOSING = POINTS + SWITCHING
-
-
-POSTURES = (
+    # Postures and sets of control points, independent of the controller.
     always(
         "absolute-carries-over",
         "4.3",
@@ -398,12 +381,8 @@ POSTURES = (
         "full row rank",
     ),
 )
-"""Claims about postures and sets of control points, independent of the controller."""
 
-
-CLAIMS: Mapping[str, Claim] = MappingProxyType(
-    {claim.id: claim for claim in TRACKING + MOVING + CHOOSING + POSTURES}
-)
+CLAIMS: Mapping[str, Claim] = MappingProxyType({claim.id: claim for claim in _CLAIMS})
 """All claims by id."""
 
 

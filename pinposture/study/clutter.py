@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import Vector
+from pinposture._validation import Vector, require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scan, Scene, Sphere
 from pinposture.collision.pipe import Bend, pipe_axis, pipe_walls
 from pinposture.control import Limits, plan
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, PostureWarning, UnknownName
+from pinposture.errors import InvalidValue, PostureError, PostureWarning
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import Progress
 from pinposture.motion.trajectory import path_length_ratio
@@ -197,8 +197,7 @@ def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
         UnknownName: there is no such kind.
         InvalidValue: no draw was clear.
     """
-    if kind not in KINDS_OF_CLUTTER:
-        raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
+    require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
     rng = np.random.default_rng(seed)
     for _ in range(MAX_DRAWS):
         obstacles, start, goal = KINDS_OF_CLUTTER[kind](arm, rng)
@@ -406,8 +405,7 @@ def study_clutter(
     """
     check_study(first_seed, seeds=seeds, kinds=kinds)
     for kind in kinds:
-        if kind not in KINDS_OF_CLUTTER:
-            raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
+        require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
     cases = product([situation_arm()], kinds, range(first_seed, first_seed + seeds))
     return run_all(solve_problem, cases, jobs, progress)
 

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.control import Controller
-from pinposture.errors import UnknownName
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target
 from pinposture.study.arms import Subject
@@ -132,8 +132,7 @@ def study_cycles(
     """
     check_study(first_seed, cycles=cycles, rounds=rounds, subjects=subjects, knowledge=knowledge)
     for known in knowledge:
-        if known not in CYCLE_KNOWLEDGE:
-            raise UnknownName("knowledge of the target", known, CYCLE_KNOWLEDGE)
+        require_known("knowledge of the target", known, CYCLE_KNOWLEDGE)
     seeds = range(first_seed, first_seed + cycles)
     cases = product(subjects, knowledge, seeds, [rounds], named_controllers([controller]))
     return run_all(_one, cases, jobs, progress)

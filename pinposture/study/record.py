@@ -246,12 +246,7 @@ GROUPS = ("smooth", "harsh", "straight and noise", "folds")
 
 
 class Spread(NamedTuple):
-    """Median and 90th percentile of a quantity over many runs.
-
-    Attributes:
-        median: its median.
-        high: its 90th percentile.
-    """
+    """Median of a quantity over many runs and, as `high`, its 90th percentile."""
 
     median: float
     high: float
@@ -317,11 +312,7 @@ def family_of(record: Record) -> str:
 
 
 def summarise(records: Sequence[Record], families: bool = False) -> list[SummaryRow]:
-    """Summarise runs by arm, group and controller.
-
-    Args:
-        records: the runs.
-        families: group runs by family instead of by `GROUPS`.
+    """Summarise runs by arm, group and controller, or by family instead of `GROUPS`.
 
     Returns:
         One row for each controller in each group of each arm; arms, controllers and families in order of
@@ -424,17 +415,10 @@ def keep_study(
     figures: Mapping[str, Figure],
     fields: Sequence[str] = Record._fields,
 ) -> list[Path]:
-    """Write a study to a directory, created if necessary; each file is written atomically.
+    """Write a study to a directory, created if necessary, and return the paths of its files.
 
-    Args:
-        directory: the directory.
-        records: the runs, for cases.csv.
-        summary: JSON-compatible summary, for summary.json.
-        figures: figures by file name, written as PNG.
-        fields: names of the fields of a run.
-
-    Returns:
-        Paths of the files.
+    The runs are written to cases.csv under the names of their fields, the JSON-compatible summary to
+    summary.json, and the figures, by file name, as PNG; each file is written atomically.
 
     Raises:
         FileError: a file cannot be written.

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Obstacle, Scene, Sphere
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target
@@ -71,13 +72,7 @@ class Situation(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """Start and target of one seed.
-
-    Attributes:
-        start: configuration, (nq,).
-        goal: target configuration, (nq,).
-        refused: number of rejected draws that were not as clear as required.
-    """
+    """Start and target, (nq,), of one seed, and the number of draws refused because they were not clear."""
 
     start: Array
     goal: Array
@@ -91,8 +86,7 @@ def situation_arm() -> Arm:
 
 def situation_named(name: str) -> Situation:
     """Return a situation by name; raises UnknownName if there is none."""
-    if name not in SITUATIONS:
-        raise UnknownName("scene", name, SITUATIONS)
+    require_known("scene", name, SITUATIONS)
     return SITUATIONS[name]
 
 

@@ -93,8 +93,8 @@ class Finding(NamedTuple):
     """
 
     shares: Mapping[str, Share]
-    figures: Mapping[str, float]
-    instead: str
+    figures: Mapping[str, float] = {}
+    instead: str = ""
     by_nearness: Sequence[Class] = ()
 
 
@@ -499,7 +499,7 @@ def _active_points(reading: Reading) -> Finding:
 
 def _points_rise(reading: Reading) -> Finding:
     groups = reading.each(TARGETS, ("selection",))
-    return Finding(_count_runs(groups, lambda run: run.descent.points_rose > 0), {}, "")
+    return Finding(_count_runs(groups, lambda run: run.descent.points_rose > 0))
 
 
 def _predictability(groups: Groups) -> dict[str, float]:
@@ -609,28 +609,22 @@ def _final_errors(groups: Groups) -> str:
 
 def _keeps(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, ("projection",))
-    return Finding(
-        _count_runs(groups, lambda run: bool(run.points.min(initial=run.modules) >= 0.5 * run.modules)),
-        _mean_points(groups),
-        "",
-    )
+    shares = _count_runs(groups, lambda run: bool(run.points.min(initial=run.modules) >= 0.5 * run.modules))
+    return Finding(shares, _mean_points(groups))
 
 
 def _all(reading: Reading) -> Finding:
     groups = reading.each((*TARGETS, *FROM_STRAIGHT), ("projection",))
-    return Finding({name: _steps_with(runs, 1.0) for name, runs in groups.items()}, _mean_points(groups), "")
+    return Finding({name: _steps_with(runs, 1.0) for name, runs in groups.items()}, _mean_points(groups))
 
 
 def _more(reading: Reading) -> Finding:
     pairs = reading.pairs(TARGETS, *BOTH)
-    return Finding(
-        {
-            name: share(b.points.mean() > a.points.mean() for a, b in runs if len(a.points) and len(b.points))
-            for name, runs in pairs.items()
-        },
-        _mean_points(reading.each(TARGETS, BOTH)),
-        "",
-    )
+    shares = {
+        name: share(b.points.mean() > a.points.mean() for a, b in runs if len(a.points) and len(b.points))
+        for name, runs in pairs.items()
+    }
+    return Finding(shares, _mean_points(reading.each(TARGETS, BOTH)))
 
 
 def _full_rank(method: str, reading: Reading) -> Finding:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from joblib import delayed
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.control import Controller
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress, check_jobs, in_order
 from pinposture.storage import check_writable, write_bytes, write_json, write_table, write_text
@@ -83,8 +83,7 @@ class FigureSettings:
             raise InvalidValue("formats", self.formats, f"at least one of {', '.join(FORMATS)}")
         for kind, given, known in (("format", self.formats, FORMATS), ("method", self.methods, METHODS)):
             for name in given:
-                if name not in known:
-                    raise UnknownName(kind, name, known)
+                require_known(kind, name, known)
 
     def seed_of(self, figure: ThesisFigure) -> int:
         """Return the seed of start and target of a figure."""
@@ -96,13 +95,9 @@ METHODS = ("selection", "projection", "switching")
 
 
 class FigureRuns(NamedTuple):
-    """A figure and its runs.
+    """A figure of the thesis, its runs by controller name, and the seed of start and target.
 
-    Attributes:
-        about: the figure of the thesis.
-        runs: its runs by controller name.
-        compared: runs of which only the posture error is drawn, by controller name.
-        seed: seed of start and target.
+    Of the compared runs only the posture error is drawn.
     """
 
     about: ThesisFigure
@@ -125,15 +120,10 @@ def run_figures(
     settings: FigureSettings | None = None,
     own: Mapping[str, Controller] | None = None,
 ) -> list[FigureRuns]:
-    """Compute the runs of figures; runs shared by several figures are computed once.
+    """Compute the runs of figures, "6.3" to "6.12"; runs shared by several figures are computed once.
 
-    Args:
-        numbers: numbers of the figures in the thesis, "6.3" to "6.12".
-        max_steps: maximum number of steps of a run.
-        jobs: number of processes.
-        progress: called with the number of newly finished runs, of `count_runs`.
-        settings: `FigureSettings()` if None.
-        own: the user's own controllers to show as well, by name.
+    The user's own controllers, by name, are shown as well. `progress` is called with the number of newly
+    finished runs, of `count_runs`.
 
     Raises:
         UnknownName: there is no such figure.
@@ -170,8 +160,7 @@ def count_runs(
 
 
 def _figure(number: str) -> ThesisFigure:
-    if number not in FIGURES:
-        raise UnknownName("figure", number, FIGURES)
+    require_known("figure", number, FIGURES)
     return FIGURES[number]
 
 
@@ -352,14 +341,7 @@ RESULTS, CLAIMS_TABLE = "results.json", "claims.md"
 
 
 class Reproduction(NamedTuple):
-    """Results of `reproduce`.
-
-    Attributes:
-        figures: the figures and their runs.
-        judged: the claims and their verdicts.
-        results: all results as JSON-compatible data.
-        files: the files that were written.
-    """
+    """Figures, judged claims, all results as JSON-compatible data, and the files that were written."""
 
     figures: Sequence[FigureRuns]
     judged: Sequence[JudgedClaim]
@@ -456,8 +438,7 @@ def _select_experiments(names: Sequence[str]) -> tuple[list[str], bool]:
     if not names:
         raise InvalidValue("names", list(names), f"at least one of {', '.join(NAMES)}")
     for name in names:
-        if name not in NAMES:
-            raise UnknownName("figure", name, NAMES)
+        require_known("figure", name, NAMES)
     if "all" in names:
         return list(FIGURES), True
     return [number for number in FIGURES if number in names], "claims" in names

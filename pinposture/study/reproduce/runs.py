@@ -15,6 +15,7 @@ from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_known
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
@@ -147,24 +148,21 @@ def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
     """Count the steps on which errors rose, and those on which even a short step would have raised them."""
     slack = STEADY * run.arm.length
     rises = np.greater(np.diff(run.point_errors, axis=0), slack / run.arm.n_modules)  # (steps, m)
-    uphill = np.zeros((run.steps, run.arm.n_modules), dtype=bool)
-    downhill = np.ones(run.steps, dtype=bool)
-    for i, (state, dq) in enumerate(zip(states, displacements(run), strict=True)):
-        slopes = error_slopes(state, run.target.points, run.target.has_target, dq)
-        size = float(np.abs(dq).max(initial=0.0)) * run.arm.length
-        uphill[i] = slopes > STEADY * size
-        downhill[i] = float(slopes.sum()) <= STEADY * size
+    slopes, dq = np.zeros(rises.shape), displacements(run)
+    for i, state in enumerate(states):
+        slopes[i] = error_slopes(state, run.target.points, run.target.has_target, dq[i])
+    flat = STEADY * run.arm.length * np.abs(dq).max(axis=1, initial=0.0)
     clipped = np.any(run.clipped, axis=1)
-    free = run.active & ~np.any(run.clipped, axis=1, keepdims=True)
+    free = run.active & ~clipped[:, None]
     return Descent(
         steps=run.steps,
         rose=int(np.count_nonzero(np.diff(run.posture_error) > slack)),
-        uphill=int(np.count_nonzero(~downhill)),
+        uphill=int(np.count_nonzero(slopes.sum(axis=1) > flat)),
         clipped=int(np.count_nonzero(clipped)),
         active=int(np.count_nonzero(run.active)),
         active_rose=int(np.count_nonzero(rises & run.active)),
         active_free=int(np.count_nonzero(free)),
-        active_uphill=int(np.count_nonzero(uphill & free)),
+        active_uphill=int(np.count_nonzero((slopes > flat[:, None]) & free)),
         points_rose=int(np.count_nonzero(rises)),
     )
 
@@ -375,8 +373,7 @@ Pool = Mapping[tuple[str, str], Sequence[MeasuredRun]]
 @lru_cache(maxsize=8)
 def thesis_arm(name: str, free: bool = False) -> Arm:
     """Return one of `ARMS` by name, cached, without position limits if `free`; raises UnknownName."""
-    if name not in ARMS:
-        raise UnknownName("arm", name, ARMS)
+    require_known("arm", name, ARMS)
     modules = [module.with_limits(-FREE, FREE) for module in ARMS[name]] if free else ARMS[name]
     return Arm.from_modules(modules, name=name)
 
@@ -393,8 +390,7 @@ def run_one(
     Raises:
         UnknownName: no such scenario, variant or controller.
     """
-    if batch.scenario not in SCENARIOS:
-        raise UnknownName("scenario", batch.scenario, SCENARIOS)
+    require_known("scenario", batch.scenario, SCENARIOS)
     if batch.given is None and batch.variant not in VARIANTS:
         raise UnknownName("variant", batch.variant, VARIANTS)
     scenario, variant = SCENARIOS[batch.scenario], batch.given or VARIANTS[batch.variant]
