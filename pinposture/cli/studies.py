@@ -494,8 +494,7 @@ def run_scenes(
     names = _split("--scenes", scenes, SITUATIONS)
     runs = options.run("run", study_scenes, names, seeds, seed0)
     rows = by_scene(runs)
-    asked = {"study": "scenes", "scenes": names, "seeds": seeds, "seed0": seed0}
-    found = {**asked, "rows": _json_rows(rows)}
+    found = {"study": "scenes", "scenes": names, "seeds": seeds, "seed0": seed0, "rows": _json_rows(rows)}
     options.show(found, [_table(_SCENE_COLUMNS, rows)])
     refused = [f"{row.scene} {row.refused}" for row in rows if row.refused]
     if refused:

@@ -333,11 +333,8 @@ def draw_case(subject: Subject, family: Family, seed: int) -> tuple[Array, Targe
         UnknownName: no such kind of start, or a kind of target that this arm cannot take.
         InvalidValue: a "folded" target for an arm that cannot fold back.
     """
-    for kind, name, allowed in (
-        ("start", family.start, START_KINDS),
-        ("target", family.target, subject.targets),
-    ):
-        require_known(f"kind of {kind}", name, allowed)
+    require_known("kind of start", family.start, START_KINDS)
+    require_known("kind of target", family.target, subject.targets)
     start = _start(subject.arm, family.start, _stream(seed, "start", family.start))
     return start, _target(subject, family.target, _stream(seed, "target", family.target))
 

@@ -73,12 +73,9 @@ def all_points_task(state: ArmState, target: Target) -> BaselineTask:
 
 
 class Decomposition(NamedTuple):
-    """Singular value decomposition of a Jacobian J = left diag(sigma) right.
+    """Singular value decomposition of a Jacobian (r, nv), J = left diag(sigma) right.
 
-    Attributes:
-        left: left singular vectors as columns, (r, k) with k = min(r, nv).
-        sigma: singular values, descending, (k,) [m/rad].
-        right: right singular vectors as rows, (k, nv).
+    The k = min(r, nv) singular values are descending [m/rad]; left is (r, k), right (k, nv).
     """
 
     left: Array
@@ -116,7 +113,7 @@ def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array
     return np.asarray(matrix.right.T @ (share * (matrix.left.T @ velocity)))
 
 
-class Request(NamedTuple):
+class UnlimitedStep(NamedTuple):
     """The step that a method asks for, before limits.
 
     Attributes:
@@ -145,7 +142,7 @@ class Baseline(ABC):
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
         has_target = bool(np.any(target.has_target))
-        asked = self._request(state, target) if has_target else "no control point has a target"
+        asked = self._unlimited_step(state, target) if has_target else "no control point has a target"
         if isinstance(asked, str):
             still = limits.hold(state, previous)
             return Step(still.dq, (), Diagnostics(still.clipped, asked, scale=still.scale), Memory(still.dq))
@@ -162,7 +159,7 @@ class Baseline(ABC):
         return Step(limited.dq, asked.points, diagnostics, Memory(limited.dq))
 
     @abstractmethod
-    def _request(self, state: ArmState, target: Target) -> Request | str:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         """Return the step to make, or why there is none; at least one control point has a target."""
 
 
@@ -190,14 +187,14 @@ class NullSpaceMethod(Baseline):
     def _task(self, state: ArmState, target: Target) -> BaselineTask:
         """Return the control points to move."""
 
-    def _request(self, state: ArmState, target: Target) -> Request | str:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = self._task(state, target)
         matrix = decompose(task.jacobian)
         kappa = np.zeros(state.arm.nv)
         if self.objective is not None:
             kappa = self.null_gain * objective_gradient(self.objective, state, task.end_effector)
         asked = pseudo_inverse_step(regular_part(matrix), self.gain * task.errors, kappa)
-        return Request(asked, task.points, len(task.errors), matrix.sigma)
+        return UnlimitedStep(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -250,12 +247,12 @@ class DampedLeastSquares(Baseline):
         require_positive("damping", self.damping)
         require_positive("gain", self.gain)
 
-    def _request(self, state: ArmState, target: Target) -> Request | str:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = all_points_task(state, target)
         matrix = decompose(task.jacobian)
         damping = (self.damping * state.arm.length) ** 2
         asked = damped_step(matrix, self.gain * task.errors, damping)
-        return Request(asked, task.points, len(task.errors), matrix.sigma)
+        return UnlimitedStep(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -277,14 +274,14 @@ class LevenbergMarquardt(Baseline):
     def __post_init__(self) -> None:
         require_positive("bias", self.bias)
 
-    def _request(self, state: ArmState, target: Target) -> Request | str:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = all_points_task(state, target)
         weights = np.repeat(np.sqrt(target.weights[list(task.points)]), state.arm.dimension)
         matrix = decompose(weights[:, None] * task.jacobian)
         errors, length = weights * task.errors, state.arm.length
         damping = 0.5 * float(errors @ errors) + self.bias * length**2
         asked = damped_step(matrix, errors, damping)
-        return Request(asked, task.points, len(task.errors), matrix.sigma)
+        return UnlimitedStep(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -315,7 +312,7 @@ class TaskConstraints(Baseline):
             require_whole("constraints", self.constraints, 0)
         require_positive("gain", self.gain)
 
-    def _request(self, state: ArmState, target: Target) -> Request | str:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         primary = end_effector_task(state, target)
         left, every, right = np.linalg.svd(primary.jacobian)
         matrix = regular_part(Decomposition(left, every, right[: len(every)]))
@@ -324,7 +321,7 @@ class TaskConstraints(Baseline):
         asked = matrix.right.T @ ((matrix.left.T @ (self.gain * primary.errors)) / matrix.sigma)
         secondary = self._constraints(state, target, primary, rank)
         if not secondary.points:
-            return Request(asked, primary.points, len(primary.errors), every)
+            return UnlimitedStep(asked, primary.points, len(primary.errors), every)
         # J_c (I - J^+J) has the singular values of J_c V with the basis V, without a final projection.
         projected = decompose(secondary.jacobian @ null.T)
         inverted = regular_part(projected)
@@ -332,7 +329,7 @@ class TaskConstraints(Baseline):
         asked = asked + null.T @ (inverted.right.T @ ((inverted.left.T @ missing) / inverted.sigma))
         rows = len(primary.errors) + len(secondary.errors)
         sigma = np.concatenate([every, projected.sigma])
-        return Request(asked, secondary.points + primary.points, rows, sigma)
+        return UnlimitedStep(asked, secondary.points + primary.points, rows, sigma)
 
     def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
         """Return the task of the other control points that (2.9) allows."""
@@ -386,7 +383,7 @@ class ExtendedJacobian(Baseline):
         require_positive("gain", self.gain)
         require_positive("restore", self.restore, zero=True)
 
-    def _request(self, state: ArmState, target: Target) -> Request | str:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = end_effector_task(state, target)
         columns, extended, constraint = self.system(state, task)
         if len(extended) < len(columns):
@@ -397,7 +394,7 @@ class ExtendedJacobian(Baseline):
         velocity = np.concatenate([self.gain * task.errors, -self.restore * constraint])
         asked = np.zeros(state.arm.nv)
         asked[columns] = pseudo_inverse_step(matrix, velocity, np.zeros(len(columns)))
-        return Request(asked, task.points, len(extended), matrix.sigma)
+        return UnlimitedStep(asked, task.points, len(extended), matrix.sigma)
 
     def system(self, state: ArmState, task: BaselineTask) -> tuple[NDArray[np.intp], Array, Array]:
         """Return the extended Jacobian J_e and the constraint f_c.

@@ -78,13 +78,8 @@ def draw_headings(records: Sequence[Record]) -> Figure:
         ax.set_xlabel("largest change of heading [rad]", fontsize=9)
         _dress(ax, f"{arm}: near the target, within the limits", "share of runs")
         ax = figure.add_subplot(grid[i, 1])
-        _draw_paths(
-            ax,
-            [each for each in known if each.arm == arm],
-            BINS,
-            lambda run: bin_of(run.turn or 0.0),
-            controllers,
-        )
+        own = [run for run in known if run.arm == arm]
+        _draw_paths(ax, own, BINS, lambda run: bin_of(run.turn or 0.0), controllers)
         ax.set_xlabel("largest change of heading [rad]", fontsize=9)
         _dress(ax, f"{arm}: directness, runs that came near", PATH)
     _title(figure, f"{len(known)} runs, |dq| <= {STEP:g} rad per step, at most {MAX_STEPS} steps")

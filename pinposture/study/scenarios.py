@@ -374,11 +374,10 @@ def write_urdf_files(directory: str | Path) -> list[Path]:
     Raises:
         FileError: the directory or a file in it cannot be written.
     """
-    paths = []
-    for name, text in urdf_files().items():
-        paths.append(Path(directory) / name)
-        write_text(paths[-1], text)
-    return paths
+    files = {Path(directory) / name: text for name, text in urdf_files().items()}
+    for path, text in files.items():
+        write_text(path, text)
+    return list(files)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -454,22 +454,19 @@ def _monotone(method: str, expected: bool, reading: Reading) -> Finding:
         _count_runs(groups, lambda run: (run.descent.rose == 0) is expected),
         _prefixed("median share of rising steps", rising) | _prefixed("runs without a visible rise", smooth),
         "Median share of the steps of a run on which the posture error rises, and share of the runs in "
-        "which "
-        f"it never rises by more than 1 % of what it was at first: {summary}.",
+        f"which it never rises by more than 1 % of what it was at first: {summary}.",
     )
 
 
 def _null_space(reading: Reading) -> Finding:
     groups = reading.each(TARGETS, BOTH)
-    steps = {name: sum(run.descent.steps for run in runs) for name, runs in groups.items()}
-    uphill = {
-        name: sum(run.descent.uphill for run in runs) / max(steps[name], 1) for name, runs in groups.items()
-    }
+    shares, uphill = {}, {}
+    for name, runs in groups.items():
+        steps = sum(run.descent.steps for run in runs)
+        shares[name] = Share(steps - sum(run.descent.rose for run in runs), steps)
+        uphill[name] = sum(run.descent.uphill for run in runs) / max(steps, 1)
     return Finding(
-        {
-            name: Share(steps[name] - sum(run.descent.rose for run in runs), steps[name])
-            for name, runs in groups.items()
-        },
+        shares,
         _prefixed("steps uphill however short", uphill),
         "The sum runs over all control points and its sign is that of descent, without which it would not "
         f"lower the posture error at all. Steps that would raise it however short they were made: "
