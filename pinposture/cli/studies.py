@@ -264,8 +264,6 @@ def compressed(sizes: tuple[int, ...]) -> str:
     return ", ".join(f"{run[0]} x {len(run)}" if len(run) > 2 else ", ".join(run) for run in runs)
 
 
-# `pinposture study methods`: compare the methods as in Table 1.1 of the thesis, but by measurement.
-
 _METHOD_COLUMNS: Columns = {
     "method": lambda row: row.controller,
     "posture error": lambda row: _short(row.posture_error),

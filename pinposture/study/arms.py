@@ -324,7 +324,7 @@ def loaded_subject(arm: Arm) -> Subject:
 
 
 def draw_case(subject: Subject, family: Family, seed: int) -> tuple[Array, Target]:
-    """Return the start configuration and the target of a seed.
+    """Return the start configuration and the target of a seed, a whole number >= 0.
 
     Starts and targets are drawn from separate streams, so that a seed has the same start for every kind of
     target, and the same target for every kind of start. Each target includes its configuration.

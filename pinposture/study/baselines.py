@@ -92,7 +92,7 @@ def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array)
     """Return J^+ dr + (I - J^+ J) g: the velocities exactly, and g as far as they allow (2.6).
 
     Here dr are the desired velocities of the rows, (r,) [m], and g is the gradient, a desired joint
-    displacement, (nv,), in the units of the columns of J, like the result. J has full row rank.
+    displacement, (nv,), in the units of the columns of J, like the result. All singular values are positive.
     """
     along = matrix.right @ gradient
     return np.asarray(gradient + matrix.right.T @ ((matrix.left.T @ velocity) / matrix.sigma - along))

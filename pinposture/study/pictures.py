@@ -232,9 +232,8 @@ def draw_leader(found: Sequence[Following]) -> Figure:
 def _draw(ax: Axes, found: Sequence[Following], shape: str) -> None:
     from pinposture.viz import palette
 
-    colors = dict(
-        zip(ARMS, (palette.START, palette.FINAL, palette.CONTROLLER_COLORS["projection"]), strict=True)
-    )
+    inks = (palette.START, palette.FINAL, palette.CONTROLLER_COLORS["projection"])
+    colors = dict(zip(ARMS, inks, strict=True))
     bound = sorted({(each.bending, each.sagitta) for each in found})
     ax.plot(*zip(*bound, strict=True), color=palette.REST, ls="--", lw=1.0, label="sagitta of a module")
     for arm, method in dict.fromkeys((each.arm, each.method) for each in found):
@@ -273,12 +272,8 @@ def draw_clutter(runs: Mapping[str, Trajectory]) -> Figure:
     for number, (kind, run) in enumerate(runs.items()):
         ax = figure.add_subplot(rows, columns, number + 1, projection="3d")
         plot_postures(run, ax)
-        handles, labels = ax.get_legend_handles_labels()
-        entries |= {
-            label: each
-            for label, each in zip(labels, handles, strict=True)
-            if not label.startswith("obstacle")
-        }
+        labelled = zip(*ax.get_legend_handles_labels(), strict=True)
+        entries |= {label: each for each, label in labelled if not label.startswith("obstacle")}
         ax.get_legend().remove()
         ax.set_axis_off()
         ax.set_title(kind, y=0.95)

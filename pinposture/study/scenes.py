@@ -72,7 +72,7 @@ class Situation(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """Start and target, (nq,), of one seed, and the number of draws refused because they were not clear."""
+    """Start and target, (nq,), of one seed, and the number of draws that were not as clear as required."""
 
     start: Array
     goal: Array
@@ -270,9 +270,9 @@ class SceneRun(NamedTuple):
 def record_scene_run(
     run: Trajectory, situation: Situation, seed: int, refused: int = 0, seconds: float = 0.0
 ) -> SceneRun:
-    """Create the record of a run; distances are computed again, independently of the run.
+    """Create the record of a run, given the number of rejected draws and the wall time [s].
 
-    Also given are the number of rejected draws and the wall time [s].
+    Distances are computed again, independently of the run.
     """
     around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
