@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import Any, TypeAlias
@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.errors import CurveError, InvalidValue
+from pinposture.errors import CurveError, InvalidValue, UnknownName
 
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
@@ -91,6 +91,12 @@ def length(name: str, value: Any, zero: bool = False) -> float:
     least = 0.0 if zero else SMALLEST_LENGTH
     allowed = f"a length of {least:g} to {LARGEST_LENGTH:g} m"
     return as_number(name, value, allowed, lambda x: least <= x <= LARGEST_LENGTH)
+
+
+def require_known(kind: str, name: object, known: Collection[str]) -> None:
+    """Raise UnknownName unless a name is one of those known."""
+    if name not in known:
+        raise UnknownName(kind, name, known)
 
 
 def known_keys(what: str, given: Mapping[str, Any], allowed: Iterable[str]) -> None:

@@ -152,11 +152,10 @@ def _built(names: str | None) -> list[Subject]:
 
 def _warn_of_refusals(records: list[Record]) -> None:
     """Warn of controllers that refused to start, with the count and the first reason."""
-    refused: dict[str, list[Record]] = {}
-    for record in records:
-        if record.status == "refused":
-            refused.setdefault(record.controller, []).append(record)
-    for controller, those in refused.items():
+    from pinposture.study.record import grouped
+
+    refused = (record for record in records if record.status == "refused")
+    for controller, those in grouped(refused, lambda record: record.controller).items():
         print_warning(f"{controller} refused {len(those)} of its runs: {those[0].reason}")
 
 
@@ -261,13 +260,9 @@ def _ratio(result: ArmSurvey) -> float | None:
 
 def compressed(sizes: tuple[int, ...]) -> str:
     """Format numbers of joints, with repetitions combined: "2 x 8", "2, 2, 3", "1 x 18, 2"."""
-    runs = [(size, len(list(same))) for size, same in groupby(sizes)]
-    return ", ".join(
-        f"{size} x {often}" if often > 2 else ", ".join([str(size)] * often) for size, often in runs
-    )
+    runs = [[str(size) for size in same] for _, same in groupby(sizes)]
+    return ", ".join(f"{run[0]} x {len(run)}" if len(run) > 2 else ", ".join(run) for run in runs)
 
-
-# `pinposture study methods`: compare the methods as in Table 1.1 of the thesis, but by measurement.
 
 _METHOD_COLUMNS: Columns = {
     "method": lambda row: row.controller,
@@ -321,10 +316,8 @@ def run_methods(
         arm, names, range(seeds), steps, options.jobs, lambda result: print_note(f"{result.controller}: done")
     )
     asked = {"arm": arm.model.name, "seeds": seeds, "steps": steps, "distances": list(DISTANCES)}
-    columns = {
-        **_METHOD_COLUMNS,
-        **{f"peak at {DISTANCES[k]:g}": _peak(k) for k in range(0, len(DISTANCES), 2)},
-    }
+    peaks = {f"peak at {DISTANCES[k]:g}": _peak(k) for k in range(0, len(DISTANCES), 2)}
+    columns = {**_METHOD_COLUMNS, **peaks}
     options.show({**asked, "methods": [each._asdict() for each in results]}, [_table(columns, results)])
 
 
@@ -392,13 +385,9 @@ def run_postures(
     for subject in subjects:
         own = [row for row in rows if row.arm == subject.name]
         headings, lines = _table(_POSTURE_COLUMNS, own)
-        groups = [row.group for row in own]
-        named = [
-            group if group != before else "" for group, before in zip(groups, ["", *groups], strict=False)
-        ]
-        tables.append(
-            ((subject.name, *headings), [(name, *line) for name, line in zip(named, lines, strict=True)])
-        )
+        before = ["", *(row.group for row in own)]
+        named = ["" if row.group == last else row.group for row, last in zip(own, before, strict=False)]
+        tables.append(((subject.name, *headings), [(n, *line) for n, line in zip(named, lines, strict=True)]))
     options.show(found, tables)
     _warn_of_refusals(records)
     options.keep(records, found, postures=draw_postures)
@@ -434,6 +423,7 @@ def run_headings(
     from pinposture.study import Bin, by_heading, study_headings
     from pinposture.study.pictures import draw_headings
     from pinposture.study.postures import BINS, COMPARED
+    from pinposture.study.record import grouped
 
     subjects, names = _built(arms), _split("--controllers", controllers, COMPARED)
     records = options.run("pair", study_headings, subjects, names, pairs, seed0, target)
@@ -446,13 +436,10 @@ def run_headings(
         return counted if each.path is None else f"{counted}, path {each.path.median:.2f}"
 
     tables = []
-    for subject in subjects:
-        own = [each for each in bins if each.arm == subject.name]
-        lines = [
-            (name, *(cell(each) for each in own if each.controller == name))
-            for name in dict.fromkeys(each.controller for each in own)
-        ]
-        tables.append(((subject.name, *(f"{name} rad" for name in BINS)), lines))
+    for arm, own in grouped(bins, lambda each: each.arm).items():
+        lines = grouped(own, lambda each: each.controller).items()
+        rows = [(controller, *map(cell, those)) for controller, those in lines]
+        tables.append(((arm, *(f"{name} rad" for name in BINS)), rows))
     options.show(found, tables)
     _warn_of_refusals(records)
     options.keep(records, found, headings=draw_headings)
@@ -505,8 +492,7 @@ def run_scenes(
     names = _split("--scenes", scenes, SITUATIONS)
     runs = options.run("run", study_scenes, names, seeds, seed0)
     rows = by_scene(runs)
-    asked = {"study": "scenes", "scenes": names, "seeds": seeds, "seed0": seed0}
-    found = {**asked, "rows": _json_rows(rows)}
+    found = {"study": "scenes", "scenes": names, "seeds": seeds, "seed0": seed0, "rows": _json_rows(rows)}
     options.show(found, [_table(_SCENE_COLUMNS, rows)])
     refused = [f"{row.scene} {row.refused}" for row in rows if row.refused]
     if refused:
@@ -611,12 +597,12 @@ def run_cycles(
     mean point error is below 1e-9 of the arm length.
     """
     from pinposture.study.cycles import CLOSE, CYCLE_KNOWLEDGE, study_cycles
+    from pinposture.study.record import grouped
 
     given = _built(arms), CYCLE_KNOWLEDGE, controller, cycles, rounds, seed0
     found = options.run("cycle", study_cycles, *given)
     lines = []
-    for arm, known in dict.fromkeys((each.arm, each.target) for each in found):
-        own = [each for each in found if (each.arm, each.target) == (arm, known)]
+    for (arm, known), own in grouped(found, lambda each: (each.arm, each.target)).items():
         taken = f"all in {sum(each.error <= CLOSE for each in own)} of {len(own)}"
         worst = [max(drifts) for drifts in zip(*(each.drift for each in own), strict=True)]
         lines.append((arm, known, len(own), taken, *map(_short, worst)))
@@ -651,6 +637,7 @@ def run_leader(
     """
     from pinposture.study.leader import ARMS, BENDINGS, Following, study_leader
     from pinposture.study.pictures import draw_leader
+    from pinposture.study.record import grouped
     from pinposture.task.follow_leader import PATH_METHODS
 
     names = _split("--arms", arms, ARMS)
@@ -661,11 +648,10 @@ def run_leader(
     def cell(each: Following) -> str:
         return "-" if each.body is None else f"{each.body:.3f}, points {each.points:.3f}"
 
-    lines: dict[tuple[str, str, str], list[str]] = {}
-    for each in runs:
-        lines.setdefault((each.arm, each.shape, each.method), []).append(cell(each))
+    lines = grouped(runs, lambda each: (each.arm, each.shape, each.method))
     sagitta = {each.bending: f"{each.sagitta:.3f}" for each in runs}
-    rows = [*((*line, *cells) for line, cells in lines.items()), ("", "", "sagitta", *sagitta.values())]
+    rows = [(*line, *map(cell, own)) for line, own in lines.items()]
+    rows.append(("", "", "sagitta", *sagitta.values()))
     options.show(found, [(("arm", "path", "placed", *(f"{bending:g} rad" for bending in bent)), rows)])
     for each in runs:
         if each.refused:

@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory
+from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory, make_read_only
 from pinposture.placement import Target
 
 # The motions of many runs, concatenated.
@@ -61,9 +61,7 @@ class Motions:
     texts: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        make_read_only(self)
 
     def arrays_of(self, number: int, arm: Arm, target: Target) -> dict[str, NDArray[Any]]:
         """Return the arrays of the `Trajectory` of a run, given its index, 0-based, arm and target."""
@@ -158,9 +156,7 @@ class Batch:
     motions: Motions | None = None
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        make_read_only(self)
 
     def __len__(self) -> int:
         return len(self.status)

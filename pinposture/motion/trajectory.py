@@ -40,6 +40,13 @@ HOLDING_SHARE = 0.85
 """Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
 
 
+def make_read_only(result: object) -> None:
+    """Make the arrays among the fields of a result read-only."""
+    for value in vars(result).values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+
+
 class Shares(NamedTuple):
     """Velocities and accelerations relative to their limits, the largest of all joints; 1 is at the limit.
 
@@ -338,9 +345,7 @@ class Trajectory:
     scene: Scene | None = None
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        make_read_only(self)
 
     @property
     def steps(self) -> int:
@@ -485,8 +490,7 @@ class Motion:
     deviations: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for value in (self.targets, self.target_mask, self.plan_time):
-            value.flags.writeable = False
+        make_read_only(self)
 
     @property
     def arm(self) -> Arm:

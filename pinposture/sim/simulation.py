@@ -13,7 +13,7 @@ from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.motion.files import Format, check_shapes, register
-from pinposture.motion.trajectory import closest, describe_result, find_faults
+from pinposture.motion.trajectory import closest, describe_result, find_faults, make_read_only
 from pinposture.sim.model import Servos
 
 Array = NDArray[np.float64]
@@ -72,9 +72,7 @@ class Simulation:
     scene: Scene | None = None
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        make_read_only(self)
 
     @property
     def finished(self) -> bool:

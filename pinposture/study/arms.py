@@ -15,10 +15,11 @@ from joblib import delayed
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, JointSpec, ModuleTemplate
 from pinposture.arm.template import modules_to_urdf
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue, PostureError, PostureWarning, UnknownName
+from pinposture.errors import FileError, InvalidValue, PostureError, PostureWarning
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
@@ -309,8 +310,7 @@ def built_subject(name: str) -> Subject:
     Raises:
         UnknownName: there is no such arm.
     """
-    if name not in BUILT:
-        raise UnknownName("arm", name, BUILT)
+    require_known("arm", name, BUILT)
     if name == "ryrz20":
         return Subject(name, Arm.from_modules(SPATIAL, name=name), BUILT[name])
     pairs, rest = divmod(len(PLANAR), 2)
@@ -324,26 +324,17 @@ def loaded_subject(arm: Arm) -> Subject:
 
 
 def draw_case(subject: Subject, family: Family, seed: int) -> tuple[Array, Target]:
-    """Return the start configuration and the target of a seed.
+    """Return the start configuration and the target of a seed, a whole number >= 0.
 
     Starts and targets are drawn from separate streams, so that a seed has the same start for every kind of
     target, and the same target for every kind of start. Each target includes its configuration.
-
-    Args:
-        subject: the arm.
-        family: kind of case.
-        seed: a whole number >= 0.
 
     Raises:
         UnknownName: no such kind of start, or a kind of target that this arm cannot take.
         InvalidValue: a "folded" target for an arm that cannot fold back.
     """
-    for kind, name, allowed in (
-        ("start", family.start, START_KINDS),
-        ("target", family.target, subject.targets),
-    ):
-        if name not in allowed:
-            raise UnknownName(f"kind of {kind}", name, allowed)
+    require_known("kind of start", family.start, START_KINDS)
+    require_known("kind of target", family.target, subject.targets)
     start = _start(subject.arm, family.start, _stream(seed, "start", family.start))
     return start, _target(subject, family.target, _stream(seed, "target", family.target))
 

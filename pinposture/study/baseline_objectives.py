@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import ArmState
-from pinposture.errors import UnknownName
 
 # Second and third derivatives of the position of a control point, in closed form.
 #
@@ -65,11 +64,8 @@ class PositionDerivatives:
         The triple product a x (b x c) = b (a . c) - c (a . b) splits each term into factors of one joint
         each, so that the sum can be computed by running sums over the chain.
 
-        Args:
-            weights: one vector for each joint, (d, n), along the task directions.
-
-        Returns:
-            Array (n, n): sum over t of weights[:, t] . d3 p / dq_u dq_v dq_t.
+        With weights (d, n) along the task directions, this is the array (n, n) of the sums over t of
+        weights[:, t] . d3 p / dq_u dq_v dq_t.
         """
         axes, columns = self.axes, self.jacobian.T
         lifted = weights.T @ self.plane  # (n, 3)
@@ -103,12 +99,7 @@ RANK = 1e-12
 
 
 def manipulability_measure(state: ArmState, point: int) -> float:
-    """Return the product w of the singular values of the position Jacobian (3.3), relative to length^d.
-
-    Args:
-        state: the state of the arm.
-        point: control point, 0-based.
-    """
+    """Return the product w of the singular values of the position Jacobian (3.3), relative to length^d."""
     sigma = np.linalg.svd(state.task_jacobians[point], compute_uv=False)
     return float(np.prod(sigma / state.arm.length))
 
@@ -191,20 +182,8 @@ NEAREST = 0.1
 """Distance to a limit, in `Arm.joint_units`, within which (2.8) is continued along its tangent."""
 
 
-def require_objective(objective: str | None) -> None:
-    """Raise UnknownName unless it is the name of an objective function, or None."""
-    if objective is not None and objective not in OBJECTIVES:
-        raise UnknownName("objective", objective, OBJECTIVES)
-
-
 def objective_value(objective: Objective, state: ArmState, end_effector: int) -> float:
-    """Return the value h of an objective function; higher is better.
-
-    Args:
-        objective: name of the function.
-        state: the state of the arm.
-        end_effector: the control point with the task, 0-based.
-    """
+    """Return the value h of an objective function; higher is better. The end-effector is 0-based."""
     if objective == "manipulability":
         return manipulability_measure(state, end_effector)
     rooms = np.concatenate(_rooms(state))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.arm import ArmState
 from pinposture.control.controller import (
     Controller,
@@ -23,15 +23,15 @@ from pinposture.control.controller import (
 )
 from pinposture.control.limits import Limits
 from pinposture.control.registry import CONTROLLERS, controller_named
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.study.baseline_objectives import (
+    OBJECTIVES,
     RANK,
     Objective,
     PositionDerivatives,
     objective_gradient,
     objective_hessian,
-    require_objective,
 )
 
 Array = NDArray[np.float64]
@@ -73,12 +73,9 @@ def all_points_task(state: ArmState, target: Target) -> BaselineTask:
 
 
 class Decomposition(NamedTuple):
-    """Singular value decomposition of a Jacobian J = left diag(sigma) right.
+    """Singular value decomposition of a Jacobian (r, nv), J = left diag(sigma) right.
 
-    Attributes:
-        left: left singular vectors as columns, (r, k) with k = min(r, nv).
-        sigma: singular values, descending, (k,) [m/rad].
-        right: right singular vectors as rows, (k, nv).
+    The k = min(r, nv) singular values are descending [m/rad]; left is (r, k), right (k, nv).
     """
 
     left: Array
@@ -94,13 +91,8 @@ def decompose(matrix: Array) -> Decomposition:
 def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array) -> Array:
     """Return J^+ dr + (I - J^+ J) g: the velocities exactly, and g as far as they allow (2.6).
 
-    Args:
-        matrix: decomposition of J; its smallest singular value is positive.
-        velocity: desired velocities of the rows, (r,) [m].
-        gradient: desired joint displacement, (nv,), in the units of the columns of J.
-
-    Returns:
-        Joint displacement (nv,) in the same units.
+    Here dr are the desired velocities of the rows, (r,) [m], and g is the gradient, a desired joint
+    displacement, (nv,), in the units of the columns of J, like the result. All singular values are positive.
     """
     along = matrix.right @ gradient
     return np.asarray(gradient + matrix.right.T @ ((matrix.left.T @ velocity) / matrix.sigma - along))
@@ -113,62 +105,28 @@ def regular_part(matrix: Decomposition) -> Decomposition:
 
 
 def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array:
-    """Return the dq that minimises |J dq - dr|^2 + damping |dq|^2, for damping > 0.
+    """Return the dq, (nv,), that minimises |J dq - dr|^2 + damping |dq|^2, for damping > 0.
 
-    Args:
-        matrix: decomposition of J.
-        velocity: desired velocities of the rows dr, (r,).
-        damping: weight of the step, in the units of J squared.
-
-    Returns:
-        Joint displacement (nv,) in the units of the columns of J.
+    Here dr are the desired velocities of the rows, (r,), and the damping is in the units of J squared.
     """
     share = matrix.sigma / (matrix.sigma**2 + damping)
     return np.asarray(matrix.right.T @ (share * (matrix.left.T @ velocity)))
 
 
-def limit_step(
-    state: ArmState,
-    points: tuple[int, ...],
-    rows: int,
-    sigma: Array,
-    asked: Array,
-    limits: Limits,
-    previous: Array | None,
-) -> Step:
-    """Apply the limits to a step and add its diagnostics.
+class UnlimitedStep(NamedTuple):
+    """The step that a method asks for, before limits.
 
-    Args:
-        state: state before the step.
-        points: the control points that it moves.
+    Attributes:
+        dq: joint displacement, (nv,), in `Arm.joint_units`.
+        points: the control points that it moves, 0-based.
         rows: number of rows of the inverted matrix.
         sigma: its singular values in any order, at least one [m/rad].
-        asked: requested joint displacement, (nv,), in `Arm.joint_units`.
-        limits: the limits of the step.
-        previous: the previous step, (nv,) [rad or m], or None.
-
-    Returns:
-        The step. Its manipulability index is the smallest of its points relative to the base.
     """
-    arm = state.arm
-    # Joints off the chain have zero columns, but singular vectors only up to rounding error.
-    moved = asked * arm.joint_units * arm.moved
-    limited = limits.apply(state, moved, previous)
-    diagnostics = Diagnostics(
-        limited.clipped,
-        manipulability=float(state.manipulability()[0, np.array(points) + 1].min()),
-        spectrum=SingularValues(float(sigma.min()), float(sigma.max())),
-        rows=rows,
-        scale=limited.scale,
-    )
-    return Step(limited.dq, points, diagnostics, Memory(limited.dq))
 
-
-def hold_step(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
-    """Return a step that only brakes, if the arm moves, with the reason."""
-    still = limits.hold(state, previous)
-    none = Diagnostics(still.clipped, reason, scale=still.scale)
-    return Step(still.dq, (), none, Memory(still.dq))
+    dq: Array
+    points: tuple[int, ...]
+    rows: int
+    sigma: Array
 
 
 class Baseline(ABC):
@@ -177,16 +135,32 @@ class Baseline(ABC):
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
-        """Compute one step; see `Controller.step`."""
+        """Compute one step; see `Controller.step`.
+
+        Its manipulability index is the smallest of its points relative to the base.
+        """
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
-        if not np.any(target.has_target):
-            return hold_step(state, "no control point has a target", limits, previous)
-        return self._step(state, target, limits, previous)
+        has_target = bool(np.any(target.has_target))
+        asked = self._unlimited_step(state, target) if has_target else "no control point has a target"
+        if isinstance(asked, str):
+            still = limits.hold(state, previous)
+            return Step(still.dq, (), Diagnostics(still.clipped, asked, scale=still.scale), Memory(still.dq))
+        # Joints off the chain have zero columns, but singular vectors only up to rounding error.
+        moved = asked.dq * state.arm.joint_units * state.arm.moved
+        limited = limits.apply(state, moved, previous)
+        diagnostics = Diagnostics(
+            limited.clipped,
+            manipulability=float(state.manipulability()[0, np.array(asked.points) + 1].min()),
+            spectrum=SingularValues(float(asked.sigma.min()), float(asked.sigma.max())),
+            rows=asked.rows,
+            scale=limited.scale,
+        )
+        return Step(limited.dq, asked.points, diagnostics, Memory(limited.dq))
 
     @abstractmethod
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
-        """Compute one step; at least one control point has a target."""
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
+        """Return the step to make, or why there is none; at least one control point has a target."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +178,8 @@ class NullSpaceMethod(Baseline):
     null_gain: float = 0.1
 
     def __post_init__(self) -> None:
-        require_objective(self.objective)
+        if self.objective is not None:
+            require_known("objective", self.objective, OBJECTIVES)
         require_positive("gain", self.gain)
         require_positive("null_gain", self.null_gain, zero=True)
 
@@ -212,14 +187,14 @@ class NullSpaceMethod(Baseline):
     def _task(self, state: ArmState, target: Target) -> BaselineTask:
         """Return the control points to move."""
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = self._task(state, target)
         matrix = decompose(task.jacobian)
         kappa = np.zeros(state.arm.nv)
         if self.objective is not None:
             kappa = self.null_gain * objective_gradient(self.objective, state, task.end_effector)
         asked = pseudo_inverse_step(regular_part(matrix), self.gain * task.errors, kappa)
-        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return UnlimitedStep(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -272,12 +247,12 @@ class DampedLeastSquares(Baseline):
         require_positive("damping", self.damping)
         require_positive("gain", self.gain)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = all_points_task(state, target)
         matrix = decompose(task.jacobian)
         damping = (self.damping * state.arm.length) ** 2
         asked = damped_step(matrix, self.gain * task.errors, damping)
-        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return UnlimitedStep(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -299,14 +274,14 @@ class LevenbergMarquardt(Baseline):
     def __post_init__(self) -> None:
         require_positive("bias", self.bias)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = all_points_task(state, target)
         weights = np.repeat(np.sqrt(target.weights[list(task.points)]), state.arm.dimension)
         matrix = decompose(weights[:, None] * task.jacobian)
         errors, length = weights * task.errors, state.arm.length
         damping = 0.5 * float(errors @ errors) + self.bias * length**2
         asked = damped_step(matrix, errors, damping)
-        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return UnlimitedStep(asked, task.points, len(task.errors), matrix.sigma)
 
 
 @dataclass(frozen=True)
@@ -337,7 +312,7 @@ class TaskConstraints(Baseline):
             require_whole("constraints", self.constraints, 0)
         require_positive("gain", self.gain)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         primary = end_effector_task(state, target)
         left, every, right = np.linalg.svd(primary.jacobian)
         matrix = regular_part(Decomposition(left, every, right[: len(every)]))
@@ -346,7 +321,7 @@ class TaskConstraints(Baseline):
         asked = matrix.right.T @ ((matrix.left.T @ (self.gain * primary.errors)) / matrix.sigma)
         secondary = self._constraints(state, target, primary, rank)
         if not secondary.points:
-            return limit_step(state, primary.points, len(primary.errors), every, asked, limits, previous)
+            return UnlimitedStep(asked, primary.points, len(primary.errors), every)
         # J_c (I - J^+J) has the singular values of J_c V with the basis V, without a final projection.
         projected = decompose(secondary.jacobian @ null.T)
         inverted = regular_part(projected)
@@ -354,7 +329,7 @@ class TaskConstraints(Baseline):
         asked = asked + null.T @ (inverted.right.T @ ((inverted.left.T @ missing) / inverted.sigma))
         rows = len(primary.errors) + len(secondary.errors)
         sigma = np.concatenate([every, projected.sigma])
-        return limit_step(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
+        return UnlimitedStep(asked, secondary.points + primary.points, rows, sigma)
 
     def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
         """Return the task of the other control points that (2.9) allows."""
@@ -404,34 +379,22 @@ class ExtendedJacobian(Baseline):
     name: str = "extended"
 
     def __post_init__(self) -> None:
-        if self.objective is None:
-            raise UnknownName("objective", None, ("manipulability", "joint_limits"))
-        require_objective(self.objective)
+        require_known("objective", self.objective, OBJECTIVES)
         require_positive("gain", self.gain)
         require_positive("restore", self.restore, zero=True)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+    def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
         task = end_effector_task(state, target)
         columns, extended, constraint = self.system(state, task)
         if len(extended) < len(columns):
-            return hold_step(
-                state,
-                "the Jacobian of the end-effector is singular: there is no extended Jacobian",
-                limits,
-                previous,
-            )
+            return "the Jacobian of the end-effector is singular: there is no extended Jacobian"
         matrix = decompose(extended)
         if matrix.sigma[-1] <= RANK * matrix.sigma[0]:
-            return hold_step(
-                state,
-                f"the extended Jacobian is singular: {self.objective} has no single extremum",
-                limits,
-                previous,
-            )
+            return f"the extended Jacobian is singular: {self.objective} has no single extremum"
         velocity = np.concatenate([self.gain * task.errors, -self.restore * constraint])
         asked = np.zeros(state.arm.nv)
         asked[columns] = pseudo_inverse_step(matrix, velocity, np.zeros(len(columns)))
-        return limit_step(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
+        return UnlimitedStep(asked, task.points, len(extended), matrix.sigma)
 
     def system(self, state: ArmState, task: BaselineTask) -> tuple[NDArray[np.intp], Array, Array]:
         """Return the extended Jacobian J_e and the constraint f_c.

@@ -54,8 +54,7 @@ def make_cases(each: int = 5) -> dict[str, Any]:
     for scenario in (SCENARIOS[name] for name in POSTURE_GROUPS + PLANAR_GROUPS):
         for seed in range(BENCHMARK_SEED, BENCHMARK_SEED + each):
             start, target = case(arms[scenario.arm], scenario, seed)
-            told = _case(scenario.name, seed, scenario.arm, start, target.points)
-            cases.append(told)
+            cases.append(_case(scenario.name, seed, scenario.arm, start, target.points))
     arm = situation_arm()
     for kind in SCENE_GROUPS:
         for seed in range(BENCHMARK_SEED, BENCHMARK_SEED + each):

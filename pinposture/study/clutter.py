@@ -6,7 +6,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
+from itertools import pairwise, product
 from math import ceil
 from time import perf_counter
 from types import MappingProxyType
@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import Vector
+from pinposture._validation import Vector, require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scan, Scene, Sphere
 from pinposture.collision.pipe import Bend, pipe_axis, pipe_walls
 from pinposture.control import Limits, plan
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, PostureWarning, UnknownName
+from pinposture.errors import InvalidValue, PostureError, PostureWarning
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import Progress
 from pinposture.motion.trajectory import path_length_ratio
@@ -56,13 +56,7 @@ RUN_LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
 
 
 class ClutterProblem(NamedTuple):
-    """A scene and two collision-free configurations.
-
-    Attributes:
-        scene: the obstacles.
-        start: start configuration, (nq,).
-        goal: goal configuration, (nq,).
-    """
+    """A scene and two collision-free configurations, (nq,)."""
 
     scene: Scene
     start: Array
@@ -197,19 +191,13 @@ KINDS_OF_CLUTTER: Mapping[str, Callable[[Arm, np.random.Generator], Drawn]] = Ma
 
 
 def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
-    """Draw problems until start and goal are clear of obstacles, without planning.
-
-    Args:
-        arm: the arm of `situation_arm`.
-        kind: one of `KINDS_OF_CLUTTER`.
-        seed: seed of the draws.
+    """Draw problems for the arm of `situation_arm` until start and goal are clear, without planning.
 
     Raises:
         UnknownName: there is no such kind.
         InvalidValue: no draw was clear.
     """
-    if kind not in KINDS_OF_CLUTTER:
-        raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
+    require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
     rng = np.random.default_rng(seed)
     for _ in range(MAX_DRAWS):
         obstacles, start, goal = KINDS_OF_CLUTTER[kind](arm, rng)
@@ -381,8 +369,7 @@ class ClutterRow(NamedTuple):
         planned: number of plans reported as collision-free.
         reached: number of runs that reached the goal.
         clearance: smallest distance in any run that reached the goal, minus the margin [m].
-        plan_time: median and 90th percentile of the planning time [s].
-        path_length_ratio: median and 90th percentile of the path length ratio.
+        plan_time, path_length_ratio: those of `ClutterRun`.
         found_by: number of plans found by each method.
     """
 
@@ -418,28 +405,23 @@ def study_clutter(
     """
     check_study(first_seed, seeds=seeds, kinds=kinds)
     for kind in kinds:
-        if kind not in KINDS_OF_CLUTTER:
-            raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
-    arm = situation_arm()
-    cases = ((arm, kind, seed) for kind in kinds for seed in range(first_seed, first_seed + seeds))
+        require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
+    cases = product([situation_arm()], kinds, range(first_seed, first_seed + seeds))
     return run_all(solve_problem, cases, jobs, progress)
 
 
 def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
     """Summarise runs by kind, in order of first appearance."""
-    rows = []
-    for kind, own in grouped(runs, lambda run: run.kind).items():
-        there = [run for run in own if run.reached]
-        rows.append(
-            ClutterRow(
-                kind=kind,
-                problems=len(own),
-                planned=sum(run.planned for run in own),
-                reached=len(there),
-                clearance=min((run.run_clearance - run.margin for run in there), default=np.inf),
-                plan_time=Spread.of([run.plan_time for run in own]),
-                path_length_ratio=Spread.of([run.path_length_ratio for run in own]),
-                found_by=dict(Counter(run.found_by for run in own)),
-            )
+    return [
+        ClutterRow(
+            kind=kind,
+            problems=len(own),
+            planned=sum(run.planned for run in own),
+            reached=sum(run.reached for run in own),
+            clearance=min((run.run_clearance - run.margin for run in own if run.reached), default=np.inf),
+            plan_time=Spread.of([run.plan_time for run in own]),
+            path_length_ratio=Spread.of([run.path_length_ratio for run in own]),
+            found_by=dict(Counter(run.found_by for run in own)),
         )
-    return rows
+        for kind, own in grouped(runs, lambda run: run.kind).items()
+    ]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.control import Controller
-from pinposture.errors import UnknownName
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target
 from pinposture.study.arms import Subject
@@ -52,9 +53,7 @@ class PostureCycle(NamedTuple):
         arm: name of the arm.
         target: what is known of the postures: their "configuration", or only their "points".
         seed: seed of the cycle.
-        drift: see `Rounds`.
-        error: see `Rounds`.
-        steps: see `Rounds`.
+        drift, error, steps: see `Rounds`.
     """
 
     arm: str
@@ -133,16 +132,9 @@ def study_cycles(
     """
     check_study(first_seed, cycles=cycles, rounds=rounds, subjects=subjects, knowledge=knowledge)
     for known in knowledge:
-        if known not in CYCLE_KNOWLEDGE:
-            raise UnknownName("knowledge of the target", known, CYCLE_KNOWLEDGE)
-    chosen = named_controllers([controller])[0]
+        require_known("knowledge of the target", known, CYCLE_KNOWLEDGE)
     seeds = range(first_seed, first_seed + cycles)
-    cases = (
-        (subject, known, seed, rounds, chosen)
-        for subject in subjects
-        for known in knowledge
-        for seed in seeds
-    )
+    cases = product(subjects, knowledge, seeds, [rounds], named_controllers([controller]))
     return run_all(_one, cases, jobs, progress)
 
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture._validation import is_number
+from pinposture._validation import is_number, require_known
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, TargetError, UnknownName
+from pinposture.errors import InvalidValue, TargetError
 from pinposture.motion.processes import Progress
 from pinposture.study.record import run_all
 from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader, path_deviation
@@ -71,21 +71,17 @@ class Following(NamedTuple):
 
 def fed_arm(name: str) -> Arm:
     """Build one of `ARMS`, 1 m long, on a feed; raises UnknownName if there is no such arm."""
-    if name not in ARMS:
-        raise UnknownName("arm", name, ARMS)
+    require_known("arm", name, ARMS)
     return Arm.from_modules([FEED, *[ARMS[name]] * MODULES], name=name)
 
 
 def bent_path(shape: str, curvature: float) -> Curve:
-    """Return a path of constant curvature [1/m].
-
-    It is nearly as long as the arm, but an arc is at most three quarters of a turn.
+    """Return a path of constant curvature [1/m], nearly as long as the arm; arcs turn by at most 270 degrees.
 
     Raises:
         UnknownName: there is no such shape.
     """
-    if shape not in SHAPES:
-        raise UnknownName("shape", shape, SHAPES)
+    require_known("shape", shape, SHAPES)
     torsion = 0.5 * curvature if shape == "helix" else 0.0
     twist = float(np.hypot(curvature, torsion))  # angle about the axis by arc length [rad/m]
     radius, pitch = curvature / twist**2, 2.0 * np.pi * torsion / twist**2
@@ -124,8 +120,7 @@ def study_leader(
         if not (is_number(bending) and 0.0 < bending <= np.pi / 2.0):
             raise InvalidValue("bending", bending, "above 0, at most pi / 2 [rad]")
     for method in methods:
-        if method not in PATH_METHODS:
-            raise UnknownName("method", method, PATH_METHODS)
+        require_known("method", method, PATH_METHODS)
     cases = [
         (name, shape, method, float(bending))
         for name in arms

@@ -31,9 +31,6 @@ def draw_postures(records: Sequence[Record]) -> Figure:
     on the right the path lengths of the control points in runs that moved and came near. Boxes reach from the
     first to the third quartile, whiskers from the 10th to the 90th percentile.
 
-    Args:
-        records: the runs.
-
     Raises:
         InvalidValue: no run.
     """
@@ -56,10 +53,8 @@ def draw_headings(records: Sequence[Record]) -> Figure:
     """Draw the results of `study_headings`.
 
     A row for each arm, both panels against the largest change of heading: the share of runs that end near the
-    target within the limits, and the path lengths of the control points, as in `draw_postures`.
-
-    Args:
-        records: the runs; those with unknown `turn` are skipped.
+    target within the limits, and the path lengths of the control points, as in `draw_postures`. Runs with
+    unknown `turn` are skipped.
 
     Raises:
         InvalidValue: no run.
@@ -73,38 +68,29 @@ def draw_headings(records: Sequence[Record]) -> Figure:
         ax = figure.add_subplot(grid[i, 0])
         for controller, color, offset, width in _side_by_side(controllers):
             found = [bins[arm, name, controller] for name in BINS if (arm, name, controller) in bins]
-            shares = [each.reached / each.runs if each.runs else 0.0 for each in found]
             places = np.arange(len(found)) + offset
             # A share of zero would be invisible.
-            seen = [
-                max(share, 0.008) if each.runs else 0.0 for share, each in zip(shares, found, strict=True)
-            ]
-            ax.bar(places, seen, 0.9 * width, color=color, label=controller)
+            shares = [max(each.reached / each.runs, 0.008) if each.runs else 0.0 for each in found]
+            ax.bar(places, shares, 0.9 * width, color=color, label=controller)
         ax.set_xticks(range(len(BINS)), BINS)
         ax.set_ylim(0.0, 1.2)  # room for the legend
         ax.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
         ax.set_xlabel("largest change of heading [rad]", fontsize=9)
         _dress(ax, f"{arm}: near the target, within the limits", "share of runs")
         ax = figure.add_subplot(grid[i, 1])
-        _draw_paths(ax, [each for each in known if each.arm == arm], BINS, _bin, controllers)
+        own = [run for run in known if run.arm == arm]
+        _draw_paths(ax, own, BINS, lambda run: bin_of(run.turn or 0.0), controllers)
         ax.set_xlabel("largest change of heading [rad]", fontsize=9)
         _dress(ax, f"{arm}: directness, runs that came near", PATH)
     _title(figure, f"{len(known)} runs, |dq| <= {STEP:g} rad per step, at most {MAX_STEPS} steps")
     return figure
 
 
-def _bin(record: Record) -> str:
-    return bin_of(record.turn or 0.0)
-
-
 def _present(records: Sequence[Record]) -> tuple[list[str], list[str]]:
     """Return the names of the arms and of the controllers."""
     if not records:
         raise InvalidValue("records", list(records), "at least one run")
-    return (
-        distinct(record.arm for record in records),
-        distinct(record.controller for record in records),
-    )
+    return distinct(each.arm for each in records), distinct(each.controller for each in records)
 
 
 def _figure(height: float) -> Figure:
@@ -227,10 +213,7 @@ def draw_leader(found: Sequence[Following]) -> Figure:
     """Draw the results of `study_leader`.
 
     A panel for each shape of path: the largest distance of any part of the arm against curvature times module
-    length, and the sagitta of a module whose ends are on the path.
-
-    Args:
-        found: the results; refused paths are skipped.
+    length, and the sagitta of a module whose ends are on the path. Refused paths are skipped.
 
     Raises:
         InvalidValue: no result.
@@ -249,9 +232,8 @@ def draw_leader(found: Sequence[Following]) -> Figure:
 def _draw(ax: Axes, found: Sequence[Following], shape: str) -> None:
     from pinposture.viz import palette
 
-    colors = dict(
-        zip(ARMS, (palette.START, palette.FINAL, palette.CONTROLLER_COLORS["projection"]), strict=True)
-    )
+    inks = (palette.START, palette.FINAL, palette.CONTROLLER_COLORS["projection"])
+    colors = dict(zip(ARMS, inks, strict=True))
     bound = sorted({(each.bending, each.sagitta) for each in found})
     ax.plot(*zip(*bound, strict=True), color=palette.REST, ls="--", lw=1.0, label="sagitta of a module")
     for arm, method in dict.fromkeys((each.arm, each.method) for each in found):
@@ -290,12 +272,8 @@ def draw_clutter(runs: Mapping[str, Trajectory]) -> Figure:
     for number, (kind, run) in enumerate(runs.items()):
         ax = figure.add_subplot(rows, columns, number + 1, projection="3d")
         plot_postures(run, ax)
-        handles, labels = ax.get_legend_handles_labels()
-        entries |= {
-            label: each
-            for label, each in zip(labels, handles, strict=True)
-            if not label.startswith("obstacle")
-        }
+        labelled = zip(*ax.get_legend_handles_labels(), strict=True)
+        entries |= {label: each for each, label in labelled if not label.startswith("obstacle")}
         ax.get_legend().remove()
         ax.set_axis_off()
         ax.set_title(kind, y=0.95)

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.control import Controller
-from pinposture.errors import UnknownName
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.arms import Family, Subject, draw_case
@@ -157,8 +157,7 @@ def study_headings(
         TargetError: some control point cannot be placed on a curve.
     """
     check_study(first_seed, pairs=pairs, subjects=subjects)
-    if knowledge not in KNOWLEDGE:
-        raise UnknownName("knowledge of the target", knowledge, KNOWLEDGE)
+    require_known("knowledge of the target", knowledge, KNOWLEDGE)
     listed = named_controllers(controllers)
     seeds = range(first_seed, first_seed + pairs)
     pairs_drawn = ((subject, seed, knowledge, listed) for subject in subjects for seed in seeds)
@@ -181,21 +180,17 @@ def bin_of(turn: float) -> str:
 
 
 def by_heading(records: Sequence[Record]) -> list[Bin]:
-    """Count runs by their change of heading.
-
-    Args:
-        records: runs with known `turn`.
+    """Count runs with known `turn` by their change of heading.
 
     Returns:
         One entry for each arm, controller and bin, in order of first appearance of arms and controllers;
         empty bins are included.
     """
     found = []
-    for arm, own in grouped(records, lambda record: record.arm).items():
-        for controller, those in grouped(own, lambda record: record.controller).items():
-            for name in BINS:
-                runs = [run for run in those if run.turn is not None and bin_of(run.turn) == name]
-                reached = sum(run.near and run.lawful for run in runs)
-                steps, path = spread(runs, lambda run: run.steps), spread(runs, lambda run: run.path)
-                found.append(Bin(arm, name, controller, len(runs), reached, steps, path))
+    for (arm, controller), own in grouped(records, lambda run: (run.arm, run.controller)).items():
+        for name in BINS:
+            runs = [run for run in own if run.turn is not None and bin_of(run.turn) == name]
+            reached = sum(run.near and run.lawful for run in runs)
+            steps, path = spread(runs, lambda run: run.steps), spread(runs, lambda run: run.path)
+            found.append(Bin(arm, name, controller, len(runs), reached, steps, path))
     return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
@@ -20,7 +19,7 @@ from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target
-from pinposture.storage import write_figure, write_text
+from pinposture.storage import read_text, write_figure, write_json, write_table
 from pinposture.study.arms import UNIFORM, Subject
 from pinposture.study.reproduce.runs import displacements
 from pinposture.study.scenarios import largest_turn
@@ -50,17 +49,10 @@ def check_study(first_seed: int = 0, **asked: int | Sequence[Any]) -> None:
 def run_all(
     one: Callable[..., Result], cases: Iterable[tuple[Any, ...]], jobs: int, progress: Progress | None
 ) -> list[Result]:
-    """Call a function with the arguments of each case, in parallel.
+    """Call a function that can be pickled with the arguments of each case; return the results in order.
 
-    Args:
-        one: a function that can be pickled.
-        cases: its arguments.
-        jobs: number of processes; joblib's backends apply, so `joblib.parallel_config` runs a study on a
-            cluster.
-        progress: called with the numbers of finished and of all cases.
-
-    Returns:
-        The results in the order of the cases.
+    `jobs` is the number of processes; joblib's backends apply, so `joblib.parallel_config` runs a study on a
+    cluster. `progress` is called with the numbers of finished and of all cases.
     """
     return collect_results([delayed(one)(*case) for case in cases], jobs, progress)
 
@@ -87,7 +79,7 @@ WITHIN = 1e-9
 
 
 class Record(NamedTuple):
-    """Record of one run.
+    """Record of one run; by default of an arm that does not move.
 
     Attributes:
         arm: name of the arm.
@@ -119,14 +111,14 @@ class Record(NamedTuple):
     reason: str
     steps: int
     error: float
-    rising: float
-    escaping: float
-    peak: float
-    path: float
-    turn: float | None
-    seconds: float
-    violation: float
-    stride: float
+    rising: float = 0.0
+    escaping: float = 0.0
+    peak: float = 1.0
+    path: float = 1.0
+    turn: float | None = None
+    seconds: float = 0.0
+    violation: float = 0.0
+    stride: float = 0.0
 
     @property
     def arrived(self) -> bool:
@@ -159,14 +151,7 @@ class Case(NamedTuple):
 
 
 def record_run(run: Trajectory, case: Case, controller: str, seconds: float = 0.0) -> Record:
-    """Create the record of a run.
-
-    Args:
-        run: the run.
-        case: its case.
-        controller: name of the controller.
-        seconds: wall time of the run [s].
-    """
+    """Create the record of a run of a case by a controller, given its wall time [s]."""
     errors, steps = run.posture_error, run.steps
     rises = np.diff(errors) > RISE * errors[0]
     bound = run.limits.step
@@ -210,20 +195,10 @@ def _violation(run: Trajectory) -> float:
 def run_case(
     subject: Subject, case: Case, start: Array, target: Target, controllers: Sequence[Controller]
 ) -> list[Record]:
-    """Run each of several controllers from one start to one target.
+    """Run each of several controllers from a start, (nq,), to a target, and return their records in order.
 
     |dq| <= `STEP`, at most `MAX_STEPS` steps, until the mean point error is within `TOLERANCE`. If a
     controller rejects the arm or target, its run is recorded as refused.
-
-    Args:
-        subject: the arm.
-        case: description of the case.
-        start: configuration, (nq,).
-        target: the target posture.
-        controllers: the controllers.
-
-    Returns:
-        One record for each controller, in order.
     """
     arm, records = subject.arm, []
     for controller in controllers:
@@ -247,13 +222,7 @@ def drive(
 ) -> Trajectory:
     """Run a controller with the common settings of all studies: |dq| <= `STEP`, at most `MAX_STEPS` steps.
 
-    Args:
-        arm: the arm.
-        target: the target posture.
-        start: configuration, (nq,).
-        controller: a controller or its name.
-        scene: the obstacles.
-        tolerance: mean point error at which a run has converged, relative to the arm length.
+    It has converged when the mean point error is within the tolerance, relative to the arm length.
     """
     limits, near = Limits(step=STEP), tolerance * arm.length
     return track(arm, target, start, controller, limits, scene=scene, max_steps=MAX_STEPS, tolerance=near)
@@ -269,14 +238,7 @@ def _refused(arm: Arm, case: Case, start: Array, target: Target, controller: str
         reason=one_line(reason),
         steps=0,
         error=float(errors.mean()) / arm.length,
-        rising=0.0,
-        escaping=0.0,
-        peak=1.0,
-        path=1.0,
         turn=None if target.q is None else largest_turn(arm, start, target.q),
-        seconds=0.0,
-        violation=0.0,
-        stride=0.0,
     )
 
 
@@ -284,12 +246,7 @@ GROUPS = ("smooth", "harsh", "straight and noise", "folds")
 
 
 class Spread(NamedTuple):
-    """Median and 90th percentile of a quantity over many runs.
-
-    Attributes:
-        median: its median.
-        high: its 90th percentile.
-    """
+    """Median of a quantity over many runs and, as `high`, its 90th percentile."""
 
     median: float
     high: float
@@ -303,8 +260,8 @@ class Spread(NamedTuple):
 class SummaryRow(NamedTuple):
     """Summary of one controller for a group of cases.
 
-    Spreads of motion quantities only include runs that moved and came near (`Record.near`), and are None if
-    there are none; they are named as in `Record`.
+    Spreads only include runs that moved and came near (`Record.near`), and are None if there are none; their
+    quantities are those of `Record`.
 
     Attributes:
         arm: name of the arm.
@@ -314,12 +271,6 @@ class SummaryRow(NamedTuple):
         arrived: share of runs that ended within 1e-6 of the arm length.
         near: share of runs that ended within 1e-3.
         refused: number of cases that the controller rejected.
-        steps: number of steps.
-        rising: share of steps on which the posture error rises.
-        escaping: share of steps on which it rises with the controller's consent.
-        peak: largest posture error relative to that at the start.
-        path: path length relative to straight lines.
-        seconds: wall time per step [s].
         violation: largest violation of any run.
         stride: largest stride of any run.
     """
@@ -361,11 +312,7 @@ def family_of(record: Record) -> str:
 
 
 def summarise(records: Sequence[Record], families: bool = False) -> list[SummaryRow]:
-    """Summarise runs by arm, group and controller.
-
-    Args:
-        records: the runs.
-        families: group runs by family instead of by `GROUPS`.
+    """Summarise runs by arm, group and controller, or by family instead of `GROUPS`.
 
     Returns:
         One row for each controller in each group of each arm; arms, controllers and families in order of
@@ -431,23 +378,12 @@ def write_records(
 ) -> Path:
     """Write a CSV file with one row for each run and a header of field names, at full precision.
 
-    Args:
-        records: the runs, named tuples with those fields.
-        path: the file.
-        fields: names of the fields.
-
-    Returns:
-        The path of the file.
+    The runs are named tuples with those fields. The path of the file is returned.
 
     Raises:
         FileError: the file cannot be written.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(fields)
-    # csv writes floats by repr, which preserves the value, and None as an empty cell.
-    writer.writerows(records)
-    write_text(Path(path), text.getvalue())
+    write_table(Path(path), [fields, *records])
     return Path(path)
 
 
@@ -458,13 +394,7 @@ def read_records(path: str | Path) -> list[Record]:
         FileError: the file is missing, has other columns or an invalid row; names the line.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise FileError(path, "is not a table of runs (not UTF-8 text)") from error
-    rows = csv.reader(io.StringIO(text))
+    rows = csv.reader(io.StringIO(read_text(path)))
     if next(rows, None) != list(Record._fields):
         raise FileError(path, f"is not a table of runs; allowed: the columns {', '.join(Record._fields)}")
     kinds = get_type_hints(Record)
@@ -485,17 +415,10 @@ def keep_study(
     figures: Mapping[str, Figure],
     fields: Sequence[str] = Record._fields,
 ) -> list[Path]:
-    """Write a study to a directory, created if necessary; each file is written atomically.
+    """Write a study to a directory, created if necessary, and return the paths of its files.
 
-    Args:
-        directory: the directory.
-        records: the runs, for cases.csv.
-        summary: JSON-compatible summary, for summary.json.
-        figures: figures by file name, written as PNG.
-        fields: names of the fields of a run.
-
-    Returns:
-        Paths of the files.
+    The runs are written to cases.csv under the names of their fields, the JSON-compatible summary to
+    summary.json, and the figures, by file name, as PNG; each file is written atomically.
 
     Raises:
         FileError: a file cannot be written.
@@ -506,5 +429,5 @@ def keep_study(
         files.append(directory / name)
         write_figure(files[-1], figure)
     files.append(directory / SUMMARY)  # last, so that it marks a complete study
-    write_text(files[-1], json.dumps(summary, indent=1, allow_nan=False) + "\n")
+    write_json(files[-1], summary)
     return files

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, NamedTuple, get_args
@@ -122,29 +123,20 @@ Array = NDArray[np.float64]
 def link_headings(arm: Arm, positions: Array) -> Array:
     """Return the rotation of each link of a planar arm about the normal of its plane, relative to the base.
 
-    Args:
-        arm: a planar arm.
-        positions: joint positions or a joint displacement, (nv,) [rad or m].
-
-    Returns:
-        Sum of the joint angles up to each joint of the chain, full turns included, (n,) [rad].
+    It is the sum of the positions, or displacements, (nv,) of the joints of the chain up to each link, full
+    turns included, (n,) [rad].
     """
     senses = np.sign(arm.chain.axes @ np.cross(*arm.plane)) * arm.chain.revolute
     return np.asarray(np.cumsum(senses * positions[arm.columns]))
 
 
 def largest_turn(arm: Arm, start: Array, goal: Array) -> float:
-    """Return the largest change of heading of any part of the arm between two configurations [rad].
+    """Return the largest change of heading of any part of the arm between two configurations, (nq,) [rad].
 
     For a planar arm, the largest change of heading of a link, full turns included. For a spatial arm, the
     largest turn of a module: the changes of orientation of successive modules differ by a small rotation, and
     the rotation vectors of these, summed along the arm from the base, give the turn of a module. For a planar
     arm this would be the change of heading at the module ends, if no single module bends by more than pi.
-
-    Args:
-        arm: the arm.
-        start: configuration, (nq,).
-        goal: configuration, (nq,).
     """
     if arm.dimension == 2:
         turns = link_headings(arm, np.asarray(pin.difference(arm.model, start, goal)))
@@ -333,9 +325,8 @@ def study(
     """
     register_baselines()
     listed = [controller_named(controller) for controller in controllers]
-    todo = [(scenario, controller, seed) for scenario in scenarios for controller in listed for seed in seeds]
     outcomes = []
-    tasks = (delayed(_one)(arm, *item, limits, max_steps) for item in todo)
+    tasks = (delayed(_one)(arm, *each, limits, max_steps) for each in product(scenarios, listed, seeds))
     for result in in_order(tasks, jobs):
         outcomes.append(result)
         if progress is not None:
@@ -376,19 +367,17 @@ def urdf_files() -> dict[str, str]:
 
 
 def write_urdf_files(directory: str | Path) -> list[Path]:
-    """Write the robot descriptions to a directory, created if necessary; files are replaced atomically.
+    """Write the robot descriptions to a directory, created if necessary, and return their paths.
 
-    Returns:
-        Paths of the files.
+    Files are replaced atomically.
 
     Raises:
         FileError: the directory or a file in it cannot be written.
     """
-    paths = []
-    for name, text in urdf_files().items():
-        paths.append(Path(directory) / name)
-        write_text(paths[-1], text)
-    return paths
+    files = {Path(directory) / name: text for name, text in urdf_files().items()}
+    for path, text in files.items():
+        write_text(path, text)
+    return list(files)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import product
 from time import perf_counter
 from types import MappingProxyType
 from typing import NamedTuple
@@ -11,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Obstacle, Scene, Sphere
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target
@@ -70,13 +72,7 @@ class Situation(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """Start and target of one seed.
-
-    Attributes:
-        start: configuration, (nq,).
-        goal: target configuration, (nq,).
-        refused: number of rejected draws that were not as clear as required.
-    """
+    """Start and target, (nq,), of one seed, and the number of draws that were not as clear as required."""
 
     start: Array
     goal: Array
@@ -90,47 +86,37 @@ def situation_arm() -> Arm:
 
 def situation_named(name: str) -> Situation:
     """Return a situation by name; raises UnknownName if there is none."""
-    if name not in SITUATIONS:
-        raise UnknownName("scene", name, SITUATIONS)
+    require_known("scene", name, SITUATIONS)
     return SITUATIONS[name]
 
 
 def draw_situation(arm: Arm, situation: Situation, seed: int) -> Draw:
-    """Vary start and target of a situation slightly and smoothly along the arm.
+    """Vary start and target of a situation slightly and smoothly along the arm of `situation_arm`.
 
     Both are drawn from one stream, the start first, each until it is as clear as the situation requires.
-
-    Args:
-        arm: the arm of `situation_arm`.
-        situation: the situation.
-        seed: a whole number >= 0.
 
     Raises:
         InvalidValue: none of `DRAWS` draws is as clear as required.
     """
     rng = np.random.default_rng([seed, *situation.name.encode()])
     around = CollisionModel(arm, situation.scene)
-    found, refused = [], 0
-    for what, positions, clear in (
-        ("start", situation.start, situation.start_clear),
-        ("goal", situation.goal, situation.goal_clear),
-    ):
+    refused = 0
+
+    def draw(what: str, positions: Array, clear: bool) -> Array:
+        nonlocal refused
         for _ in range(DRAWS):
             change = arm.positions(smooth_configuration(arm, rng, VARIATION))
             q = arm.configuration(np.clip(positions + change, arm.limits.lower, arm.limits.upper))
-            if _as_clear(around, q, clear):
-                break
+            distance = around.minimum(q).distance
+            if distance >= around.scene.margin if clear else distance < 0.0:
+                return q
             refused += 1
-        else:
-            text = f"one that {'keeps the margin' if clear else 'overlaps with something'}"
-            raise InvalidValue(f"{what} of {situation.name}", positions, text)
-        found.append(q)
-    return Draw(found[0], found[1], refused)
+        text = f"one that {'keeps the margin' if clear else 'overlaps with something'}"
+        raise InvalidValue(f"{what} of {situation.name}", positions, text)
 
-
-def _as_clear(around: CollisionModel, q: Array, clear: bool) -> bool:
-    distance = around.minimum(q).distance
-    return distance >= around.scene.margin if clear else distance < 0.0
+    start = draw("start", situation.start, situation.start_clear)
+    goal = draw("goal", situation.goal, situation.goal_clear)
+    return Draw(start, goal, refused)
 
 
 def _bent(y: ArrayLike, z: ArrayLike) -> Array:
@@ -149,10 +135,9 @@ def coiled(bend: float, twist: float) -> Array:
 def _pipe(first: float, last: float) -> dict[str, Obstacle]:
     """Return a pipe about the x axis between two x coordinates [m]."""
     staves: dict[str, Obstacle] = {}
-    for number in range(STAVES):
-        angle = 2.0 * np.pi * number / STAVES
+    for number, angle in enumerate(2.0 * np.pi * np.arange(STAVES) / STAVES, start=1):
         across = (PIPE * np.cos(angle), PIPE * np.sin(angle))
-        staves[f"stave {number + 1}"] = Capsule((first, *across), (last, *across), STAVE)
+        staves[f"stave {number}"] = Capsule((first, *across), (last, *across), STAVE)
     return staves
 
 
@@ -285,14 +270,9 @@ class SceneRun(NamedTuple):
 def record_scene_run(
     run: Trajectory, situation: Situation, seed: int, refused: int = 0, seconds: float = 0.0
 ) -> SceneRun:
-    """Create the record of a run; distances are computed again, independently of the run.
+    """Create the record of a run, given the number of rejected draws and the wall time [s].
 
-    Args:
-        run: the run.
-        situation: its situation.
-        seed: its seed.
-        refused: number of rejected draws.
-        seconds: wall time of the run [s].
+    Distances are computed again, independently of the run.
     """
     around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
@@ -344,10 +324,7 @@ class SceneRow(NamedTuple):
         unexplained: number of runs that did not reach the target and named no obstacle.
         room: smallest distance of any run minus the margin [m].
         loss: largest `SceneRun.loss` of any run [m].
-        steps: number of steps.
-        path: path length of the control points relative to straight lines.
-        escaping: share of steps in which the controller lets the posture error rise.
-        seconds: wall time of a run [s].
+        steps, path, escaping, seconds: those of `SceneRun`.
     """
 
     scene: str
@@ -392,7 +369,7 @@ def study_scenes(
     """
     check_study(first_seed, seeds=seeds, scenes=scenes)
     arm, names = situation_arm(), [situation_named(name).name for name in scenes]
-    cases = ((arm, name, seed) for name in names for seed in range(first_seed, first_seed + seeds))
+    cases = product([arm], names, range(first_seed, first_seed + seeds))
     return run_all(_one, cases, jobs, progress)
 
 

@@ -1,4 +1,8 @@
-"""The figures of chapter 6 of the thesis, in its layout."""
+"""The figures of chapter 6 of the thesis, in its layout.
+
+All runs of a figure have one start and one target, and are given by controller name. The width is that in
+print [mm]; None is for the screen.
+"""
 
 from __future__ import annotations
 
@@ -47,11 +51,6 @@ def draw_final_postures(runs: Mapping[str, Trajectory], title: str, width: float
 
     A second panel shows only target and final postures, which may be much smaller than the initial one.
 
-    Args:
-        runs: runs from one start to one target, by controller name.
-        title: title of the figure.
-        width: print width [mm]; None for the screen.
-
     Raises:
         InvalidValue: no run.
     """
@@ -81,11 +80,6 @@ def draw_errors(runs: Mapping[str, Trajectory], title: str, width: float | None 
     """Draw control point errors, posture error and number of control points, as Figures 6.4, 6.6 and 6.8.
 
     Each run has its own row; rows share their scales.
-
-    Args:
-        runs: runs from one start to one target, by controller name.
-        title: title of the figure.
-        width: print width [mm]; None for the screen.
 
     Raises:
         InvalidValue: no run.
@@ -120,12 +114,7 @@ def draw_planar(
     The top row shows the initial posture and the target. Each run has a row with the control points used in
     each step, the posture error above the number of control points and the manipulability index, and the
     final and intermediate postures. Red dots on the step axis mark steps that switching left to Projection.
-
-    Args:
-        runs: runs from one start to one target, by controller name.
-        title: title of the figure.
-        compared: additional runs of which only the posture error is drawn, for comparison.
-        width: print width [mm]; None for the screen.
+    Of the compared runs only the posture error is drawn.
 
     Raises:
         InvalidValue: no run, or the arm is not planar.
@@ -233,13 +222,9 @@ def _draw_way(run: Trajectory, ax: Axes, color: str) -> None:
 
 
 def _figure(height: float, title: str, width: float | None, columns: int) -> tuple[Figure, bool]:
-    """Create an empty figure; return it and whether its columns of panels are stacked.
+    """Create an empty figure of a height [inch] on the screen, where alone the title is shown.
 
-    Args:
-        height: its height on the screen [inch].
-        title: title, shown on the screen only.
-        width: print width [mm]; None for the screen.
-        columns: number of panels side by side.
+    Also return whether its columns, the number of panels side by side, are stacked instead.
     """
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, wspace=0.03, hspace=0.03)
     if width is not None:

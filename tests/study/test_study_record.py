@@ -157,7 +157,7 @@ def test_a_table_of_runs_reads_back_as_it_was_written(tmp_path_factory, runs):
 
 def test_a_table_that_is_none_names_what_is_wrong(arm, tmp_path):
     path = tmp_path / "cases.csv"
-    with pytest.raises(FileError, match="No such file"):
+    with pytest.raises(FileError, match="no such file"):
         read_records(path)
     run = record_run(made(arm, np.zeros((2, 3))), CASE, "joint")
     write_records([run, run], path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,10 @@ from pinposture.control import Controller
 from pinposture.motion.processes import in_order
 from pinposture.study.claims import CLAIMS, Claim
 from pinposture.study.reproduce import measures
-from pinposture.study.reproduce.measures import RULES, Finding, Share, Verdict, judge, share
+from pinposture.study.reproduce.measures import MEASURES, RULES, Finding, Share, Verdict, judge, share
 from pinposture.study.reproduce.runs import (
     ANY_STEP,
+    ARM_NAMES,
     DEFAULT,
     READINGS,
     SWITCHING_READINGS,
@@ -35,7 +37,6 @@ from pinposture.study.scenarios import arbitrary_configuration
 
 Array = NDArray[np.float64]
 
-ARM_NAMES = {"ryrz20": "spatial", "planar45": "planar"}
 KINDS = ("smooth", "any")
 """Postures like the arbitrary ones of the runs, and with every joint anywhere within its limits."""
 
@@ -154,10 +155,9 @@ def _section_is_deficient(arm: Arm, q: Array, rng: np.random.Generator) -> bool:
 
 
 def _groups(counted: Iterable[Counted], by_threshold: bool = True) -> dict[str, list[Counted]]:
-    words = {"smooth": "smooth postures", "any": "any postures"}
     groups: dict[str, list[Counted]] = {}
     for each in counted:
-        name = f"{ARM_NAMES[each.arm]}, {words[each.kind]}"
+        name = f"{ARM_NAMES[each.arm]}, {each.kind} postures"
         if by_threshold:
             name += f", threshold {each.threshold:g}"
         elif each.threshold != THRESHOLDS[0]:
@@ -198,19 +198,15 @@ def _away(counted: list[Counted]) -> Finding:
         _of_sets(groups, lambda each: each.sigma_min > CONDITIONING),
         {f"smallest of all, per arm length [1/rad]: {name}": value for name, value in lowest.items()},
         "Full rank is not yet good conditioning: the smallest singular value of all sets is "
-        f"{min(lowest.values()):.1g} "
-        "of the arm length per rad. Selection here drops points until the matrix itself is far enough from "
-        "singular.",
+        f"{min(lowest.values()):.1g} of the arm length per rad. Selection here drops points until the matrix "
+        "itself is far enough from singular.",
     )
 
 
-def _section(arm: str, text: str) -> Callable[[list[Counted]], Finding]:
-    def find(counted: list[Counted]) -> Finding:
-        groups = _groups((each for each in counted if each.arm == arm), by_threshold=False)
-        shares = {name: share(each.section_deficient for each in listed) for name, listed in groups.items()}
-        return Finding(shares, {}, text)
-
-    return find
+def _section(arm: str, text: str, counted: list[Counted]) -> Finding:
+    groups = _groups((each for each in counted if each.arm == arm), by_threshold=False)
+    shares = {name: share(each.section_deficient for each in listed) for name, listed in groups.items()}
+    return Finding(shares, {}, text)
 
 
 POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
@@ -218,23 +214,16 @@ POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
     "neighbours-suffice": _pairs,
     "conditions-give-full-rank": _full_rank_share,
     "conditions-keep-away": _away,
-    "singular-section-planar": _section("planar45", ""),
-    "singular-section-spatial": _section(
+    "singular-section-planar": partial(_section, "planar45", ""),
+    "singular-section-spatial": partial(
+        _section,
         "ryrz20",
         "In space a section of one module has an index of 0, and its ends can be moved independently all the "
         "same: the condition is sufficient, not necessary. The proof is for planar arms.",
     ),
 }
-"""Measures of the claims of `pinposture.study.claims.POSTURES`."""
+"""Measures of the claims about postures, by id of the claim."""
 
-
-MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
-    **measures.TRACKING_MEASURES,
-    **measures.MOVING_MEASURES,
-    **measures.SINGULAR_MEASURES,
-    **measures.CHOOSING_MEASURES,
-}
-"""Measures of all claims about runs; those about postures are in `POSTURES_MEASURES`."""
 
 _PROJECTIONS = ("projection", "projection, full", "projection, local", "projection, kappa 0.6")
 _SCORES = ("selection, (4.8)", "selection, (4.8) relative")
@@ -279,14 +268,9 @@ def own_batches(controllers: Mapping[str, Controller]) -> list[RunSet]:
 
 
 class JudgedClaim(NamedTuple):
-    """A claim and its verdict.
+    """A claim with its verdict and measurements.
 
-    Attributes:
-        claim: the claim.
-        verdict: whether it holds.
-        finding: the measurements.
-        readings: verdict and measurements for other readings of the thesis.
-        own: verdict and measurements for the user's own controllers, by name.
+    Likewise for other readings of the thesis, and for the user's own controllers, by name.
     """
 
     claim: Claim
@@ -297,16 +281,7 @@ class JudgedClaim(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """The data by which claims are judged.
-
-    Attributes:
-        pool: the runs.
-        counted: the postures.
-        seeds: number of seeds of both.
-        max_steps: maximum number of steps of a run.
-        first: the first seed.
-        own: names of the user's own controllers.
-    """
+    """The runs and the counts at postures by which claims are judged, also for the user's own controllers."""
 
     pool: Pool
     counted: list[Counted]
@@ -324,16 +299,10 @@ def gather(
     first: int = 0,
     own: Mapping[str, Controller] | None = None,
 ) -> Evidence:
-    """Collect the runs and postures by which claims are judged.
+    """Collect the runs and postures by which claims are judged; they do not depend on `jobs`.
 
-    Args:
-        seeds: number of seeds.
-        max_steps: maximum number of steps of a run.
-        jobs: number of processes; the result does not depend on it.
-        progress: called with the number of new finished runs, of `seeds` per set of BATCHES and
-            `own_batches`.
-        first: the first seed.
-        own: the user's own controllers to judge as well, by name.
+    Own controllers, by name, are judged as well. `progress` is called with the number of new finished runs,
+    of `seeds` per set of BATCHES and `own_batches`.
     """
     counted = count_postures(seeds, jobs, first)
     batches = (*BATCHES, *own_batches(own or {}))

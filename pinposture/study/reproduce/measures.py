@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
+from operator import lt
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -41,12 +43,7 @@ RULES: Mapping[str, Rule] = {
 
 
 class Share(NamedTuple):
-    """The number of cases in which a claim is true.
-
-    Attributes:
-        true: number of cases in which it is true.
-        cases: number of all cases.
-    """
+    """The number of cases in which a claim is true, of all cases."""
 
     true: int
     cases: int
@@ -96,8 +93,8 @@ class Finding(NamedTuple):
     """
 
     shares: Mapping[str, Share]
-    figures: Mapping[str, float]
-    instead: str
+    figures: Mapping[str, float] = {}
+    instead: str = ""
     by_nearness: Sequence[Class] = ()
 
 
@@ -136,6 +133,7 @@ FEW = 50
 
 NON_SINGULAR = ("helix", "random", "planar-random")
 SINGULAR = ("line", "planar-near-line")
+TARGETS = (*NON_SINGULAR, *SINGULAR)
 FROM_STRAIGHT = ("from-straight", "planar-from-straight")
 FROM_NEAR_STRAIGHT = ("near-straight", "planar-near-straight")
 ACROSS = ("opposite", "planar-opposite")
@@ -157,14 +155,15 @@ def lower(run: MeasuredRun, others: Sequence[MeasuredRun]) -> bool:
     return all(final(run) < final(other) or max(final(run), final(other)) <= EXACT for other in others)
 
 
-def errors_of(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
-    """Return the median final error of each group."""
+Groups = Mapping[str, Sequence[MeasuredRun]]
+"""Runs by "arm, scenario, method" in words."""
+
+
+def _errors(groups: Groups) -> dict[str, float]:
     return _prefixed("median final error per arm length", _medians(groups, final))
 
 
-def _medians(
-    groups: Mapping[str, Sequence[MeasuredRun]], measure: Callable[[MeasuredRun], float]
-) -> dict[str, float]:
+def _medians(groups: Groups, measure: Callable[[MeasuredRun], float]) -> dict[str, float]:
     """Return the median of a measure over the runs of each group."""
     return {name: median([measure(run) for run in runs]) for name, runs in groups.items()}
 
@@ -183,22 +182,17 @@ def _in_words(values: Mapping[str, float], form: str = ".0%") -> str:
     return "; ".join(f"{name}: {value:{form}}" for name, value in values.items())
 
 
-def _count_runs(
-    groups: Mapping[str, Sequence[MeasuredRun]], true: Callable[[MeasuredRun], bool]
-) -> dict[str, Share]:
+def _count_runs(groups: Groups, true: Callable[[MeasuredRun], bool]) -> dict[str, Share]:
     return {name: share(true(run) for run in runs) for name, runs in groups.items()}
 
 
-def _arrives(scenarios: Sequence[str], methods: Sequence[str]) -> Callable[[Reading], Finding]:
-    def find(reading: Reading) -> Finding:
-        groups = reading.each(scenarios, methods)
-        close = _values(_count_runs(groups, lambda run: arrived(run, CLOSE)))
-        halved = _values(_count_runs(groups, lambda run: run.outcome.ratio <= 0.5))
-        figures = errors_of(groups) | _prefixed("within 0.1 %", close)
-        text = f"The posture error is at least halved in {_in_words(halved)}."
-        return Finding(_count_runs(groups, arrived), figures, text)
-
-    return find
+def _arrives(scenarios: Sequence[str], methods: Sequence[str], reading: Reading) -> Finding:
+    groups = reading.each(scenarios, methods)
+    close = _values(_count_runs(groups, lambda run: arrived(run, CLOSE)))
+    halved = _values(_count_runs(groups, lambda run: run.outcome.ratio <= 0.5))
+    figures = _errors(groups) | _prefixed("within 0.1 %", close)
+    text = f"The posture error is at least halved in {_in_words(halved)}."
+    return Finding(_count_runs(groups, arrived), figures, text)
 
 
 def _similar(reading: Reading) -> Finding:
@@ -219,27 +213,24 @@ def _similar(reading: Reading) -> Finding:
     )
 
 
-def _projection_lower(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
-    def find(reading: Reading) -> Finding:
-        pairs = reading.pairs(scenarios, *BOTH)
-        shares = {name: share(lower(b, [a]) for a, b in runs) for name, runs in pairs.items()}
-        figures = errors_of(reading.each(scenarios, BOTH))
-        parts = [
-            f"{name}: {median([final(a) for a, _ in runs]):.2g} by Selection, "
-            f"{median([final(b) for _, b in runs]):.2g} by Projection"
-            for name, runs in pairs.items()
-        ]
-        return Finding(shares, figures, f"Median final errors per arm length: {'; '.join(parts)}.")
-
-    return find
+def _projection_lower(scenarios: Sequence[str], reading: Reading) -> Finding:
+    pairs = reading.pairs(scenarios, *BOTH)
+    shares = {name: share(lower(b, [a]) for a, b in runs) for name, runs in pairs.items()}
+    figures = _errors(reading.each(scenarios, BOTH))
+    parts = [
+        f"{name}: {median([final(a) for a, _ in runs]):.2g} by Selection, "
+        f"{median([final(b) for _, b in runs]):.2g} by Projection"
+        for name, runs in pairs.items()
+    ]
+    return Finding(shares, figures, f"Median final errors per arm length: {'; '.join(parts)}.")
 
 
 def _converges(reading: Reading) -> Finding:
-    groups = reading.each((*NON_SINGULAR, *SINGULAR), ("projection",))
+    groups = reading.each(TARGETS, ("projection",))
     there = _values(_count_runs(groups, arrived))
     return Finding(
         _count_runs(groups, lambda run: arrived(run, CLOSE)),
-        errors_of(groups),
+        _errors(groups),
         f"A mean point error of at most 1 % of the arm length is reached in {_in_words(there)}.",
     )
 
@@ -255,20 +246,17 @@ def _few_steps(reading: Reading) -> Finding:
     reached = [count for count in needed if np.isfinite(count)]
     return Finding(
         _count_runs(groups, lambda run: steps(run) <= FEW and arrived(run)),
-        {"median steps to 1 %, of runs that come there": median(reached)} | errors_of(groups),
+        {"median steps to 1 %, of runs that come there": median(reached)} | _errors(groups),
         f"{len(reached)} of {len(needed)} runs come within 1 %, in {median(reached):.0f} steps (median).",
     )
 
 
-def _cannot_start(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
-    def find(reading: Reading) -> Finding:
-        groups = reading.each(scenarios, ("selection",))
-        there = _values(_count_runs(groups, arrived))
-        figures = _prefixed("end within 1 %", there)
-        text = f"Of all runs, these end within 1 % of the arm length: {_in_words(there)}."
-        return Finding(_count_runs(groups, lambda run: run.outcome.steps == 0), figures, text)
-
-    return find
+def _cannot_start(scenarios: Sequence[str], reading: Reading) -> Finding:
+    groups = reading.each(scenarios, ("selection",))
+    there = _values(_count_runs(groups, arrived))
+    figures = _prefixed("end within 1 %", there)
+    text = f"Of all runs, these end within 1 % of the arm length: {_in_words(there)}."
+    return Finding(_count_runs(groups, lambda run: run.outcome.steps == 0), figures, text)
 
 
 def _departs(reading: Reading) -> Finding:
@@ -310,26 +298,22 @@ def approach(run: MeasuredRun) -> bool | None:
     return bool(clear[came[0] :].any()) if len(came) else None
 
 
-def _passes(method: str, expected: bool) -> Callable[[Reading], Finding]:
-    def find(reading: Reading) -> Finding:
-        groups = reading.each((*NON_SINGULAR, *ACROSS), (method,))
-        told = {
-            name: [left for run in runs if (left := approach(run)) is not None]
-            for name, runs in groups.items()
-        }
-        came = {name: Share(len(told[name]), len(runs)) for name, runs in groups.items()}
-        held = {name: share(each is expected for each in told[name]) for name in groups}
-        shares = {name: each if came[name].value >= SEEN else Share(0, 0) for name, each in held.items()}
-        summary = "; ".join(
-            f"{name}: {sum(told[name])} of {each.true}" for name, each in came.items() if each.true
-        )
-        return Finding(
-            shares,
-            _prefixed("share of runs that come near", _values(came)),
-            f"Of the runs that come near these leave again: {summary or 'none comes near'}.",
-        )
-
-    return find
+def _passes(method: str, expected: bool, reading: Reading) -> Finding:
+    groups = reading.each((*NON_SINGULAR, *ACROSS), (method,))
+    told = {
+        name: [left for run in runs if (left := approach(run)) is not None] for name, runs in groups.items()
+    }
+    came = {name: Share(len(told[name]), len(runs)) for name, runs in groups.items()}
+    held = {name: share(each is expected for each in told[name]) for name in groups}
+    shares = {name: each if came[name].value >= SEEN else Share(0, 0) for name, each in held.items()}
+    summary = "; ".join(
+        f"{name}: {sum(told[name])} of {each.true}" for name, each in came.items() if each.true
+    )
+    return Finding(
+        shares,
+        _prefixed("share of runs that come near", _values(came)),
+        f"Of the runs that come near these leave again: {summary or 'none comes near'}.",
+    )
 
 
 def _on_curve(reading: Reading) -> Finding:
@@ -346,25 +330,6 @@ def _on_curve(reading: Reading) -> Finding:
         _prefixed("farthest off, per arm length", farthest),
         f"The farthest that a target is off the curve, per arm length: {_in_words(farthest, '.2g')}.",
     )
-
-
-TRACKING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
-    "tracks-arbitrary": _arrives(NON_SINGULAR, BOTH),
-    "tracks-singular": _arrives(SINGULAR, BOTH),
-    "similar-performance": _similar,
-    "projection-lower-non-singular": _projection_lower(NON_SINGULAR),
-    "projection-lower-singular": _projection_lower(SINGULAR),
-    "projection-converges": _converges,
-    "selection-few-steps": _few_steps,
-    "selection-cannot-start": _cannot_start(FROM_STRAIGHT),
-    "selection-cannot-start-near": _cannot_start(FROM_NEAR_STRAIGHT),
-    "projection-departs": _departs,
-    "projection-converges-from-singular": _arrives(FROM_STRAIGHT, ("projection",)),
-    "selection-cannot-pass": _passes("selection", False),
-    "projection-passes": _passes("projection", True),
-    "targets-on-curve": _on_curve,
-}
-"""Measures of the claims of `pinposture.study.claims.TRACKING`."""
 
 
 BINS = (0.0, 0.003, 0.01, 0.03, 0.1, np.inf)
@@ -387,7 +352,7 @@ def _near(
     return np.concatenate([np.zeros(0), *parts])
 
 
-def _by_nearness(groups: Mapping[str, Sequence[MeasuredRun]], name: str, quantity: str) -> list[Class]:
+def _by_nearness(groups: Groups, name: str, quantity: str) -> list[Class]:
     """Return medians and largest values of a quantity of the steps, by nearness."""
     classes = []
     for group, runs in groups.items():
@@ -454,16 +419,7 @@ def _any_step(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, BOTH, ANY_STEP)
     shares = _count_runs(groups, arrived)
     text = f"Of runs without a step limit these arrive: {_in_words(_values(shares))}."
-    return Finding(shares, errors_of(groups), text)
-
-
-SINGULAR_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
-    "stable-near-singular": _bounded_steps,
-    "no-blow-up": _no_blow_up,
-    "smooth-near-singular": _smooth,
-    "stable-without-step-limit": _any_step,
-}
-"""Measures of the claims of `pinposture.study.claims.MOVING` about singular postures."""
+    return Finding(shares, _errors(groups), text)
 
 
 DIRECT = 1.5
@@ -489,35 +445,28 @@ def _largest_rise(run: MeasuredRun) -> float:
     return max(float(np.diff(run.mean_errors).max(initial=0.0)) / max(float(run.mean_errors[0]), 1e-300), 0.0)
 
 
-def _monotone(method: str, expected: bool) -> Callable[[Reading], Finding]:
-    def find(reading: Reading) -> Finding:
-        groups = reading.each((*NON_SINGULAR, *SINGULAR), (method,))
-        rising = _medians(groups, lambda run: run.descent.rose / max(run.descent.steps, 1))
-        smooth = _values(_count_runs(groups, lambda run: _largest_rise(run) <= VISIBLE))
-        summary = "; ".join(f"{name}: {rising[name]:.0%}, {smooth[name]:.0%}" for name in groups)
-        return Finding(
-            _count_runs(groups, lambda run: (run.descent.rose == 0) is expected),
-            _prefixed("median share of rising steps", rising)
-            | _prefixed("runs without a visible rise", smooth),
-            "Median share of the steps of a run on which the posture error rises, and share of the runs in "
-            "which "
-            f"it never rises by more than 1 % of what it was at first: {summary}.",
-        )
-
-    return find
+def _monotone(method: str, expected: bool, reading: Reading) -> Finding:
+    groups = reading.each(TARGETS, (method,))
+    rising = _medians(groups, lambda run: run.descent.rose / max(run.descent.steps, 1))
+    smooth = _values(_count_runs(groups, lambda run: _largest_rise(run) <= VISIBLE))
+    summary = "; ".join(f"{name}: {rising[name]:.0%}, {smooth[name]:.0%}" for name in groups)
+    return Finding(
+        _count_runs(groups, lambda run: (run.descent.rose == 0) is expected),
+        _prefixed("median share of rising steps", rising) | _prefixed("runs without a visible rise", smooth),
+        "Median share of the steps of a run on which the posture error rises, and share of the runs in "
+        f"which it never rises by more than 1 % of what it was at first: {summary}.",
+    )
 
 
 def _null_space(reading: Reading) -> Finding:
-    groups = reading.each((*NON_SINGULAR, *SINGULAR), BOTH)
-    steps = {name: sum(run.descent.steps for run in runs) for name, runs in groups.items()}
-    uphill = {
-        name: sum(run.descent.uphill for run in runs) / max(steps[name], 1) for name, runs in groups.items()
-    }
+    groups = reading.each(TARGETS, BOTH)
+    shares, uphill = {}, {}
+    for name, runs in groups.items():
+        steps = sum(run.descent.steps for run in runs)
+        shares[name] = Share(steps - sum(run.descent.rose for run in runs), steps)
+        uphill[name] = sum(run.descent.uphill for run in runs) / max(steps, 1)
     return Finding(
-        {
-            name: Share(steps[name] - sum(run.descent.rose for run in runs), steps[name])
-            for name, runs in groups.items()
-        },
+        shares,
         _prefixed("steps uphill however short", uphill),
         "The sum runs over all control points and its sign is that of descent, without which it would not "
         f"lower the posture error at all. Steps that would raise it however short they were made: "
@@ -526,7 +475,7 @@ def _null_space(reading: Reading) -> Finding:
 
 
 def _active_points(reading: Reading) -> Finding:
-    groups = reading.each((*NON_SINGULAR, *SINGULAR), ("selection",))
+    groups = reading.each(TARGETS, ("selection",))
     counted = {
         name: tuple(
             sum(getattr(run.descent, field) for run in runs)
@@ -546,11 +495,11 @@ def _active_points(reading: Reading) -> Finding:
 
 
 def _points_rise(reading: Reading) -> Finding:
-    groups = reading.each((*NON_SINGULAR, *SINGULAR), ("selection",))
-    return Finding(_count_runs(groups, lambda run: run.descent.points_rose > 0), {}, "")
+    groups = reading.each(TARGETS, ("selection",))
+    return Finding(_count_runs(groups, lambda run: run.descent.points_rose > 0))
 
 
-def _predictability(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
+def _predictability(groups: Groups) -> dict[str, float]:
     figures = {}
     for name, runs in groups.items():
         figures[f"median path per direct distance: {name}"] = median([run.path_length_ratio for run in runs])
@@ -559,48 +508,41 @@ def _predictability(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, fl
     return figures
 
 
-def _predictable(method: str, expected: bool) -> Callable[[Reading], Finding]:
-    def find(reading: Reading) -> Finding:
-        groups = {
-            name: [run for run in runs if run.separation is not None]
-            for name, runs in reading.each(TWINS, (method,)).items()
-        }
-        summary = "; ".join(
-            f"{name}: direct in {share(run.path_length_ratio <= DIRECT for run in runs).value:.0%}, "
-            f"insensitive to the nudge in {share((run.separation or 0.0) <= CALM for run in runs).value:.0%}"
-            for name, runs in groups.items()
-        )
-        shares = _count_runs(groups, lambda run: predictable(run) is expected)
-        return Finding(shares, _predictability(groups), f"{summary[:1].upper()}{summary[1:]}.")
+def _predictable(method: str, expected: bool, reading: Reading) -> Finding:
+    groups = {
+        name: [run for run in runs if run.separation is not None]
+        for name, runs in reading.each(TWINS, (method,)).items()
+    }
+    summary = "; ".join(
+        f"{name}: direct in {share(run.path_length_ratio <= DIRECT for run in runs).value:.0%}, "
+        f"insensitive to the nudge in {share((run.separation or 0.0) <= CALM for run in runs).value:.0%}"
+        for name, runs in groups.items()
+    )
+    shares = _count_runs(groups, lambda run: predictable(run) is expected)
+    return Finding(shares, _predictability(groups), f"{summary[:1].upper()}{summary[1:]}.")
 
-    return find
+
+def _compare(
+    pairs: Mapping[str, Sequence[tuple[MeasuredRun, MeasuredRun]]],
+    way: Callable[[float, float], bool],
+    nudge: Callable[[float, float], bool],
+) -> dict[str, Share]:
+    """Count the seeds on which the path length ratios, and the separations of twins, compare as given."""
+    ways = {
+        f"{name}: way": share(way(a.path_length_ratio, b.path_length_ratio) for a, b in runs)
+        for name, runs in pairs.items()
+    }
+    separations = {name: [(a.separation, b.separation) for a, b in runs] for name, runs in pairs.items()}
+    return ways | {
+        f"{name}: nudge": share(nudge(a, b) for a, b in both if a is not None and b is not None)
+        for name, both in separations.items()
+    }
 
 
 def _more_predictable(reading: Reading) -> Finding:
-    pairs = reading.pairs(TWINS, *BOTH)
-    shares = {
-        f"{name}: way": share(a.path_length_ratio < b.path_length_ratio for a, b in runs)
-        for name, runs in pairs.items()
-    }
-    for name, runs in pairs.items():
-        both = [(a.separation, b.separation) for a, b in runs]
-        shares[f"{name}: nudge"] = share(a < b for a, b in both if a is not None and b is not None)
-    figures = _predictability(reading.each(TWINS, BOTH))
+    shares = _compare(reading.pairs(TWINS, *BOTH), lt, lt)
     text = f"Seeds on which Selection is the better: {_in_words(_values(shares))}."
-    return Finding(shares, figures, text)
-
-
-MOVING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
-    "selection-monotone": _monotone("selection", True),
-    "null-space-descends": _null_space,
-    "active-points-descend": _active_points,
-    "point-errors-not-monotone": _points_rise,
-    "projection-not-monotone": _monotone("projection", False),
-    "selection-predictable": _predictable("selection", True),
-    "projection-unpredictable": _predictable("projection", False),
-    "selection-more-predictable": _more_predictable,
-}
-"""Measures of the claims of `pinposture.study.claims.MOVING`; others are in `SINGULAR_MEASURES`."""
+    return Finding(shares, _predictability(reading.each(TWINS, BOTH)), text)
 
 
 MANY = 0.25
@@ -616,7 +558,7 @@ def _steps_with(runs: Sequence[MeasuredRun], part: float) -> Share:
     return share(counts >= part)
 
 
-def _mean_points(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
+def _mean_points(groups: Groups) -> dict[str, float]:
     moved = {name: [run for run in runs if len(run.points)] for name, runs in groups.items()}
     return _prefixed(
         "median of the mean number of active points", _medians(moved, lambda run: float(run.points.mean()))
@@ -655,51 +597,42 @@ def _runs_out(reading: Reading) -> Finding:
 
 def _stranded(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, ("selection",))
-    return Finding(_count_runs(groups, _is_stranded), errors_of(groups), _final_errors(groups))
+    return Finding(_count_runs(groups, _is_stranded), _errors(groups), _final_errors(groups))
 
 
-def _final_errors(groups: Mapping[str, Sequence[MeasuredRun]]) -> str:
+def _final_errors(groups: Groups) -> str:
     return f"Median final errors per arm length: {_in_words(_medians(groups, final), '.2g')}."
 
 
 def _keeps(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, ("projection",))
-    return Finding(
-        _count_runs(groups, lambda run: bool(run.points.min(initial=run.modules) >= 0.5 * run.modules)),
-        _mean_points(groups),
-        "",
-    )
+    shares = _count_runs(groups, lambda run: bool(run.points.min(initial=run.modules) >= 0.5 * run.modules))
+    return Finding(shares, _mean_points(groups))
 
 
 def _all(reading: Reading) -> Finding:
-    groups = reading.each((*NON_SINGULAR, *SINGULAR, *FROM_STRAIGHT), ("projection",))
-    return Finding({name: _steps_with(runs, 1.0) for name, runs in groups.items()}, _mean_points(groups), "")
+    groups = reading.each((*TARGETS, *FROM_STRAIGHT), ("projection",))
+    return Finding({name: _steps_with(runs, 1.0) for name, runs in groups.items()}, _mean_points(groups))
 
 
 def _more(reading: Reading) -> Finding:
-    pairs = reading.pairs((*NON_SINGULAR, *SINGULAR), *BOTH)
-    return Finding(
-        {
-            name: share(b.points.mean() > a.points.mean() for a, b in runs if len(a.points) and len(b.points))
-            for name, runs in pairs.items()
-        },
-        _mean_points(reading.each((*NON_SINGULAR, *SINGULAR), BOTH)),
-        "",
-    )
+    pairs = reading.pairs(TARGETS, *BOTH)
+    shares = {
+        name: share(b.points.mean() > a.points.mean() for a, b in runs if len(a.points) and len(b.points))
+        for name, runs in pairs.items()
+    }
+    return Finding(shares, _mean_points(reading.each(TARGETS, BOTH)))
 
 
-def _full_rank(method: str) -> Callable[[Reading], Finding]:
-    def find(reading: Reading) -> Finding:
-        groups = reading.each((*NON_SINGULAR, *SINGULAR, *FROM_STRAIGHT), (method,))
-        shares, dropping = {}, {}
-        for name, runs in groups.items():
-            steps = sum(run.descent.steps for run in runs)
-            shares[name] = Share(steps - sum(run.deficient for run in runs), steps)
-            dropping[name] = sum(run.dropping for run in runs) / max(steps, 1)
-        text = f"Steps in which points were dropped for conditioning: {_in_words(dropping, '.1%')}."
-        return Finding(shares, _prefixed("steps in which points were dropped", dropping), text)
-
-    return find
+def _full_rank(method: str, reading: Reading) -> Finding:
+    groups = reading.each((*TARGETS, *FROM_STRAIGHT), (method,))
+    shares, dropping = {}, {}
+    for name, runs in groups.items():
+        steps = sum(run.descent.steps for run in runs)
+        shares[name] = Share(steps - sum(run.deficient for run in runs), steps)
+        dropping[name] = sum(run.dropping for run in runs) / max(steps, 1)
+    text = f"Steps in which points were dropped for conditioning: {_in_words(dropping, '.1%')}."
+    return Finding(shares, _prefixed("steps in which points were dropped", dropping), text)
 
 
 def _switching_lower(reading: Reading) -> Finding:
@@ -709,20 +642,12 @@ def _switching_lower(reading: Reading) -> Finding:
         if all(runs):
             shares[label(scenario)] = share(lower(ours, parts) for ours, *parts in zip(*runs, strict=True))
     groups = reading.each(SWITCHED, (*BOTH, "switching"))
-    return Finding(shares, errors_of(groups), _final_errors(groups))
+    return Finding(shares, _errors(groups), _final_errors(groups))
 
 
 def _switching_predictable(reading: Reading) -> Finding:
     pairs = reading.pairs(TWINS, "switching", "selection")
-    shares = {
-        f"{name}: way": share(a.path_length_ratio <= 1.2 * b.path_length_ratio for a, b in runs)
-        for name, runs in pairs.items()
-    }
-    for name, runs in pairs.items():
-        both = [(a.separation, b.separation) for a, b in runs]
-        shares[f"{name}: nudge"] = share(
-            a <= max(10.0 * b, CALM) for a, b in both if a is not None and b is not None
-        )
+    shares = _compare(pairs, lambda a, b: a <= 1.2 * b, lambda a, b: a <= max(10.0 * b, CALM))
     summary = "; ".join(
         f"{name}: {median([a.path_length_ratio for a, _ in runs]):.2f} against "
         f"{median([b.path_length_ratio for _, b in runs]):.2f}"
@@ -743,17 +668,43 @@ def _mostly_selection(reading: Reading) -> Finding:
     )
 
 
-CHOOSING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+    "tracks-arbitrary": partial(_arrives, NON_SINGULAR, BOTH),
+    "tracks-singular": partial(_arrives, SINGULAR, BOTH),
+    "similar-performance": _similar,
+    "projection-lower-non-singular": partial(_projection_lower, NON_SINGULAR),
+    "projection-lower-singular": partial(_projection_lower, SINGULAR),
+    "projection-converges": _converges,
+    "selection-few-steps": _few_steps,
+    "selection-cannot-start": partial(_cannot_start, FROM_STRAIGHT),
+    "selection-cannot-start-near": partial(_cannot_start, FROM_NEAR_STRAIGHT),
+    "projection-departs": _departs,
+    "projection-converges-from-singular": partial(_arrives, FROM_STRAIGHT, ("projection",)),
+    "selection-cannot-pass": partial(_passes, "selection", False),
+    "projection-passes": partial(_passes, "projection", True),
+    "targets-on-curve": _on_curve,
+    "stable-near-singular": _bounded_steps,
+    "no-blow-up": _no_blow_up,
+    "smooth-near-singular": _smooth,
+    "stable-without-step-limit": _any_step,
+    "selection-monotone": partial(_monotone, "selection", True),
+    "null-space-descends": _null_space,
+    "active-points-descend": _active_points,
+    "point-errors-not-monotone": _points_rise,
+    "projection-not-monotone": partial(_monotone, "projection", False),
+    "selection-predictable": partial(_predictable, "selection", True),
+    "projection-unpredictable": partial(_predictable, "projection", False),
+    "selection-more-predictable": _more_predictable,
     "many-points": _many,
     "selection-runs-out": _runs_out,
     "selection-stranded": _stranded,
     "projection-keeps-points": _keeps,
     "projection-uses-all": _all,
     "projection-more-points": _more,
-    "selection-full-rank": _full_rank("selection"),
-    "projection-full-rank": _full_rank("projection"),
+    "selection-full-rank": partial(_full_rank, "selection"),
+    "projection-full-rank": partial(_full_rank, "projection"),
     "switching-lower": _switching_lower,
     "switching-predictable": _switching_predictable,
     "switching-mostly-selection": _mostly_selection,
 }
-"""Measures of the claims of `pinposture.study.claims.CHOOSING`."""
+"""Measures of the claims about runs, by id of the claim."""

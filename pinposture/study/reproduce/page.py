@@ -17,17 +17,10 @@ PARTS = ("parameters", "verdicts", "nearness", "details")
 
 
 def update_page(path: Path, results: Results) -> bool:
-    """Write the tables of some results into a page, between its markers.
-
-    Args:
-        path: the page, in Markdown, with the markers of each of PARTS.
-        results: the `results` of `reproduce`, with claims.
-
-    Returns:
-        Whether the page changed.
+    """Write the tables of `results` of `reproduce` with claims into a Markdown page; return if it changed.
 
     Raises:
-        FileError: the page cannot be read or written, or lacks a marker.
+        FileError: the page cannot be read or written, or lacks a marker of one of PARTS.
     """
     before = read_text(path)
     after = with_tables(before, results, path)

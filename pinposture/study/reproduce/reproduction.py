@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,12 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from joblib import delayed
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.control import Controller
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress, check_jobs, in_order
-from pinposture.storage import check_writable, write_bytes, write_text
+from pinposture.storage import check_writable, write_bytes, write_json, write_table, write_text
 from pinposture.study.baselines import named_controllers
 from pinposture.study.claims import FIGURES, ThesisFigure
 from pinposture.study.reproduce.evaluate import (
@@ -84,8 +83,11 @@ class FigureSettings:
             raise InvalidValue("formats", self.formats, f"at least one of {', '.join(FORMATS)}")
         for kind, given, known in (("format", self.formats, FORMATS), ("method", self.methods, METHODS)):
             for name in given:
-                if name not in known:
-                    raise UnknownName(kind, name, known)
+                require_known(kind, name, known)
+
+    def seed_of(self, figure: ThesisFigure) -> int:
+        """Return the seed of start and target of a figure."""
+        return figure.seed if self.seed is None else self.seed
 
 
 METHODS = ("selection", "projection", "switching")
@@ -93,13 +95,9 @@ METHODS = ("selection", "projection", "switching")
 
 
 class FigureRuns(NamedTuple):
-    """A figure and its runs.
+    """A figure of the thesis, its runs by controller name, and the seed of start and target.
 
-    Attributes:
-        about: the figure of the thesis.
-        runs: its runs by controller name.
-        compared: runs of which only the posture error is drawn, by controller name.
-        seed: seed of start and target.
+    Of the compared runs only the posture error is drawn.
     """
 
     about: ThesisFigure
@@ -122,15 +120,10 @@ def run_figures(
     settings: FigureSettings | None = None,
     own: Mapping[str, Controller] | None = None,
 ) -> list[FigureRuns]:
-    """Compute the runs of figures; runs shared by several figures are computed once.
+    """Compute the runs of figures, "6.3" to "6.12"; runs shared by several figures are computed once.
 
-    Args:
-        numbers: numbers of the figures in the thesis, "6.3" to "6.12".
-        max_steps: maximum number of steps of a run.
-        jobs: number of processes.
-        progress: called with the number of newly finished runs, of `count_runs`.
-        settings: `FigureSettings()` if None.
-        own: the user's own controllers to show as well, by name.
+    The user's own controllers, by name, are shown as well. `progress` is called with the number of newly
+    finished runs, of `count_runs`.
 
     Raises:
         UnknownName: there is no such figure.
@@ -148,32 +141,26 @@ def run_figures(
         done[key] = run
         if progress is not None:
             progress(1)
-    figures = []
-    for about in listed:
-        seed = about.seed if settings.seed is None else settings.seed
-        found = {
-            name: done[about.scenario, name, seed] for name in (*about.controllers, *about.compared, *own)
-        }
-        ours = {name.capitalize(): found[name] for name in about.controllers}
-        beside = {name.capitalize(): found[name] for name in about.compared}
-        figures.append(FigureRuns(about, ours | {name: found[name] for name in own}, beside, seed))
-    return figures
+
+    def show(about: ThesisFigure) -> FigureRuns:
+        seed = settings.seed_of(about)
+        runs = {name.capitalize(): done[about.scenario, name, seed] for name in about.controllers}
+        runs |= {name: done[about.scenario, name, seed] for name in own}
+        compared = {name.capitalize(): done[about.scenario, name, seed] for name in about.compared}
+        return FigureRuns(about, runs, compared, seed)
+
+    return [show(about) for about in listed]
 
 
 def count_runs(
     numbers: Iterable[str], own: Iterable[str] = (), settings: FigureSettings | None = None
 ) -> int:
-    """Return the number of runs for these figures and the names of the user's own controllers.
-
-    Raises:
-        UnknownName: there is no such figure.
-    """
+    """Return the number of runs for these figures and own controllers; raises as `run_figures`."""
     return len(_todo([_figure(number) for number in numbers], own, settings or FigureSettings()))
 
 
 def _figure(number: str) -> ThesisFigure:
-    if number not in FIGURES:
-        raise UnknownName("figure", number, FIGURES)
+    require_known("figure", number, FIGURES)
     return FIGURES[number]
 
 
@@ -182,7 +169,7 @@ def _todo(
 ) -> list[tuple[str, str, int]]:
     """Return scenario, controller and seed of each run, without duplicates."""
     wanted = (
-        (figure.scenario, name, figure.seed if settings.seed is None else settings.seed)
+        (figure.scenario, name, settings.seed_of(figure))
         for figure in figures
         for name in (*figure.controllers, *figure.compared, *own)
     )
@@ -203,8 +190,8 @@ def draw_figure(figure: FigureRuns, width: float | None = None) -> Figure:
     return (draw_final_postures if about.layout == "postures" else draw_errors)(figure.runs, title, width)
 
 
-def figure_tables(figure: FigureRuns) -> dict[str, str]:
-    """Return the data of a figure as CSV by file name: errors for each step, and postures."""
+def figure_tables(figure: FigureRuns) -> dict[str, list[Sequence[object]]]:
+    """Return the rows of tables by file name: errors for each step, and postures."""
     every, found = {**figure.runs, **figure.compared}, {}
     if figure.about.layout != "postures":
         points = next(iter(every.values())).arm.n_modules
@@ -220,7 +207,7 @@ def figure_tables(figure: FigureRuns) -> dict[str, str]:
                     by_projection = int(run.method[step - 1] == "projection")
                     told = (used[step - 1], run.index[step - 1], by_projection)
                 rows.append((name, step, run.posture_error[step], *told, *errors))
-        found[f"{figure.stem}.csv"] = _csv(rows)
+        found[f"{figure.stem}.csv"] = rows
     if figure.about.layout != "errors":
         rows = [("posture", "point", "x_m", "y_m", "z_m")]
         first = next(iter(every.values()))
@@ -228,14 +215,8 @@ def figure_tables(figure: FigureRuns) -> dict[str, str]:
         postures |= {f"final, {name}": run.points[-1] for name, run in every.items()}
         for name, posture in postures.items():
             rows += [(name, k + 1, *point) for k, point in enumerate(posture)]
-        found[f"{figure.stem}-postures.csv"] = _csv(rows)
+        found[f"{figure.stem}-postures.csv"] = rows
     return found
-
-
-def _csv(rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 def describe_figure(figure: FigureRuns) -> dict[str, Any]:
@@ -283,14 +264,7 @@ VERSION = 2
 def describe(
     figures: Sequence[FigureRuns], judged: Sequence[JudgedClaim], evidence: Evidence | None, max_steps: int
 ) -> dict[str, Any]:
-    """Return all results as JSON-compatible data.
-
-    Args:
-        figures: the reproduced figures.
-        judged: the judged claims.
-        evidence: the data by which they were judged; None if there are none.
-        max_steps: maximum number of steps of a run.
-    """
+    """Return all results as JSON-compatible data; without evidence there are no judged claims."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -367,14 +341,7 @@ RESULTS, CLAIMS_TABLE = "results.json", "claims.md"
 
 
 class Reproduction(NamedTuple):
-    """Results of `reproduce`.
-
-    Attributes:
-        figures: the figures and their runs.
-        judged: the claims and their verdicts.
-        results: all results as JSON-compatible data.
-        files: the files that were written.
-    """
+    """Figures, judged claims, all results as JSON-compatible data, and the files that were written."""
 
     figures: Sequence[FigureRuns]
     judged: Sequence[JudgedClaim]
@@ -451,7 +418,7 @@ def reproduce(
         kept = {name: results[name] for name in ("format", "version", "parameters", "claims")}
         files += [Path(page), Path(page).with_suffix(".json")]
         update_page(files[-2], kept)
-        write_text(files[-1], json.dumps(kept, indent=1, allow_nan=False) + "\n")
+        write_json(files[-1], kept)
     return Reproduction(figures, judged, results, files)
 
 
@@ -471,8 +438,7 @@ def _select_experiments(names: Sequence[str]) -> tuple[list[str], bool]:
     if not names:
         raise InvalidValue("names", list(names), f"at least one of {', '.join(NAMES)}")
     for name in names:
-        if name not in NAMES:
-            raise UnknownName("figure", name, NAMES)
+        require_known("figure", name, NAMES)
     if "all" in names:
         return list(FIGURES), True
     return [number for number in FIGURES if number in names], "claims" in names
@@ -489,15 +455,15 @@ def _write(
             drawn.savefig(picture, format=form, dpi=100 if settings.width is None else 300)
             files.append(directory / f"{figure.stem}.{form}")
             write_bytes(files[-1], picture.getvalue())
-        for name, text in figure_tables(figure).items():
+        for name, rows in figure_tables(figure).items():
             files.append(directory / name)
-            write_text(files[-1], text)
+            write_table(files[-1], rows)
     if results["claims"]:
         files.append(directory / CLAIMS_TABLE)
         write_text(files[-1], claims_as_markdown(results))
     files.append(directory / RESULTS)
     kept = _with_earlier(results, files[-1], bool(results["claims"]))
-    write_text(files[-1], json.dumps(kept, indent=1, allow_nan=False) + "\n")
+    write_json(files[-1], kept)
     return files
 
 

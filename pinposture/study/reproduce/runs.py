@@ -15,6 +15,7 @@ from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_known
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
@@ -110,16 +111,9 @@ def per_step(run: Trajectory, states: Sequence[ArmState]) -> Steps:
 
 
 def asked_steps(run: Trajectory, dq: Array) -> Array:
-    """Return the largest |dq| requested by each step before it was scaled to the step limit.
+    """Return the largest |dq| that each step requested before scaling to the step limit, (steps,) [rad or m].
 
-    A step that was not scaled but clipped at position limits counts as clipped.
-
-    Args:
-        run: the run.
-        dq: its displacements, (steps, nv) [rad or m].
-
-    Returns:
-        Array (steps,) [rad or m].
+    A step that was not scaled but clipped at position limits counts as clipped; `dq` are the displacements.
     """
     done = np.abs(dq).max(axis=1, initial=0.0)
     # The largest joint motion of a scaled step is the limit, even if that joint was then clipped.
@@ -137,51 +131,38 @@ def nearness(state: ArmState) -> float:
 def turns(dq: Array) -> Array:
     """Return the relative difference between successive steps, (steps,) in [0, 2]; see `Steps.turn`."""
     sizes = np.linalg.norm(dq, axis=1)
-    turned = np.zeros(len(dq))
-    if len(dq) > 1:
-        larger = np.maximum(sizes[1:], sizes[:-1])
-        apart = np.linalg.norm(np.diff(dq, axis=0), axis=1)
-        turned[1:] = np.divide(apart, larger, out=np.zeros(len(larger)), where=larger > 0.0)
-    return turned
+    larger = np.maximum(sizes[1:], sizes[:-1])
+    apart = np.linalg.norm(np.diff(dq, axis=0), axis=1)
+    turned = np.divide(apart, larger, out=np.zeros(len(larger)), where=larger > 0.0)
+    return np.concatenate([np.zeros(len(dq) - len(turned)), turned])
 
 
 def set_changes(active: NDArray[np.bool_]) -> Array:
     """Return the change between successive active sets, (steps,) in [0, 1]; see `Steps.change`."""
-    changed = np.zeros(len(active))
-    if len(active) > 1:
-        either = (active[1:] | active[:-1]).sum(axis=1)
-        differ = (active[1:] ^ active[:-1]).sum(axis=1)
-        changed[1:] = differ / np.maximum(either, 1)
-    return changed
+    either = (active[1:] | active[:-1]).sum(axis=1)
+    differ = (active[1:] ^ active[:-1]).sum(axis=1)
+    return np.concatenate([np.zeros(len(active) - len(either)), differ / np.maximum(either, 1)])
 
 
 def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
-    """Count the steps on which errors rose, and those on which even a short step would have raised them.
-
-    Args:
-        run: the run.
-        states: the arm before each of its steps.
-    """
+    """Count the steps on which errors rose, and those on which even a short step would have raised them."""
     slack = STEADY * run.arm.length
     rises = np.greater(np.diff(run.point_errors, axis=0), slack / run.arm.n_modules)  # (steps, m)
-    uphill = np.zeros((run.steps, run.arm.n_modules), dtype=bool)
-    downhill = np.ones(run.steps, dtype=bool)
-    for i, (state, dq) in enumerate(zip(states, displacements(run), strict=True)):
-        slopes = error_slopes(state, run.target.points, run.target.has_target, dq)
-        size = float(np.abs(dq).max(initial=0.0)) * run.arm.length
-        uphill[i] = slopes > STEADY * size
-        downhill[i] = float(slopes.sum()) <= STEADY * size
+    slopes, dq = np.zeros(rises.shape), displacements(run)
+    for i, state in enumerate(states):
+        slopes[i] = error_slopes(state, run.target.points, run.target.has_target, dq[i])
+    flat = STEADY * run.arm.length * np.abs(dq).max(axis=1, initial=0.0)
     clipped = np.any(run.clipped, axis=1)
-    free = run.active & ~np.any(run.clipped, axis=1, keepdims=True)
+    free = run.active & ~clipped[:, None]
     return Descent(
         steps=run.steps,
         rose=int(np.count_nonzero(np.diff(run.posture_error) > slack)),
-        uphill=int(np.count_nonzero(~downhill)),
+        uphill=int(np.count_nonzero(slopes.sum(axis=1) > flat)),
         clipped=int(np.count_nonzero(clipped)),
         active=int(np.count_nonzero(run.active)),
         active_rose=int(np.count_nonzero(rises & run.active)),
         active_free=int(np.count_nonzero(free)),
-        active_uphill=int(np.count_nonzero(uphill & free)),
+        active_uphill=int(np.count_nonzero((slopes > flat[:, None]) & free)),
         points_rose=int(np.count_nonzero(rises)),
     )
 
@@ -189,11 +170,7 @@ def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
 def error_slopes(state: ArmState, goals: Array, placed: NDArray[np.bool_], dq: Array) -> Array:
     """Return the slope of the error of each control point along dq, (m,) [m per unit of the step].
 
-    Args:
-        state: the state of the arm.
-        goals: target positions, (m, 3) [m].
-        placed: True for control points with a target, (m,).
-        dq: direction of motion, (nv,) [rad or m].
+    Only points that are `placed`, (m,), have goals, (m, 3) [m]; the others have a slope of 0.
     """
     towards = goals - state.points
     distances = np.linalg.norm(towards, axis=1)
@@ -208,15 +185,8 @@ def deficient_steps(
 ) -> tuple[int, int]:
     """Count the steps whose control set has a posture control matrix of less than full row rank.
 
-    The set is that of the conditions, before points are dropped because the matrix is too close to singular.
-
-    Args:
-        run: the run.
-        states: the arm before each of its steps.
-        dropped: control points dropped in each step, 0-based.
-
-    Returns:
-        The number of these steps, to numerical precision, and the number of steps with dropped points.
+    The set is that of the conditions, with the points (0-based) that were then dropped in each step because
+    the matrix was too close to singular. The second number is that of the steps with dropped points.
     """
     size = np.maximum(run.rows, run.arm.nv)
     full = run.sigma_min > size * np.finfo(float).eps * run.sigma_max
@@ -402,17 +372,8 @@ Pool = Mapping[tuple[str, str], Sequence[MeasuredRun]]
 
 @lru_cache(maxsize=8)
 def thesis_arm(name: str, free: bool = False) -> Arm:
-    """Return one of `pinposture.study.scenarios.ARMS` by name, cached.
-
-    Args:
-        name: its name.
-        free: True to remove position limits.
-
-    Raises:
-        UnknownName: there is no such arm.
-    """
-    if name not in ARMS:
-        raise UnknownName("arm", name, ARMS)
+    """Return one of `ARMS` by name, cached, without position limits if `free`; raises UnknownName."""
+    require_known("arm", name, ARMS)
     modules = [module.with_limits(-FREE, FREE) for module in ARMS[name]] if free else ARMS[name]
     return Arm.from_modules(modules, name=name)
 
@@ -429,8 +390,7 @@ def run_one(
     Raises:
         UnknownName: no such scenario, variant or controller.
     """
-    if batch.scenario not in SCENARIOS:
-        raise UnknownName("scenario", batch.scenario, SCENARIOS)
+    require_known("scenario", batch.scenario, SCENARIOS)
     if batch.given is None and batch.variant not in VARIANTS:
         raise UnknownName("variant", batch.variant, VARIANTS)
     scenario, variant = SCENARIOS[batch.scenario], batch.given or VARIANTS[batch.variant]
@@ -493,26 +453,15 @@ def make_pool(
     progress: Callable[[int], object] | None = None,
     first: int = 0,
 ) -> Pool:
-    """Run every batch over consecutive seeds.
+    """Run every batch over consecutive seeds; the runs do not depend on `jobs`.
 
-    Args:
-        batches: the runs to compute.
-        seeds: number of seeds.
-        max_steps: maximum number of steps of a run.
-        jobs: number of processes.
-        progress: called with the number of newly finished runs.
-        first: the first seed.
-
-    Returns:
-        The runs; they do not depend on `jobs`.
+    `progress` is called with the number of newly finished runs.
     """
-    listed = list(batches)
-    todo = [(batch, bundle) for batch in listed for bundle in seed_bundles(seeds, first)]
-    pool: dict[tuple[str, str], list[MeasuredRun]] = {(b.scenario, b.variant): [] for b in listed}
+    todo = [(batch, bundle) for batch in batches for bundle in seed_bundles(seeds, first)]
+    pool: dict[tuple[str, str], list[MeasuredRun]] = {}
     tasks = (delayed(_work_off)(batch, bundle, max_steps) for batch, bundle in todo)
-    results = in_order(tasks, jobs)
-    for (batch, bundle), found in zip(todo, results, strict=True):
-        pool[batch.scenario, batch.variant].extend(found)
+    for (batch, bundle), found in zip(todo, in_order(tasks, jobs), strict=True):
+        pool.setdefault((batch.scenario, batch.variant), []).extend(found)
         if progress is not None:
             progress(len(bundle))
     return pool
@@ -527,6 +476,8 @@ def seed_bundles(seeds: int, first: int = 0) -> list[range]:
 def _work_off(batch: RunSet, seeds: Sequence[int], max_steps: int) -> list[MeasuredRun]:
     return [measure(batch, seed, max_steps) for seed in seeds]
 
+
+ARM_NAMES = {"ryrz20": "spatial", "planar45": "planar"}
 
 DEFAULT = "best reading"
 
@@ -584,10 +535,7 @@ class Reading(NamedTuple):
     ) -> dict[str, Sequence[MeasuredRun]]:
         """Return the runs specific to this reading, by "arm, scenario, method" in words.
 
-        Args:
-            scenarios: names of scenarios.
-            methods: names of methods; one of the user's own controllers replaces all of them.
-            kind: ANY_STEP for the runs without a step limit.
+        One of the user's own controllers replaces all methods; `kind` is ANY_STEP for no step limit.
         """
         variants = {method: self.variants[method] for method in methods if self._differs(method)}
         if self.own:
@@ -611,8 +559,7 @@ class Reading(NamedTuple):
 def label(scenario: str, method: str = "") -> str:
     """Return arm, scenario and method in words."""
     about = SCENARIOS[scenario]
-    arm = "planar" if about.arm == "planar45" else "spatial"
-    return ", ".join(filter(None, (arm, about.title, method)))
+    return ", ".join(filter(None, (ARM_NAMES[about.arm], about.title, method)))
 
 
 def median(values: Sequence[float] | np.ndarray) -> float:
