@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
+from sampling import cases, seeds
 from scipy.spatial import cKDTree
 
 import pinposture as pp
@@ -78,7 +79,7 @@ def crawl():
     return arm, reference, *tube(reference.marks[-1].target.curve, PIPE)
 
 
-@pytest.mark.parametrize("kind", ["surface", "cloud", "mesh"])
+@pytest.mark.parametrize("kind", cases(["surface", "cloud", "mesh"], 2))
 def test_an_arm_follows_a_curve_through_a_bent_pipe(crawl, kind):
     arm, reference, points, faces = crawl
     pipe = {
@@ -134,7 +135,7 @@ def machine(rng):
     return np.vstack(points)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("seed", seeds(5))
 def test_a_run_past_a_scanned_machine_keeps_the_margin(seed):
     arm, rng = pp.Arm.from_template("RyRz", 10, (0.04, 0.04)), np.random.default_rng(seed)
     points = machine(rng)

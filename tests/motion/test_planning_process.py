@@ -142,8 +142,12 @@ def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
     loop.run("converged")
 
 
-def test_errors_and_results_come_back_in_order() -> None:
-    process = BackgroundProcess()
+@pytest.fixture(scope="module")
+def process() -> BackgroundProcess:
+    return BackgroundProcess()
+
+
+def test_errors_and_results_come_back_in_order(process: BackgroundProcess) -> None:
     process.submit(divmod, 7, 3)
     assert process.result() == (2, 1)
     process.submit(divmod, 7, 0)
@@ -153,8 +157,7 @@ def test_errors_and_results_come_back_in_order() -> None:
     assert process.result() == (4, 1)
 
 
-def test_a_call_is_interrupted_and_the_next_one_answered() -> None:
-    process = BackgroundProcess()
+def test_a_call_is_interrupted_and_the_next_one_answered(process: BackgroundProcess) -> None:
     process.submit(divmod, 7, 3)
     assert process.result() == (2, 1)
     process.interrupt()  # of no call: nothing happens
