@@ -436,11 +436,13 @@ class Tracker:
     It never extrapolates: without a target, with a target older than `timeout`, without a measurement, or
     with an implausible one, it brakes within its limits and holds, and `report` gives the reason.
 
-    Send `command` to position-controlled drives. It moves by `dq`, so it keeps the limits exactly, and
-    restarts from the measured configuration only if the arm stays elsewhere (`resync_time`). Smaller errors,
-    for instance because the arm sags or lags, are fed back slowly: the command overshoots the target by as
-    much as the arm falls short. Send dq / dt to velocity-controlled drives; each step then starts at the
-    measurement.
+    The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
+    would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
+
+    Send `command` to position-controlled drives. It moves by `dq`, and restarts from the measured
+    configuration only if the arm stays elsewhere (`resync_time`). Smaller errors, for instance because the
+    arm sags or lags, are fed back slowly: the command overshoots the target by as much as the arm falls
+    short. Send dq / dt to velocity-controlled drives; each step then starts at the measurement.
 
     The constructor loads all compiled kernels, so that no cycle waits for them: half a second for the first
     tracker in a process, and about a minute if they are not compiled yet (`pinposture compile`).
