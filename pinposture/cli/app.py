@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
@@ -57,9 +58,6 @@ class Commands(TyperGroup):
         try:
             with warnings_as_notes():
                 code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra) or 0
-        except PostureError as error:
-            print_error(str(error))
-            code = REFUSED
         except _UsageError as error:
             hint = f"; see {error.ctx.command_path} --help" if error.ctx else ""
             print_error(error.format_message().rstrip(".") + hint)
@@ -72,15 +70,35 @@ class Commands(TyperGroup):
 
 
 def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
-    """Return a class of verbs whose help ends with examples, one per line, without rewrapping."""
+    """Return a class of verbs whose help ends with examples, one per line, without rewrapping.
+
+    They print errors in one line, with arguments of Python functions as the options of the verb.
+    """
 
     class Verb(TyperCommand):
+        def invoke(self, ctx: Any) -> Any:
+            try:
+                return super().invoke(ctx)
+            except PostureError as error:
+                print_error(_arguments_as_options(str(error), [each.name for each in self.params]))
+                raise typer.Exit(REFUSED) from error
+
         def format_help(self, ctx: Any, formatter: Any) -> None:
             super().format_help(ctx, formatter)
             lines = "".join(f"   $ {example}\n" for example in examples)
             formatter.write(f" Examples:\n\n{lines}\n")
 
     return Verb
+
+
+def _arguments_as_options(text: str, known: Sequence[str | None]) -> str:
+    """Replace advice such as placement="align" by --placement align, for known parameters only."""
+
+    def option(found: re.Match[str]) -> str:
+        name, values = found["name"], found["values"].replace('"', "")
+        return f"--{name.replace('_', '-')} {values}" if name in known else found[0]
+
+    return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*)', option, text)
 
 
 app = typer.Typer(

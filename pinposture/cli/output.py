@@ -268,6 +268,9 @@ def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
 RUN_FILE, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
 FILES = {"run": RUN_FILE, "plot": PLOT, "animation": ANIMATION}
 
+STATUS = "status.json"
+"""File with the state of the last `pinposture run` in a directory."""
+
 BATCH = "batch.npz"
 """File with all runs of a batch in a directory."""
 
@@ -328,11 +331,20 @@ def find_kept(path: Path) -> tuple[Path, str]:
         The file, and a note on which one was chosen if there were two.
 
     Raises:
-        FileError: a directory with neither.
+        FileError: a directory with neither, or with none written after a failed run.
     """
     if not path.is_dir():
         return path, ""
     found = [path / name for name in (MOTION_FILE, RUN_FILE) if _is_kept(path / name)]
+    status = read_status(path)
+    if status.get("state") == "failed":
+        ended = modification_time(path / STATUS)
+        older = [file for file in found if modification_time(file) <= ended]
+        if older == found:
+            why = f"the run of {status.get('task')} failed: {status.get('reason')}"
+            also = f", or name {older[0]}, of an earlier run" if older else ""
+            raise FileError(path, f"{why}; correct it and run it again{also}")
+        found = [file for file in found if file not in older]
     if not found:
         for name in (RUN_FILE, BATCH):
             if (path / name).exists():
@@ -340,6 +352,23 @@ def find_kept(path: Path) -> tuple[Path, str]:
         raise FileError(path / RUN_FILE, f"no such file, and no {MOTION_FILE} that contains a motion")
     newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
     return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""
+
+
+def read_status(directory: Path) -> dict[str, Any]:
+    """Return the contents of the status file of a directory; empty if it has none that can be read."""
+    try:
+        status = json.loads((directory / STATUS).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return status if isinstance(status, dict) else {}
+
+
+def modification_time(path: Path) -> int:
+    """Return the modification time of a file [ns]; 0 if it is gone."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _is_kept(path: Path) -> bool:

@@ -14,16 +14,19 @@ import typer
 
 from pinposture.cli.inputs import OUTPUT, JsonOption, ViewOption
 from pinposture.cli.output import (
+    STATUS,
     closest_in_words,
     count_progress,
     end_with,
     examples,
     keep_motion,
+    modification_time,
     print_facts,
     print_json,
     print_note,
     print_result,
     print_table,
+    read_status,
     shares_in_words,
     time_progress,
     verdict_in_colour,
@@ -35,9 +38,6 @@ from pinposture.storage import check_writable, write_text
 if TYPE_CHECKING:
     from pinposture.motion import Motion
     from pinposture.task import Reference, Task
-
-STATUS = "status.json"
-"""File that describes the contents of a directory."""
 
 _RESULT = re.compile(r"motion\.[a-z]+")
 """Names of the files of a motion."""
@@ -64,21 +64,21 @@ class Folder:
 
     def found(self) -> str:
         """Describe existing contents; empty if there are none."""
-        results, status = self._files(_RESULT), self._status()
-        said = f"{self.path} holds "
+        results, status = self._files(_RESULT), read_status(self.path)
+        said, replaced = f"{self.path} holds ", "replaced when this run finishes"
         if status.get("state") == "finished":
-            said += f"the results of {status.get('task')}, finished {status.get('ended')}; they are replaced"
+            said += f"the results of {status.get('task')}, finished {status.get('ended')}; {replaced}"
         elif status:
             failed = status.get("state") == "failed"
             ended = f"failed ({status.get('reason')})" if failed else "was not finished"
             said += f"a run of {status.get('task')}, begun {status.get('begun')}, that {ended}"
-            since = _age(self.path / STATUS)
-            new = [each for each in results if _age(each) >= since]
+            since = modification_time(self.path / STATUS)
+            new = [each for each in results if modification_time(each) >= since]
             said += f"; it left {_listed(new)}"
             if len(new) < len(results):
                 said += f", and {_listed([each for each in results if each not in new])} from before it"
         elif results:
-            said += f"{_listed(results)}, to be replaced"
+            said += f"{_listed(results)}; {replaced}"
         drafts = len(self._files(_DRAFT))
         if drafts:
             said += f"{'; ' if status or results else ''}half-written files, removed now: {drafts}"
@@ -91,7 +91,7 @@ class Folder:
         """
         for each in self._files(_DRAFT):
             each.unlink(missing_ok=True)
-        status = self._status()
+        status = read_status(self.path)
         for key in ("files", "before"):
             listed = status.get(key)
             names = [each for each in listed if isinstance(each, str)] if isinstance(listed, list) else []
@@ -117,14 +117,6 @@ class Folder:
         except OSError:
             return []
 
-    def _status(self) -> dict[str, Any]:
-        """Return the status of the previous run; empty if there was none."""
-        try:
-            status = json.loads((self.path / STATUS).read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError):
-            return {}
-        return status if isinstance(status, dict) else {}
-
     def _write(self, **more: Any) -> None:
         status = {"task": self.task, "begun": self._begun, **more}
         write_text(self.path / STATUS, json.dumps(status, indent=1) + "\n")
@@ -132,14 +124,6 @@ class Folder:
 
 def _listed(files: list[Path]) -> str:
     return ", ".join(each.name for each in files) or "no result"
-
-
-def _age(path: Path) -> int:
-    """Return the modification time of a file; 0 if it is gone."""
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        return 0
 
 
 def _now() -> str:

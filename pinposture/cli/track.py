@@ -256,7 +256,9 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     if motion.limits.dt is not None:
         timed = {f"largest_{kind}": share for kind, share in largest_shares(motion).items()}
         timed["duration"] = motion.steps * motion.limits.dt
-    off = None if target.residual is None else float(target.residual[target.has_target].max())
+    placed = target.has_target
+    off = None if target.residual is None else float(target.residual[placed].max())
+    covered = None if target.parameters is None else float(target.parameters[placed].max())
     return {
         "verdict": motion.verdict,
         "status": motion.status,
@@ -273,9 +275,11 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         **timed,
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
-        "placed_points": int(target.has_target.sum()),
+        "placed_points": int(placed.sum()),
         "placed_by": target.method,
         "largest_residual": off,
+        "curve_length": None if target.curve is None else target.curve.length,
+        "covered_to": covered,
         "distance_from_curve": motion.distance_from_curve,
         "first_active_points": int(points[0]) if len(points) else 0,
         "last_active_points": int(points[-1]) if len(points) else 0,
@@ -287,6 +291,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
             for k in np.flatnonzero(motion.violated_constraints != "")
         ],
         "clearance": closest(motion),
+        "start_clearance": None if motion.scene is None else float(motion.clearance[0]),
         "incomplete": target.incomplete,
         "moved": None if target.moved is None else target.moved._asdict(),
     }
@@ -306,8 +311,9 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     from pinposture.placement.target import Moved
 
     off, length, mean = summary["largest_residual"], summary["arm_length"], summary["mean_error"]
+    verdict, colour = verdict_in_colour(summary)
     words: dict[str, str | tuple[str, str]] = {
-        "verdict": verdict_in_colour(summary),
+        "verdict": (verdict.replace("raise max_steps", "raise --steps"), colour),
         "steps": str(summary["steps"]) + (f", {summary['duration']:.4g} s" if "duration" in summary else ""),
         "placed by": f"{summary['placed_by']} placement, control points at most {off:.2g} m off the curve, "
         f"{off / length:.2g} of the arm length",
@@ -319,9 +325,15 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
         "paths": f"of control points {summary['path_length_ratio']:.3g} times as long as straight ones",
     }
+    curve = []
+    if summary["curve_length"] is not None and summary["covered_to"] is not None:
+        covered = summary["covered_to"]
+        curve.append(f"{summary['curve_length']:.4g} m long, covered by the arm up to {covered:.4g} m")
     if summary["moved"] is not None and Moved(**summary["moved"]):
         how = "; --placement as_is keeps it in place"
-        words["curve"] = f"{Moved(**summary['moved'])} to the base of the arm{how}"
+        curve.append(f"{Moved(**summary['moved'])} to the base of the arm{how}")
+    if curve:
+        words["curve"] = "; ".join(curve)
     if summary["escape_share"]:
         words["rising"] = f"{100 * summary['escape_share']:.3g} % of the steps may raise the posture error"
     if summary["switches"]:
@@ -332,6 +344,8 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         )
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"])
+        if summary["start_clearance"] < 0.0:
+            words["start"] = "in collision; choose another one by --start or --seed"
     if summary["violated_constraints"]:
         first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")

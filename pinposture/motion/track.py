@@ -296,7 +296,8 @@ class ControlLoop:
         if mean <= tolerance and not self._cannot_stop():
             return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
         if self.record.steps >= max_steps:
-            return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
+            above = f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
+            return "max_steps", f"{above}; raise max_steps to continue"
         idle = self.record.travel_without_progress(PROGRESS_SHARE)
         if idle >= STALL_TRAVEL * (1.0 - STEP_ROUNDING):
             text = f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel"

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from pinposture.errors import InvalidValue
+
 
 class Case(NamedTuple):
     """A command line that cannot work, and what the one line about it must contain."""
@@ -188,14 +190,28 @@ def test_a_refused_output_directory_costs_no_run(command, arm_file, monkeypatch)
 
 
 def test_a_message_of_several_lines_becomes_one(command, arm_file, monkeypatch):
-    from pinposture.errors import InvalidValue
-
     def refused(*_, **__):
         raise InvalidValue("points", "", "first line,\n   second line")
 
     monkeypatch.setattr("pinposture.motion.track", refused)
     result = command("track", arm_file, "--curve", "line")
     assert result.err == "error: points is ''; allowed: first line, second line\n"
+
+
+@pytest.mark.parametrize(
+    ("verb", "says"),
+    [
+        ("track", 'use --placement translate or align, not speed="low"'),
+        ("inspect", 'use placement="translate" or "align", not speed="low"'),  # has no such option
+    ],
+)
+def test_arguments_in_a_message_are_written_as_options_of_the_verb(command, monkeypatch, verb, says):
+    def refuse(*_: object, **__: object) -> None:
+        raise InvalidValue("curve", 1, 'use placement="translate" or "align", not speed="low"')
+
+    monkeypatch.setattr("pinposture.cli.inputs.ArmOptions.read", refuse)
+    options = ("--curve", "line") if verb == "track" else ()
+    assert command(verb, "arm.urdf", *options) == (2, "", f"error: curve is 1; allowed: {says}\n")
 
 
 def test_brackets_in_a_message_are_text_and_no_markup(command):

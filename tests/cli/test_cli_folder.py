@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from pinposture.cli.run import STATUS, Folder
+from pinposture.cli.output import STATUS
+from pinposture.cli.run import Folder
 from pinposture.errors import FileError
 from pinposture.storage import write_text
 
@@ -68,7 +69,7 @@ def test_what_was_finished_is_said_to_be_replaced(tmp_path: Path) -> None:
     run(tmp_path, "motion.csv", "motion.npz")
     said = Folder(tmp_path, "new.toml").found()
     assert said.startswith(f"{tmp_path} holds the results of old.toml, finished 2")
-    assert said.endswith("; they are replaced")
+    assert said.endswith("; replaced when this run finishes")
 
 
 def test_what_was_not_finished_is_told_from_what_is_older(tmp_path: Path) -> None:
@@ -100,7 +101,8 @@ def test_drafts_are_counted_and_removed_and_nothing_else(tmp_path: Path) -> None
         each.write_text("mine")
     folder = Folder(tmp_path, "task.toml")
     said = folder.found()
-    assert said == f"{tmp_path} holds motion.csv, to be replaced; half-written files, removed now: 2"
+    replaced = f"{tmp_path} holds motion.csv; replaced when this run finishes"
+    assert said == f"{replaced}; half-written files, removed now: 2"
     folder.begin()
     assert not any(each.exists() for each in drafts)
     assert [each.read_text() for each in others] == ["mine"] * 4

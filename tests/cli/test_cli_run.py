@@ -172,6 +172,30 @@ def test_a_task_that_failed_is_written_down(command, task, tmp_path):
     assert "it left no result" in said
 
 
+@pytest.mark.parametrize("earlier", [False, True])
+def test_after_a_failed_run_no_command_uses_the_directory(command, task, tmp_path, earlier):
+    out = tmp_path / "out"
+    if earlier:
+        assert command("run", task, "-o", out).code == 0
+    task.write_text(TASK.replace("trim = true\n", ""))
+    assert command("run", task, "-o", out).code == 2
+    for verb in (
+        ("export", out, "-o", tmp_path / "joints.csv"),
+        ("simulate", out),
+        ("view", out, "--png", tmp_path / "motion.png"),
+    ):
+        code, printed, said = command(*verb)
+        assert (code, printed) == (2, "")
+        assert f"{out}: the run of {task} failed: " in said
+        assert "keyframe 2 'bowed'" in said and "run it again" in said
+        assert (f"or name {out / 'motion.npz'}, of an earlier run" in said) == earlier
+    assert not (tmp_path / "joints.csv").exists()
+    if earlier:  # by its own name the earlier motion is asked for, not mistaken for the new one
+        assert command("export", out / "motion.npz", "-o", tmp_path / "joints.csv").code == 0
+        (out / "motion.npz").touch()  # as if written since the failure
+        assert command("export", out, "-o", tmp_path / "joints.csv").code == 0
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -63,7 +63,7 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
     result = command("track", arm_file, "--curve", "helix", "--steps", 4, "-o", tmp_path)
     lines = dict(line.split("  ", 1) for line in result.out.splitlines())
     facts = {name.strip(): text.strip() for name, text in lines.items()}
-    assert facts["verdict"] == summary["verdict"]
+    assert facts["verdict"] == summary["verdict"].replace("max_steps to", "--steps to")
     assert summary["verdict"] == f"did not reach the target (max_steps): {summary['reason']}"
     assert facts["steps"] == "4"
     first, last = (summary[key] / 6 for key in ("start_error", "final_error"))
@@ -248,6 +248,38 @@ def test_partial_leaves_points_free_and_says_so(command, arm_file, tmp_path):
     assert summary["placed_points"] == 3
     assert "module 4" in summary["incomplete"]
     assert "only the first 3 of 6 control points" in result.err
+
+
+def words(result):
+    return {name.strip(): text for name, text in (line.split("  ", 1) for line in result.out.splitlines())}
+
+
+def test_the_summary_tells_how_much_of_a_long_curve_the_arm_covers(command, arm_file, tmp_path):
+    line = tmp_path / "line.json"
+    line.write_text(json.dumps({"type": "line", "a": [0, 0, 0], "b": [0.7, 0, 0]}))
+    asked = ("track", arm_file, "--curve", line, "--steps", 1)
+    summary = json.loads(command(*asked, "--json").out)
+    assert summary["curve_length"] == pytest.approx(0.7)
+    assert summary["covered_to"] == pytest.approx(0.3, rel=0.02)  # a straight arm, to its last control point
+    said = words(command(*asked))["curve"].strip()
+    assert said.startswith(f"0.7 m long, covered by the arm up to {summary['covered_to']:.4g} m")
+
+
+def test_a_run_that_needs_more_steps_names_the_option(command, arm_file):
+    asked = ("track", arm_file, "--curve", "helix")
+    assert words(command(*asked, "--steps", 2))["verdict"].endswith("; raise --steps to continue")
+    assert json.loads(command(*asked, "--steps", 2, "--json").out)["status"] == "max_steps"
+
+
+@pytest.mark.parametrize(("height", "inside"), [(-0.05, True), (-1.0, False)])
+def test_a_start_in_collision_names_the_options_of_the_start(command, arm_file, tmp_path, height, inside):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f'obstacles.ball = {{type = "sphere", center = [0.25, 0, {height}], radius = 0.06}}\n')
+    asked = ("track", arm_file, "--curve", "line", "--placement", "align", "--start", "straight")
+    told = words(command(*asked, "--scene", scene, "--steps", 1))
+    assert ("start" in told) == inside
+    if inside:
+        assert "in collision; choose another one by --start or --seed" in told["start"]
 
 
 def test_the_exit_code_tells_whether_the_arm_got_there(command, arm_file, tmp_path):

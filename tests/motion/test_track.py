@@ -74,7 +74,7 @@ def test_every_other_ending_says_why(arm: pp.Arm) -> None:
     short = pp.track(arm, helix, START, "projection", max_steps=3)
     assert short.status == "max_steps"
     assert short.steps == 3
-    assert "above the tolerance" in short.reason
+    assert "above the tolerance" in short.reason and "raise max_steps" in short.reason
     unreachable = pp.Target.from_points(arm, helix.points + [0.0, 5.0, 0.0])
     stalled = pp.track(arm, unreachable, START, "projection", max_steps=2000)
     assert stalled.status in ("stalled", "no_control_points")

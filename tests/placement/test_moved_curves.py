@@ -171,6 +171,6 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
     assert told["moved"]["translation"] == [-0.5, 0.0, -0.5]
     assert told["moved"]["rotation"] == pytest.approx([0.0, 0.0, -np.pi / 2])
     code, said = call("--scene", scene)
-    assert code == 2 and "m from the base; use placement=" in said
+    assert code == 2 and "m from the base; use --placement translate or align" in said
     code, said = call("--scene", scene, "--placement", "align")
     assert code == 0 and "moved by 0.7071 m" in said
