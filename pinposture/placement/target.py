@@ -25,6 +25,9 @@ MAX_POSTURE_ERROR = 0.01
 """Mean distance of the points of a target on a curve from the posture at its configuration, in arm lengths,
 beyond which it belongs to another arm."""
 
+MAX_LENGTH_RATIO = 100
+"""Length of a curve, and distance of a point from the base, that suggest another unit, in arm lengths."""
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -268,6 +271,15 @@ def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> t
     translation = tuple((arm.chain.base - curve.start).tolist())
     moved = Moved(translation, tuple(pin.log3(turn).tolist()))
     return curve.moved(turn, arm.chain.base - turn @ curve.start), moved
+
+
+def length_misfit(arm: Arm, curve: Curve) -> str:
+    """Return how a curve is far too long for an arm; empty if it is not."""
+    longest = MAX_LENGTH_RATIO * arm.length
+    if curve.length <= longest:
+        return ""
+    allowed = f"{longest:.4g} m at most, {MAX_LENGTH_RATIO} times the arm"
+    return f"is {curve.length:.4g} m long; allowed: {allowed}; is it in millimetres, not metres?"
 
 
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
