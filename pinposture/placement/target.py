@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, TargetError
+from pinposture.errors import InvalidValue, PostureWarning, TargetError
 
 Array = NDArray[np.float64]
 
@@ -166,6 +167,9 @@ class Target:
     def from_points(cls, arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
         """Create a target from given positions, for instance measured ones.
 
+        A `PostureWarning` reports points with a weight that are more than 100 arm lengths from the base of an
+        arm that does not slide without limit.
+
         Args:
             arm: the arm.
             points: one position per control point, (m, 3) [m], world frame.
@@ -179,6 +183,7 @@ class Target:
         checked = np.ones(m) if weights is None else _finite_array("weights", weights, (m,))
         if np.any(checked < 0.0) or not np.any(checked > 0.0):
             raise InvalidValue("weights", checked.tolist(), "numbers >= 0, at least one of them > 0")
+        _warn_of_far_points(arm, np.where(checked[:, None] > 0.0, positions, arm.chain.base))
         return cls(positions, checked)
 
     @classmethod
@@ -190,6 +195,17 @@ class Target:
         """
         state = arm.at(arm.checked_start(q)).compiled
         return cls(state.points, np.ones(arm.n_modules), q=state.q)
+
+
+def _warn_of_far_points(arm: Arm, points: Array) -> None:
+    distances = np.linalg.norm(points - arm.chain.base, axis=1)
+    worst = int(np.argmax(distances))
+    if distances[worst] <= MAX_LENGTH_RATIO * arm.length or np.any(arm.unlimited & arm.slides):
+        return
+    away, share = distances[worst], distances[worst] / arm.length
+    text = f"points[{worst}] is {away:.4g} m from the base of the arm, {share:.3g} times its length"
+    text += "; is it in millimetres, not metres?"
+    warnings.warn(text, PostureWarning, stacklevel=3)
 
 
 def _finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
