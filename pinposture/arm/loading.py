@@ -315,7 +315,7 @@ def _locked_positions(description: Description, locked: Mapping[str, float]) -> 
 def _lock_warnings(
     description: Description, base: str, tip: str, moving: Iterable[str], locked: Mapping[str, float]
 ) -> list[str]:
-    """Report joints without limits, limits that may be in degrees, and joints locked without being asked to."""
+    """Report joints without limits, limits that may be in degrees, and joints locked without a request."""
     free, chain = set(moving), description.chain(base, tip)
     on_chain = {joint.name for joint in chain}
     before = description.chain(description.root, base)
