@@ -93,7 +93,7 @@ class URDFError(PostureError, ValueError):
 
 
 class CurveError(PostureError, ValueError):
-    """Points or parameters that do not describe a curve.
+    """Points or parameters that do not describe a curve, or a curve far too long for the arm.
 
     Attributes:
         what: the part of the input at fault, e.g. "point 3".

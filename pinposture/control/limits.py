@@ -284,7 +284,8 @@ class Limits:
         step: largest |dq| of each joint in one step [rad or m]; one number or (nv,). None: no limit.
         velocity: largest joint velocity [rad/s or m/s]; one number or (nv,). Needs `dt`. None: that of the
             arm; a larger one replaces it, with a `PostureWarning`.
-        dt: duration of a step, the cycle time [s]. None: velocities are not limited.
+        dt: duration of a step, the cycle time [s]; above 1 s with a `PostureWarning`. None: velocities are
+            not limited.
         position_margin: distance to keep from each joint position limit [rad or m].
         acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. dq
             changes by at most acceleration * dt^2 between steps, and joints brake early enough to stop at
@@ -309,6 +310,9 @@ class Limits:
         if self.dt is not None:
             require_positive("dt", self.dt)
             object.__setattr__(self, "dt", float(self.dt))
+            if self.dt > MAX_USUAL_CYCLE:
+                text = f"dt is {self.dt:g} s, long for a control cycle; is it in milliseconds?"
+                warnings.warn(text, PostureWarning, stacklevel=3)
         for name in ("velocity", "acceleration"):
             if getattr(self, name) is not None and self.dt is None:
                 raise InvalidValue("dt", None, f"a positive duration [s], needed to limit the {name}")
@@ -532,6 +536,9 @@ def cycle_of(limits: object) -> float:
 
 SPEED_ROUNDING = 1e-6
 """Relative excess over the velocity limit of the description that is not reported."""
+
+MAX_USUAL_CYCLE = 1.0
+"""Cycle time above which it may be in milliseconds [s]."""
 
 IN_DEGREES = 10.0
 """Ratio of a speed to that of the description above which it may be in degrees."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -167,8 +168,9 @@ class Curve(Geometry):
         Args:
             path: a .json file of `save`, or with a description as in `from_dict`, or with a plain list of
                 points; or a .csv or .txt table with the columns x, y and optionally z [m], separated by
-                commas, semicolons or spaces, with or without a header line, and with comments after '#'. The
-                curve passes through listed points as in `points`.
+                commas, semicolons or spaces, with or without a header line, and with comments after '#'. A
+                header may give another unit: x [mm] or x_mm, or cm. The curve passes through listed points
+                as in `points`.
 
         Raises:
             FileError: an invalid file; names the line, row or key.
@@ -296,6 +298,8 @@ class Curve(Geometry):
 
 
 _TABLES = (".csv", ".txt")
+_PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+_HEADING = re.compile(r"([xyz])(?: *[\[(] *(m|cm|mm) *[\])]|_(m|cm|mm))?")
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -331,6 +335,7 @@ def _table(path: Path, text: str) -> list[list[float]]:
     lines: list[int] = []
     rows: list[list[float]] = []
     headings: list[str] | None = None
+    per_metre = 1.0
     for number, raw in enumerate(text.splitlines(), start=1):
         content = raw.partition("#")[0].strip()
         if not content:
@@ -338,16 +343,20 @@ def _table(path: Path, text: str) -> list[list[float]]:
         fields = _fields(content)
         values = [_number(field) for field in fields]
         if not rows and headings is None and all(fields) and not any(value is not None for value in values):
-            headings = [field.strip("\"'").lower() for field in fields]
-            if headings not in (["x", "y"], ["x", "y", "z"]):
-                raise FileError(path, f"line {number}: columns {', '.join(fields)}; allowed: x, y or x, y, z")
+            found = [_HEADING.fullmatch(field.strip("\"'").lower()) for field in fields]
+            headings = [each[1] if each else "" for each in found]
+            units = {each[2] or each[3] or "m" for each in found if each}
+            if headings not in (["x", "y"], ["x", "y", "z"]) or len(units) > 1:
+                allowed = "x, y or x, y, z, all in one unit (m; or x [mm], x [cm])"
+                raise FileError(path, f"line {number}: columns {', '.join(fields)}; allowed: {allowed}")
+            per_metre = _PER_METRE[units.pop()]
             continue
         row = []
         for column, value in enumerate(values, start=1):
             if value is None:
                 what = f"{fields[column - 1]!r} is not a number"
                 raise FileError(path, f"line {number}, column {column}: {what}")
-            row.append(value)
+            row.append(value / per_metre)
         width = len(headings or (rows[0] if rows else row))
         if len(row) != width or width not in (2, 3):
             wanted = f"{width}, as before" if width in (2, 3) else "2 (then z = 0) or 3"

@@ -20,6 +20,7 @@ from pinposture.curve import Curve
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
+    CurveError,
     CurveLeavesTooSharply,
     CurveOutOfReach,
     InvalidValue,
@@ -48,6 +49,7 @@ from pinposture.placement.target import (
     Target,
     beginning,
     distance_from_curve,
+    length_misfit,
     place_curve,
 )
 
@@ -322,6 +324,7 @@ def resolve_targets(
         CurveBendsTooMuch: a later module cannot bend enough to follow the curve, the curve leaves the plane
             of a planar module, or a control point is farther from the curve than a tenth of the length of its
             module, or of neighbouring modules bound to one plane.
+        CurveError: the curve is longer than 100 arm lengths, as in millimetres.
         UnsupportedModule: sequential placement of a module whose joints do not move its end.
         InvalidValue: not an arm or a curve, fewer than 2 samples, a roll that is not finite, or a `near` for
             another arm or without a configuration.
@@ -362,6 +365,8 @@ def _check_arguments(
         raise InvalidValue("arm", arm, "an Arm")
     if not isinstance(curve, Curve):
         raise InvalidValue("curve", curve, "a Curve")
+    if misfit := length_misfit(arm, curve):
+        raise CurveError("curve", misfit)
     for kind, name, allowed in (
         ("placement", "align" if placement is None else placement, PLACEMENTS),
         ("way to treat an incomplete target", incomplete, ("raise", "partial")),

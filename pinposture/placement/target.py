@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, TargetError
+from pinposture.errors import InvalidValue, PostureWarning, TargetError
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,9 @@ RESOLVE_AGAIN = "the target belongs to another arm: resolve it for this one"
 MAX_POSTURE_ERROR = 0.01
 """Mean distance of the points of a target on a curve from the posture at its configuration, in arm lengths,
 beyond which it belongs to another arm."""
+
+MAX_LENGTH_RATIO = 100
+"""Length of a curve, and distance of a point from the base, that suggest another unit, in arm lengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +167,9 @@ class Target:
     def from_points(cls, arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
         """Create a target from given positions, for instance measured ones.
 
+        A `PostureWarning` reports points with a weight that are more than 100 arm lengths from the base of an
+        arm that does not slide without limit.
+
         Args:
             arm: the arm.
             points: one position per control point, (m, 3) [m], world frame.
@@ -176,6 +183,7 @@ class Target:
         checked = np.ones(m) if weights is None else _finite_array("weights", weights, (m,))
         if np.any(checked < 0.0) or not np.any(checked > 0.0):
             raise InvalidValue("weights", checked.tolist(), "numbers >= 0, at least one of them > 0")
+        _warn_of_far_points(arm, np.where(checked[:, None] > 0.0, positions, arm.chain.base))
         return cls(positions, checked)
 
     @classmethod
@@ -187,6 +195,17 @@ class Target:
         """
         state = arm.at(arm.checked_start(q)).compiled
         return cls(state.points, np.ones(arm.n_modules), q=state.q)
+
+
+def _warn_of_far_points(arm: Arm, points: Array) -> None:
+    distances = np.linalg.norm(points - arm.chain.base, axis=1)
+    worst = int(np.argmax(distances))
+    if distances[worst] <= MAX_LENGTH_RATIO * arm.length or np.any(arm.unlimited & arm.slides):
+        return
+    away, share = distances[worst], distances[worst] / arm.length
+    text = f"points[{worst}] is {away:.4g} m from the base of the arm, {share:.3g} times its length"
+    text += "; is it in millimetres, not metres?"
+    warnings.warn(text, PostureWarning, stacklevel=3)
 
 
 def _finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -268,6 +287,15 @@ def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> t
     translation = tuple((arm.chain.base - curve.start).tolist())
     moved = Moved(translation, tuple(pin.log3(turn).tolist()))
     return curve.moved(turn, arm.chain.base - turn @ curve.start), moved
+
+
+def length_misfit(arm: Arm, curve: Curve) -> str:
+    """Return how a curve is far too long for an arm; empty if it is not."""
+    longest = MAX_LENGTH_RATIO * arm.length
+    if curve.length <= longest:
+        return ""
+    allowed = f"{longest:.4g} m at most, {MAX_LENGTH_RATIO} times the arm"
+    return f"is {curve.length:.4g} m long; allowed: {allowed}; is it in millimetres, not metres?"
 
 
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:

@@ -28,7 +28,7 @@ from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import is_compiled, unit_arrays
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
-from pinposture.placement.target import beginning
+from pinposture.placement.target import beginning, length_misfit
 from pinposture.task.reference import AnchoredCurve, BentCurve
 
 Array = NDArray[np.float64]
@@ -158,22 +158,9 @@ def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
         if keyframe.region is not None and keyframe.region[1] >= arm.n_modules:
             reason = f"its region is {keyframe.region}; the arm has control points 0 to {arm.n_modules - 1}"
             raise TaskError(title(keyframes, index), reason)
-        misfit = curve_misfit(arm, keyframe)
+        misfit = "" if keyframe.curve is None else length_misfit(arm, keyframe.curve)
         if misfit:
             raise TaskError(title(keyframes, index), f"the curve {misfit}")
-
-
-MAX_LENGTH_RATIO = 100
-"""Longest curve of a keyframe, in arm lengths."""
-
-
-def curve_misfit(arm: Arm, keyframe: Keyframe) -> str:
-    """Return why the curve of a keyframe does not fit the arm; empty unless it is far too long."""
-    longest = MAX_LENGTH_RATIO * arm.length
-    if keyframe.curve is None or keyframe.curve.length <= longest:
-        return ""
-    allowed = f"{longest:.4g} m at most, {MAX_LENGTH_RATIO} times the arm"
-    return f"is {keyframe.curve.length:.4g} m long; allowed: {allowed}; is it in millimetres, not metres?"
 
 
 @contextmanager

@@ -27,13 +27,13 @@ from pinposture.control import Controller, EndEffector, Geodesic, Limits, contro
 from pinposture.control.limits import cycle_of
 from pinposture.curve import CURVES, Curve
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
+from pinposture.placement.target import length_misfit
 from pinposture.storage import read_text, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
 from pinposture.task.keyframe import (
     CONTINUITIES,
     Keyframe,
     check_keyframes,
-    curve_misfit,
     joints_misfit,
     naming,
     title,
@@ -307,9 +307,10 @@ def _make_keyframe(
             raise document.fault((*where, "region"), reason)
     with document.blaming(where):
         keyframe = Keyframe(**values)
-    key, misfit = "curve", curve_misfit(arm, keyframe)
     if keyframe.curve is None:
         key, misfit = "joints", joints_misfit(arm, keyframe)
+    else:
+        key, misfit = "curve", length_misfit(arm, keyframe.curve)
     if misfit:
         raise document.fault((*where, key), misfit)
     if keyframe.tip is not None:

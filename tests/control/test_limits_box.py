@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import pickle
+import warnings
 import weakref
 from functools import cache
 
@@ -250,6 +251,16 @@ def test_limits_are_equal_and_travel_by_what_they_hold() -> None:
     assert limits != "limits"
     assert "acceleration=2.5" in repr(pp.Limits(dt=0.1, acceleration=2.5))
     assert not limits.acceleration.flags.writeable
+
+
+def test_a_cycle_time_that_may_be_in_milliseconds_is_reported() -> None:
+    text = r"dt is 20 s, long for a control cycle; is it in milliseconds\?"
+    with pytest.warns(pp.PostureWarning, match=text) as told:
+        assert pp.Limits(dt=20).dt == 20.0
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pp.Limits(dt=1.0)
 
 
 def test_what_is_remembered_of_an_arm_does_not_keep_it() -> None:

@@ -96,6 +96,23 @@ def test_tables_are_read_with_any_separator_and_headings(text, suffix, tmp_path)
     assert Curve.load(path) == Curve.points([[0, 0, 0], [0.1, 0.2, 0], [0.3, 0.2, 0.1]])
 
 
+@pytest.mark.parametrize(
+    ("header", "per_metre"),
+    [
+        ("x [m],y [m],z [m]", 1),
+        ('"x [mm]";"y [mm]";"z [mm]"', 1000),
+        ("X[cm], Y[cm], Z[cm]", 100),
+        ("x (mm), y (mm), z (mm)", 1000),
+        ("x_mm y_mm z_mm", 1000),
+    ],
+)
+def test_the_header_of_a_table_gives_the_unit(header, per_metre, tmp_path):
+    path, points = tmp_path / "curve.csv", [[0, 0, 0], [3, 2, 0], [7, 2, -1]]
+    separator = next(each for each in ";, " if each in header)
+    path.write_text("\n".join([header, *(separator.join(map(str, row)) for row in points)]))
+    assert Curve.load(path) == Curve.points(np.array(points) / per_metre)
+
+
 def test_table_of_two_columns_lies_in_the_plane(tmp_path):
     path = tmp_path / "curve.csv"
     path.write_text("x,y\n0,0\n1,0\n1,1\n0,1\n")
@@ -115,6 +132,9 @@ def test_table_of_two_columns_lies_in_the_plane(tmp_path):
         ("a.csv", "0\n1\n", ["line 1", "1 columns", "2 (then z = 0) or 3"]),
         ("a.csv", "0,0\n1,1\n\n1,1\n2,3\n", ["line 2 and line 4", "same place"]),
         ("a.csv", "t,x,y\n0,0,0\n", ["line 1", "t, x, y", "x, y or x, y, z"]),
+        ("a.csv", "x [mm],y\n0,0\n1,0\n", ["line 1", "x [mm], y;", "in one unit", "x [mm], x [cm]"]),
+        ("a.csv", "x [in],y [in]\n0,0\n1,0\n", ["line 1", "x [in]", "in one unit"]),
+        ("a.csv", "t,x,y,z\n0,0,0,0\n", ["line 1", "t, x, y, z"]),
         ("a.csv", "0,0\nx,y\n", ["line 2", "column 1", "'x'"]),
         ("a.csv", "0;0\n1,5;2\n", ["line 2", "'1,5'"]),
         ("a.csv", "# nothing\n", ["no points"]),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -15,6 +17,7 @@ from pinposture.curve import HELIX, LINE
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
+    CurveError,
     CurveLeavesTooSharply,
     InvalidValue,
     TargetError,
@@ -234,6 +237,16 @@ def test_what_is_no_arm_or_no_curve_is_named(arm: pp.Arm) -> None:
         pp.resolve_targets(arm, "line")
 
 
+@pytest.mark.parametrize("placement", [None, "as_is"])
+def test_a_curve_in_millimetres_is_refused(arm: pp.Arm, placement: str | None) -> None:
+    metres = pp.Curve.points(HELIX.resample(60))
+    assert pp.resolve_targets(arm, metres).has_target.all()
+    text = r"curve: is 1\d+ m long; allowed: 100 m at most, 100 times the arm; is it in millimetres"
+    with pytest.raises(CurveError, match=text):
+        pp.resolve_targets(arm, pp.Curve.points(1000.0 * metres.resample(60)), placement=placement)
+    assert pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (99.9, 0, 0))).has_target.all()
+
+
 def test_targets_from_points_and_configurations(arm: pp.Arm) -> None:
     q = arm.random(np.random.default_rng(1))
     taken = pp.Target.from_configuration(arm, q)
@@ -249,6 +262,22 @@ def test_targets_from_points_and_configurations(arm: pp.Arm) -> None:
     ):
         with pytest.raises(InvalidValue, match=message):
             pp.Target.from_points(arm, points, weights)
+
+
+def test_points_in_millimetres_are_reported(arm: pp.Arm) -> None:
+    points = arm.at(arm.random(np.random.default_rng(1))).points + (0.0, 0.0, 0.2)
+    text = r"points\[\d+\] is [\d.]+ m from the base of the arm, \d+ times its length; is it in millimetres"
+    with pytest.warns(pp.PostureWarning, match=text) as told:
+        pp.Target.from_points(arm, 1000.0 * points)
+    assert told[0].filename == __file__
+    marked = points.copy()
+    marked[3] *= 1e6
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pp.Target.from_points(arm, points)
+        pp.Target.from_points(arm, marked, np.arange(20) != 3)  # a free point may be anywhere
+        moved = pp.Arm.from_template("RyRz", 20, base_placement=pin.SE3(np.eye(3), np.full(3, 500.0)))
+        pp.Target.from_points(moved, points + 500.0)
 
 
 def test_a_target_is_printed_in_one_line() -> None:
