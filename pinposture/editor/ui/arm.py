@@ -39,6 +39,9 @@ class ArmDrawing:
     """An arm in the page, in the shades of its modules or in one tint.
 
     It is drawn as few kinds of bodies, so that long arms move quickly.
+
+    Attributes:
+        foot: vertices of the base, (n, 3) [m], world frame.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class ArmDrawing:
     ) -> None:
         self.arm = arm
         surfaces = arm_surfaces(arm)
+        self.foot = surfaces.base.vertices
         shades = [palette.MODULES[body.module % len(palette.MODULES)] for body in bodies(arm)]
         self.shades: Colors = np.array([color(tint or shade) for shade in shades], dtype=np.uint8)
         self._colors, self.q = self.shades.copy(), arm.straight()
