@@ -9,9 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from editor.edited_tasks import L, bent_spline, six_modules, straight_line, task
+from editor.played import Clock, done, live_of, short
 
 import pinposture as pp
 from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, nearest
+from pinposture.editor.playback import Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.ui.keyframes import row_label
@@ -54,6 +56,21 @@ def test_a_shape_that_is_taken_is_green() -> None:
     kind, head, _ = told_of(Keyframe(straight_line()))
     assert kind == "good"
     assert re.fullmatch(r"On the curve to 0(\.\d+)? mm", head)
+
+
+def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
+    session, clock = Session(short()), Clock()
+    playback = session.playback = Playback(clock)
+    playback.rehearsal.ask(session.task)
+    done(playback.rehearsal, session.task)
+    playback.play(session.task)
+    session.update_playback()
+    clock.now += 0.2
+    live = playback.seen(live_of(session))
+    assert status_of(session, live)[1].startswith("Playing the motion, ")
+    playback.pause()
+    clock.now += 50.0
+    assert status_of(session, live)[1].startswith("Motion at 0.2 s, ")
 
 
 def test_a_tip_that_is_elsewhere_is_amber_and_says_how_far() -> None:

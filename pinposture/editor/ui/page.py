@@ -144,7 +144,9 @@ def _heading(session: Session, live: Live) -> str:
     """Return what the arm is doing, and how near it is to what it should do."""
     error, distance = _millimetres(live.mean_error), live.verdict.distance_from_curve
     if session.playback.q is not None:
-        head = f"Playing the motion, {error} off its targets"
+        playback = session.playback
+        head = "Playing the motion" if playback.playing else f"Motion at {playback.time:.1f} s"
+        head += f", {error} off its targets"
     elif live.reason == NOT_DONE:
         head = f"Planning, {error} to go"
     elif live.status == "moving":
