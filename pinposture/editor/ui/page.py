@@ -91,9 +91,9 @@ class Toolbar:
     ) -> None:
         self._html = server.gui.add_html("")
         actions = {"Undo": Session.undo, "Redo": Session.redo, "Save": files.save}
-        edit = server.gui.add_button_group("Edit", tuple(actions), hint="Ctrl Z, Ctrl Shift Z, Ctrl S")
+        edit = server.gui.add_button_group("Edit", tuple(actions))
         on_choice(edit, lambda label: post(actions[label]))
-        view = server.gui.add_button_group("View", tuple(DIRECTIONS), hint="Frame the arm and its curve (F)")
+        view = server.gui.add_button_group("View", tuple(DIRECTIONS))
         on_choice(view, frame)
 
     def show(self, session: Session, _: Live) -> None:
