@@ -263,7 +263,7 @@ class Session:
         note = ""
         if shape.off != 0.0:
             count, off = len(shape.points), 1000.0 * shape.off
-            note = f"the curve now has {count} control points, and is within {off:.2g} mm of the old one"
+            note = f"the curve was replaced by {count} control points (within {off:.2g} mm of it)"
         self.propose(reshaped(self.selected, change, shape), what, final, note)
 
     def propose(self, edit: Edit, what: str, final: bool = True, note: str = "") -> None:

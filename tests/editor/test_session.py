@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -117,7 +118,10 @@ def test_a_curve_of_another_kind_says_what_became_of_it() -> None:
     session.reshape(moved(3, (0.3, 0.3, 0.3)), "moved point 4")
     live = looked_at(session)
     session.settle(live._replace(verdict=live.verdict._replace(target=looked_at(opened()).verdict.target)))
-    assert session.notice.text.startswith("moved point 4; the curve now has ")
+    said = r"moved point 4; the curve was replaced by (\d+) control points \(within [\d.]+ mm of it\)"
+    found = re.fullmatch(said, session.notice.text)
+    assert found, session.notice.text
+    assert int(found[1]) == len(session.shape.points)
     assert session.history.undoable == "moved point 4"
 
 

@@ -39,6 +39,9 @@ class ArmDrawing:
     """An arm in the page, in the shades of its modules or in one tint.
 
     It is drawn as few kinds of bodies, so that long arms move quickly.
+
+    Attributes:
+        foot: vertices of the base, (n, 3) [m], world frame.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class ArmDrawing:
     ) -> None:
         self.arm = arm
         surfaces = arm_surfaces(arm)
+        self.foot = surfaces.base.vertices
         shades = [palette.MODULES[body.module % len(palette.MODULES)] for body in bodies(arm)]
         self.shades: Colors = np.array([color(tint or shade) for shade in shades], dtype=np.uint8)
         self._colors, self.q = self.shades.copy(), arm.straight()
@@ -242,8 +246,8 @@ class ArmTab:
         self._steps, self._due = -1, 0.0
         self._facts = gui.add_markdown("")
         self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
-        hint = "Limit of each joint; 0: that of the robot description"
-        speed = gui.add_number("Speed [rad/s]", 0.0, min=0.0, step=0.1, hint=hint)
+        hint = "Limit of each joint; 0: the limits of the arm itself"
+        speed = gui.add_number("Speed [rad/s], 0: the arm's", 0.0, min=0.0, step=0.1, hint=hint)
         hint = "Limit of each joint; 0: none"
         acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
         self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
 CURVE_PIECES, OTHER_PIECES = 240, 64  # straight pieces of the curve, and of those of other keyframes
-BALL_RADIUS = 2.6  # of a control point of the curve, relative to that of the bars of the arm
+BALL_RADIUS = 1.8  # of a control point of the curve, relative to that of the bars of the arm
 GRID = 0.02  # first step of the grid, relative to the arm
 AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
 SMALL_ERROR, LARGE_ERROR = 1e-3, 0.3  # green below, red above; relative to a module length

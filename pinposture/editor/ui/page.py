@@ -24,6 +24,7 @@ from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import Surroundings
 from pinposture.editor.ui.arm import ArmDrawing, ArmTab, MeasuredArm
 from pinposture.editor.ui.curve import (
+    BALL_RADIUS,
     CurveDrawing,
     Handles,
     OtherCurves,
@@ -39,7 +40,7 @@ from pinposture.editor.ui.curve import (
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
 from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put, round_number
-from pinposture.editor.ui.player import PANEL_HEIGHT, Player, play_or_pause
+from pinposture.editor.ui.player import PANEL_GAP, PANEL_HEIGHT, Player, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
 from pinposture.motion.tracker import NOT_DONE
@@ -90,9 +91,9 @@ class Toolbar:
     ) -> None:
         self._html = server.gui.add_html("")
         actions = {"Undo": Session.undo, "Redo": Session.redo, "Save": files.save}
-        edit = server.gui.add_button_group("Edit", tuple(actions), hint="Ctrl Z, Ctrl Shift Z, Ctrl S")
+        edit = server.gui.add_button_group("Edit", tuple(actions))
         on_choice(edit, lambda label: post(actions[label]))
-        view = server.gui.add_button_group("View", tuple(DIRECTIONS), hint="Frame the arm and its curve (F)")
+        view = server.gui.add_button_group("View", tuple(DIRECTIONS))
         on_choice(view, frame)
 
     def show(self, session: Session, _: Live) -> None:
@@ -143,7 +144,9 @@ def _heading(session: Session, live: Live) -> str:
     """Return what the arm is doing, and how near it is to what it should do."""
     error, distance = _millimetres(live.mean_error), live.verdict.distance_from_curve
     if session.playback.q is not None:
-        head = f"Playing the motion, {error} off its targets"
+        playback = session.playback
+        head = "Playing the motion" if playback.playing else f"Motion at {playback.time:.1f} s"
+        head += f", {error} off its targets"
     elif live.reason == NOT_DONE:
         head = f"Planning, {error} to go"
     elif live.status == "moving":
@@ -265,11 +268,12 @@ def viewpoint(arm: Arm) -> Viewpoint:
     return Viewpoint(middle + away, middle, float(np.radians(FIELD_OF_VIEW)))
 
 
-def framing(points: Array, direction: Array, aspect: float, covered: float) -> Viewpoint:
-    """Return a camera that has points in sight, above the plots.
+def framing(points: Array, radius: float, direction: Array, aspect: float, covered: float) -> Viewpoint:
+    """Return a camera that has balls in sight, above the plots.
 
     Args:
-        points: the points, (n, 3) [m], world frame.
+        points: the centres of the balls, (n, 3) [m], world frame.
+        radius: of the balls [m].
         direction: from the points to the camera, (3,).
         aspect: width of the picture relative to its height.
         covered: share of its height, from below, that the plots cover.
@@ -283,9 +287,11 @@ def framing(points: Array, direction: Array, aspect: float, covered: float) -> V
     # Rays through the edges of the part to fill, at the left and right, and below and above [tangents].
     edges = slope * np.array([[-aspect, aspect], [2.0 * covered - 1.0, 1.0]])
     edges = edges.mean(axis=1, keepdims=True) + inside * (edges - edges.mean(axis=1, keepdims=True))
-    low = (seen[:, :2] - seen[:, 2:] * edges[:, 0]).min(axis=0)
-    high = (seen[:, :2] - seen[:, 2:] * edges[:, 1]).max(axis=0)
-    # All points are within the rays from a camera at this depth, or farther back.
+    # A ball is inside of an edge if its centre is a radius away from the plane of the rays through that edge.
+    room = radius * np.hypot(1.0, edges)
+    low = (seen[:, :2] - seen[:, 2:] * edges[:, 0]).min(axis=0) - room[:, 0]
+    high = (seen[:, :2] - seen[:, 2:] * edges[:, 1]).max(axis=0) + room[:, 1]
+    # All balls are within the rays from a camera at this depth, or farther back.
     depth = float(np.min((low - high) / (edges[:, 1] - edges[:, 0]), initial=middle[2] - 1e-3))
     across = 0.5 * (low + high + depth * edges.sum(axis=1))
     position = np.append(across, depth) @ axes
@@ -386,12 +392,13 @@ class Page:
     def _frame(self, direction: str, session: Session) -> None:
         """Move the cameras of all browsers so that the arm and all control points are in sight."""
         arm, q = session.arm, self._arm.q
-        points = np.vstack([arm.chain.base, session.shape.points, arm.at(q).points])
+        points = np.vstack([self._arm.foot, arm.chain.base, session.shape.points, arm.at(q).points])
+        radius = BALL_RADIUS * link_radius(arm)
         for client in self._server.get_clients().values():
             camera = client.camera
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
-                covered = min(PANEL_HEIGHT / camera.image_height, MAX_COVERED)
-                view = framing(points, DIRECTIONS[direction], camera.aspect, covered)
+                covered = min((PANEL_HEIGHT + PANEL_GAP) / camera.image_height, MAX_COVERED)
+                view = framing(points, radius, DIRECTIONS[direction], camera.aspect, covered)
                 camera.position, camera.look_at = view.position, view.look_at
 
     def show(self, session: Session, live: Live) -> None:

@@ -46,7 +46,7 @@ OUTSIDE = 1e3  # value of lines outside of the picture
 SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
 NO_TIMES = np.zeros(0)
 
-PANEL_WIDTH, PANEL_HEIGHT, PANEL_GAP = 440, 260, 8  # of the panel; from the edges of the picture [pixels]
+PANEL_WIDTH, PANEL_HEIGHT, PANEL_GAP = 440, 274, 8  # of the panel; from the edges of the picture [pixels]
 ROOM_BEHIND = 0.15  # the end of the motion, on the timeline, relative to its duration
 MIN_LENGTH = 1.0  # of the timeline [s]
 TICKS, DRAG_STEPS = 7, 100  # about how many times are written at it; and can be dragged to

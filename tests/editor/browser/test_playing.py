@@ -41,7 +41,7 @@ def test_a_motion_is_played_and_scrubbed_and_an_edit_ends_it(edit: Edit, look: L
     wait_until(lambda: playback.shown and playback.time > 0.1, "it is played")
     window.press("Pause")
     wait_until(lambda: not playback.playing, "it stands still")
-    wait_until(lambda: "Playing the motion" in window.status, "the page says that this is the motion")
+    wait_until(lambda: "Motion at " in window.status, "the page says which moment of the motion this is")
     at = playback.time
     window.press("Play")
     wait_until(lambda: playback.playing and playback.time != at, "it goes on")

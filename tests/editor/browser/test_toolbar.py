@@ -31,6 +31,10 @@ def test_the_toolbar_names_the_keyframe_and_turns_the_view(edit: Edit, look: Loo
     for tab in ("Keyframes", "File"):  # whichever tab is open
         window.tab(tab)
         assert window.page.get_by_role("button", name="Undo", exact=True).is_visible()
+    for name in ("Redo", "All"):  # no hint covers its neighbours
+        window.page.get_by_role("button", name=name, exact=True).hover()
+        window.page.wait_for_timeout(1000)
+        assert window.page.locator("[role=tooltip]:visible").count() == 0
     window.press("Top")
     wait_until(lambda: not np.allclose(client.camera.position, seen), "the camera moves")
     wait_until(lambda: client.camera.position[2] > session.arm.length, "it looks from above")
