@@ -170,6 +170,14 @@ CONTACT_TOLERANCE = 1e-6
 """Largest penetration that is attributed to rounding, in arm lengths."""
 
 
+class Excess(Protocol):
+    """What a motion exceeds."""
+
+    @property
+    def text(self) -> str:
+        """A clause that says it."""
+
+
 class FinishedMotion(Protocol):
     """Interface of motions for `find_faults`, such as `Trajectory` and `Simulation`."""
 
@@ -198,14 +206,15 @@ class FinishedMotion(Protocol):
         """Smallest distance at each, (N,) [m]; negative in penetration, infinite without a scene."""
 
     @property
-    def excess(self) -> LimitViolation | None:
-        """Violations of velocity, acceleration and jerk limits; None if there are none."""
+    def excess(self) -> Excess | None:
+        """Limits that the motion exceeds; None if there are none."""
 
 
 def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
     """Return the reasons not to send a motion to a robot; empty if it may be sent.
 
-    It did not converge, it exceeds a velocity, acceleration or jerk limit, or bodies penetrate each other.
+    It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path, or
+    bodies penetrate each other.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
     return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
