@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 END_TOLERANCE = 0.01
 
 PATH_RATIO = 5.0
-"""Largest mean deviation of the control points from their set points, relative to the tolerance at the end."""
+"""Largest mean deviation of the control points from their set points, in tolerances at the end."""
 
 
 class PathDeviation(NamedTuple):
@@ -114,7 +114,7 @@ class Simulation:
 
     @cached_property
     def excess(self) -> PathDeviation | None:
-        """The deviation from the path of an arm that arrived; None up to 5 tolerances, at least 5 % of its length.
+        """The deviation from the path if the arm arrived; None up to 5 tolerances, at least 5 % of its length.
 
         The limits of the motion are not checked, because servos slightly overshoot them.
         """
@@ -124,9 +124,11 @@ class Simulation:
         if not self.converged or mean[row] <= allowed:
             return None
         time, point = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
+        farthest = (
+            f"{self.arm.control_points[int(point)]} was {self.point_errors[time, point]:.3g} m off its path"
+        )
         text = (
-            f"{self.arm.control_points[int(point)]} was {self.point_errors[time, point]:.3g} m off its path at "
-            f"{self.time[time]:.4g} s (mean of all points up to {mean[row]:.3g} m, allowed {allowed:.3g} m)"
+            f"{farthest} at {self.time[time]:.4g} s (mean of all points up to {mean[row]:.3g} m, allowed {allowed:.3g} m)"
             f"{describe_saturation(self.saturated)}"
         )
         return PathDeviation(row, float(mean[row]), text)
