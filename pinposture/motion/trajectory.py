@@ -586,11 +586,13 @@ class Motion:
             off_the_path = self.deviations and self.run.scene is not None
             return OFF_THE_PATH if off_the_path else "the arm is behind its targets"
         speeds, accelerations, jerks = self._shares
-        used = {
-            "velocity": speeds[cycle],
-            "acceleration": accelerations[cycle : cycle + 2].max(axis=0),
-            "jerk": jerks[cycle : cycle + 3].max(axis=0),
-        }
+        used = {"velocity": speeds[cycle], "acceleration": accelerations[cycle : cycle + 2].max(axis=0)}
+        bounds = self.run.limits.for_arm(self.arm)
+        if bounds.brake is not None and bounds.acceleration is not None and bounds.jerk is not None:
+            # The jerk limit lowers the acceleration of the plan.
+            planned = used["acceleration"] * (bounds.acceleration / bounds.brake)
+            used["jerk"] = np.maximum(planned, jerks[cycle : cycle + 3].max(axis=0))
+            used["acceleration"] = np.where(bounds.brake < bounds.acceleration, 0.0, used["acceleration"])
         kind = max(used, key=lambda kind: float(used[kind].max()))
         ahead = sum(place.planned <= self.plan_time[cycle] for place in self.waypoints)
         # The arm slows down before a keyframe with limited speed, and speeds up after it.

@@ -114,7 +114,7 @@ class Simulation:
 
     @cached_property
     def excess(self) -> PathDeviation | None:
-        """The deviation from the path if the arm arrived; None up to 5 tolerances, at least 5 % of its length.
+        """The deviation from the path if the arm arrived; None up to 5 tolerances or 5 % of its length.
 
         The limits of the motion are not checked, because servos slightly overshoot them.
         """
@@ -128,8 +128,8 @@ class Simulation:
             f"{self.arm.control_points[int(point)]} was {self.point_errors[time, point]:.3g} m off its path"
         )
         text = (
-            f"{farthest} at {self.time[time]:.4g} s (mean of all points up to {mean[row]:.3g} m, allowed {allowed:.3g} m)"
-            f"{describe_saturation(self.saturated)}"
+            f"{farthest} at {self.time[time]:.4g} s (mean of all points up to {mean[row]:.3g} m, "
+            f"allowed {allowed:.3g} m){describe_saturation(self.saturated)}"
         )
         return PathDeviation(row, float(mean[row]), text)
 
