@@ -95,8 +95,8 @@ def run(
     the target are also reported.
 
     There are no contacts; the clearance from the scene is reported. The effort limits of the description
-    apply; those of templates are placeholders. The exit code is 0 if the arm arrived and was clear of the
-    scene, 1 if not, 2 if it could not start.
+    apply; those of templates are placeholders. The exit code is 0 if the arm arrived, stayed near its
+    path and was clear of the scene, 1 if not, 2 if it could not start.
     """
     from pinposture._validation import require_positive
     from pinposture.collision import Scene

@@ -45,7 +45,8 @@ MARGINS_APART = 2.0
 """Pairs of bodies nearer than this many margins in the straight or neutral posture are excluded."""
 
 ALWAYS_CLOSE = "within the margin however the arm bends"
-"""Reason for excluding a pair that also causes a warning."""
+ALWAYS_OVERLAPPING = "overlapping in every posture"
+"""Reasons for excluding a pair that also cause a warning."""
 
 IN_PLANE = 1e-3
 """In-plane share of a normal below which a planar arm gets another escape direction."""
@@ -141,7 +142,9 @@ def _choose_pairs(
     left = [pair for pair in (*against, *own) if pair not in excluded]
     close = _always_close(arm, kinematics, bodies, solids, fixed, left, scene.margin)
     close = [pair for pair in close if pair[1] not in free]
-    return [pair for pair in left if pair not in close], excluded | dict.fromkeys(close, ALWAYS_CLOSE)
+    overlapping = _always_close(arm, kinematics, bodies, solids, fixed, close, 0.0)
+    excluded |= dict.fromkeys(close, ALWAYS_CLOSE) | dict.fromkeys(overlapping, ALWAYS_OVERLAPPING)
+    return [pair for pair in left if pair not in close], excluded
 
 
 def _always_close(
@@ -388,15 +391,16 @@ class CollisionModel:
         chosen, excluded = _choose_pairs(arm, self._kinematics, bodies, self._solids, fixed, scene, free)
         left_out = (ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         self.excluded_pairs = tuple(dict.fromkeys(left_out))
-        close = [
-            f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == ALWAYS_CLOSE
-        ]
-        if close:
-            listed = ", ".join(close[:MAX_LISTED_PAIRS])
-            if len(close) > MAX_LISTED_PAIRS:
-                listed += f" and {len(close) - MAX_LISTED_PAIRS} more pairs"
-            text = f"{listed}: {ALWAYS_CLOSE}; nothing keeps them apart (margin {scene.margin:g} m)"
-            warnings.warn(text, PostureWarning, stacklevel=3)
+        apart = f"nothing keeps them apart (margin {scene.margin:g} m)"
+        for reason, so in ((ALWAYS_CLOSE, apart), (ALWAYS_OVERLAPPING, "these collisions are ignored")):
+            pairs = [
+                f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == reason
+            ]
+            if pairs:
+                listed = ", ".join(pairs[:MAX_LISTED_PAIRS])
+                if len(pairs) > MAX_LISTED_PAIRS:
+                    listed += f" and {len(pairs) - MAX_LISTED_PAIRS} more pairs"
+                warnings.warn(f"{listed}: {reason}; {so}", PostureWarning, stacklevel=3)
         joints = [body.joint for body in bodies]
         self._distances = PairDistances(self._solids, joints, fixed, chosen)
         first, second = self._distances.first, self._distances.second

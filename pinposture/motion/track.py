@@ -316,14 +316,15 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
 
 
 def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:
-    """Return a clause if the configuration of a target is too close to an obstacle, else an empty one."""
+    """Return a leading clause if the configuration of a target is too near to an obstacle, else ""."""
     if target.q is None or scene is None:
         return ""
     closest = CollisionModel(arm, scene).minimum(target.q)
     if closest.pair is None or closest.distance >= scene.margin:
         return ""
     apart = describe_distance(closest.pair, closest.distance)
-    return f"; in the target posture, {apart} (the margin is {1e3 * scene.margin:.3g} mm)"
+    how = "is in collision" if closest.distance < 0.0 else "is too close to an obstacle"
+    return f"the target posture {how}: {apart} (the margin is {1e3 * scene.margin:.3g} mm); "
 
 
 logger = logging.getLogger(__name__)
@@ -386,7 +387,7 @@ def track(
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
         reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
     if status in ("stalled", "max_steps"):
-        reason += describe_blocked_goal(arm, target, scene)
+        reason = describe_blocked_goal(arm, target, scene) + reason
     record = loop.record
     logger.info("%s: %s after %d steps: %s", controller.name, status, record.steps, reason)
     return record.trajectory(arm, controller, limits, status, reason)

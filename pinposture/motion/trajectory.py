@@ -170,6 +170,14 @@ CONTACT_TOLERANCE = 1e-6
 """Largest penetration that is attributed to rounding, in arm lengths."""
 
 
+class Excess(Protocol):
+    """What a motion exceeds."""
+
+    @property
+    def text(self) -> str:
+        """A clause that says it."""
+
+
 class FinishedMotion(Protocol):
     """Interface of motions for `find_faults`, such as `Trajectory` and `Simulation`."""
 
@@ -198,14 +206,15 @@ class FinishedMotion(Protocol):
         """Smallest distance at each, (N,) [m]; negative in penetration, infinite without a scene."""
 
     @property
-    def excess(self) -> LimitViolation | None:
-        """Violations of velocity, acceleration and jerk limits; None if there are none."""
+    def excess(self) -> Excess | None:
+        """Limits that the motion exceeds; None if there are none."""
 
 
 def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
     """Return the reasons not to send a motion to a robot; empty if it may be sent.
 
-    It did not converge, it exceeds a velocity, acceleration or jerk limit, or bodies penetrate each other.
+    It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path, or
+    bodies penetrate each other.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
     return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
@@ -577,11 +586,13 @@ class Motion:
             off_the_path = self.deviations and self.run.scene is not None
             return OFF_THE_PATH if off_the_path else "the arm is behind its targets"
         speeds, accelerations, jerks = self._shares
-        used = {
-            "velocity": speeds[cycle],
-            "acceleration": accelerations[cycle : cycle + 2].max(axis=0),
-            "jerk": jerks[cycle : cycle + 3].max(axis=0),
-        }
+        used = {"velocity": speeds[cycle], "acceleration": accelerations[cycle : cycle + 2].max(axis=0)}
+        bounds = self.run.limits.for_arm(self.arm)
+        if bounds.brake is not None and bounds.acceleration is not None and bounds.jerk is not None:
+            # The jerk limit lowers the acceleration of the plan.
+            planned = used["acceleration"] * (bounds.acceleration / bounds.brake)
+            used["jerk"] = np.maximum(planned, jerks[cycle : cycle + 3].max(axis=0))
+            used["acceleration"] = np.where(bounds.brake < bounds.acceleration, 0.0, used["acceleration"])
         kind = max(used, key=lambda kind: float(used[kind].max()))
         ahead = sum(place.planned <= self.plan_time[cycle] for place in self.waypoints)
         # The arm slows down before a keyframe with limited speed, and speeds up after it.

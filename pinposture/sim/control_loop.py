@@ -16,7 +16,7 @@ from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
-from pinposture.sim.simulation import Simulation
+from pinposture.sim.simulation import END_TOLERANCE, Simulation, describe_saturation
 
 Array = NDArray[np.float64]
 
@@ -27,10 +27,6 @@ Progress = Callable[[int, int], object]
 """Called with the number of completed cycles and the total number of cycles."""
 
 UNIFORM = 1e-6  # relative variation up to which sampling periods count as equal
-
-# Final mean distance of the control points from their goals that counts as arrived, in arm lengths. Servos
-# without integral action sag under gravity by a few thousandths.
-END_TOLERANCE = 0.01
 
 
 class SetPoints(NamedTuple):
@@ -126,7 +122,7 @@ def simulate(
         progress: called after each cycle.
         scene: obstacles for the clearance of the arm; None: those of the run or motion.
         tolerance: mean distance of the control points from the last posture that counts as arrived [m];
-            None: 1 % of the arm length.
+            None: 1 % of the arm length. On the way five times as much is allowed, at least 5 % of the length.
 
     Returns:
         The recorded motion. Its status is "converged" if the arm is within the tolerance at the end,
@@ -300,6 +296,7 @@ class Recording:
             measured=measured,
             warnings=model.warnings,
             scene=scene,
+            tolerance=tolerance,
         )
 
 
@@ -308,6 +305,4 @@ def _final_error(error: float, tolerance: float, time: float, saturated: Array) 
     off = f"mean point error {error:.3g} m after {time:.6g} s"
     if error <= tolerance:
         return f"{off}, within the tolerance of {tolerance:.3g} m"
-    limited = int(np.count_nonzero(saturated))
-    weak = f"; {limited} of {len(saturated)} servos were at their limit" if limited else ""
-    return f"{off}, above the tolerance of {tolerance:.3g} m{weak}"
+    return f"{off}, above the tolerance of {tolerance:.3g} m{describe_saturation(saturated)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,27 @@ from pinposture.motion.trajectory import closest, describe_result, find_faults, 
 from pinposture.sim.model import Servos
 
 Array = NDArray[np.float64]
+
+# Final mean distance of the control points from their goals that counts as arrived, in arm lengths. Servos
+# without integral action sag under gravity by a few thousandths.
+END_TOLERANCE = 0.01
+
+PATH_RATIO = 5.0
+"""Largest mean deviation of the control points from their set points, in tolerances at the end."""
+
+
+class PathDeviation(NamedTuple):
+    """The largest deviation of a simulated arm from its set points, if it is too large.
+
+    Attributes:
+        row: the row with the largest mean deviation.
+        mean: mean distance of the control points from their set points in it [m].
+        text: a clause on the point that is farthest off.
+    """
+
+    row: int
+    mean: float
+    text: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +68,7 @@ class Simulation:
         measured: fraction of cycles in which a measurement arrived; 1 in open loop.
         warnings: messages about corrected inertias of the description.
         scene: the obstacles for `clearance`, or None.
+        tolerance: mean distance of the control points from their goal that counts as arrived [m].
     """
 
     arm: Arm
@@ -70,6 +92,7 @@ class Simulation:
     measured: float = 1.0
     warnings: tuple[str, ...] = ()
     scene: Scene | None = None
+    tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         make_read_only(self)
@@ -89,9 +112,26 @@ class Simulation:
         """Reasons why the motion should not be executed; empty if there are none."""
         return find_faults(self)
 
-    @property
-    def excess(self) -> None:
-        """None: the limits of the motion are not checked, because servos slightly overshoot them."""
+    @cached_property
+    def excess(self) -> PathDeviation | None:
+        """The deviation from the path if the arm arrived; None up to 5 tolerances or 5 % of its length.
+
+        The limits of the motion are not checked, because servos slightly overshoot them.
+        """
+        mean = self.point_errors.mean(axis=1)
+        row = int(mean.argmax())
+        allowed = PATH_RATIO * max(self.tolerance, END_TOLERANCE * self.arm.length)
+        if not self.converged or mean[row] <= allowed:
+            return None
+        time, point = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
+        farthest = (
+            f"{self.arm.control_points[int(point)]} was {self.point_errors[time, point]:.3g} m off its path"
+        )
+        text = (
+            f"{farthest} at {self.time[time]:.4g} s (mean of all points up to {mean[row]:.3g} m, "
+            f"allowed {allowed:.3g} m){describe_saturation(self.saturated)}"
+        )
+        return PathDeviation(row, float(mean[row]), text)
 
     @property
     def verdict(self) -> str:
@@ -201,6 +241,12 @@ class Simulation:
         }
 
 
+def describe_saturation(saturated: Array) -> str:
+    """Return a clause on how many servos were saturated, given the fraction of time of each, (nv,)."""
+    limited = int(np.count_nonzero(saturated))
+    return f"; {limited} of {len(saturated)} servos were at their limit" if limited else ""
+
+
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -222,6 +268,7 @@ def _pack(simulation: Simulation) -> tuple[dict[str, Any], dict[str, Array]]:
     arrays = {name: value for name, value in stored.items() if isinstance(value, np.ndarray)}
     about = {name: stored[name] for name in _VALUES}
     about["dt"] = simulation.dt
+    about["tolerance"] = simulation.tolerance
     about["arm"] = simulation.arm.to_dict()
     about["servos"] = vars(simulation.servos)
     about["warnings"] = list(simulation.warnings)
@@ -251,6 +298,7 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
         arm=arm,
         servos=Servos(**about["servos"]),
         dt=about["dt"],
+        tolerance=about.get("tolerance", 0.0),
         warnings=tuple(about["warnings"]),
         scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
         **{name: arrays.get(name) for name in shapes},  # type: ignore[arg-type]

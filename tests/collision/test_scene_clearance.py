@@ -346,6 +346,18 @@ def test_what_is_beside_the_base_is_left_out_with_a_warning_and_does_not_stop_th
     assert run.converged
 
 
+def test_an_obstacle_around_the_base_is_reported_as_overlapping_in_every_posture():
+    arm = pp.Arm.from_template(
+        "RyRz", 6, link_lengths=[0.02, 0.03]
+    )  # the second link starts 0.02 m from the base
+    scene = Scene({"b": Sphere([0, 0, 0], 0.025)}, margin=0.002)
+    message = "^m01_l2 to b: overlapping in every posture; these collisions are ignored$"
+    with pytest.warns(pp.PostureWarning, match=message):
+        model = CollisionModel(arm, scene)
+    reasons = {each.first: each.reason for each in model.excluded_pairs if each.second == "b"}
+    assert reasons["m01_l2"] == "overlapping in every posture" and ("m06_l2", "b") in model.pairs
+
+
 def test_an_arm_inside_of_an_obstacle_is_told_so_for_all_of_its_bodies():
     arm = pp.Arm.from_template("RyRz", 6)
     clearance = pp.CollisionModel(arm, pp.Scene({"block": pp.Box([0, 0, 0], [9, 9, 9])}))

@@ -143,6 +143,23 @@ def test_an_arm_that_falls_did_not_get_there():
     assert (kept.status, kept.faults) == ("converged", ())
 
 
+def test_an_arm_that_arrives_after_it_collapsed_on_the_way_is_at_fault():
+    arm = four_modules()
+    # Held out horizontally the arm is too heavy for its servos; hanging down, at both ends, it is not.
+    hanging, out = np.eye(8)[0] * np.pi / 2.0, np.zeros(8)
+    rows = np.concatenate([quintic(hanging, out, 0.5, DT), quintic(out, hanging, 0.5, DT)])
+    servos = sim.Servos(torque_limits=0.5 * np.abs(sim.simulate(arm, rows, dt=DT).torques).max())
+    ended = sim.simulate(arm, rows, servos, dt=DT, hold=3.0)
+    mean = ended.point_errors.mean(axis=1).max()
+    assert ended.converged and mean > 0.05 * arm.length
+    (fault,) = ended.faults
+    assert f"{ended.point_errors.max():.3g} m off its path at " in fault
+    assert fault.endswith(f"{np.count_nonzero(ended.saturated)} of 8 servos were at their limit")
+    assert ended.verdict == f"reached the target (converged), but {fault}: {ended.reason}"
+    assert replace(ended, tolerance=0.99 * mean / 5.0).faults
+    assert not replace(ended, tolerance=1.01 * mean / 5.0).faults
+
+
 def test_distances_from_the_scene_are_those_of_the_simulated_arm():
     arm, run = four_modules(), some_run()
     ball = pp.Sphere((0.1, 0.02, -0.1), 0.02)

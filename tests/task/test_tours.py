@@ -360,6 +360,18 @@ def test_the_joint_that_holds_a_motion_back_is_named(arm: pp.Arm, kind: str) -> 
     assert motion.slowdown in repr(motion)
 
 
+def test_a_jerk_limit_that_holds_a_motion_back_is_named(arm: pp.Arm) -> None:
+    limits = pp.Limits(step=None, dt=0.02, velocity=2.0, acceleration=40.0, jerk=20.0)
+    tour = [Keyframe(joints=np.full(arm.nv, -0.3)), Keyframe(joints=np.full(arm.nv, 0.3), time=0.3)]
+    motion = pp.move_through(arm, tour, limits=limits)
+    # Neither of the other limits is nearly reached.
+    assert np.abs(motion.velocities).max() < 0.8 * 2.0 and np.abs(motion.accelerations).max() < 0.7 * 40.0
+    assert motion.converged and motion.time_scale > 1.1
+    assert " is at its jerk limit for " in motion.slowdown
+    names = set(map(motion._cause, motion._slow_cycles))
+    assert all(name.endswith("jerk limit") for name in names)
+
+
 def test_a_controller_that_lags_behind_is_told(arm: pp.Arm) -> None:
     tour = [Keyframe(line(arm)), Keyframe(bow(arm), duration=0.3, trim=True)]
     motion = pp.move_through(arm, tour, "lm", pp.Limits(step=0.02, dt=0.02))

@@ -79,7 +79,8 @@ def test_a_target_posture_inside_an_obstacle_is_said_to_be() -> None:
     scene = Scene({"post": Sphere(tuple(arm.at(goal).points[4]), 0.02)}, margin=0.01, arm_radius=0.005)
     run = pp.track(arm, pp.Target.from_configuration(arm, goal), arm.straight(), scene=scene, max_steps=600)
     assert run.status == "stalled"
-    for part in ("in the target posture", "post", "the margin is 10 mm"):
+    assert run.reason.startswith("the target posture is in collision: ")
+    for part in (" to post: overlapping by ", "the margin is 10 mm); no step "):
         assert part in run.reason
 
 
