@@ -38,6 +38,8 @@ Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
 
 ALLOWED_LENGTHS = (1e-9, 1e9)
 """Shortest and longest accepted chain [m]; beyond these, squared lengths could under- or overflow."""
+SUSPECT_LIMITS = (4.0 * np.pi, 360.0)
+"""Position limits of revolute joints that may be in degrees: above the first, up to the second [rad]."""
 MULTI_DOF_JOINTS = ("floating", "planar")
 """Types of joints with several degrees of freedom."""
 _LINK_SUFFIX = "\n"  # no name in a description has one
@@ -313,7 +315,7 @@ def _locked_positions(description: Description, locked: Mapping[str, float]) -> 
 def _lock_warnings(
     description: Description, base: str, tip: str, moving: Iterable[str], locked: Mapping[str, float]
 ) -> list[str]:
-    """Report joints without limits, and joints locked although the user did not ask for it."""
+    """Report joints without limits, limits that may be in degrees, and joints locked without a request."""
     free, chain = set(moving), description.chain(base, tip)
     on_chain = {joint.name for joint in chain}
     before = description.chain(description.root, base)
@@ -328,6 +330,11 @@ def _lock_warnings(
     endless = [joint.name for joint in chain if joint.name in free and _lacks_limits(joint)]
     if endless:
         messages.append(f"no limits are given for {_quote_joints(endless)}; treated as unlimited")
+    turns = {j.name: max(-j.lower, j.upper) for j in chain if j.type == "revolute" and j.name in free}
+    wide = {name: turn for name, turn in turns.items() if SUSPECT_LIMITS[0] < turn <= SUSPECT_LIMITS[1]}
+    if wide:
+        largest = f"up to {max(wide.values()):g} rad"
+        messages.append(f"limits of {_quote_joints([*wide])} are {largest}; are they in degrees?")
     still = [
         joint
         for joint in description.joints

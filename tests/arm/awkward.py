@@ -138,6 +138,13 @@ WARNED = {
             "modules 1, 2: too few of their joints' axes differ",
         ],
     ),
+    "limits in degrees": (
+        arm_text([("revolute", Y, LINK, limit(-90, 90)), ("revolute", Z, LINK, limit(-15, 10)), *pairs(1)]),
+        {},
+        4,
+        2,
+        ["limits of joints 'j1', 'j2' are up to 90 rad; are they in degrees?"],
+    ),
     "locked by limits": (
         arm_text([*pairs(1), ("revolute", X, LINK, limit(0, 0)), *pairs(1)]),
         {},
@@ -204,6 +211,11 @@ WARNED = {
 SILENT = {
     # text, arguments, sizes of the modules that result
     "plain": (arm_text(pairs(3)), {}, [2, 2, 2]),
+    "limits of several turns": (
+        arm_text([("revolute", Y, LINK, limit(-12.5, 12.5)), ("revolute", Z, LINK, limit(-1e6, 1e6))]),
+        {},
+        [2],
+    ),
     "sensors": (
         arm_text(
             pairs(2),

@@ -60,6 +60,9 @@ SETTLED: dict[str, Load] = {
         arm_text([*pairs(1), ("revolute", X, LINK, limit(0.5, 0.5)), *pairs(1)])
     ),
     "no limits": loading(arm_text([*pairs(1), ("revolute", Y, LINK, limit()), ("revolute", Z, LINK)])),
+    "revolute limits of 4 pi to 360 rad": loading(
+        arm_text([*pairs(1), ("revolute", Y, LINK, limit(-90, 90)), ("revolute", Z, LINK)])
+    ),
     "parallel axes in a row": loading(arm_text([("revolute", Z, LINK), *[("revolute", Y, LINK)] * 3])),
     "joints beside the chain": loading(
         arm_text(pairs(2), extra=links(["jaw"]) + moving("grip", "l2", "jaw", "prismatic"))
