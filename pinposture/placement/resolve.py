@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import pinocchio as pin
@@ -126,14 +127,15 @@ def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...
     state[0], state[1:4], state[4:7] = parameter, base, base if on_curve else curve.at(parameter)
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
     found, parameters = np.zeros(len(lower)), np.full(arm.n_modules, curve.length)
-    stopped = kernels.place_modules(
-        *curve.measured, samples, numbers, shapes, lower, upper, state, found, parameters
-    )
+    given, initial = (*curve.measured, samples, numbers, shapes), state.copy()
+    stopped = kernels.place_modules(*given, lower, upper, state, found, parameters)
     positions = np.zeros(arm.nv)
     positions[arm.columns] = found
     failure: TargetError | None = None
     if stopped >= 0:
-        failure = _failure(arm, curve, units[stopped], state)
+        unit = units[stopped]
+        exceeded = _exceeded_limit(arm, unit, given, lower, upper, initial, unit.inputs) if state[8] else ""
+        failure = _failure(arm, curve, unit, state, exceeded)
         parameters[failure.module - 1 :] = curve.length
     return Placement(positions, parameters, failure)
 
@@ -186,10 +188,11 @@ class Walk:
         state[4:7] = base.translation if here else self._curve.at(self.parameter)
         columns = arm.columns[unit.inputs]
         found, parameters = np.zeros(unit.kinematics.dof), np.zeros(1)
-        limits = arm.limits.lower[columns], arm.limits.upper[columns]
-        measured, options = self._curve.measured, (self._samples, numbers, shapes, *limits)
-        if kernels.place_modules(*measured, *options, state, found, parameters) >= 0:
-            return _failure(arm, self._curve, unit, state)
+        limits, initial = (arm.limits.lower[columns], arm.limits.upper[columns]), state.copy()
+        given = *self._curve.measured, self._samples, numbers, shapes
+        if kernels.place_modules(*given, *limits, state, found, parameters) >= 0:
+            exceeded = _exceeded_limit(arm, unit, given, *limits, initial, slice(None)) if state[8] else ""
+            return _failure(arm, self._curve, unit, state, exceeded)
         return float(parameters[0]), found
 
     def _numerically(self, unit: Unit, base: pin.SE3, near: Array) -> tuple[float, Array] | TargetError:
@@ -239,7 +242,24 @@ class Walk:
         return kind(module, at, f"{text}; use a gentler curve, wider joint limits or shorter modules")
 
 
-def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
+def _exceeded_limit(
+    arm: Arm, unit: Unit, given: Sequence[Any], lower: Array, upper: Array, state: Array, own: slice
+) -> str:
+    """Describe the limit that a unit has to exceed most on the curve, found by placing it without its limits.
+
+    The arguments are those of `kernels.place_modules`, and the joints of the unit in `lower` and `upper`.
+    """
+    low, high, wide, found = lower[own], upper[own], np.array([lower, upper]), np.zeros(len(lower))
+    wide[:, own] = [[-np.inf], [np.inf]]
+    arguments = [*given, *wide, state, found, np.empty(arm.n_modules)]
+    kernels.place_modules(*arguments)
+    needed = found[own]
+    worst = int(np.argmax(np.maximum(low - needed, needed - high)))
+    name, allowed = arm.chain.input_names[unit.inputs][worst], f"{low[worst]:.4g} to {high[worst]:.4g} rad"
+    return f": joint {name!r} would be at {needed[worst]:.4g} rad, allowed: {allowed}"
+
+
+def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) -> TargetError:
     """Explain why a unit could not be placed, from the state after `kernels.place_modules`."""
     first, last, beyond, found = state[1:4], state[4:7], bool(state[7]), int(state[8])
     module, at, slack = unit.module + 1, float(state[0]), ON_CURVE * arm.length
@@ -256,7 +276,7 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
     if found:
         advice = "use a gentler curve, wider joint limits or shorter modules"
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
-        return kind(module, at, f"its joint limits do not allow it to follow the curve; {advice}")
+        return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {advice}")
     gap = float(np.linalg.norm(first))
     if gap > reach:
         advice = 'use placement="translate" or "align"'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
 import numpy as np
@@ -24,6 +25,7 @@ from pinposture.errors import (
     UnknownName,
     UnsupportedModule,
 )
+from pinposture.placement.module_kinematics import is_compiled
 
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 
@@ -163,6 +165,25 @@ def test_curves_that_do_not_fit_are_named(arm: pp.Arm) -> None:
     planar = pp.Arm.from_template("Rz", 6)
     with pytest.raises(CurveBendsTooMuch, match="plane"):
         pp.resolve_targets(planar, pp.Curve.helix(radius=0.4, pitch=0.5, turns=3))
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_the_joint_that_would_exceed_its_limits_is_named_with_its_angle(mixed: bool) -> None:
+    """Two lines meet at 0.5 rad at the base of module 3, in the plane of its first hinge."""
+    corner = np.array([0.2, 0.0, 0.0])
+    along = np.array([np.cos(0.5), 0.0, -np.sin(0.5)])
+    curve = pp.Curve.spline([np.zeros(3), corner, corner + 0.5 * along], degree=1)
+    module = pp.ModuleTemplate("RyRz", (pp.JointSpec("y"), pp.JointSpec("z")), (0.0, 0.1))
+    module = module.with_limits(-0.3, 0.3)
+    odd = pp.ModuleTemplate("odd", tuple(pp.JointSpec(axis) for axis in "yzy"), (0.05, 0.05, 0.05))
+    arm = pp.Arm.from_modules([module] * 5 + [odd] * mixed)
+    assert is_compiled(arm) != mixed
+    with pytest.raises(CurveBendsTooMuch, match=r"its joint limits do not allow it") as caught:
+        pp.resolve_targets(arm, curve, placement="as_is", method="sequential")
+    assert caught.value.module == 3
+    text = rf"joint '{arm.chain.input_names[4]}' would be at ([\d.]+) rad, allowed: -0.3 to 0.3 rad; use"
+    angle = re.search(text, str(caught.value))
+    assert angle and float(angle[1]) == pytest.approx(0.5, abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.7, 0.95, 0.999])
