@@ -247,7 +247,7 @@ class ArmTab:
         self._facts = gui.add_markdown("")
         self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
         hint = "Limit of each joint; 0: the limits of the arm itself"
-        speed = gui.add_number("Speed [rad/s], 0: the arm's", 0.0, min=0.0, step=0.1, hint=hint)
+        speed = gui.add_number("Speed [rad/s] (0: arm's own)", 0.0, min=0.0, step=0.1, hint=hint)
         hint = "Limit of each joint; 0: none"
         acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
         self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")

@@ -178,7 +178,10 @@ CAMERA_DISTANCE = 1.75  # in arm lengths
 CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of the arm
 LOOK_BELOW = 0.13  # of the arm, in arm lengths: the plots cover the bottom of the picture
 FLOOR_CELLS = 10  # along the arm
-MAX_COVERED, FRAME_MARGIN = 0.6, 0.15  # of the picture by the plots; beside what is framed, of the rest
+FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
+# Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
+# screen, which may be several to one of the page.
+MIN_COVERED, MAX_COVERED = 0.35, 0.6
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
     "Front": np.array([1.0, 0.0, 0.0]),
@@ -397,7 +400,8 @@ class Page:
         for client in self._server.get_clients().values():
             camera = client.camera
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
-                covered = min((PANEL_HEIGHT + PANEL_GAP) / camera.image_height, MAX_COVERED)
+                covered = (PANEL_HEIGHT + PANEL_GAP) / camera.image_height
+                covered = min(max(covered, MIN_COVERED), MAX_COVERED)
                 view = framing(points, radius, DIRECTIONS[direction], camera.aspect, covered)
                 camera.position, camera.look_at = view.position, view.look_at
 
