@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -556,7 +555,7 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
     )
     if speed[worst] > IN_DEGREES * known[worst]:
         text += "; is it in degrees?"
-    warnings.warn(text, PostureWarning, stacklevel=4)
+    warn_caller(text)
 
 
 def _previous(arm: Arm, previous: Array | None) -> Array:
