@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -25,6 +27,18 @@ class PostureError(Exception):
 
 class PostureWarning(UserWarning):
     """An input was interpreted or corrected in a way that the user may not expect."""
+
+
+LIBRARY = frozenset({"pinposture", "functools", "contextlib"})
+"""Modules that warnings do not point to: this package, and those that call it from within itself."""
+
+
+def warn_caller(message: str) -> None:
+    """Issue a PostureWarning that points to the line outside of this package from which it was called."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in LIBRARY:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, PostureWarning, stacklevel=level)
 
 
 class InvalidValue(PostureError, ValueError):

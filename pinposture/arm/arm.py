@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property
@@ -47,7 +46,7 @@ from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.errors import InvalidValue, warn_caller
 from pinposture.storage import settled
 
 Array = NDArray[np.float64]
@@ -257,7 +256,7 @@ class Arm(ConfigurationSpace):
     @classmethod
     def _from_loaded(cls, loaded: LoadedModel, spec: ArmSpec) -> Arm:
         for message in loaded.report.warnings:
-            warnings.warn(message, PostureWarning, stacklevel=3)
+            warn_caller(message)
         if loaded.base_placement is not None and spec.placement is None:
             spec = spec.model_copy(update={"placement": PlacementSpec.of(loaded.base_placement)})
         parts = (loaded.model, loaded.control_points, loaded.base_placement, loaded.text, loaded.report)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from math import atan2
@@ -13,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector
-from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -205,7 +204,7 @@ def check_joint_positions(
             raise InvalidValue(f"{name}[{worst}]", float(positions[worst]), reason)
         count = f"{outside} joints" if outside > 1 else "a joint"
         at = f"{which} is at {positions[worst]:.4g}, allowed {allowed}"
-        warnings.warn(f"{name}: {count} outside the limits; {at}", PostureWarning, stacklevel=4)
+        warn_caller(f"{name}: {count} outside the limits; {at}")
     free = ~slides & ~limited
     wound = free & (np.abs(positions) > WOUND_POSITION)
     if _suggest_degrees(wound, free):
@@ -213,7 +212,7 @@ def check_joint_positions(
         count = f"{np.count_nonzero(wound)} joints without limits"
         turns = f"{count} are wound by more than {WOUND_POSITION / FULL_TURN:g} turns"
         text = f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}"
-        warnings.warn(text, PostureWarning, stacklevel=4)
+        warn_caller(text)
 
 
 def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:

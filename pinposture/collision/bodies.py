@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
@@ -17,7 +16,7 @@ from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
-from pinposture.errors import FileError, InvalidValue, PostureWarning
+from pinposture.errors import FileError, InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
 Shape: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
@@ -71,7 +70,7 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
         if len(faults) > _MAX_LISTED_FAULTS:
             named.append(f"and {len(faults) - _MAX_LISTED_FAULTS} more")
         message = f"capsules stand in for unusable collision geometry: {'; '.join(named)}"
-        warnings.warn(message, PostureWarning, stacklevel=2)
+        warn_caller(message)
     return tuple(sorted(bodies, key=lambda body: body.joint))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
@@ -26,7 +25,7 @@ from pinposture.collision.distances import (
 from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -400,7 +399,7 @@ class CollisionModel:
                 listed = ", ".join(pairs[:MAX_LISTED_PAIRS])
                 if len(pairs) > MAX_LISTED_PAIRS:
                     listed += f" and {len(pairs) - MAX_LISTED_PAIRS} more pairs"
-                warnings.warn(f"{listed}: {reason}; {so}", PostureWarning, stacklevel=3)
+                warn_caller(f"{listed}: {reason}; {so}")
         joints = [body.joint for body in bodies]
         self._distances = PairDistances(self._solids, joints, fixed, chosen)
         first, second = self._distances.first, self._distances.second

@@ -15,7 +15,7 @@ from pinposture import _validation
 from pinposture._validation import LARGEST_LENGTH, Matrix, Vector, is_count, known_keys, length, point
 from pinposture.collision.files import read_scan, scale_factor
 from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, set_fields
-from pinposture.errors import FileError, InvalidValue, PostureWarning
+from pinposture.errors import FileError, InvalidValue, PostureWarning, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ class Scan(Surface):
         width = float(np.ptp(points, axis=0).max())
         if width > MAX_PLAUSIBLE_WIDTH:
             text = f"{self.name} is {width:.4g} m wide; if it is in millimetres, load it with scale=0.001"
-            warnings.warn(text, PostureWarning, stacklevel=3)
+            warn_caller(text)
         for array in (points, faces, colors):
             if array is not None:
                 array.flags.writeable = False

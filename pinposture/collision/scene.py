@@ -26,7 +26,7 @@ from pinposture.collision.obstacles import (
     solids,
 )
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
+from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
 from pinposture.storage import read_text, relative, write_text
 
 if sys.version_info >= (3, 11):
@@ -215,6 +215,8 @@ class Scene:
     def load(cls, path: str | Path) -> Scene:
         """Read a scene from a TOML or JSON file; both have the keys of `to_dict`.
 
+        A `PostureWarning` reports a scene without obstacles that does not check self-collision either.
+
         Paths of meshes and scans are relative to the folder of the file.
 
         Raises:
@@ -233,9 +235,12 @@ class Scene:
         except (ValueError, RecursionError) as error:  # TOML errors contain the line
             raise FileError(path, str(error).replace("\n", " ")) from error
         try:
-            return cls.from_dict(content, str(path.parent))
+            scene = cls.from_dict(content, str(path.parent))
         except PostureError as error:
             raise FileError(path, str(error)) from error
+        if not (scene.obstacles or scene.self_collision):
+            warn_caller(f"{path} contains no obstacles")
+        return scene
 
     def save(self, path: str | Path) -> Path:
         """Write the scene atomically to a JSON file and return its path.

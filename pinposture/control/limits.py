@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -312,7 +311,7 @@ class Limits:
             object.__setattr__(self, "dt", float(self.dt))
             if self.dt > MAX_USUAL_CYCLE:
                 text = f"dt is {self.dt:g} s, long for a control cycle; is it in milliseconds?"
-                warnings.warn(text, PostureWarning, stacklevel=3)
+                warn_caller(text)
         for name in ("velocity", "acceleration"):
             if getattr(self, name) is not None and self.dt is None:
                 raise InvalidValue("dt", None, f"a positive duration [s], needed to limit the {name}")
@@ -563,7 +562,7 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
     )
     if speed[worst] > IN_DEGREES * known[worst]:
         text += "; is it in degrees?"
-    warnings.warn(text, PostureWarning, stacklevel=4)
+    warn_caller(text)
 
 
 def _previous(arm: Arm, previous: Array | None) -> Array:

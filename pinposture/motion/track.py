@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,7 +16,7 @@ from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.control.limits import JerkFilter, require_limits
-from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.errors import InvalidValue, warn_caller
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
@@ -401,5 +400,5 @@ def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, S
         return (controller, controller.scene) if scene is None else (controller.with_scene(scene), scene)
     if scene is not None:
         text = f'{controller.name} does not avoid obstacles, only records distances; "geodesic" avoids them'
-        warnings.warn(text, PostureWarning, stacklevel=3)
+        warn_caller(text)
     return controller, scene

@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.limits import require_limits
-from pinposture.errors import InvalidValue, PostureError, PostureWarning
+from pinposture.errors import InvalidValue, PostureError, PostureWarning, warn_caller
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track
 from pinposture.motion.trajectory import Trajectory
@@ -150,7 +150,7 @@ def track_many(
     failed = np.flatnonzero(batch.status == FAILED)
     if len(failed):
         text = f"{len(failed)} of {count} runs failed; run {failed[0]}: {batch.reason[failed[0]]}"
-        warnings.warn(text, PostureWarning, stacklevel=2)
+        warn_caller(text)
     return batch
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, cast
@@ -25,10 +24,10 @@ from pinposture.errors import (
     CurveLeavesTooSharply,
     CurveOutOfReach,
     InvalidValue,
-    PostureWarning,
     TargetError,
     UnknownName,
     UnsupportedModule,
+    warn_caller,
 )
 from pinposture.placement.least_squares import base_positions, fit_curve, fit_near
 from pinposture.placement.module_kinematics import (
@@ -353,7 +352,7 @@ def resolve_targets(
     _check_arguments(arm, curve, samples, placement, roll, incomplete, method, near)
     placed, moved = place_curve(arm, curve, placement, roll)
     if placement is None and moved.distance > FAR * arm.length:
-        warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=2)
+        warn_caller(far_moved(arm, "the curve", moved))
     used, fallback = str(method), ""
     if method == "sequential":
         result = place_in_turn(arm, placed, samples, near)
@@ -533,7 +532,7 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
         reasons.append("it has too few control points, or too long links, for this curve")
     share = f"{away:.4g} m ({away / arm.length:.2g} of its length)"
     text = f"the arm does not follow the curve: its links are up to {share} away"
-    warnings.warn(f"{text} ({'; '.join(reasons)})", PostureWarning, stacklevel=3)
+    warn_caller(f"{text} ({'; '.join(reasons)})")
 
 
 def _link_lengths(arm: Arm, q: Array) -> list[float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureWarning, TargetError
+from pinposture.errors import InvalidValue, TargetError, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -205,7 +204,7 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
     away, share = distances[worst], distances[worst] / arm.length
     text = f"points[{worst}] is {away:.4g} m from the base of the arm, {share:.3g} times its length"
     text += "; is it in millimetres, not metres?"
-    warnings.warn(text, PostureWarning, stacklevel=3)
+    warn_caller(text)
 
 
 def _finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

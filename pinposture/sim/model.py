@@ -9,7 +9,6 @@ their gains follow from the inertias, and actuators saturate.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
-from pinposture.errors import InvalidValue, PostureError, PostureWarning, URDFError
+from pinposture.errors import InvalidValue, PostureError, URDFError, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -301,7 +300,7 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     if arm.couplings and np.any(complete.upperDryFrictionLimit > 0.0):
         corrections = (*corrections, "dry friction of joints is ignored, because joints are coupled")
     for message in corrections:
-        warnings.warn(message, PostureWarning, stacklevel=3)
+        warn_caller(message)
     spec = _specification(mujoco, arm, complete, bodies, servos, acceleration)
     try:
         model = spec.compile()

@@ -13,7 +13,6 @@ by iteration or, if that cycles, by a quadratic program.
 
 from __future__ import annotations
 
-import warnings
 from collections import deque
 from copy import copy
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture._validation import require_positive, require_share, require_whole
-from pinposture.errors import PostureWarning
+from pinposture.errors import warn_caller
 from pinposture.sim.model import (
     PlantModel,
     Servos,
@@ -59,7 +58,7 @@ class Plant:
         self._model.actuator_gainprm[:, 0] = 1.0
         self._advice = _too_coarse(model.servos, dt / self.substeps)
         if self._advice:
-            warnings.warn(self._advice, PostureWarning, stacklevel=3)
+            warn_caller(self._advice)
         self._data = self._mujoco.MjData(self._model)
         self._driven = self._model.jnt_dofadr[self._model.actuator_trnid[:, 0]]
         self._coupled = len(model.coupling) > len(model.coupling.T)

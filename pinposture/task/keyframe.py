@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -23,7 +22,14 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, PostureWarning, TargetError, TaskError, UnknownName
+from pinposture.errors import (
+    InvalidValue,
+    PostureError,
+    TargetError,
+    TaskError,
+    UnknownName,
+    warn_caller,
+)
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import is_compiled, unit_arrays
@@ -455,7 +461,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
             and target.moved.distance > FAR * arm.length
         ):
             what = f"{title(keyframes, index)}: its curve"
-            warnings.warn(far_moved(arm, what, target.moved), PostureWarning, stacklevel=3)
+            warn_caller(far_moved(arm, what, target.moved))
     longest = max([arm.length, *(float(resolved[k].parameters[-1]) for k in curved)])
     return ResolvedMotion(tuple(resolved), method, CURVE_LENGTH_MARGIN * longest)
 
@@ -483,7 +489,7 @@ def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = Non
         target = resolve_targets(arm, curve, SEQUENTIAL_SAMPLES, **options)
     where = f"keyframe {keyframe.name!r}" if keyframe.name else "a keyframe"
     text = "joints: its curve has no posture near them; they are ignored"
-    warnings.warn(f"{where}: {text}", PostureWarning, stacklevel=3)
+    warn_caller(f"{where}: {text}")
     return target
 
 
@@ -553,7 +559,7 @@ def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyf
             raise TaskError(title(keyframes, index), f"joints {misfit}")
         if misfit:
             text = f"{title(keyframes, index)}: joints {misfit}; they are ignored"
-            warnings.warn(text, PostureWarning, stacklevel=3)
+            warn_caller(text)
         fitting.append(replace(keyframe, joints=None) if misfit else keyframe)
     return tuple(fitting)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import EndEffector
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureWarning, TaskError
+from pinposture.errors import InvalidValue, TaskError, warn_caller
 from pinposture.placement import Target
 from pinposture.placement.least_squares import SAMPLES_PER_MODULE, Samples, transported_turns
 from pinposture.placement.target import Moved, arm_axis
@@ -164,7 +163,7 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
         depth = f"{pair} would penetrate by {deep:.3g} mm"
         if mark.row == 0:
             raise TaskError(where, f"{depth}; move one of them, or change the start")
-        warnings.warn(f"{where}: {depth}", PostureWarning, stacklevel=4)
+        warn_caller(f"{where}: {depth}")
 
 
 def _named(reference: Reference) -> list[Mark]:

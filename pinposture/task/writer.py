@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -22,7 +21,7 @@ from pinposture.collision import Mesh, Scan, Scene
 from pinposture.collision.obstacles import Obstacle
 from pinposture.control import CONTROLLERS, Controller, EndEffector, Geodesic, Limits
 from pinposture.curve import Curve
-from pinposture.errors import FileError, PostureError, PostureWarning
+from pinposture.errors import FileError, PostureError, warn_caller
 from pinposture.storage import check_writable, relative, settled, write_text
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import Keyframe, usual_placement
@@ -100,7 +99,7 @@ class Descriptions:
         except PostureError as error:
             reason = f"but {getattr(error, 'reason', error)}"
         message = f"{self.file}: {key} was {shown(plain)}, {reason}; it is written out"
-        warnings.warn(message, PostureWarning, stacklevel=6)
+        warn_caller(message)
         return False
 
 
@@ -473,7 +472,7 @@ def _text(
             with suppress(FileError):
                 _read_back(task, arm, path, text)
                 return text
-            warnings.warn(f"{path}: its comments and layout could not be kept", PostureWarning, stacklevel=4)
+            warn_caller(f"{path}: its comments and layout could not be kept")
         text = toml_text(contents)
     _read_back(task, arm, path, text)
     return text

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patheffects import withStroke
+from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ControlPoints, Ellipsoid
@@ -29,6 +31,7 @@ Array = NDArray[np.float64]
 
 TEXT_HEIGHT = 1.9  # height of title, scales and legend [inch]
 HEIGHT_RANGE = (3.6, 8.0)  # height of the figure [inch]; the minimum suffices for a straight arm
+SIDE_ROOM = 0.015  # room beside scales and their labels, relative to the width of the figure
 MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer to each other are left out
 
 
@@ -102,6 +105,15 @@ def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
     figure.set_figheight(height)
     width = side / FIGURE_WIDTH
     panel.ax.set_position((0.5 - width / 2, 0.5 - side / height / 2, width, side / height))
+    # The scales and their labels may be wider than the axes, on one side only.
+    figure.draw_without_rendering()
+    renderer, ax = cast(Any, FigureCanvasAgg(figure)).get_renderer(), cast(Any, panel.ax)
+    drawn = Bbox.union([axis.get_tightbbox(renderer) for axis in (ax.xaxis, ax.yaxis, ax.zaxis)])
+    left, right = drawn.x0 / figure.bbox.width, drawn.x1 / figure.bbox.width
+    scale = min(1.0, (1.0 - 2.0 * SIDE_ROOM) / (right - left))
+    middle = 0.5 - scale * ((left + right) / 2.0 - 0.5)
+    width, high = scale * width, scale * side / height
+    panel.ax.set_position((middle - width / 2, 0.5 - high / 2, width, high))
 
 
 def _draw_axes(panel: PosturePanel, origins: Array, axes: Array, half: float) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import product
@@ -20,7 +19,7 @@ from pinposture.arm.urdf_reader import parse_xml
 from pinposture.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Scan, Sphere
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
-from pinposture.errors import FileError, PostureWarning
+from pinposture.errors import FileError, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -170,7 +169,7 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
         listed = [f"{name} {reason}" for name, reason in list(faults.items())[:_MAX_LISTED]]
         listed += [f"and {len(faults) - _MAX_LISTED} more"] if len(faults) > _MAX_LISTED else []
         text = f"links are not drawn with their original meshes: {'; '.join(listed)}"
-        warnings.warn(text, PostureWarning, stacklevel=2)
+        warn_caller(text)
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 

@@ -194,6 +194,10 @@ def require_type(name: str, value: object, *allowed: type) -> None:
         raise InvalidValue(name, value, " or ".join(kinds).replace("a Arm", "an Arm") + "".join(instead))
 
 
+SAME_ARM = 1e-6
+"""Largest distance of control points of the same arm loaded twice, in arm lengths."""
+
+
 def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | None) -> None:
     """Raise InvalidValue unless these are an arm, a run or motion and a target that fit each other."""
     require_type("arm", arm, Arm)
@@ -201,6 +205,10 @@ def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | 
     require_type("target", target, Target, type(None))
     if run is not None and run.q.shape[1] != arm.nq:
         raise InvalidValue("run.q (shape)", run.q.shape, f"(steps + 1, {arm.nq}) for this arm")
+    if run is not None and run.arm is not arm:
+        own, shown = run.arm.at(run.q[0]).points, arm.at(run.q[0]).points
+        if own.shape != shown.shape or np.abs(own - shown).max() > SAME_ARM * arm.length:
+            raise InvalidValue("run.arm", run.arm, f"the arm that is given, {arm!r}")
     if target is not None and target.points.shape != (arm.n_modules, 3):
         raise InvalidValue("target.points (shape)", target.points.shape, f"({arm.n_modules}, 3) for this arm")
 

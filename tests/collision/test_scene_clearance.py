@@ -352,8 +352,11 @@ def test_an_obstacle_around_the_base_is_reported_as_overlapping_in_every_posture
     )  # the second link starts 0.02 m from the base
     scene = Scene({"b": Sphere([0, 0, 0], 0.025)}, margin=0.002)
     message = "^m01_l2 to b: overlapping in every posture; these collisions are ignored$"
-    with pytest.warns(pp.PostureWarning, match=message):
-        model = CollisionModel(arm, scene)
+    target = pp.Target.from_configuration(arm, arm.neutral())
+    with pytest.warns(pp.PostureWarning, match=message) as caught:
+        pp.track(arm, target, arm.straight(), scene=scene)
+    assert caught[0].filename == __file__  # although the model is built deep inside of `track`
+    model = CollisionModel(arm, scene)
     reasons = {each.first: each.reason for each in model.excluded_pairs if each.second == "b"}
     assert reasons["m01_l2"] == "overlapping in every posture" and ("m06_l2", "b") in model.pairs
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinposture.collision import Box, HalfSpace, Mesh, Scan, Scene, Sphere
-from pinposture.errors import FileError
+from pinposture.errors import FileError, PostureWarning
 
 TOML = """
 version = 1
@@ -148,6 +148,16 @@ def test_files_that_hold_no_scene(tmp_path, name, content, words):
     with pytest.raises(FileError) as caught:
         Scene.load(tmp_path / name)
     assert words in str(caught.value)
+
+
+def test_a_file_without_obstacles_is_reported(tmp_path, recwarn):
+    empty, itself = tmp_path / "empty.toml", tmp_path / "itself.toml"
+    empty.write_text("margin = 0.01\n")
+    itself.write_text("self_collision = true\n")
+    Scene.load(itself)
+    assert not recwarn.list
+    with pytest.warns(PostureWarning, match=r"empty\.toml contains no obstacles"):
+        assert Scene.load(empty) == Scene(margin=0.01)
 
 
 def test_files_that_are_missing_or_folders(tmp_path):

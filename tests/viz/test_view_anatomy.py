@@ -204,6 +204,16 @@ def test_the_arm_fills_the_width_and_stays_clear_of_title_and_legend(make):
     assert rows.max() < len(body) - 60
 
 
+@pytest.mark.parametrize("modules", [6, 11, 30])
+def test_scales_and_their_labels_are_within_the_figure(modules):
+    figure = pp.plot_arm(template_arm("RyRz", modules))
+    picture = pixels(figure)[:, :, :3]
+    assert picture[:, :5].min() == picture[:, -5:].min() == picture.max()  # nothing reaches the sides
+    for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis, figure.axes[0].zaxis):
+        box = axis.label.get_window_extent()
+        assert box.x0 >= 0.0 and box.x1 <= figure.bbox.width
+
+
 def test_the_title_tells_of_the_arm_and_of_the_neutral_configuration_only_there(rng):
     arm = spatial()
     title = pp.plot_arm(arm).get_suptitle()

@@ -206,3 +206,6 @@ def test_a_run_of_another_arm_is_refused(tmp_path):
         save_html(run.arm, run, tmp_path / "run.html", target=other)
     with pytest.raises(InvalidValue, match=r"run is .*Target.*allowed: a Trajectory"):
         save_html(run.arm, run.target, tmp_path / "run.html")
+    longer = Arm.from_template("RyRz", run.arm.n_modules, link_lengths=[0.04, 0.03])  # as many joints
+    with pytest.raises(InvalidValue, match=r"^run\.arm is Arm.*allowed: the arm that is given, Arm"):
+        save_html(longer, run, tmp_path / "run.html")

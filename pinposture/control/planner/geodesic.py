@@ -153,7 +153,8 @@ class Geodesic:
             if step is not None:
                 return step
         step = advance(progress, state, limits, box, avoidance)
-        if avoidance is not None and not (step.diagnostics.reason or np.any(step.dq)):
+        at_rest = previous is None or not np.any(previous)
+        if avoidance is not None and at_rest and not (step.diagnostics.reason or np.any(step.dq)):
             step = _explain_collision(step, avoidance, state)
         return step
 
