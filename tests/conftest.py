@@ -52,7 +52,8 @@ def pytest_configure(config: pytest.Config) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs would ignore it
     for name, meaning in SLOW.items():
         config.addinivalue_line("markers", f"{name}: {meaning}; only with --full")
-    draw_fully(config.getoption("full") or config.getoption("rest"))
+    full = config.getoption("full") or config.getoption("rest")
+    draw_fully(full, repeatable=not full or config.getoption("hypothesis_seed") is not None)
     built = config.stash[BUILT_EARLY] = []
     for kind in (Arm, Curve):
         original = _untouched[kind] = kind.__init__

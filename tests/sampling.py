@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 Case = TypeVar("Case")
 
@@ -17,15 +18,20 @@ settings.register_profile("full", deadline=None, print_blob=True, max_examples=1
 _full = False
 
 
-def draw_fully(full: bool) -> None:
+def draw_fully(full: bool, repeatable: bool) -> None:
     """Choose the set, before any test is imported.
 
     The quick set draws the same cases in every run, so that its verdict is that of the change under test.
-    The full set draws new ones each time; a failure prints what repeats it.
+    The full set draws new ones each time, unless it has a seed; a failure prints what repeats it.
     """
     global _full  # noqa: PLW0603
     _full = full
     settings.load_profile("full" if full else "quick")
+    if repeatable and hasattr(providers, "_get_local_constants"):
+        # Hypothesis also draws constants from the source of loaded modules, even with a seed. The cases would
+        # depend on the text of the library, and on which tests a process ran before. It has no setting for this.
+        none = providers.Constants()
+        providers._get_local_constants = lambda: none  # noqa: SLF001
 
 
 def examples(count: int, **others: Any) -> settings:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import mutation
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from sampling import examples, seeds
 
 TESTS = Path(__file__).parent
@@ -22,6 +26,29 @@ def test_the_quick_set_draws_a_few_cases_of_each(pytestconfig) -> None:
     full = pytestconfig.getoption("full") or pytestconfig.getoption("rest")
     assert [examples(count).max_examples for count in (3, 40, 700)] == ([3, 40, 700] if full else [3, 6, 8])
     assert [len(seeds(count)) for count in (2, 40)] == ([2, 40] if full else [2, 3])
+
+
+def test_cases_do_not_depend_on_the_source_of_the_library(pytestconfig, tmp_path, monkeypatch) -> None:
+    if pytestconfig.getoption("full") and pytestconfig.getoption("hypothesis_seed") is None:
+        pytest.skip("draws new cases each time, with constants of the source among them")
+    before = floats_drawn()
+    numbers = np.random.default_rng(0).normal(size=400).tolist()
+    (tmp_path / "full_of_constants.py").write_text(f"NUMBERS = {numbers}")
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.import_module("full_of_constants")
+    assert floats_drawn() == before
+
+
+def floats_drawn() -> list[str]:
+    drawn: list[str] = []
+
+    @settings(derandomize=True, database=None)
+    @given(st.lists(st.floats(), min_size=20))
+    def draw(values: list[float]) -> None:
+        drawn.extend(map(repr, values))
+
+    draw()
+    return drawn
 
 
 def test_numbers_of_examples_are_left_to_the_sets() -> None:

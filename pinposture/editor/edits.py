@@ -145,13 +145,10 @@ class Shape:
         place = finite_vector("position", position, 3)
         if index == 0 and not math.dist(place, self.points[0]) <= 1e-9 * arm.length:
             raise InvalidValue("point 1", place.tolist(), "its position at the base of the arm")
-        if index > 0 and arm.dimension == 2:
-            base, plane = arm.chain.base, arm.plane
-            place = np.asarray(base + (place - base) @ plane.T @ plane)
         points, together = self.points.copy(), sorted({index, *others} - {0})
         for each in together:
             self._check_index(each)
-        points[together] = rounded(points[together] + (place - points[index]))
+        points[together] = rounded(into_plane(arm, points[together] + (place - points[index])))
         after = replace(self, points=points)
         for each in together:
             after._check_distance(arm, each)
@@ -269,7 +266,7 @@ class Shape:
             ahead = points[-1] - points[-2]
             # A little more: the curve grows by less than its last point moves.
             step = (missing + 0.01 * arm.length) / max(float(np.linalg.norm(ahead)), 1e-12)
-            points[-1] = rounded(points[-1] + step * ahead)
+            points[-1] = rounded(into_plane(arm, points[-1] + step * ahead))
             longer = replace(self, points=points)
         reason = f"cannot be moved far enough to make the curve {required:.4g} m long, as the arm requires"
         raise CurveError(f"point {len(self.points)}", reason)
@@ -278,6 +275,14 @@ class Shape:
 def rounded(points: Array) -> Array:
     """Round coordinates [m] for task files, far below the accuracy of an arm."""
     return np.asarray(np.round(points, POINT_DIGITS) + 0.0)  # no -0.0
+
+
+def into_plane(arm: Arm, points: Array) -> Array:
+    """Project points (m, 3) into the plane of a planar arm; for any other arm they stay as they are."""
+    if arm.dimension != 2:
+        return points
+    base, plane = arm.chain.base, arm.plane
+    return np.asarray(base + (points - base) @ plane.T @ plane)
 
 
 def most_points(arm: Arm) -> int:
