@@ -37,8 +37,7 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
         return
     arm, scene, limits = session.arm, session.task.scene, session.task.limits
     try:
-        if arm.dimension == 2:
-            place = arm.chain.base + arm.plane.T @ (arm.plane @ (place - arm.chain.base))
+        place = edits.into_plane(arm, place)
         found = reach_from(arm, place, start, scene, limits)
         if found is None and final:
             found = reach(arm, place, scene=scene, limits=limits, budget=REACH_BUDGET)[0]
