@@ -28,8 +28,8 @@ def draw_fully(full: bool, repeatable: bool) -> None:
     _full = full
     settings.load_profile("full" if full else "quick")
     if repeatable and hasattr(providers, "_get_local_constants"):
-        # Hypothesis also draws constants from the source of loaded modules, even with a seed: cases would depend
-        # on the text of the library, and on which tests a process ran before. It has no setting for this.
+        # Hypothesis also draws constants from the source of loaded modules, even with a seed. Cases would
+        # depend on the text of the library, and on which tests ran before. It has no setting for this.
         none = providers.Constants()
         providers._get_local_constants = lambda: none
 
