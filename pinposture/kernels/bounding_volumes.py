@@ -21,7 +21,7 @@ PARALLEL_SQUARED = 1e-14
 """Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
 
 MEETING_SQUARED = 1e-28
-"""Square of the gap, relative to the size of a line and its distance, below which its direction is rounding."""
+"""Square of the gap, relative to length and distance of a line, below which its direction is rounding."""
 
 LONG = 64.0
 """Squared length of a line above which its bounding box is too loose, in squared half diagonals of a box."""

@@ -31,7 +31,13 @@ from pinposture.kernels.arrays import (
     JointTree,
     Pairs,
 )
-from pinposture.kernels.bounding_volumes import MEETING_SQUARED, TINY, is_inside, nearest_in_tree, way_to_segment
+from pinposture.kernels.bounding_volumes import (
+    MEETING_SQUARED,
+    TINY,
+    is_inside,
+    nearest_in_tree,
+    way_to_segment,
+)
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 FLAT = 1e-13

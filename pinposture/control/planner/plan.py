@@ -19,7 +19,7 @@ from pinposture.collision.model import describe_distance
 from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
-from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
+from pinposture.control.planner.damped_least_squares import MAX_QUICK_STEPS, LeastSquaresResult, minimize
 from pinposture.control.planner.objective import (
     GOAL_TOLERANCE,
     PRIORITY_WEIGHT,
@@ -154,6 +154,7 @@ def find_path(
     attempt: int = 0,
     until: float = inf,
     report: Report | None = None,
+    goal: ArmState | None = None,
 ) -> JointPath:
     """Find the goal configuration and the most direct clear path to it.
 
@@ -166,8 +167,10 @@ def find_path(
         until: time of `perf_counter` after which no further path is tried.
         report: progress callback. If given, a `KeyboardInterrupt` ends the search, which then returns the
             best path so far.
+        goal: the state at the goal; None: it is searched.
     """
-    goal = None if objective.tasks or avoidance is not None else _known_goal(objective, bounds, state.q)
+    if goal is None and avoidance is None and not objective.tasks:
+        goal = _known_goal(objective, bounds, state.q)
     if goal is None:
         good = GOAL_TOLERANCE * objective.arm.length
         goal = find_goal(objective, state, bounds.edges, avoidance, good).state
@@ -456,30 +459,32 @@ def replan(
     before = path.configuration(path.end)
     known = _known_goal(objective, bounds, before)
     if known is not None and (avoidance is None or avoidance.intrusion(known) == 0.0):
-        goal = known.q
+        goal, clear = known, True
     else:
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
-        if prompt and avoidance is not None:  # the search can take long; keep the previous goal
-            return path.revised(objective=objective), np.zeros(arm.nv) if bend is None else bend
-        start = arm.at(before).compiled
-        first = start if objective.target.q is None else None
-        enough = _achievable_error(path.objective, objective, start)
-        good = GOAL_TOLERANCE * arm.length
-        goal = find_goal(objective, state, bounds.edges, avoidance, good, first, enough, prompt).state.q
-    change = objective.displacement(objective.normalize(arm.difference(before, goal)))
+        start, good = arm.at(before).compiled, GOAL_TOLERANCE * arm.length
+        if avoidance is None:
+            first = start if objective.target.q is None else None
+            enough = _achievable_error(path.objective, objective, start)
+            found = find_goal(objective, state, bounds.edges, None, good, first, enough, prompt)
+        else:  # a whole search takes long: this one goes on in the next cycle
+            allowed = avoidance.intrusion(state)
+            found = minimize(objective, start, bounds.edges, avoidance, good, allowed, MAX_QUICK_STEPS)
+        goal, clear = found.state, found.intrusion == 0.0
+    change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
     bent = change if bend is None else bend + change
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         return replace(path.bent(place, change, bounds.edges), objective=objective), bent
-    motion = _size(objective, arm.difference(state.q, goal))
+    motion = _size(objective, arm.difference(state.q, goal.q))
     if prompt and motion > (MAX_PROMPT_MOTION if avoidance is None else MIN_PLANNED_MOTION):
         raise PlanNeeded
     if avoidance is None:
-        return direct_path(objective, state.q, goal, bounds.edges), None
+        return direct_path(objective, state.q, goal.q, bounds.edges), None
     if motion > MIN_PLANNED_MOTION:
-        return find_path(objective, state, bounds, avoidance), None
-    return replace(direct_path(objective, state.q, goal, bounds.edges), scene=path.scene), None
+        return find_path(objective, state, bounds, avoidance, goal=goal if clear else None), None
+    return replace(direct_path(objective, state.q, goal.q, bounds.edges), scene=path.scene), None
 
 
 def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> float:
