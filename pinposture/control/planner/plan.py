@@ -80,8 +80,8 @@ MAX_BEND = 0.5
 MIN_PLANNED_MOTION = 0.1
 """Joint motion up to which no path around obstacles is planned, in `Arm.joint_units`."""
 
-MAX_PROMPT_MOTION = 0.5
-"""Joint motion up to which a path without obstacles is found well within a cycle, in `Arm.joint_units`."""
+MAX_SHORT_MOTION = 0.5
+"""Joint motion up to which the most direct path is found well within a cycle, in `Arm.joint_units`."""
 
 MAX_PATHS = 12
 """Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
@@ -181,6 +181,39 @@ def find_path(
     if first is None or last is None:
         return replace(path, scene=scene, attempt=attempt)
     return replace(path, scene=scene, attempt=attempt, task_errors=(first.errors, last.errors))
+
+
+def short_path(
+    objective: Objective,
+    state: ArmState,
+    goal: ArmState | None,
+    bounds: JointBounds,
+    avoidance: Avoidance | None,
+) -> JointPath | None:
+    """Return the most direct path to a goal if it is short and clear, which is found well within a cycle.
+
+    Args:
+        objective: the objective, without tasks.
+        state: the state of the arm.
+        goal: the state at the goal; None: that of the target, if it has one that is clear.
+        bounds: the limits of the joints.
+        avoidance: the obstacles to avoid; None: none.
+    """
+    if goal is None:
+        goal = _known_goal(objective, bounds, state.q)
+        if goal is None or not (avoidance is None or avoidance.intrusion(goal) == 0.0):
+            return None
+    motion = _size(objective, objective.arm.difference(state.q, goal.q))
+    if motion > MAX_SHORT_MOTION:
+        return None
+    path = direct_path(objective, state.q, goal.q, bounds.edges)
+    if avoidance is None:
+        return path
+    if motion > MIN_PLANNED_MOTION:
+        possible = _possible_clearance(avoidance, state, goal)
+        if _closest_on(path, avoidance, possible).distance < possible:
+            return None
+    return replace(path, scene=avoidance.clearance.scene)
 
 
 # The goal configuration.
@@ -323,9 +356,7 @@ def _clearest_path(
     if avoidance is None:
         penalties = None if tasks is None else Penalties(tasks)
         return direct_path(objective, start, goal.q, bounds.edges, penalties, attempt)
-    # A path cannot be clearer than its ends.
-    ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
-    possible = min(avoidance.margin, *ends) - 1e-9 * objective.arm.length
+    possible = _possible_clearance(avoidance, state, goal)
     most_direct = direct_path(objective, start, goal.q, bounds.edges)
     short = MAX_DETOUR * most_direct.length
     clear: list[JointPath] = []
@@ -367,6 +398,12 @@ def _clearest_path(
     if clear:
         return min(clear, key=lambda path: path.length)
     return max(hindered, key=lambda each: each[0])[1]
+
+
+def _possible_clearance(avoidance: Avoidance, state: ArmState, goal: ArmState) -> float:
+    """Return the margin, or the clearance of an end of the path if that is smaller [m]."""
+    ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
+    return min(avoidance.margin, *ends) - 1e-9 * state.arm.length
 
 
 def _hindered(path: JointPath, closest: Closest) -> JointPath:
@@ -477,14 +514,12 @@ def replan(
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         return replace(path.bent(place, change, bounds.edges), objective=objective), bent
-    motion = _size(objective, arm.difference(state.q, goal.q))
-    if prompt and motion > (MAX_PROMPT_MOTION if avoidance is None else MIN_PLANNED_MOTION):
+    new = short_path(objective, state, goal, bounds, avoidance)
+    if new is None and prompt:
         raise PlanNeeded
-    if avoidance is None:
-        return direct_path(objective, state.q, goal.q, bounds.edges), None
-    if motion > MIN_PLANNED_MOTION:
-        return find_path(objective, state, bounds, avoidance, goal=goal if clear else None), None
-    return replace(direct_path(objective, state.q, goal.q, bounds.edges), scene=path.scene), None
+    if new is None:
+        new = find_path(objective, state, bounds, avoidance, goal=goal if clear else None)
+    return new, None
 
 
 def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> float:
