@@ -612,7 +612,10 @@ class Tracker:
                 type. Sensor faults do not raise.
         """
         if scene is not None and scene is not self.scene:
-            self._steps.controller, self.scene = in_scene(self._steps.controller, scene)
+            controller, self.scene = in_scene(self._steps.controller, scene)
+            if self._filter.cycles > 1 and scene.velocities:  # obstacles where the filtered steps meet them
+                controller, _ = in_scene(controller, scene.after(self._filter.delay * self._period))
+            self._steps.controller = controller
         passed = self._period if dt is None else _duration(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)

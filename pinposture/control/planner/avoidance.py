@@ -358,18 +358,28 @@ class Avoidance:
             stopping = self._stopping(state, step)
             if self._lowest(state, np.vstack([step, stopping]), least, until) >= least:
                 return ClearStep(step, share, stopping, relaxed)
-        if lowest >= touching:
-            return ClearStep(braking[0], 0.0, braking[1:], relaxed)
-        best = lowest, braking[0], braking[1:]
+        harder = self._brake_harder(state, braking, touching, until) if lowest < touching else None
+        return ClearStep(braking[0], 0.0, braking[1:], relaxed) if harder is None else harder
+
+    def _brake_harder(self, state: ArmState, braking: Array, touching: float, until: int) -> ClearStep | None:
+        """Return the gentlest step beyond the acceleration limits that prevents contact.
+
+        None if a moving obstacle comes anyway, or if the step would still help in the next cycle: the arm may
+        evade until then.
+        """
         for number in range(1, MAX_HALVINGS + 1):
-            step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
+            part = 0.5**number * (number < MAX_HALVINGS)
+            step, next_step = part * braking[0], part * braking[min(1, len(braking) - 1)]
             stopping = self._stopping(state, step)
-            comes = self._lowest(state, np.vstack([step, stopping]), self.margin, until)
-            if comes > best[0] + tolerance:
-                best, relaxed = (comes, step, stopping), (BRAKING_HARDER,)
-            if comes >= touching:
+            if self._lowest(state, np.vstack([step, stopping]), touching, until) >= touching:
+                later = np.vstack([braking[0], next_step, self._stopping(state, next_step)])
+                if self.moving and self._lowest(state, later, touching, until) >= touching:
+                    return None
                 break
-        return ClearStep(best[1], 0.0, best[2], relaxed)
+        else:
+            if self.moving:
+                return None
+        return ClearStep(step, 0.0, stopping, (BRAKING_HARDER,))
 
     def _stopping(self, state: ArmState, dq: Array) -> Array:
         """Return the steps that stop the arm after a step, (k, nv)."""
