@@ -175,9 +175,14 @@ class TipOptions:
         Raises:
             InvalidValue: more than one tip goal, a weight or priority without a goal, or invalid numbers.
             UnknownName: `hold_tip` is neither position nor pose.
+            OutOfReach: a goal farther from the base than the arm is long.
         """
-        from pinposture.control import EndEffector
+        import numpy as np
 
+        from pinposture.control import EndEffector
+        from pinposture.control.reach import TIP_TOLERANCE, require_within_reach
+
+        arm = start.arm
         places = {
             "--tip-position": self.tip_position,
             "--tip-pose": self.tip_pose,
@@ -189,10 +194,12 @@ class TipOptions:
             raise InvalidValue(second, given[second], f"without {first}")
         weight = 1.0 if self.tip_weight is None else self.tip_weight
         if self.tip_position is not None:
-            position = _finite("--tip-position", self.tip_position, "X,Y,Z")
+            position = np.array(_finite("--tip-position", self.tip_position, "X,Y,Z"))
+            require_within_reach(arm, position, TIP_TOLERANCE * arm.length)
             return EndEffector(position=position, weight=weight, priority=self.tip_priority)
         if self.tip_pose is not None:
             pose = _placement(_finite("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW"))
+            require_within_reach(arm, pose.translation, TIP_TOLERANCE * arm.length)
             return EndEffector(pose=pose, weight=weight, priority=self.tip_priority)
         if self.hold_tip is not None:
             return EndEffector.held(start, self.hold_tip, weight=weight, priority=self.tip_priority)

@@ -225,13 +225,21 @@ def _place_of(task: EndEffector) -> Array:
     return np.asarray(task.position if task.pose is None else task.pose[:3, 3])
 
 
-def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | None) -> None:
-    """Refuse goals that no posture can reach."""
+def require_within_reach(arm: Arm, place: Array, tolerance: float) -> None:
+    """Raise OutOfReach for a position (3,) that is farther from the base than the arm is long [m]."""
     slides = arm.columns[arm.slides[arm.columns]]
     travel = np.maximum(np.abs(arm.limits.lower[slides]), np.abs(arm.limits.upper[slides])).sum()
     away, most = float(np.linalg.norm(place - arm.chain.base)), arm.length + float(travel)
     if away > most + tolerance:
-        raise OutOfReach(place, f"it is {away:.4g} m from the base, and the arm reaches {most:.4g} m")
+        advice = "is it in millimetres, not metres?" if away > 100.0 * most else "choose a nearer one"
+        base = ", ".join(f"{each:.4g}" for each in arm.chain.base)
+        reason = f"it is {away:.4g} m from the base at ({base}) m, and the arm reaches {most:.4g} m; {advice}"
+        raise OutOfReach(place, reason)
+
+
+def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | None) -> None:
+    """Refuse goals that no posture can reach."""
+    require_within_reach(arm, place, tolerance)
     offset = place - arm.chain.points[-1]
     across = float(np.linalg.norm(offset - arm.plane.T @ (arm.plane @ offset)))
     if across > tolerance:

@@ -145,6 +145,13 @@ WARNED = {
         2,
         ["limits of joints 'j1', 'j2' are up to 90 rad; are they in degrees?"],
     ),
+    "millimetres": (
+        arm_text([("revolute", Y, "50 0 0"), ("revolute", Z, "50 0 0")] * 2, tip="50 0 0"),
+        {},
+        4,
+        2,
+        ["the arm is 200 m long; is it in millimetres, not metres?"],
+    ),
     "locked by limits": (
         arm_text([*pairs(1), ("revolute", X, LINK, limit(0, 0)), *pairs(1)]),
         {},
