@@ -335,8 +335,8 @@ def keyframe_reference(
     Raises:
         InvalidValue: fewer than two keyframes, or an invalid keyframe, interval or number of laps.
         UnknownName: a `continuity` that does not exist.
-        TaskError: times that do not increase, a curve that is too long, a tip task with priority that is out
-            of reach; names the keyframe.
+        TaskError: times that do not increase, a tip task with priority that is out of reach; names the
+            keyframe.
         TargetError: as `resolve_targets`; names the keyframe.
     """
     keyframes = tuple(keyframes)

@@ -181,8 +181,6 @@ name = "straight"\n -> name = "straight"\nduration = 1\n
     :: keyframe 1 'straight': its duration is 1 s, the time to return | set repeat to 2 @ [[keyframes]]
 "1 s" -> "1 ms" :: keyframe 2 'bowed' | same control cycle @ SECOND
 "1 s" -> "600000 min" :: keyframe 2 'bowed': it ends at 3.6e+07 s | at most @ SECOND
-trim = true\n ->
-    :: keyframe 2 'bowed': the curve is 0.377 m long | arm covers 0. | shorten it | set trim @ SECOND
 0.3, 0, 0 -> 0.2, 0, 0 :: keyframe 1 'straight': module 5 | curve ends | lengthen @ [[keyframes]]
 ["-170 deg", 3.0] -> [-0.1, 0.1] :: keyframe 2 'bowed': module 1 | joint limits | gentler curve @ SECOND
 hold = 0.1 -> tip = { position = [1, 1, 1], priority = true }
