@@ -211,5 +211,6 @@ def test_a_terminal_sees_how_much_is_done(monkeypatch, capsys):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with count_progress("run") as tell:
+        assert "first run, 0 s" in capsys.readouterr().err
         tell(3, 4)
     assert "run 3 of 4" in capsys.readouterr().err
