@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, cast
@@ -98,6 +98,11 @@ class Keyframe:
             raise InvalidValue("name", self.name, "text, or empty for the number of the keyframe")
         with naming(f"keyframe {self.name!r}" if self.name else "keyframe"):
             self._check()
+
+    def __repr__(self) -> str:
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        given = [f"{name}={value!r}" for name, value in values.items() if value != getattr(type(self), name)]
+        return f"Keyframe({', '.join(given)})"
 
     def _check(self) -> None:
         self._check_curve()
