@@ -92,13 +92,13 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
 
 
 def _arguments_as_options(text: str, known: Sequence[str | None]) -> str:
-    """Replace advice such as placement="align" by --placement align, for known parameters only."""
+    """Replace advice such as placement="align" or scale=0.1 by options, for known parameters only."""
 
     def option(found: re.Match[str]) -> str:
         name, values = found["name"], found["values"].replace('"', "")
         return f"--{name.replace('_', '-')} {values}" if name in known else found[0]
 
-    return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*)', option, text)
+    return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*|[\d.]*\d)', option, text)
 
 
 app = typer.Typer(

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pinposture.arm import Arm
+    from pinposture.motion import Batch
 
 
 @examples(
@@ -119,8 +120,26 @@ def run(
         )
     file = None if output is None else str(save(batch, output / BATCH))
     asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed, "scene": scene_options.file}
-    print_result(as_json, {**asked, **batch.to_dict(), "file": file}, batch.in_words(), filter(None, [file]))
+    words = {
+        name: text.replace("raise max_steps", "raise --steps") for name, text in batch.in_words().items()
+    }
+    blocked = _starts_in_collision(batch)
+    if blocked:
+        where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
+        words["starts"] = f"{where}; choose others by --starts or --seed"
+    results = {**batch.to_dict(), "starts_in_collision": blocked, "file": file}
+    print_result(as_json, {**asked, **results}, words, filter(None, [file]))
     end_with(batch.faults)
+
+
+def _starts_in_collision(batch: Batch) -> list[int]:
+    """Return the numbers of the runs that begin in collision, counted from 0."""
+    from pinposture.collision import CollisionModel
+
+    if batch.scene is None:
+        return []
+    distances = CollisionModel(batch.arm, batch.scene)
+    return [k for k, q in enumerate(batch.q_start) if distances.minimum(q).distance < 0.0]
 
 
 def _read_starts(

@@ -67,6 +67,14 @@ CASES = [
     Case("text in a CSV", "track ARM --curve DIR/text.csv", ("DIR/text.csv", "line 2", "'hello'")),
     Case("malformed JSON", "track ARM --curve DIR/broken.json", ("DIR/broken.json", "line 1")),
     Case("curve too short", "track ARM --curve DIR/short.json", ("module 4", "lengthen the curve")),
+    Case(
+        "curve in millimetres",
+        "track ARM --curve DIR/mm.csv",
+        ("33 m long; allowed: 30 m", "load it with --scale 0.001"),
+    ),
+    Case("scale 0", "batch ARM --curve DIR/mm.csv --scale 0", ("scale is 0.0", "> 0")),
+    Case("preset with a scale", "track ARM --curve line --scale 2", ("--scale is 2.0", "only with a file")),
+    Case("scale of nothing", "inspect ARM --scale 2", ("--scale is 2.0", "only with --curve")),
     Case("curve out of plane", "track DIR/flat.urdf --curve helix", ("module 1", "off the plane")),
     Case("curve elsewhere", "track ARM --curve DIR/far.json --placement as_is", ("module 1", "5 m", "align")),
     Case(
@@ -139,6 +147,7 @@ def directory(command, tmp_path_factory):
         "one.csv": "x,y,z\n0,0,0\n",
         "one.xyz": "0 0 0\n1 0 0\n",
         "twice.csv": "0,0,0\n1,0,0\n1,0,0\n2,0,0\n",
+        "mm.csv": "0,0,0\n33,0,0\n",
         "nan.csv": "0,0,0\nnan,0,0\n2,0,0\n",
         "text.csv": "0,0,0\n1,hello,0\n",
         "broken.json": '{"type": "line",',

@@ -181,7 +181,7 @@ def test_a_task_in_python_needs_no_file() -> None:
         pp.Keyframe(pp.Curve.line((0, 0, 0), (0.2, 0, 0)), time=1.0),
     )
     task = pp.Task(arm, keyframes, pp.Limits(step=None, dt=0.02))
-    with pytest.raises(pp.errors.CurveEndsEarly, match="^keyframe 2: module 5"):
+    with pytest.raises(pp.errors.CurveEndsEarly, match=r"^keyframe 2: module 5"):
         task.reference()
 
 
