@@ -95,6 +95,8 @@ def run(
     from pinposture.storage import check_writable
 
     controller_options.check()
+    if ends_only and output is None:
+        raise InvalidValue("--ends-only", ends_only, "only with --output")
     limits = limit_options.read()
     surroundings = scene_options.read()
     arm = arm_options.read(urdf)

@@ -110,6 +110,11 @@ class ArmOptions:
         """
         from pinposture.arm import TEMPLATES, Arm
 
+        if not urdf:
+            raise InvalidValue("URDF", urdf, "a file, a name of robot_descriptions, or - for stdin")
+        for folder in self.package_dir or ():
+            if not folder.is_dir():
+                raise InvalidValue("--package-dir", str(folder), "a folder that exists")
         source: str | Path = Path(urdf)
         if urdf in TEMPLATES and not Path(urdf).exists():
             advice = f"create an arm from the template: pinposture generate {urdf} --modules 20 -o arm.urdf"

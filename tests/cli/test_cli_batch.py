@@ -125,6 +125,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
         (("--starts", "TEXT"), "table of numbers"),
         (("--starts", "EMPTY"), "empty"),
         (("--jobs", 0), "jobs"),
+        (("--ends-only",), "--ends-only is True; allowed: only with --output"),
         (("--curve", "line", "--count", 3), r"(2, 3)"),
         (("-o", "TEXT/many"), "is a file"),
         (("-o", "many.npz"), "a directory, in which batch.npz is saved"),

@@ -41,6 +41,8 @@ CASES = [
     Case(
         "template for a file", "track RyRz --curve helix", ("RyRz: no such file", "pinposture generate RyRz")
     ),
+    Case("no name of an arm", "inspect EMPTY", ("URDF is ''", "- for stdin")),
+    Case("missing folder of meshes", "inspect ARM --package-dir DIR/none", ("--package-dir is 'DIR/none'",)),
     Case("arm is a directory", "inspect DIR", ("DIR", "directory")),
     Case("malformed URDF", "inspect DIR/broken.urdf", ("DIR/broken.urdf", "line 3", "XML")),
     Case("no link of the joint", "track DIR/orphan.urdf --curve helix", ("joint 'j'", "'nowhere'")),
@@ -177,7 +179,7 @@ def test_wrong_input_is_refused_in_one_line_that_names_it(
     def placed(text: str) -> str:
         for name, place in places.items():
             text = text.replace(name, place)
-        return text
+        return text.replace("EMPTY", "")
 
     result = command(*(placed(word) for word in case.line.split()), input="hello")
     assert result.code == 2
