@@ -112,6 +112,12 @@ def test_a_curve_longer_than_the_arm_is_trimmed_with_a_warning_unless_that_is_as
     np.testing.assert_array_equal(warned.offsets, asked.offsets)
 
 
+def test_a_tip_goal_beyond_the_reach_draws_a_warning() -> None:
+    keyframes = [start(), Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((0, 0.75, -1)))]
+    with pytest.warns(pp.PostureWarning, match=r"^keyframe 2: .* it is 1\.25 m from the base .* reaches 1 m"):
+        keyframe_reference(template_arm("RyRz", 20), keyframes, 0.02)
+
+
 @pytest.mark.parametrize(
     ("make", "kind"),
     (
