@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from pinposture.motion import Batch
 
 
+MOST_STARTS = 1_000_000
+"""Largest number of starts to draw."""
+
+
 @examples(
     "pinposture batch arm.urdf --curve helix --count 5",
     "pinposture batch arm.urdf --curve helix --starts random --count 5 --json",
@@ -159,11 +163,11 @@ def _read_starts(
     Raises:
         UnknownName: neither a kind of start nor a file.
         FileError: a file without numbers.
-        InvalidValue: a count below 1, a count for a file, or a row that is invalid for the arm.
+        InvalidValue: a count out of range, a count for a file, or a row that is invalid for the arm.
     """
     if text in STARTS:
-        if count is not None and count < 1:
-            raise InvalidValue("--count", count, "a whole number of at least 1")
+        if count is not None and not 1 <= count <= MOST_STARTS:
+            raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_STARTS}")
         return [read_start(arm, text, seed + k, degrees) for k in range(10 if count is None else count)]
     if Path(text).suffix.lower() not in (".csv", ".npy"):
         raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))

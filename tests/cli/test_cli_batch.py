@@ -118,6 +118,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
     ("options", "says"),
     [
         (("--count", 0), "--count"),
+        (("--count", 10**9), "--count is 1000000000; allowed: a whole number from 1 to 1000000"),
         (("--starts", "missing.csv"), "missing.csv"),
         (("--starts", "nowhere"), "'nowhere'"),
         (("--starts", "TABLE", "--count", 2), "--count"),
