@@ -96,6 +96,9 @@ def load_model(
 ) -> LoadedModel:
     """Load and check a description, reduce it to the chain and split that into modules. See `Arm.load`."""
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
+    for name, given, values in (("locked", locked, "positions"), ("couplings", couplings, "leaders")):
+        if not isinstance(given, Mapping | None):
+            raise InvalidValue(name, given, f"a mapping from names of joints to {values}, or None")
     found = find_urdf(source)
     description = with_couplings(read_description(found.urdf), couplings)
     links, sizes = _read_modules(modules)

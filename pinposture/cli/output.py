@@ -223,12 +223,9 @@ def _progress_bar(
 
     Args:
         label: what is being done.
-        text: format of the progress, the total and whatever else the function is called with.
+        text: format of the values with which the yielded function is called: progress, total and others.
         first: the text before the first call.
         remaining: whether to estimate the remaining time.
-
-    Yields:
-        A function to call with the progress, the total, and other values for the text.
     """
     if not sys.stderr.isatty():
         yield lambda *_: None

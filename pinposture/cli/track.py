@@ -191,13 +191,13 @@ class TipOptions:
             raise InvalidValue(second, given[second], f"without {first}")
         options: dict[str, Any] = {"weight": 1.0 if self.tip_weight is None else self.tip_weight}
         options["priority"] = self.tip_priority
+        task = None
         if self.tip_position is not None:
             task = EndEffector(_finite("--tip-position", self.tip_position, "X,Y,Z"), **options)
-            require_within_reach(start.arm, task)
-            return task
         if self.tip_pose is not None:
             pose = _placement(_finite("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW"))
             task = EndEffector(pose=pose, **options)
+        if task is not None:
             require_within_reach(start.arm, task)
             return task
         if self.hold_tip is not None:

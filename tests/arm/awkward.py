@@ -123,6 +123,18 @@ REFUSED = {
     ),
     "module without a joint": (arm_text(pairs(2)), {"modules": ["l1", "tip"]}, InvalidValue, "link 'l1'"),
     "joints left over": (arm_text(pairs(2)), {"modules": ["l2"], "tip": "tip"}, InvalidValue, "all 4 joints"),
+    "locked without positions": (
+        arm_text(pairs(2)),
+        {"locked": ["j1"]},
+        InvalidValue,
+        "to positions, or None",
+    ),
+    "couplings of no mapping": (
+        arm_text(pairs(2)),
+        {"couplings": 3},
+        InvalidValue,
+        "couplings is 3; allowed: a",
+    ),
     "folders of numbers": (arm_text(pairs(2)), {"package_dirs": [3]}, InvalidValue, "paths of folders"),
 }
 
