@@ -234,6 +234,7 @@ class Batch:
         ]
         return {
             "verdict": self.verdict,
+            "faults": list(self.faults),
             "count": len(self),
             "statuses": dict(Counter(self.status.tolist()).most_common()),
             "controller": self.controller,
