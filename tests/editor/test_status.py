@@ -73,6 +73,21 @@ def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
     assert status_of(session, live)[1].startswith("Motion at 0.2 s, ")
 
 
+def test_the_lap_that_is_shown_is_named() -> None:
+    session = Session(short(repeat=3))
+    playback, task = session.playback, session.task
+    playback.rehearsal.ask(task)
+    motion = done(playback.rehearsal, task).motion
+    assert motion is not None
+    playback.seek(task, 0.0)
+    session.update_playback()
+    for passed in motion.waypoints:
+        assert passed.row is not None
+        playback.seek(task, float(motion.time[passed.row]) + 0.06)
+        lap = passed.name.rsplit(", ")[-1]
+        assert f", {lap} of 3, " in status_of(session, playback.seen(live_of(session)))[1]
+
+
 def test_a_tip_that_is_elsewhere_is_amber_and_says_how_far() -> None:
     tip = pp.EndEffector((0.8 * L, 0.1 * L, 0.0), weight=1e-6)
     kind, head, _ = told_of(Keyframe(straight_line(), tip=tip))

@@ -246,10 +246,12 @@ class ArmTab:
         self._steps, self._due = -1, 0.0
         self._facts = gui.add_markdown("")
         self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
-        hint = "Limit of each joint; 0: the limits of the arm itself"
-        speed = gui.add_number("Speed [rad/s] (0: arm's own)", 0.0, min=0.0, step=0.1, hint=hint)
+        hint = "Limit of each joint; 0: that of the arm"
+        speed = gui.add_number("Speed [rad/s]", 0.0, min=0.0, step=0.1, hint=hint)
         hint = "Limit of each joint; 0: none"
         acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
+        hint = "Limit of each joint, along with that of acceleration; 0: none"
+        jerk = gui.add_number("Jerk [rad/s³]", 0.0, min=0.0, step=10.0, hint=hint)
         self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
         hint = "Manipulability; red and flat: singular"
@@ -258,6 +260,7 @@ class ArmTab:
         self._limits = (
             Typed(speed, partial(self._set_limit, "velocity", "speed")),
             Typed(acceleration, partial(self._set_limit, "acceleration", "acceleration")),
+            Typed(jerk, partial(self._set_limit, "jerk", "jerk")),
         )
         on_change(self._at_once, self._set_at_once)
 
@@ -265,7 +268,8 @@ class ArmTab:
         """Bring it up to date."""
         limits = session.task.limits
         put(self._controller, value=session.task.controller.name)
-        for field, limit in zip(self._limits, (limits.velocity, limits.acceleration), strict=True):
+        values = limits.velocity, limits.acceleration, limits.jerk
+        for field, limit in zip(self._limits, values, strict=True):
             several = np.ndim(limit if limit is not None else 0.0) > 0
             field.show(0.0 if limit is None else round(float(np.min(limit)), 6), disabled=several)
         put(self._at_once, value=session.at_once)

@@ -28,6 +28,7 @@ from pinposture.editor.ui.parts import (
     quaternions,
     round_number,
 )
+from pinposture.errors import CurveError
 from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
@@ -138,28 +139,31 @@ def insert_point(session: Session) -> None:
 
 def duplicate_points(session: Session) -> None:
     """Propose the curve with copies of the selected control points, which are then selected."""
-    if is_any_selected(session):
-        chosen = sorted(session.handles)
-        what = f"duplicated {named(chosen)}"
-        session.reshape(lambda arm, shape: shape.duplicated(arm, *chosen), what)
-        if session.proposal is not None:
-            session.handles = tuple(index + before for before, index in enumerate(chosen, start=1))
+    chosen = selected_points(session)
+    session.reshape(lambda arm, shape: shape.duplicated(arm, *chosen), f"duplicated {named(chosen)}")
+    if session.proposal is not None:
+        session.handles = tuple(index + before for before, index in enumerate(chosen, start=1))
 
 
 def delete_points(session: Session) -> None:
     """Propose the curve without the selected control points."""
-    if is_any_selected(session):
-        chosen = session.handles
-        session.reshape(lambda arm, shape: shape.removed(arm, *chosen), f"deleted {named(chosen)}")
-        if session.proposal is not None:
-            session.handle = max(min(chosen) - 1, 1)
+    chosen = selected_points(session)
+    session.reshape(lambda arm, shape: shape.removed(arm, *chosen), f"deleted {named(chosen)}")
+    if session.proposal is not None:
+        session.handle = max(chosen[0] - 1, 1)
 
 
-def is_any_selected(session: Session) -> bool:
-    """Return whether a control point is selected; if none is, say so."""
-    if session.has_points() and not session.handles:
-        session.say("no control point is selected: click on one, or press N", "warning")
-    return bool(session.handles)
+def selected_points(session: Session) -> list[int]:
+    """Return the selected control points, 0-based, in their order along the curve.
+
+    Raises:
+        TaskError: the keyframe has no control points.
+        CurveError: none is selected.
+    """
+    session.check_points()
+    if not session.handles:
+        raise CurveError("no control point is selected", "click on one, or press N")
+    return sorted(session.handles)
 
 
 class Handles:

@@ -15,9 +15,10 @@ import viser
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.editor.edits import keyframes_of
+from pinposture.editor.edits import TIME_TOLERANCE, keyframes_of, lap_time
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.playback import Playback
 from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
@@ -34,16 +35,24 @@ from pinposture.editor.ui.curve import (
     delete_points,
     duplicate_points,
     insert_point,
-    is_any_selected,
     move_point,
+    selected_points,
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
 from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put, round_number
-from pinposture.editor.ui.player import PANEL_GAP, PANEL_HEIGHT, Player, play_or_pause
+from pinposture.editor.ui.player import (
+    LOW_PAGE,
+    LOW_PANEL_HEIGHT,
+    PANEL_GAP,
+    PANEL_HEIGHT,
+    Player,
+    play_or_pause,
+)
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
 from pinposture.motion.tracker import NOT_DONE
+from pinposture.task import Task
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
 
@@ -80,7 +89,8 @@ class Status:
             message = f"<div {about}>{escape(notice.text)}</div>"
         content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)
         # Of fixed height, so that nothing below it jumps.
-        put(self._html, content=f'<div style="height:{STATUS_HEIGHT}px;overflow-y:auto">{content}</div>')
+        style = f"height:min({STATUS_HEIGHT}px, 15vh);overflow-y:auto"
+        put(self._html, content=f'<div style="{style}">{content}</div>')
 
 
 class Toolbar:
@@ -146,6 +156,7 @@ def _heading(session: Session, live: Live) -> str:
     if session.playback.q is not None:
         playback = session.playback
         head = "Playing the motion" if playback.playing else f"Motion at {playback.time:.1f} s"
+        head += _lap(session.task, playback)
         head += f", {error} off its targets"
     elif live.reason == NOT_DONE:
         head = f"Planning, {error} to go"
@@ -165,6 +176,15 @@ def _heading(session: Session, live: Live) -> str:
     return head
 
 
+def _lap(task: Task, playback: Playback) -> str:
+    """Return which lap of a repeated tour is shown, as the end of a phrase."""
+    moment, motion = playback.moment, playback.motion
+    if task.repeat == 1 or moment is None or motion is None:
+        return ""
+    lap = int(float(motion.plan_time[moment.row]) / lap_time(task) + TIME_TOLERANCE)
+    return f", lap {min(lap + 1, task.repeat)} of {task.repeat}"
+
+
 def _millimetres(length: float) -> str:
     return f"{1000.0 * length:.3g} mm" if 1000.0 * length > SMALLEST_ERROR else "0 mm"
 
@@ -181,7 +201,8 @@ FLOOR_CELLS = 10  # along the arm
 FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
 # Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
 # screen, which may be several to one of the page.
-MIN_COVERED, MAX_COVERED = 0.35, 0.6
+MIN_COVERED, MAX_COVERED = 0.3, 0.6
+MIN_ASPECT = 1.0  # of a picture in which the initial camera sees the whole arm
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
     "Front": np.array([1.0, 0.0, 0.0]),
@@ -239,8 +260,7 @@ async def _on_trigger(post: Post, act: Callable[[Session], object], key: str, _:
 
 def _select_next(by: int, session: Session) -> None:
     """Select the next or previous control point; the one at the base is skipped."""
-    if not session.has_points():
-        return
+    session.check_points()
     count = len(session.shape.points)
     at = session.handle if session.handle is not None else (0 if by > 0 else count)
     session.take_hold((at - 1 + by) % (count - 1) + 1)
@@ -248,11 +268,11 @@ def _select_next(by: int, session: Session) -> None:
 
 def _nudge(axis: int, sign: float, session: Session) -> None:
     """Move the selected control points a little along an axis of the world, or by a step of the grid."""
-    if not is_any_selected(session) or session.handle is None:
-        return
-    place = np.array(session.shape.points[session.handle])
+    selected_points(session)
+    last = session.handles[-1]
+    place = np.array(session.shape.points[last])
     place[axis] += sign * (session.grid or NUDGE * session.arm.length)
-    move_point(session.handle, place, True, session)
+    move_point(last, place, True, session)
 
 
 class Viewpoint(NamedTuple):
@@ -358,6 +378,8 @@ class Page:
         offer_tour(self._server)
         self._build(session.arm)
 
+        self._server.on_client_connect(self._watch_aspect)
+
     def _build(self, arm: Arm) -> None:
         """Make all parts for an arm."""
         server, post, scans = self._server, self._post, self._surroundings.scans
@@ -392,16 +414,30 @@ class Page:
             self._parts += [FileTab(server, self._files, post), ExportButtons(server, post)]
         add_shortcuts(server, self._files, partial(self._frame, "All"), post)
 
-    def _frame(self, direction: str, session: Session) -> None:
-        """Move the cameras of all browsers so that the arm and all control points are in sight."""
+    async def _watch_aspect(self, client: viser.ClientHandle) -> None:
+        """Frame the arm in a browser whenever its picture becomes narrow, as beside the controls."""
+        narrow = False
+
+        async def watch(camera: viser.CameraHandle) -> None:
+            nonlocal narrow
+            before, narrow = narrow, camera.aspect < MIN_ASPECT
+            if narrow and not before:
+                self._post(partial(self._frame, "All", only=client.client_id))
+
+        client.camera.on_update(watch)
+
+    def _frame(self, direction: str, session: Session, only: int | None = None) -> None:
+        """Move the camera of one or all browsers so that the arm and all control points are in sight."""
         arm, q = session.arm, self._arm.q
         points = np.vstack([self._arm.foot, arm.chain.base, session.shape.points, arm.at(q).points])
         radius = BALL_RADIUS * link_radius(arm)
-        for client in self._server.get_clients().values():
+        for number, client in self._server.get_clients().items():
             camera = client.camera
+            if only not in (None, number):
+                continue
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
-                covered = (PANEL_HEIGHT + PANEL_GAP) / camera.image_height
-                covered = min(max(covered, MIN_COVERED), MAX_COVERED)
+                height = LOW_PANEL_HEIGHT if camera.image_height <= LOW_PAGE else PANEL_HEIGHT
+                covered = min(max((height + PANEL_GAP) / camera.image_height, MIN_COVERED), MAX_COVERED)
                 view = framing(points, radius, DIRECTIONS[direction], camera.aspect, covered)
                 camera.position, camera.look_at = view.position, view.look_at
 

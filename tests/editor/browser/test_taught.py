@@ -57,7 +57,7 @@ def test_a_taught_keyframe_is_shown_played_changed_and_saved(edit: Edit, look: L
     wait_until(lambda: "On target to 0 mm" in window.status, "the page says so")
     window.aside()
     window.key("n")
-    window.says("keyframe 2 is a taught configuration without control points")
+    window.says("keyframe 2: a taught configuration has no control points")
 
     # The motion ends in it, and no caption is cut off.
     window.press("Play")
