@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
-from pinposture._validation import finite_vector
+from pinposture._validation import finite_vector, require_whole
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.collision.obstacles import Obstacle
@@ -368,6 +368,7 @@ def repeated(laps: int) -> Edit:
     """Repeat the tour for a number of laps; for a single one, the time to return to the first is dropped."""
 
     def edit(task: Task) -> Task:
+        require_whole("laps", laps, 1)
         keyframes = list_keyframes(task, 0)
         if laps == 1:
             keyframes[0] = replace(keyframes[0], duration=None)

@@ -34,7 +34,7 @@ logger = logging.getLogger(__name__)
 
 AUTOSAVE_PERIOD = 0.3  # between two files [s]
 MAX_WAIT = 10.0  # for files that are being written [s]
-MAX_LISTED = 100  # task files to choose from
+MAX_LISTED = 500  # task files to choose from
 
 
 class Version(NamedTuple):

@@ -61,8 +61,9 @@ class KeyframesTab:
         laps = gui.add_number("Laps", 1, min=1, step=1, hint="How often the whole motion is repeated")
         hint = "Time to return to the first keyframe for the next lap; 0: as the longest motion between two"
         back = gui.add_number("Return [s]", 0.0, min=0.0, step=0.1, hint=hint)
+        back.precision = SECOND_DIGITS
         self._laps, self._back = Typed(laps, self._repeat), Typed(back, self._set_return)
-        self._others = gui.add_checkbox("Show the others", True, hint="Show the other curves faintly")
+        self._others = gui.add_checkbox("Other curves", True, hint="Show the curves of the other keyframes")
         for number, row in enumerate(self._rows):
             on_click(row, partial(self._select, number))
         on_click(self._above, partial(self._scroll, -LISTED_ROWS))

@@ -51,7 +51,9 @@ from pinposture.editor.ui.player import (
 )
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
+from pinposture.errors import CurveError
 from pinposture.motion.tracker import NOT_DONE
+from pinposture.placement.target import arm_axis
 from pinposture.task import Task
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
@@ -71,6 +73,7 @@ AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
 SMALLEST_ERROR = 1e-6  # smaller ones are shown as 0 [mm]
 STATUS_HEIGHT = 124  # [pixels]
+IN_SIGHT = "<style>div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}</style>"
 
 
 class Status:
@@ -90,7 +93,7 @@ class Status:
         content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)
         # Of fixed height, so that nothing below it jumps.
         style = f"height:min({STATUS_HEIGHT}px, 15vh);overflow-y:auto"
-        put(self._html, content=f'<div style="{style}">{content}</div>')
+        put(self._html, content=f'{IN_SIGHT}<div id="always" style="{style}">{content}</div>')
 
 
 class Toolbar:
@@ -165,9 +168,9 @@ def _heading(session: Session, live: Live) -> str:
     elif live.status != "converged":
         head = f"Stopped, {error} to go"
     elif distance is not None:
-        head = f"On the curve to {_millimetres(distance)}"
+        head = f"On the curve to within {_millimetres(distance)}"
     else:
-        head = f"On target to {error}"
+        head = f"On target to within {error}"
     if live.tip_error is not None:
         head += f", tip {_millimetres(live.tip_error)} off"
     if session.nearest is not None:
@@ -194,14 +197,13 @@ Array = NDArray[np.float64]
 CONTROLS_WIDTH = 340  # [pixels]
 NUDGE = 0.01  # by an arrow key, relative to the arm
 FIELD_OF_VIEW = 40.0  # of the camera, vertically [deg]
-CAMERA_DISTANCE = 1.75  # in arm lengths
-CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of the arm
-LOOK_BELOW = 0.13  # of the arm, in arm lengths: the plots cover the bottom of the picture
+CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of an arm along the x axis
+MIN_LEVEL = 0.1  # horizontal part of the direction of an arm, below which it counts as upright
 FLOOR_CELLS = 10  # along the arm
 FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
 # Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
 # screen, which may be several to one of the page.
-MIN_COVERED, MAX_COVERED = 0.3, 0.6
+MIN_COVERED, MAX_COVERED, COVERED_AT_FIRST = 0.3, 0.6, 0.2
 MIN_ASPECT = 1.0  # of a picture in which the initial camera sees the whole arm
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
@@ -269,10 +271,11 @@ def _select_next(by: int, session: Session) -> None:
 def _nudge(axis: int, sign: float, session: Session) -> None:
     """Move the selected control points a little along an axis of the world, or by a step of the grid."""
     selected_points(session)
-    last = session.handles[-1]
-    place = np.array(session.shape.points[last])
-    place[axis] += sign * (session.grid or NUDGE * session.arm.length)
-    move_point(last, place, True, session)
+    arm, last = session.arm, session.handles[-1]
+    step = sign * (session.grid or NUDGE * arm.length) * np.eye(3)[axis]
+    if arm.dimension == 2 and np.linalg.norm(arm.plane @ step) < 1e-6 * arm.length:
+        raise CurveError(f"point {last + 1}", f"cannot leave the plane of the arm along {'xyz'[axis]}")
+    move_point(last, session.shape.points[last] + step, True, session)
 
 
 class Viewpoint(NamedTuple):
@@ -283,12 +286,22 @@ class Viewpoint(NamedTuple):
     opening: float  # angle from the bottom of the picture to its top [rad]
 
 
+def camera_direction(arm: Arm) -> Array:
+    """Return the direction, (3,), from an arm to a camera that sees its base at the left."""
+    ahead = arm_axis(arm)
+    level = float(np.hypot(*ahead[:2]))
+    if level < MIN_LEVEL:
+        return CAMERA_DIRECTION
+    cosine, sine = ahead[:2] / level
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(turn @ CAMERA_DIRECTION)
+
+
 def viewpoint(arm: Arm) -> Viewpoint:
-    """Return a camera that sees the whole of an arm."""
-    middle = 0.5 * (arm.chain.base + arm.at(arm.straight()).points[-1])
-    away = CAMERA_DISTANCE * arm.length * CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION)
-    middle[2] -= LOOK_BELOW * arm.length
-    return Viewpoint(middle + away, middle, float(np.radians(FIELD_OF_VIEW)))
+    """Return a camera that has the straight arm in sight."""
+    points = np.vstack([arm.chain.base, arm.at(arm.straight()).points])
+    radius = BALL_RADIUS * link_radius(arm)
+    return framing(points, radius, camera_direction(arm), MIN_ASPECT, COVERED_AT_FIRST)
 
 
 def framing(points: Array, radius: float, direction: Array, aspect: float, covered: float) -> Viewpoint:
@@ -438,7 +451,8 @@ class Page:
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
                 height = LOW_PANEL_HEIGHT if camera.image_height <= LOW_PAGE else PANEL_HEIGHT
                 covered = min(max((height + PANEL_GAP) / camera.image_height, MIN_COVERED), MAX_COVERED)
-                view = framing(points, radius, DIRECTIONS[direction], camera.aspect, covered)
+                away = camera_direction(arm) if direction == "All" else DIRECTIONS[direction]
+                view = framing(points, radius, away, camera.aspect, covered)
                 camera.position, camera.look_at = view.position, view.look_at
 
     def show(self, session: Session, live: Live) -> None:

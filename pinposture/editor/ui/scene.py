@@ -46,8 +46,8 @@ SCAN_COLOR = palette.mixed(palette.OBSTACLE, "#FFFFFF", 0.35)  # of a scan witho
 SCAN_OPACITY = 0.6  # of such a surface, which may stand in front of the arm
 LOAD_KINDS = ("scan", "obstacle")
 EXPLANATION = (
-    "A **scan** (surface or points) is shown, and the clearance from it is told, but the arm does **not** "
-    "avoid it. As an **obstacle**, it is avoided as it is, hollows and all."
+    "A **scan** (a mesh or points) is shown with its clearance, but the arm does **not** avoid it. "
+    "An **obstacle** it avoids, and it can move within its cavities."
 )
 
 
@@ -402,7 +402,7 @@ class ClearanceLine:
 def clearance_text(found: NearestObstacle | None) -> str:
     """Return a clearance in words."""
     if found is None:
-        return "nothing to be near to"
+        return "there are no obstacles or scans"
     size = f"{1000.0 * abs(found.distance):.3g} mm"
     if found.distance < 0.0:
         return f"{found.body} is {size} inside {found.other}"
