@@ -16,7 +16,16 @@ from pinposture.editor.edits import with_controller, with_limits
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
-from pinposture.editor.ui.parts import Post, Typed, color, framed_html, on_change, put, quaternions
+from pinposture.editor.ui.parts import (
+    Post,
+    Typed,
+    color,
+    framed_html,
+    length_text,
+    on_change,
+    put,
+    quaternions,
+)
 from pinposture.viz import palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius
@@ -228,7 +237,7 @@ class MeasuredArm:
         else:
             away = live.arm.at(latest.q).points - live.state.points
             distance = float(np.linalg.norm(away, axis=1).mean())
-            lines = [f"{1000.0 * distance:.3g} mm from the plan on average"]
+            lines = [f"{length_text(distance)} from the plan on average"]
             if latest.age > OLD_AGE:
                 lines.append(f"the last joint state is {latest.age:.0f} s old")
         if latest.complaint:

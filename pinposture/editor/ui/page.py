@@ -40,7 +40,16 @@ from pinposture.editor.ui.curve import (
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
-from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put, round_number
+from pinposture.editor.ui.parts import (
+    Part,
+    Post,
+    color,
+    framed_html,
+    length_text,
+    on_choice,
+    put,
+    round_number,
+)
 from pinposture.editor.ui.player import (
     LOW_PAGE,
     LOW_PANEL_HEIGHT,
@@ -71,7 +80,6 @@ MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
-SMALLEST_ERROR = 1e-6  # smaller ones are shown as 0 [mm]
 STATUS_HEIGHT = 124  # [pixels]
 IN_SIGHT = "<style>div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}</style>"
 
@@ -155,7 +163,7 @@ def _is_off(session: Session, live: Live) -> bool:
 
 def _heading(session: Session, live: Live) -> str:
     """Return what the arm is doing, and how near it is to what it should do."""
-    error, distance = _millimetres(live.mean_error), live.verdict.distance_from_curve
+    error, distance = length_text(live.mean_error), live.verdict.distance_from_curve
     if session.playback.q is not None:
         playback = session.playback
         head = "Playing the motion" if playback.playing else f"Motion at {playback.time:.1f} s"
@@ -168,14 +176,14 @@ def _heading(session: Session, live: Live) -> str:
     elif live.status != "converged":
         head = f"Stopped, {error} to go"
     elif distance is not None:
-        head = f"On the curve to within {_millimetres(distance)}"
+        head = f"On the curve to within {length_text(distance)}"
     else:
         head = f"On target to within {error}"
     if live.tip_error is not None:
-        head += f", tip {_millimetres(live.tip_error)} off"
+        head += f", tip {length_text(live.tip_error)} off"
     if session.nearest is not None:
         clearance = session.nearest.distance
-        head += f", {_millimetres(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"
+        head += f", {length_text(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"
     return head
 
 
@@ -186,10 +194,6 @@ def _lap(task: Task, playback: Playback) -> str:
         return ""
     lap = int(float(motion.plan_time[moment.row]) / lap_time(task) + TIME_TOLERANCE)
     return f", lap {min(lap + 1, task.repeat)} of {task.repeat}"
-
-
-def _millimetres(length: float) -> str:
-    return f"{1000.0 * length:.3g} mm" if 1000.0 * length > SMALLEST_ERROR else "0 mm"
 
 
 Array = NDArray[np.float64]

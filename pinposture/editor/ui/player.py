@@ -23,7 +23,7 @@ from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, limits_per_step
 from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
-from pinposture.editor.ui.parts import Post, on_change, on_choice, put, round_number
+from pinposture.editor.ui.parts import Post, length_text, on_change, on_choice, put, round_number
 from pinposture.motion import Motion
 from pinposture.motion.trajectory import limit_shares
 from pinposture.task import Task
@@ -256,7 +256,7 @@ class Plots:
         put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
 
     def _in_words(self, error: float) -> str:
-        return "0 mm" if error < SMALLEST_SHOWN_ERROR * self._length else f"{MILLI * error:.3g} mm"
+        return length_text(0.0 if error < SMALLEST_SHOWN_ERROR * self._length else error)
 
 
 def _lines(color: str) -> tuple[uplot.Series, ...]:

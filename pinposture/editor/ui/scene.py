@@ -29,6 +29,7 @@ from pinposture.editor.ui.parts import (
     add_lines,
     color,
     framed_html,
+    length_text,
     on_change,
     on_choice,
     on_click,
@@ -403,12 +404,10 @@ def clearance_text(found: NearestObstacle | None) -> str:
     """Return a clearance in words."""
     if found is None:
         return "there are no obstacles or scans"
-    size = f"{1000.0 * abs(found.distance):.3g} mm"
+    size = length_text(abs(found.distance))
     if found.distance < 0.0:
         return f"{found.body} is {size} inside {found.other}"
-    less = (
-        f", less than the margin of {1000.0 * found.margin:.3g} mm" if found.distance < found.margin else ""
-    )
+    less = f", less than the margin of {length_text(found.margin)}" if found.distance < found.margin else ""
     return f"{size} from {found.body} to {found.other}{less}"
 
 
