@@ -314,6 +314,8 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
         FileError: a name that leads, or might lead, out of the folder: from the root, from a home directory,
             by "..", or by a link; or one that no file can have.
     """
+    if not name:
+        raise FileError("the file", "has no name yet; enter one, such as task.toml")
     given, path = Path(name), (folder if start is None else start) / name
     outside = bool(given.anchor) or name.startswith("~") or ".." in given.parts
     try:

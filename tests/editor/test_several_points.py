@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from edited_tasks import L, bent_spline, straight_line, task
 
+import pinposture as pp
+from pinposture.editor.files import Files, first_task
 from pinposture.editor.session import Session
 from pinposture.errors import CurveError
 from pinposture.task import Keyframe
@@ -13,6 +15,7 @@ from pinposture.task import Keyframe
 pytest.importorskip("viser")
 
 from pinposture.editor.ui import curve
+from pinposture.editor.ui.page import shortcuts
 
 
 @pytest.fixture
@@ -57,6 +60,17 @@ def test_those_that_are_selected_move_together_and_another_one_alone(session: Se
     curve.move_point(1, points[1] + [0, 0, 0.1 * L], True, session)
     assert session.proposal.what == "moved point 2"
     assert session.handles == (1,)
+
+
+def test_an_arrow_key_that_leads_out_of_the_plane_of_the_arm_is_refused() -> None:
+    session = Session(first_task(pp.Arm.from_template("Rz", 6)))
+    session.take_hold(2)
+    keys = {each.label: each.act for each in shortcuts(Files(lambda _: None), lambda _: None)}
+    with pytest.raises(CurveError, match="point 3: cannot leave the plane of the arm along z"):
+        keys["Move it up (+z)"](session)
+    assert session.proposal is None
+    keys["Move it ahead (+x)"](session)
+    assert session.proposal is not None
 
 
 def test_points_that_are_dragged_come_to_the_grid(session: Session) -> None:

@@ -41,6 +41,7 @@ MAX_STRETCHES_NAMED = 4
 MAX_ELLIPSOIDS, ELLIPSOID_OPACITY = 8, 0.4
 MEASURED_OPACITY = 0.45
 OLD_AGE = 1.0  # from which on joint states are called old [s]
+RATE_DIGITS = 4  # of limits, behind the point
 FACTS_PERIOD = 0.25  # for which facts stay, so that they can be read [s]
 
 
@@ -261,6 +262,7 @@ class ArmTab:
         acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
         hint = "Limit of each joint, along with that of acceleration; 0: none"
         jerk = gui.add_number("Jerk [rad/s³]", 0.0, min=0.0, step=10.0, hint=hint)
+        speed.precision = acceleration.precision = jerk.precision = RATE_DIGITS
         self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
         hint = "Manipulability; red and flat: singular"
@@ -280,7 +282,7 @@ class ArmTab:
         values = limits.velocity, limits.acceleration, limits.jerk
         for field, limit in zip(self._limits, values, strict=True):
             several = np.ndim(limit if limit is not None else 0.0) > 0
-            field.show(0.0 if limit is None else round(float(np.min(limit)), 6), disabled=several)
+            field.show(0.0 if limit is None else round(float(np.min(limit)), RATE_DIGITS), disabled=several)
         put(self._at_once, value=session.at_once)
         now = time.monotonic()
         if live.steps != self._steps and now >= self._due:

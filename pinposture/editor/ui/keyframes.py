@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 LISTED_ROWS = 8
 MARK_COLORS = {"collides": palette.ACTIVE, "refused": palette.MARK}
-SECOND_DIGITS = 3  # of times, behind the point
+SECOND_DIGITS = 3  # of times and speeds, behind the point
 
 
 class KeyframesTab:
@@ -49,7 +49,6 @@ class KeyframesTab:
         name = gui.add_text("Name", "", hint="Empty: its number")
         when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When the arm reaches it")
         hold = gui.add_number("Hold [s]", 0.0, step=0.1, hint="How long to stay; later keyframes shift")
-        when.precision = hold.precision = SECOND_DIGITS
         speed = gui.add_number("Speed [%]", 100.0, step=5.0, hint="Of the velocity limits, on the way to it")
         self._name, self._time = Typed(name, self._rename), Typed(when, self._retime)
         self._hold = Typed(hold, self._set_hold)
@@ -61,7 +60,8 @@ class KeyframesTab:
         laps = gui.add_number("Laps", 1, min=1, step=1, hint="How often the whole motion is repeated")
         hint = "Time to return to the first keyframe for the next lap; 0: as the longest motion between two"
         back = gui.add_number("Return [s]", 0.0, min=0.0, step=0.1, hint=hint)
-        back.precision = SECOND_DIGITS
+        for field in (when, hold, speed, back):
+            field.precision = SECOND_DIGITS
         self._laps, self._back = Typed(laps, self._repeat), Typed(back, self._set_return)
         self._others = gui.add_checkbox("Other curves", True, hint="Show the curves of the other keyframes")
         for number, row in enumerate(self._rows):

@@ -81,7 +81,11 @@ MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
 STATUS_HEIGHT = 124  # [pixels]
-IN_SIGHT = "<style>div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}</style>"
+IN_SIGHT = """<style>
+div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}
+div:has(> div > div > div > #always) {overflow: visible !important}
+</style>"""
+"""Keeps the status in sight while the controls below it are scrolled."""
 
 
 class Status:
