@@ -50,14 +50,7 @@ from pinposture.editor.ui.parts import (
     put,
     round_number,
 )
-from pinposture.editor.ui.player import (
-    LOW_PAGE,
-    LOW_PANEL_HEIGHT,
-    PANEL_GAP,
-    PANEL_HEIGHT,
-    Player,
-    play_or_pause,
-)
+from pinposture.editor.ui.player import Player, covered_height, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
 from pinposture.errors import CurveError
@@ -397,9 +390,8 @@ class Page:
             show_logo=False, show_share_button=False, brand_color=color(palette.START), dark_mode=False
         )
         offer_tour(self._server)
-        self._build(session.arm)
-
         self._server.on_client_connect(self._watch_aspect)
+        self._build(session.arm)
 
     def _build(self, arm: Arm) -> None:
         """Make all parts for an arm."""
@@ -457,8 +449,8 @@ class Page:
             if only not in (None, number):
                 continue
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
-                height = LOW_PANEL_HEIGHT if camera.image_height <= LOW_PAGE else PANEL_HEIGHT
-                covered = min(max((height + PANEL_GAP) / camera.image_height, MIN_COVERED), MAX_COVERED)
+                covered = covered_height(camera.image_height) / camera.image_height
+                covered = min(max(covered, MIN_COVERED), MAX_COVERED)
                 away = camera_direction(arm) if direction == "All" else DIRECTIONS[direction]
                 view = framing(points, radius, away, camera.aspect, covered)
                 camera.position, camera.look_at = view.position, view.look_at

@@ -377,13 +377,13 @@ class TimeAxis:
             mark = session.marks[index] if len(session.marks) == len(keyframes) else ""
             selected = index == session.selected
             shade = f"background:{palette.START if selected else MARK_COLORS.get(mark, palette.QUIET)}"
-            shade += f";opacity:{LATER_LAP_OPACITY if lap else 1}"
             width = f"width:{100.0 * keyframes[index].hold / self._length:.3f}%"
             drawn.append(self._at("hold", at, "", f"{width};{shade}"))
             words = f"lap {lap + 1}:  " * (task.repeat > 1) + row_label(keyframes, planned, index, mark)
             about = f'data-keyframe="{number}" title="{escape(words)}"'
             label = str(index + 1) if len(self._passes) <= MAX_NUMBERED else "&nbsp;"
-            drawn.append(self._at("keyframe", at, label, f"{shade};z-index:{1 + selected}", about))
+            shade += f";z-index:{1 + selected};opacity:{LATER_LAP_OPACITY if lap else 1}"
+            drawn.append(self._at("keyframe", at, label, shade, about))
         about = f'id="timeline" data-gestures="{self._gestures}" onpointerdown="{escape(ON_PRESS)}"'
         put(self._strip, content=f'{HIDDEN}<div {about} style="{STYLES["strip"]}">{"".join(drawn)}</div>')
         moving = ""
@@ -416,6 +416,11 @@ class TimeAxis:
                 session.select(keyframe)
             elif what == "move" and keyframe < len(keyframes_of(session.task)):
                 drag_keyframe(keyframe, at - before, step, session)
+
+
+def covered_height(picture: float) -> float:
+    """Return how much of a picture the panel covers at its bottom, by the height of the picture [pixels]."""
+    return PANEL_GAP + (LOW_PANEL_HEIGHT if picture <= LOW_PAGE else PANEL_HEIGHT)
 
 
 class Player:
