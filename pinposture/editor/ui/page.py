@@ -204,7 +204,7 @@ FLOOR_CELLS = 10  # along the arm
 FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
 # Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
 # screen, which may be several to one of the page.
-MIN_COVERED, MAX_COVERED, COVERED_AT_FIRST = 0.3, 0.6, 0.2
+MIN_COVERED, MAX_COVERED, COVERED_AT_FIRST = 0.3, 0.6, 0.1
 MIN_ASPECT = 1.0  # of a picture in which the initial camera sees the whole arm
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
