@@ -81,7 +81,7 @@ def test_too_long_is_said_and_taken(trim: bool) -> None:
     verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), trim=trim), None)
     assert verdict.target is not None
     assert len(verdict.notes) == 1
-    assert verdict.notes[0].startswith("too long by 0.15 m: ")
+    assert verdict.notes[0].startswith("the curve is longer than the arm by 0.15 m")
     whole = Keyframe(pp.Curve.line((0, 0, 0), (L + MODULE, 0, 0)), trim=trim)
     assert judge(six_modules(), whole, None).notes == ()
 
