@@ -29,6 +29,7 @@ from pinposture.control import (
 )
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import JerkFilter, cycle_of
+from pinposture.control.planner.avoidance import BRAKING_HARDER
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
 from pinposture.control.planner.plan import PlanNeeded, is_small_change
 from pinposture.errors import InvalidValue, PostureError, UnknownName
@@ -391,6 +392,9 @@ REST_TOLERANCE = 1e-9
 MARGIN_ROUNDING = 1e-3
 """Share of the margin to obstacles whose loss is not reported."""
 
+ACCELERATION_ROUNDING = 1e-6
+"""Relative excess over the acceleration limit that is not reported."""
+
 ARRIVAL_TOLERANCE = 1e-6
 """Mean distance of the control points from their targets at which the arm has converged, in arm lengths."""
 
@@ -526,6 +530,7 @@ class Tracker:
         self._target: Target | None = None
         self._age = 0.0
         self._memory: Memory | None = None
+        self._output: Array | None = None
         self._dt = period
         self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
@@ -585,6 +590,7 @@ class Tracker:
         self._feedback.restart(self.arm.checked_start(q_measured, "q_measured"), moved is not None)
         self._memory, self._dt = None if moved is None else Memory(moved), self._period
         self._filter.restart(moved)
+        self._output = moved
 
     def step(
         self,
@@ -623,6 +629,7 @@ class Tracker:
         memory = None if self._feedback.restarted else self._rescaled_memory(dt)
         if memory is None:
             self._filter.restart()
+            self._output = None
         self._age += passed
         step, reason, compensated = None, feedback.reason or self._target_problem(), None
         state = self._ahead(feedback.state)
@@ -640,11 +647,13 @@ class Tracker:
             memory = memory if step is None else step.memory.with_motion_of(memory)
         else:
             memory = step.memory
-        self._memory, self._dt, dq = memory, dt, self._filter.apply(memory.dq)
+        dq = self._filter.apply(memory.dq)
+        before = np.zeros(self.arm.nv) if self._output is None else self._output * (dt / self._dt)
+        self._memory, self._dt, self._output = memory, dt, dq
         self._feedback.apply_step(dq)
         if step is not None and self._filter.moving:
             reason = ""  # the jerk filter has not settled yet
-        self.report = self._make_report(feedback, step, reason, compensated, dq)
+        self.report = self._make_report(feedback, step, reason, compensated, dq, dq - before)
         return np.array(dq)
 
     def _ahead(self, state: ArmState | None) -> ArmState | None:
@@ -689,6 +698,7 @@ class Tracker:
         reason: str,
         compensated: Target | None,
         dq: Array,
+        change: Array,
     ) -> Report:
         status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
@@ -701,6 +711,10 @@ class Tracker:
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
         relaxed += self._lost_clearance()
+        most = self.limits.for_arm(self.arm).acceleration
+        if self.scene is not None and most is not None and BRAKING_HARDER not in relaxed:
+            # Also while the jerk filter spreads such a step over later cycles, or the arm waits for a path.
+            relaxed += (BRAKING_HARDER,) * bool(np.any(np.abs(change) > (1.0 + ACCELERATION_ROUNDING) * most))
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
 
     def _lost_clearance(self) -> tuple[str, ...]:

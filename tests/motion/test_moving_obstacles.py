@@ -121,6 +121,32 @@ def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_que
     assert np.percentile(queries, 98) <= 20  # a whole search for a goal makes 70
 
 
+@pytest.mark.parametrize("jerk, deadline", [(None, np.inf), (40.0, np.inf), (None, 1e-9)])
+def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None, deadline: float) -> None:
+    """A ball appears just before an arm that moves at full speed."""
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=2.0, jerk=jerk, dt=DT)
+    scene, q, goal = ball_scene(), np.zeros(40), np.tile([0.2, 0.0], 20)
+    tracker = pp.Tracker(arm(), limits=limits, scene=scene, deadline=deadline, planning="thread")
+    tracker.update(pp.Target.from_configuration(arm(), goal if deadline == np.inf else q))
+    beyond, before, gap_ahead = 0, np.zeros(40), 0.004 if jerk is None else 0.1
+    if deadline < np.inf:
+        before = np.tile([0.002, 0.0], 20)
+        tracker.restart(q, before)
+    for cycle in range(120):
+        if cycle == (0 if deadline < np.inf else 12 if jerk is None else 15):
+            ahead = arm().at(q + 30 * before).points[-1] - arm().at(q).points[-1]
+            center = arm().at(q).points[-1] + (BALL + THIN + gap_ahead) * ahead / np.linalg.norm(ahead)
+            scene = scene.moved({"ball": center}, velocities={"ball": (1e-6, 0.0, 0.0)})
+        dq = tracker.step(q, scene=scene)
+        exceeded = np.abs(dq - before).max() > limits.acceleration * DT**2 * (1 + 1e-6)
+        said = any("limits of acceleration" in each for each in tracker.report.violated_constraints)
+        assert said if exceeded else not said or jerk is not None, (
+            cycle
+        )  # with a filter, jerk may be exceeded
+        beyond, q, before = beyond + exceeded, tracker.command, dq
+    assert beyond >= (1 if jerk is None else 3)
+
+
 def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:
     scene, q = ball_scene(), np.full(40, 0.05)
     tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)

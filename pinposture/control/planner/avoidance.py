@@ -346,35 +346,42 @@ class Avoidance:
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin, until))
         touching = min(now, 0.0) - self._rounding
-        # A moving obstacle can still be evaded where braking does not help.
-        least = min(self.margin, lowest if self.moving else max(lowest, touching)) - self._rounding
         close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
         # A repeated check may differ from the one in the previous step by this tolerance.
         tolerance = MOTION_TOLERANCE * self._length
         relaxed = (close,) if lowest < min(self.margin, now) - tolerance else ()
+        # A moving obstacle may be evaded where braking does not help, unless it is then too late to stop.
+        due = lowest < touching
+        if due and self.moving:
+            due = self._lowest(state, np.vstack([braking[:1], rest]), touching) < touching
+        least = min(self.margin, max(lowest, touching) if due or not self.moving else lowest) - self._rounding
+        seen = []
         for number in range(MAX_HALVINGS):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
             stopping = self._stopping(state, step)
-            if self._lowest(state, np.vstack([step, stopping]), least, until) >= least:
+            seen.append(
+                (self._lowest(state, np.vstack([step, stopping]), least, until), step, share, stopping)
+            )
+            if seen[-1][0] >= least:
                 return ClearStep(step, share, stopping, relaxed)
-        harder = self._brake_harder(state, braking, touching, until) if lowest < touching else None
-        return ClearStep(braking[0], 0.0, braking[1:], relaxed) if harder is None else harder
+        harder = self._brake_harder(state, braking, touching, until) if due else None
+        if harder is not None:
+            return harder
+        for comes, step, share, stopping in seen if self.moving else ():
+            if comes >= lowest - self._rounding:
+                return ClearStep(step, share, stopping, relaxed)
+        return ClearStep(braking[0], 0.0, braking[1:], relaxed)
 
     def _brake_harder(self, state: ArmState, braking: Array, touching: float, until: int) -> ClearStep | None:
         """Return the gentlest step beyond the acceleration limits that prevents contact.
 
-        None if a moving obstacle comes anyway, or if the step would still help in the next cycle: the arm may
-        evade until then.
+        None if a moving obstacle comes anyway.
         """
         for number in range(1, MAX_HALVINGS + 1):
-            part = 0.5**number * (number < MAX_HALVINGS)
-            step, next_step = part * braking[0], part * braking[min(1, len(braking) - 1)]
+            step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
             stopping = self._stopping(state, step)
             if self._lowest(state, np.vstack([step, stopping]), touching, until) >= touching:
-                later = np.vstack([braking[0], next_step, self._stopping(state, next_step)])
-                if self.moving and self._lowest(state, later, touching, until) >= touching:
-                    return None
                 break
         else:
             if self.moving:
