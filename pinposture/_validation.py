@@ -95,7 +95,7 @@ def length(name: str, value: Any, zero: bool = False) -> float:
 
 def require_known(kind: str, name: object, known: Collection[str]) -> None:
     """Raise UnknownName unless a name is one of those known."""
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         raise UnknownName(kind, name, known)
 
 

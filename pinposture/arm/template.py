@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture._validation import require_known
+from pinposture.errors import InvalidValue
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 
@@ -297,8 +298,7 @@ def template(name: str) -> ModuleTemplate:
     Raises:
         UnknownName: there is no such template.
     """
-    if not isinstance(name, str) or name not in TEMPLATES:
-        raise UnknownName("template", name, TEMPLATES)
+    require_known("template", name, TEMPLATES)
     return TEMPLATES[name]
 
 

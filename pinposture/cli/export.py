@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pinposture._validation import require_known
 from pinposture.cli.inputs import JsonOption
 from pinposture.cli.output import (
     MOTION_FILE,
@@ -18,7 +19,7 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
 )
-from pinposture.errors import FileError, UnknownName
+from pinposture.errors import FileError
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -119,9 +120,9 @@ def check_form(output: Path, form: str) -> None:
     """Raise an error for an unknown format or suffix."""
     from pinposture.motion.joint_files import check_format
 
-    if form not in ("", *NAMED_FORMATS):
-        raise UnknownName("format", form, NAMED_FORMATS)
-    if not form and output.suffix.lower() != ".mcap":
+    if form:
+        require_known("format", form, NAMED_FORMATS)
+    elif output.suffix.lower() != ".mcap":
         check_format(output)
 
 

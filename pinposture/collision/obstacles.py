@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture._validation import known_keys
+from pinposture._validation import known_keys, require_known
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Piece, Sphere
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
 
 Array = NDArray[np.float64]
@@ -47,8 +47,7 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
     name = values.pop("type", None)
     if name is None:
         raise InvalidValue("type", None, ", ".join(OBSTACLE_TYPES))
-    if not isinstance(name, str) or name not in OBSTACLE_TYPES:
-        raise UnknownName("type of obstacle", name, OBSTACLE_TYPES)
+    require_known("type of obstacle", name, OBSTACLE_TYPES)
     kind = OBSTACLE_TYPES[name]
     if kind in (Mesh, Scan):
         return kind.from_dict(values, folder)

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pinposture._validation import Vector, known_keys, length, point, require_positive
+from pinposture._validation import Vector, known_keys, length, point, require_known, require_positive
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import (
     OBSTACLE_TYPES,
@@ -95,8 +95,7 @@ class Scene:
         if not isinstance(values, Mapping):
             raise InvalidValue("values", values, "a mapping from names of obstacles")
         for name in values:
-            if name not in self.obstacles:
-                raise UnknownName("obstacle", name, tuple(self.obstacles))
+            require_known("obstacle", name, self.obstacles)
         return values.items()
 
     @property

@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import is_whole, require_positive, rigid_placement
+from pinposture._validation import is_whole, require_known, require_positive, rigid_placement
 from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -381,8 +381,7 @@ class EndEffector(ComparableTask):
         """
         if not isinstance(state, ArmState):
             raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
-        if hold not in HOLDS:
-            raise UnknownName("thing to hold", hold, HOLDS)
+        require_known("thing to hold", hold, HOLDS)
         k = _index(state, point)
         if hold == "position":
             return cls(position=state.points[k], point=point, **options)
@@ -460,8 +459,7 @@ class JointPosture(ComparableTask):
             return arm.columns
         known = arm.chain.input_names
         for name in self.joints:
-            if name not in known:
-                raise UnknownName("joint", name, known)
+            require_known("joint", name, known)
         return arm.columns[[known.index(name) for name in self.joints]]
 
 

@@ -27,6 +27,7 @@ from pinposture._validation import (
     as_points,
     as_vector,
     check_distinct,
+    require_known,
 )
 from pinposture.curve.geometry import MAX_DEGREE, Geometry, Parts, trim
 from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
@@ -419,15 +420,14 @@ def read_call(
     if "type" not in description:
         raise CurveError("description", f"needs the key 'type'; allowed: {', '.join(constructors)}")
     kind = description["type"]
-    if not isinstance(kind, str) or kind not in constructors:
-        raise UnknownName("type of curve", kind, constructors)
+    require_known("type of curve", kind, constructors)
     keys = {
         name: parameter.default is inspect.Parameter.empty
         for name, parameter in inspect.signature(constructors[kind]).parameters.items()
     }
     for key in description:
-        if key != "type" and key not in keys:
-            raise UnknownName(f"key of a {kind!r} curve", key, keys)
+        if key != "type":
+            require_known(f"key of a {kind!r} curve", key, keys)
     for key, needed in keys.items():
         if needed and key not in description:
             raise CurveError(f"{kind!r} curve", f"needs the key {key!r}")

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, require_positive
+from pinposture._validation import finite_vector, require_known, require_positive
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names, finite_array
 
 Array = NDArray[np.float64]
@@ -256,8 +256,7 @@ def _module_end(arm: Arm, name: str, point: str | int) -> int:
     """Return the number of joints of the chain up to a control point."""
     points = arm.control_points
     if isinstance(point, str):
-        if point not in points:
-            raise UnknownName(f"control point of tendon {name!r}", point, points)
+        require_known(f"control point of tendon {name!r}", point, points)
         point = points.index(point)
     if not -len(points) <= point < len(points):
         raise InvalidValue(f"control point of tendon {name!r}", point, f"an index of {len(points)} points")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, float_array, require_positive
+from pinposture._validation import finite_vector, float_array, require_known, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
@@ -31,7 +31,7 @@ from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
 from pinposture.control.planner.plan import PlanNeeded, is_small_change
-from pinposture.errors import InvalidValue, PostureError, UnknownName
+from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion.processes import BackgroundProcess, Interrupted, Shared
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target
@@ -496,12 +496,8 @@ class Tracker:
     ) -> None:
         period = cycle_of(limits)
         limits = cast(Limits, limits)  # checked by `cycle_of`
-        for name, choice, choices in (
-            ("interface", interface, INTERFACES),
-            ("planning", planning, PLANNING),
-        ):
-            if choice not in choices:
-                raise UnknownName(name, choice, choices)
+        require_known("interface", interface, INTERFACES)
+        require_known("planning", planning, PLANNING)
         times = {
             "feedback_time_constant": feedback_time_constant,
             "resync_time": resync_time,

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector
+from pinposture._validation import finite_vector, require_known
 from pinposture.arm import Arm
 from pinposture.arm.module_kinematics import ModuleKinematics
 from pinposture.curve import Curve
@@ -25,7 +25,6 @@ from pinposture.errors import (
     CurveOutOfReach,
     InvalidValue,
     TargetError,
-    UnknownName,
     UnsupportedModule,
     warn_caller,
 )
@@ -386,13 +385,10 @@ def _check_arguments(
         raise InvalidValue("curve", curve, "a Curve")
     if misfit := length_misfit(arm, curve):
         raise CurveError("curve", misfit)
-    for kind, name, allowed in (
-        ("placement", "align" if placement is None else placement, PLACEMENTS),
-        ("way to treat an incomplete target", incomplete, ("raise", "partial")),
-        ("method", method, METHODS),
-    ):
-        if name not in allowed:
-            raise UnknownName(kind, name, allowed)
+    if placement is not None:
+        require_known("placement", placement, PLACEMENTS)
+    require_known("way to treat an incomplete target", incomplete, ("raise", "partial"))
+    require_known("method", method, METHODS)
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
         raise InvalidValue("samples", samples, "a whole number of at least 2")
     if not math.isfinite(roll):

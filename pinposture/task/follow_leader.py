@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
-from pinposture._validation import require_positive
+from pinposture._validation import require_known, require_positive
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnknownName, UnsupportedModule
+from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnsupportedModule
 from pinposture.placement import Target
 from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve
@@ -177,8 +177,7 @@ class Route:
     ) -> None:
         if not isinstance(path, Curve):
             raise InvalidValue("path", path, "a Curve")
-        if placement not in PATH_PLACEMENTS:
-            raise UnknownName("placement", placement, PATH_PLACEMENTS)
+        require_known("placement", placement, PATH_PLACEMENTS)
         self.fed = fed = FedArm(arm, start)
         placed, moved = place_curve(fed.body, path, placement, 0.0)
         if placement == "align":
@@ -431,8 +430,7 @@ def follow_leader(
     """
     require_positive("interval", interval)
     require_positive("speed", speed)
-    if method not in PATH_METHODS:
-        raise UnknownName("method", method, PATH_METHODS)
+    require_known("method", method, PATH_METHODS)
     route = Route(arm, path, placement, start)
     fed = route.fed
     stride = MAX_STRIDE * float(fed.links.chain.module_lengths.min())
@@ -561,10 +559,9 @@ def check_leader(leader: Leader, arm: Arm) -> None:
     for name in ("depth", "pipe"):
         if getattr(leader, name) is not None:
             require_positive(name, getattr(leader, name))
-    if leader.placement not in (None, *PATH_PLACEMENTS):
-        raise UnknownName("placement", leader.placement, PATH_PLACEMENTS)
-    if leader.method not in PATH_METHODS:
-        raise UnknownName("method", leader.method, PATH_METHODS)
+    if leader.placement is not None:
+        require_known("placement", leader.placement, PATH_PLACEMENTS)
+    require_known("method", leader.method, PATH_METHODS)
     if not isinstance(leader.and_back, bool):
         raise InvalidValue("and_back", leader.and_back, "True or False")
     longest, narrowest = MAX_SIZE_RATIO * arm.length, arm.length / MAX_SIZE_RATIO

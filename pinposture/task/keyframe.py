@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, is_whole
+from pinposture._validation import as_number, finite_vector, is_whole, require_known
 from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
@@ -27,7 +27,6 @@ from pinposture.errors import (
     PostureError,
     TargetError,
     TaskError,
-    UnknownName,
     warn_caller,
 )
 from pinposture.placement import Target, resolve_targets
@@ -110,10 +109,9 @@ class Keyframe:
                 as_number(name, value, "a finite number >= 0 [s]", lambda number: number >= 0.0)
         as_number("speed", self.speed, "a share of the velocity limits, in (0, 1]", lambda x: 0.0 < x <= 1.0)
         as_number("roll", self.roll, "a finite angle [rad]", lambda _: True)
-        if self.placement not in (None, *PLACEMENTS):
-            raise UnknownName("placement", self.placement, PLACEMENTS)
-        if self.method not in METHODS:
-            raise UnknownName("method", self.method, METHODS)
+        if self.placement is not None:
+            require_known("placement", self.placement, PLACEMENTS)
+        require_known("method", self.method, METHODS)
         if self.tip is not None and not isinstance(self.tip, EndEffector):
             raise InvalidValue("tip", self.tip, "an EndEffector, or None")
         if self.region is not None:

@@ -11,9 +11,9 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.arm import Arm
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue
 from pinposture.placement.least_squares import refined
 from pinposture.task.keyframe import (
     CONTINUITIES,
@@ -342,8 +342,7 @@ def keyframe_reference(
     keyframes = tuple(keyframes)
     check_keyframes(keyframes, arm)
     require_positive("interval", interval)
-    if continuity not in CONTINUITIES:
-        raise UnknownName("continuity", continuity, CONTINUITIES)
+    require_known("continuity", continuity, CONTINUITIES)
     require_whole("repeat", repeat, 1)
     tour = keyframes
     keyframes = tour if repeat == 1 else lap_of(tour, float(interval))

@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
-from pinposture._validation import require_whole
+from pinposture._validation import require_known, require_whole
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
@@ -466,12 +466,10 @@ def check_task(task: TaskParts) -> None:
     if cycle > LONGEST_CYCLE:
         raise InvalidValue("dt", cycle, f"{LONGEST_CYCLE:g} s at most")
     task.limits.for_arm(task.arm)
-    if task.continuity not in CONTINUITIES:
-        raise UnknownName("continuity", task.continuity, CONTINUITIES)
+    require_known("continuity", task.continuity, CONTINUITIES)
     require_whole("repeat", task.repeat, 1)
-    unknown = [each for each in task.formats if each not in RESULT_FORMATS]
-    if unknown:
-        raise UnknownName("format", unknown[0], RESULT_FORMATS)
+    for each in task.formats:
+        require_known("format", each, RESULT_FORMATS)
     if not isinstance(task.name, str):
         raise InvalidValue("name", task.name, "text")
     described, kinds = task.described, (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.controller import Diagnostics, Memory, Step
@@ -24,7 +24,6 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import best_chain, checked_strides
-from pinposture.errors import UnknownName
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
 from pinposture.placement import Target
 
@@ -73,8 +72,7 @@ class Projection:
         require_positive("threshold", self.threshold)
         object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("null_gain", self.null_gain, zero=True)
-        if self.coupling not in COUPLINGS:
-            raise UnknownName("coupling", self.coupling, COUPLINGS)
+        require_known("coupling", self.coupling, COUPLINGS)
         if self.strides is not None:
             object.__setattr__(self, "strides", checked_strides(self.strides))
 

@@ -20,7 +20,6 @@ from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
 from pinposture.control.thesis.sections import SectionEdges, best_branch
-from pinposture.errors import UnknownName
 from pinposture.kernels.arrays import Screws
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
@@ -391,8 +390,8 @@ def run_one(
         UnknownName: no such scenario, variant or controller.
     """
     require_known("scenario", batch.scenario, SCENARIOS)
-    if batch.given is None and batch.variant not in VARIANTS:
-        raise UnknownName("variant", batch.variant, VARIANTS)
+    if batch.given is None:
+        require_known("variant", batch.variant, VARIANTS)
     scenario, variant = SCENARIOS[batch.scenario], batch.given or VARIANTS[batch.variant]
     arm = thesis_arm(scenario.arm, variant.free)
     start, target = case(arm, scenario, seed)
