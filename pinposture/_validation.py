@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from numbers import Integral, Real
+from types import UnionType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -59,18 +60,12 @@ def require_whole(name: str, value: int, least: int) -> None:
         raise InvalidValue(name, value, f"a whole number of at least {least}")
 
 
-def is_count(value: object) -> bool:
-    """Tell whether a value is a whole number of at least 1, and not a truth value."""
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
-
-
 def as_number(name: str, value: object, allowed: str, test: Callable[[float], bool]) -> float:
     """Read one finite number for which `test` holds, else raise InvalidValue with the words `allowed`."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        number = float(value)
-        if math.isfinite(number) and test(number):
-            return number
-    raise InvalidValue(name, value, allowed)
+    number = float(value) if is_number(value) else math.nan  # type: ignore[arg-type]
+    if not (math.isfinite(number) and test(number)):
+        raise InvalidValue(name, value, allowed)
+    return number
 
 
 def as_count(name: str, value: object, low: int, high: int) -> int:
@@ -91,6 +86,12 @@ def length(name: str, value: Any, zero: bool = False) -> float:
     least = 0.0 if zero else SMALLEST_LENGTH
     allowed = f"a length of {least:g} to {LARGEST_LENGTH:g} m"
     return as_number(name, value, allowed, lambda x: least <= x <= LARGEST_LENGTH)
+
+
+def require_instance(name: str, value: object, kind: type | UnionType, allowed: str) -> None:
+    """Raise InvalidValue, with the words `allowed`, unless a value is an instance of a class."""
+    if not isinstance(value, kind):
+        raise InvalidValue(name, value, allowed)
 
 
 def require_known(kind: str, name: object, known: Collection[str]) -> None:

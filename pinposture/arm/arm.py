@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, rigid_placement
+from pinposture._validation import as_number, finite_vector, require_instance, rigid_placement
 from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions, plausible_positions
 from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
@@ -283,8 +283,7 @@ class Arm(ConfigurationSpace):
             UnknownName: a frame does not exist.
             InvalidValue: the frames are not in order along one chain.
         """
-        if not isinstance(model, pin.Model):
-            raise InvalidValue("model", model, "a pin.Model")
+        require_instance("model", model, pin.Model, "a pin.Model")
         own = pin.Model(model)
         placement = rigid_placement("base_placement", base_placement)
         place_base(own, placement)

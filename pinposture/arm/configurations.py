@@ -211,8 +211,7 @@ def check_joint_positions(
         worst = int(np.argmax(np.where(free, np.abs(positions), 0.0)))
         count = f"{np.count_nonzero(wound)} joints without limits"
         turns = f"{count} are wound by more than {WOUND_POSITION / FULL_TURN:g} turns"
-        text = f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}"
-        warn_caller(text)
+        warn_caller(f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}")
 
 
 def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:

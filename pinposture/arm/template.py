@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from pinposture._validation import require_known
+from pinposture._validation import require_instance, require_known
 from pinposture.errors import InvalidValue
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
@@ -326,8 +326,7 @@ def modules_to_urdf(
         raise InvalidValue("modules", modules, "a sequence of ModuleTemplate")
     listed = list(modules)
     for index, module in enumerate(listed):
-        if not isinstance(module, ModuleTemplate):
-            raise InvalidValue(f"modules[{index}]", module, "a ModuleTemplate")
+        require_instance(f"modules[{index}]", module, ModuleTemplate, "a ModuleTemplate")
     if not listed:
         raise InvalidValue("modules", modules, "at least one ModuleTemplate")
     if not isinstance(name, str) or not name.strip() or not name.isprintable():

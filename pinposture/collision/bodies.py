@@ -69,8 +69,7 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
         named = [f"link {link!r}: {reason}" for link, _, reason in faults[:_MAX_LISTED_FAULTS]]
         if len(faults) > _MAX_LISTED_FAULTS:
             named.append(f"and {len(faults) - _MAX_LISTED_FAULTS} more")
-        message = f"capsules stand in for unusable collision geometry: {'; '.join(named)}"
-        warn_caller(message)
+        warn_caller(f"capsules stand in for unusable collision geometry: {'; '.join(named)}")
     return tuple(sorted(bodies, key=lambda body: body.joint))
 
 

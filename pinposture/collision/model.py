@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import SMALLEST_LENGTH, finite_vector
+from pinposture._validation import SMALLEST_LENGTH, finite_vector, require_instance
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
@@ -322,10 +322,8 @@ class CollisionModel:
         Raises:
             InvalidValue: not an arm or not a scene.
         """
-        if not isinstance(arm, Arm):
-            raise InvalidValue("arm", arm, "an Arm")
-        if not isinstance(scene, Scene):
-            raise InvalidValue("scene", scene, "a Scene")
+        require_instance("arm", arm, Arm, "an Arm")
+        require_instance("scene", scene, Scene, "a Scene")
         models: dict[tuple[Scene, frozenset[str]], CollisionModel] = arm.cache.setdefault(cls, {})
         key = scene.first, scene.moving
         if key not in models:

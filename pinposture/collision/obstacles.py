@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture._validation import known_keys, require_known
+from pinposture._validation import known_keys, require_instance, require_known
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Piece, Sphere
 from pinposture.errors import InvalidValue
@@ -41,8 +41,7 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
         UnknownName: an unknown type.
         FileError: the file of a mesh or scan is missing or invalid.
     """
-    if not isinstance(described, Mapping):
-        raise InvalidValue("obstacle", described, "a table with a 'type'")
+    require_instance("obstacle", described, Mapping, "a table with a 'type'")
     values = dict(described)
     name = values.pop("type", None)
     if name is None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import _validation
-from pinposture._validation import LARGEST_LENGTH, Matrix, Vector, is_count, known_keys, length, point
+from pinposture._validation import LARGEST_LENGTH, Matrix, Vector, known_keys, length, point, require_whole
 from pinposture.collision.files import read_scan, scale_factor
 from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, set_fields
 from pinposture.errors import FileError, InvalidValue, PostureWarning, warn_caller
@@ -271,8 +271,7 @@ class Scan(Surface):
         Raises:
             InvalidValue: not a whole number of at least 1, or too small for a surface to keep any triangles.
         """
-        if not is_count(count):
-            raise InvalidValue("count", count, "a whole number of at least 1")
+        require_whole("count", count, 1)
         if len(self.points) <= count:
             return self
         kept, cubes = representatives(self.points, int(count))

@@ -15,7 +15,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pinposture._validation import Vector, known_keys, length, point, require_known, require_positive
+from pinposture._validation import (
+    Vector,
+    known_keys,
+    length,
+    point,
+    require_instance,
+    require_known,
+    require_positive,
+)
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import (
     OBSTACLE_TYPES,
@@ -71,16 +79,14 @@ class Scene:
     _hash: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.obstacles, Mapping):
-            raise InvalidValue("obstacles", self.obstacles, "a mapping from names to obstacles")
+        require_instance("obstacles", self.obstacles, Mapping, "a mapping from names to obstacles")
         for name, obstacle in self.obstacles.items():
             if not isinstance(name, str) or not name.strip() or not name.isprintable():
                 raise InvalidValue("name of an obstacle", name, "printable text that is not blank")
             if not isinstance(obstacle, tuple(OBSTACLE_TYPES.values())):
                 allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
                 raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
-        if not isinstance(self.self_collision, bool):
-            raise InvalidValue("self_collision", self.self_collision, "True or False")
+        require_instance("self_collision", self.self_collision, bool, "True or False")
         object.__setattr__(self, "obstacles", MappingProxyType(dict(self.obstacles)))
         object.__setattr__(self, "margin", length("margin", self.margin, zero=True))
         if self.arm_radius is not None:
@@ -92,8 +98,7 @@ class Scene:
 
     def _known(self, values: Mapping[str, Any]) -> ItemsView[str, Any]:
         """Return the items of a mapping from obstacle names; raise UnknownName for an unknown obstacle."""
-        if not isinstance(values, Mapping):
-            raise InvalidValue("values", values, "a mapping from names of obstacles")
+        require_instance("values", values, Mapping, "a mapping from names of obstacles")
         for name in values:
             require_known("obstacle", name, self.obstacles)
         return values.items()
@@ -197,16 +202,14 @@ class Scene:
             UnknownName: an unknown type of obstacle.
             FileError: a missing or unreadable mesh or scan.
         """
-        if not isinstance(described, Mapping):
-            raise InvalidValue("scene", described, f"a table of: {', '.join(_KEYS)}")
+        require_instance("scene", described, Mapping, f"a table of: {', '.join(_KEYS)}")
         known_keys("the scene", described, _KEYS)
         version = described.get("version", VERSION)
         if isinstance(version, bool) or version != VERSION:
             raise InvalidValue("version", version, str(VERSION))
         values = {key: described[key] for key in _KEYS[2:] if key in described}
         listed = described.get("obstacles", {})
-        if not isinstance(listed, Mapping):
-            raise InvalidValue("obstacles", listed, "a table of obstacles, each under its name")
+        require_instance("obstacles", listed, Mapping, "a table of obstacles, each under its name")
         obstacles = {name: _obstacle(name, each, folder) for name, each in listed.items()}
         return cls(obstacles, **values)
 

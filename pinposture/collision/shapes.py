@@ -25,6 +25,7 @@ from pinposture._validation import (
     known_keys,
     length,
     point,
+    require_instance,
     rotation,
 )
 from pinposture.collision.files import Triangles, merge_corners, read_mesh, scale_factor
@@ -489,8 +490,7 @@ def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folde
         raise InvalidValue(f"path or {key}", given, "one of the two: a file, or points (n, 3) [m]")
     if "path" in values:
         path = values.pop("path")
-        if not isinstance(path, str):
-            raise InvalidValue("path", path, "the name of a file")
+        require_instance("path", path, str, "the name of a file")
         if "faces" in values:
             raise InvalidValue("faces", values["faces"], "nothing: they are read from the file")
         return kind.load(Path(folder) / path, **values)

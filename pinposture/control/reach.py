@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_vector, require_positive, require_whole
+from pinposture._validation import as_vector, require_instance, require_positive, require_whole
 from pinposture._validation import direction as unit_vector
 from pinposture.arm import Arm, ArmState, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
@@ -144,8 +144,7 @@ def reach(
         ReachError: no clear posture was found; the message says how close the search came.
     """
     began = perf_counter()
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
+    require_instance("arm", arm, Arm, "an Arm")
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if not (limits is None or isinstance(limits, Limits)):

@@ -10,7 +10,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import is_whole, require_known, require_positive, rigid_placement
+from pinposture._validation import (
+    is_whole,
+    require_instance,
+    require_known,
+    require_positive,
+    rigid_placement,
+)
 from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
@@ -358,8 +364,7 @@ class EndEffector(ComparableTask):
                 raise InvalidValue("point", self.point, "the index or the name of one control point")
             self._set("point", int(self.point))
         for name in ("priority", "direction_only"):
-            if not isinstance(getattr(self, name), bool | np.bool_):
-                raise InvalidValue(name, getattr(self, name), "True or False")
+            require_instance(name, getattr(self, name), bool | np.bool_, "True or False")
             self._set(name, bool(getattr(self, name)))
         if self.direction_only and self.pose is None:
             raise InvalidValue("direction_only", True, "False, or a pose in place of the position")
@@ -379,8 +384,7 @@ class EndEffector(ComparableTask):
             UnknownName: another value of `hold`, or a control point that the arm does not have.
             InvalidValue: as for `EndEffector`, or an index that no control point has.
         """
-        if not isinstance(state, ArmState):
-            raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+        require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
         require_known("thing to hold", hold, HOLDS)
         k = _index(state, point)
         if hold == "position":
@@ -532,8 +536,7 @@ class Tangents(ComparableTask):
         Raises:
             InvalidValue: a target without a curve, or an index that it does not have.
         """
-        if not isinstance(target, Target):
-            raise InvalidValue("target", target, "a Target on a curve, from resolve_targets")
+        require_instance("target", target, Target, "a Target on a curve, from resolve_targets")
         if target.curve is None or target.parameters is None:
             raise InvalidValue("target.curve", None, "a target on a curve, from resolve_targets")
         m = len(target.parameters)

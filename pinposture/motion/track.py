@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_instance, require_positive, require_whole
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
@@ -371,8 +371,7 @@ def track(
     """
     controller, scene = in_scene(controller_named(controller), scene)
     limits = require_limits(limits)
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     target.check_arm(arm)
     if target.q is not None:
         arm.checked_start(target.q, "target.q")

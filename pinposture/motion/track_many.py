@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import is_number, require_positive, require_whole
+from pinposture._validation import is_number, require_instance, require_positive, require_whole
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
@@ -149,8 +149,7 @@ def track_many(
     )
     failed = np.flatnonzero(batch.status == FAILED)
     if len(failed):
-        text = f"{len(failed)} of {count} runs failed; run {failed[0]}: {batch.reason[failed[0]]}"
-        warn_caller(text)
+        warn_caller(f"{len(failed)} of {count} runs failed; run {failed[0]}: {batch.reason[failed[0]]}")
     return batch
 
 
@@ -164,8 +163,7 @@ def _targets(arm: Arm, targets: Target | Sequence[Target]) -> list[Target]:
     except TypeError:
         raise InvalidValue("targets", targets, "a Target, or a sequence of Targets") from None
     for k, target in enumerate(listed):
-        if not isinstance(target, Target):
-            raise InvalidValue(f"targets[{k}]", target, "a Target, as `resolve_targets` returns it")
+        require_instance(f"targets[{k}]", target, Target, "a Target, as `resolve_targets` returns it")
         try:
             target.check_arm(arm)
         except InvalidValue as error:

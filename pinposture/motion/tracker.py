@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, float_array, require_known, require_positive
+from pinposture._validation import (
+    finite_vector,
+    float_array,
+    require_instance,
+    require_known,
+    require_positive,
+)
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
@@ -555,8 +561,7 @@ class Tracker:
             InvalidValue: the target does not fit the arm (the previous one stays), or a velocity is given for
                 a target without a configuration.
         """
-        if not isinstance(target, Target):
-            raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+        require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
         if velocity is not None:
             target = replace(target, velocity=finite_vector("velocity", velocity, self.arm.nv))
         target.check_arm(self.arm)

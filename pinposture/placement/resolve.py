@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, require_known
+from pinposture._validation import finite_vector, require_instance, require_known, require_whole
 from pinposture.arm import Arm
 from pinposture.arm.module_kinematics import ModuleKinematics
 from pinposture.curve import Curve
@@ -379,18 +379,15 @@ def _check_arguments(
     method: str,
     near: Target | None,
 ) -> None:
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
-    if not isinstance(curve, Curve):
-        raise InvalidValue("curve", curve, "a Curve")
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("curve", curve, Curve, "a Curve")
     if misfit := length_misfit(arm, curve):
         raise CurveError("curve", misfit)
     if placement is not None:
         require_known("placement", placement, PLACEMENTS)
     require_known("way to treat an incomplete target", incomplete, ("raise", "partial"))
     require_known("method", method, METHODS)
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
-        raise InvalidValue("samples", samples, "a whole number of at least 2")
+    require_whole("samples", samples, 2)
     if not math.isfinite(roll):
         raise InvalidValue("roll", roll, "a finite angle [rad]")
     if near is not None:

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, require_positive
+from pinposture._validation import finite_vector, require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
@@ -84,8 +84,7 @@ class Servos:
         if not isinstance(self.torque_limits, bool):
             require_positive("torque_limits", self.torque_limits)
         for name in ("gravity_compensation", "speed_reference"):
-            if not isinstance(getattr(self, name), bool):
-                raise InvalidValue(name, getattr(self, name), "True or False")
+            require_instance(name, getattr(self, name), bool, "True or False")
 
     def limits(self, effort: Array) -> Array:
         """Return the torque limit of each servo, (n,) [N m or N]; infinite without a limit.

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_vector, require_positive, require_whole
+from pinposture._validation import as_vector, require_instance, require_positive, require_whole
 from pinposture._validation import direction as unit_vector
 from pinposture.arm import Arm
 from pinposture.collision import Scene, Sphere
@@ -93,10 +93,8 @@ def find_path(
         ReachError: no curve was found; the message says why.
     """
     until = perf_counter() + budget if isinstance(budget, int | float) else inf
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
-    if not isinstance(scene, Scene):
-        raise InvalidValue("scene", scene, "a Scene(...)")
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("scene", scene, Scene, "a Scene(...)")
     require_positive("budget", budget)
     require_whole("seed", seed, 0)
     follower = _follower(arm)

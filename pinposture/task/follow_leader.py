@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
-from pinposture._validation import require_known, require_positive
+from pinposture._validation import require_instance, require_known, require_positive
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnsupportedModule
@@ -75,8 +75,7 @@ class FedArm:
     """
 
     def __init__(self, arm: Arm, start: ArrayLike | None = None) -> None:
-        if not isinstance(arm, Arm):
-            raise InvalidValue("arm", arm, FEED_REQUIREMENT)
+        require_instance("arm", arm, Arm, FEED_REQUIREMENT)
         chain = arm.chain
         if arm.couplings:
             name, leader, *_ = arm.couplings[0]
@@ -175,8 +174,7 @@ class Route:
     def __init__(
         self, arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | None = None
     ) -> None:
-        if not isinstance(path, Curve):
-            raise InvalidValue("path", path, "a Curve")
+        require_instance("path", path, Curve, "a Curve")
         require_known("placement", placement, PATH_PLACEMENTS)
         self.fed = fed = FedArm(arm, start)
         placed, moved = place_curve(fed.body, path, placement, 0.0)
@@ -553,8 +551,7 @@ def check_leader(leader: Leader, arm: Arm) -> None:
         InvalidValue: names the attribute.
         UnknownName: a `placement` or `method` that does not exist.
     """
-    if not isinstance(leader.path, Curve):
-        raise InvalidValue("path", leader.path, "a Curve")
+    require_instance("path", leader.path, Curve, "a Curve")
     require_positive("speed", leader.speed)
     for name in ("depth", "pipe"):
         if getattr(leader, name) is not None:
@@ -562,8 +559,7 @@ def check_leader(leader: Leader, arm: Arm) -> None:
     if leader.placement is not None:
         require_known("placement", leader.placement, PATH_PLACEMENTS)
     require_known("method", leader.method, PATH_METHODS)
-    if not isinstance(leader.and_back, bool):
-        raise InvalidValue("and_back", leader.and_back, "True or False")
+    require_instance("and_back", leader.and_back, bool, "True or False")
     longest, narrowest = MAX_SIZE_RATIO * arm.length, arm.length / MAX_SIZE_RATIO
     if leader.path.length > longest:
         allowed = f"{longest:.4g} m, {MAX_SIZE_RATIO} times the arm"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, is_whole, require_known
+from pinposture._validation import as_number, finite_vector, is_whole, require_instance, require_known
 from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
@@ -93,8 +93,7 @@ class Keyframe:
     speed: float = 1.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise InvalidValue("name", self.name, "text, or empty for the number of the keyframe")
+        require_instance("name", self.name, str, "text, or empty for the number of the keyframe")
         with naming(f"keyframe {self.name!r}" if self.name else "keyframe"):
             self._check()
 
@@ -120,8 +119,7 @@ class Keyframe:
                 allowed = "two whole numbers (first, last), 0 <= first <= last"
                 raise InvalidValue("region", self.region, allowed)
             object.__setattr__(self, "region", (int(ends[0]), int(ends[1])))
-        if not isinstance(self.trim, bool):
-            raise InvalidValue("trim", self.trim, "True or False")
+        require_instance("trim", self.trim, bool, "True or False")
         if self.joints is not None:
             joints = finite_vector("joints", self.joints, np.size(self.joints))
             object.__setattr__(self, "joints", tuple(joints.tolist()))
@@ -556,8 +554,7 @@ def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyf
         if misfit and keyframe.curve is None:
             raise TaskError(title(keyframes, index), f"joints {misfit}")
         if misfit:
-            text = f"{title(keyframes, index)}: joints {misfit}; they are ignored"
-            warn_caller(text)
+            warn_caller(f"{title(keyframes, index)}: joints {misfit}; they are ignored")
         fitting.append(replace(keyframe, joints=None) if misfit else keyframe)
     return tuple(fitting)
 

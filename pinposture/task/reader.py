@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
-from pinposture._validation import require_known, require_whole
+from pinposture._validation import require_instance, require_known, require_whole
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
@@ -460,8 +460,7 @@ def check_task(task: TaskParts) -> None:
         UnknownName: a `continuity`, a format or a control point that does not exist.
         TaskError: a keyframe or an obstacle that does not fit the arm; names it.
     """
-    if not isinstance(task.arm, Arm):
-        raise InvalidValue("arm", task.arm, "an Arm")
+    require_instance("arm", task.arm, Arm, "an Arm")
     cycle = cycle_of(task.limits)
     if cycle > LONGEST_CYCLE:
         raise InvalidValue("dt", cycle, f"{LONGEST_CYCLE:g} s at most")
@@ -470,8 +469,7 @@ def check_task(task: TaskParts) -> None:
     require_whole("repeat", task.repeat, 1)
     for each in task.formats:
         require_known("format", each, RESULT_FORMATS)
-    if not isinstance(task.name, str):
-        raise InvalidValue("name", task.name, "text")
+    require_instance("name", task.name, str, "text")
     described, kinds = task.described, (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
     if not isinstance(described, Mapping) or not all(isinstance(each, kinds) for each in described):
         allowed = "a mapping from curves, tips, a scene or obstacles to their descriptions"

@@ -98,8 +98,7 @@ class Descriptions:
                 return True
         except PostureError as error:
             reason = f"but {getattr(error, 'reason', error)}"
-        message = f"{self.file}: {key} was {shown(plain)}, {reason}; it is written out"
-        warn_caller(message)
+        warn_caller(f"{self.file}: {key} was {shown(plain)}, {reason}; it is written out")
         return False
 
 

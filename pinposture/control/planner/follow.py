@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
@@ -252,8 +253,7 @@ def follow(
     Raises:
         InvalidValue: an argument of the wrong type, or of another arm.
     """
-    if not isinstance(path, TimedPath):
-        raise InvalidValue("path", path, "a TimedPath, as `retime` returns it")
+    require_instance("path", path, TimedPath, "a TimedPath, as `retime` returns it")
     require_step_arguments(state, path.path.objective.target, memory)
     if state.arm is not path.path.arm:
         raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")
