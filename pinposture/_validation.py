@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from difflib import get_close_matches
 from numbers import Integral, Real
 from types import UnionType
 from typing import Any, TypeAlias
@@ -13,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.errors import CurveError, InvalidValue, UnknownName
+from pinposture.errors import CurveError, InvalidValue, UnknownName, did_you_mean
 
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
@@ -105,9 +104,7 @@ def known_keys(what: str, given: Mapping[str, Any], allowed: Iterable[str]) -> N
     names = tuple(allowed)
     for key in given:
         if key not in names:
-            close = get_close_matches(str(key), names, n=1)
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
-            raise InvalidValue(f"key of {what}", key, ", ".join(names) + hint)
+            raise InvalidValue(f"key of {what}", key, ", ".join(names) + did_you_mean(key, names))
 
 
 def as_points(

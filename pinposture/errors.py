@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,20 @@ def warn_caller(message: str) -> None:
     warnings.warn(message, PostureWarning, stacklevel=level)
 
 
+@contextmanager
+def no_warnings() -> Iterator[None]:
+    """Suppress PostureWarnings, for instance those that have been given before."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        yield
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return a question about the most similar of the known names, with a leading blank, or ""."""
+    close = get_close_matches(str(name), tuple(known), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
 class InvalidValue(PostureError, ValueError):
     """A value of the wrong type, shape, size or sign, or one that is not finite.
 
@@ -67,9 +82,8 @@ class UnknownName(PostureError, KeyError):
 
     def __init__(self, kind: str, name: object, allowed: Iterable[str]) -> None:
         self.kind, self.name, self.allowed = kind, name, tuple(allowed)
-        close = get_close_matches(str(name), self.allowed, n=1)
         listed = ", ".join(self.allowed[:12]) + (", ..." if len(self.allowed) > 12 else "")
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        hint = did_you_mean(name, self.allowed)
         super().__init__(f"no {kind} is called {name!r}{hint}; there are: {listed or 'none'}")
 
     def __str__(self) -> str:  # KeyError would show the repr of the message

@@ -6,12 +6,18 @@ import csv
 import io
 import json
 import os
+import sys
 import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pinposture.errors import FileError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,6 +76,28 @@ def read_text(path: Path) -> str:
         raise FileError(path, f"cannot be read ({error.strerror or error})") from error
     except ValueError as error:  # a name with a null byte
         raise FileError(path, f"cannot be read ({error})") from error
+
+
+def parse_json(path: Path, text: str, **options: Any) -> Any:
+    """Return the content of a JSON text; `options` are those of `json.loads`.
+
+    Raises:
+        FileError: it is malformed; names the file, and the line if that is known.
+    """
+    try:
+        return json.loads(text, **options)
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    except ValueError as error:  # a number of thousands of digits
+        raise FileError(path, str(error)) from error
+    except RecursionError as error:
+        raise FileError(path, "lists or objects are nested too deep") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the content of a TOML text; raises a ValueError that names the line, or a RecursionError."""
+    content: dict[str, Any] = tomllib.loads(text)
+    return content
 
 
 def write_text(path: Path, text: str) -> None:

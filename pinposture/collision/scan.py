@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from pinposture import _validation
 from pinposture._validation import LARGEST_LENGTH, Matrix, Vector, known_keys, length, point, require_whole
 from pinposture.collision.files import read_scan, scale_factor
 from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, set_fields
-from pinposture.errors import FileError, InvalidValue, PostureWarning, warn_caller
+from pinposture.errors import FileError, InvalidValue, no_warnings, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -282,8 +281,7 @@ class Scan(Surface):
                 allowed = "more points; with so few, no triangle of the surface is left"
                 raise InvalidValue("count", count, allowed)
         colors = None if self.colors is None else self.colors[kept]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PostureWarning)  # a warning about its width was already given
+        with no_warnings():  # one about its width has been given
             return replace(self, points=self.points[kept], faces=faces, colors=colors, path=None)
 
     def __repr__(self) -> str:

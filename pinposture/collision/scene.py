@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import ItemsView, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -35,12 +34,7 @@ from pinposture.collision.obstacles import (
 )
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
-from pinposture.storage import read_text, relative, write_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from pinposture.storage import parse_json, parse_toml, read_text, relative, write_text
 
 VERSION = 1
 MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
@@ -231,10 +225,8 @@ class Scene:
             raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
         text = read_text(path)
         try:
-            content = tomllib.loads(text) if suffix == ".toml" else json.loads(text)
-        except json.JSONDecodeError as error:
-            raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-        except (ValueError, RecursionError) as error:  # TOML errors contain the line
+            content = parse_toml(text) if suffix == ".toml" else parse_json(path, text)
+        except (ValueError, RecursionError) as error:  # of TOML, with the line
             raise FileError(path, str(error).replace("\n", " ")) from error
         try:
             scene = cls.from_dict(content, str(path.parent))

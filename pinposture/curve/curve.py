@@ -31,7 +31,7 @@ from pinposture._validation import (
 )
 from pinposture.curve.geometry import MAX_DEGREE, Geometry, Parts, trim
 from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
-from pinposture.storage import read_text, write_text
+from pinposture.storage import parse_json, read_text, write_text
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -316,14 +316,7 @@ def read_description(path: Path) -> dict[str, Any]:
     text = read_text(path)
     if suffix in _TABLES:
         return {"type": "points", "points": _table(path, text)}
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-    except ValueError as error:  # a number with thousands of digits
-        raise FileError(path, str(error)) from error
-    except RecursionError as error:
-        raise FileError(path, "lists within lists without end") from error
+    content = parse_json(path, text)
     if isinstance(content, list):
         return {"type": "points", "points": content}
     if not isinstance(content, dict):

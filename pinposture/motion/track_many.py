@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -16,7 +15,7 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.limits import require_limits
-from pinposture.errors import InvalidValue, PostureError, PostureWarning, warn_caller
+from pinposture.errors import InvalidValue, PostureError, no_warnings, warn_caller
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track
 from pinposture.motion.trajectory import Trajectory
@@ -128,8 +127,7 @@ def track_many(
         for k in range(count)
     ]
     ends, motions = [], []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # given above
+    with no_warnings():  # given above
         for done, (end, motion) in enumerate(adaptively_in_order(tasks, jobs), 1):
             ends.append(end)
             motions.append(motion)
@@ -199,8 +197,7 @@ def _run_quietly(
     setting = shared.value
     if setting.process == os.getpid():
         return _run(setting, target, start)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)
+    with no_warnings():
         return _run(setting, target, start)
 
 

@@ -19,7 +19,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.errors import FileError
 from pinposture.motion.trajectory import path_length_ratio
-from pinposture.storage import read_text, write_text
+from pinposture.storage import parse_json, read_text, write_text
 from pinposture.study.clutter import dense_clearance, draw_problem
 from pinposture.study.scenarios import ARMS, SCENARIOS, case, urdf_files
 from pinposture.study.scenes import situation_arm
@@ -189,10 +189,7 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
 
 
 def _read(path: Path, form: str, keys: Sequence[str]) -> dict[str, Any]:
-    try:
-        content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    content = parse_json(path, read_text(path))
     if not isinstance(content, dict) or content.get("format") != form:
         raise FileError(path, f'is not a file with "format": "{form}"')
     if content.get("version") != BENCHMARK_VERSION:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import sys
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -28,7 +26,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.curve import CURVES, Curve
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.placement.target import length_misfit
-from pinposture.storage import read_text, settled
+from pinposture.storage import parse_json, parse_toml, read_text, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
 from pinposture.task.keyframe import (
     CONTINUITIES,
@@ -57,12 +55,6 @@ from pinposture.task.specification import (
 )
 from pinposture.task.toml import Place, lines_of_toml
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-
 # Text parsed into plain data.
 
 MAX_NESTING = 20
@@ -84,9 +76,7 @@ def check_format(path: Path) -> None:
 def _parsed(path: Path, text: str) -> dict[str, Any]:
     try:
         is_toml = path.suffix.lower() == ".toml"
-        values = tomllib.loads(text) if is_toml else json.loads(text, object_pairs_hook=_unique_keys)
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+        values = parse_toml(text) if is_toml else parse_json(path, text, object_pairs_hook=_unique_keys)
     except RecursionError:
         raise FileError(
             path, f"tables and lists are nested too deep; allowed: {MAX_NESTING} levels"
