@@ -225,6 +225,28 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray
     return array
 
 
+def finite_array(
+    name: str, values: ArrayLike, shape: tuple[int | None, ...] | None = None
+) -> NDArray[np.float64]:
+    """Return a fresh array of finite floats; None in the shape stands for any positive length.
+
+    Raises:
+        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
+    """
+    words = "finite numbers" if shape is None else f"finite numbers of shape {shape}".replace("None", "k")
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(name, values, words) from None
+    if shape is not None:
+        sizes = zip(array.shape, shape, strict=False)
+        if array.ndim != len(shape) or not all(have == (want or max(have, 1)) for have, want in sizes):
+            raise InvalidValue(f"{name} (shape)", array.shape, words)
+    for where in np.argwhere(~np.isfinite(array))[:1]:
+        raise InvalidValue(f"{name}{where.tolist() or ''}", float(array[tuple(where)]), "finite numbers")
+    return array
+
+
 def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """Return a fresh vector (size,) of finite floats.
 
@@ -238,6 +260,19 @@ def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64
             bad = int(np.argmin(finite))
             raise InvalidValue(f"{name}[{bad}]", float(vector[bad]), "finite numbers")
     return vector
+
+
+def set_fields(frozen: object, **values: object) -> None:
+    """Set attributes of a frozen dataclass during its construction."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def make_read_only(*values: object) -> None:
+    """Make the arrays among some values read-only."""
+    for value in values:
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
 
 
 def rigid_placement(name: str, value: object) -> pin.SE3:

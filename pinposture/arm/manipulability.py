@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_known
+from pinposture._validation import make_read_only, require_known
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -83,8 +83,7 @@ def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, cent
     radii = np.where(radii > ZERO_SINGULAR_VALUE * radii[0], radii, 0.0)
     directions = axes.T @ plane
     center = center.copy()
-    for array in (center, directions, radii):
-        array.flags.writeable = False
+    make_read_only(center, directions, radii)
     return Ellipsoid(point, base, center, directions, radii)
 
 

@@ -11,9 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import _validation
-from pinposture._validation import LARGEST_LENGTH, Matrix, Vector, known_keys, length, point, require_whole
+from pinposture._validation import (
+    LARGEST_LENGTH,
+    Matrix,
+    Vector,
+    known_keys,
+    length,
+    make_read_only,
+    point,
+    require_whole,
+    set_fields,
+)
 from pinposture.collision.files import read_scan, scale_factor
-from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, set_fields
+from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path
 from pinposture.errors import FileError, InvalidValue, no_warnings, warn_caller
 
 Array = NDArray[np.float64]
@@ -180,9 +190,7 @@ class Scan(Surface):
         if width > MAX_PLAUSIBLE_WIDTH:
             text = f"{self.name} is {width:.4g} m wide; if it is in millimetres, load it with scale=0.001"
             warn_caller(text)
-        for array in (points, faces, colors):
-            if array is not None:
-                array.flags.writeable = False
+        make_read_only(points, faces, colors)
         set_fields(self, points=points, faces=faces, colors=colors, dropped=dropped, point_radius=radius)
         set_fields(
             self,

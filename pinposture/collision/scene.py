@@ -22,6 +22,7 @@ from pinposture._validation import (
     require_instance,
     require_known,
     require_positive,
+    set_fields,
 )
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import (
@@ -81,14 +82,14 @@ class Scene:
                 allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
                 raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
         require_instance("self_collision", self.self_collision, bool, "True or False")
-        object.__setattr__(self, "obstacles", MappingProxyType(dict(self.obstacles)))
-        object.__setattr__(self, "margin", length("margin", self.margin, zero=True))
+        obstacles, margin = MappingProxyType(dict(self.obstacles)), length("margin", self.margin, zero=True)
+        set_fields(self, obstacles=obstacles, margin=margin)
         if self.arm_radius is not None:
-            object.__setattr__(self, "arm_radius", length("arm_radius", self.arm_radius))
+            set_fields(self, arm_radius=length("arm_radius", self.arm_radius))
         velocities = {name: point(f"velocities[{name!r}]", v) for name, v in self._known(self.velocities)}
-        object.__setattr__(self, "velocities", MappingProxyType(velocities))
+        set_fields(self, velocities=MappingProxyType(velocities))
         # The hash is precomputed: every control step may look up the collision model of a scene.
-        object.__setattr__(self, "_hash", hash(self._key()))
+        set_fields(self, _hash=hash(self._key()))
 
     def _known(self, values: Mapping[str, Any]) -> ItemsView[str, Any]:
         """Return the items of a mapping from obstacle names; raise UnknownName for an unknown obstacle."""
@@ -158,12 +159,12 @@ class Scene:
             return self
         other = replace(self, self_collision=False)
         if self._first is not None:
-            object.__setattr__(other, "_first", replace(self._first, self_collision=False))
+            set_fields(other, _first=replace(self._first, self_collision=False))
         return other
 
     def _at_moment(self, obstacles: Mapping[str, Obstacle], velocities: Mapping[str, Vector]) -> Scene:
         other = replace(self, obstacles=obstacles, velocities=velocities)
-        object.__setattr__(other, "_first", self.first)
+        set_fields(other, _first=self.first)
         return other
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:

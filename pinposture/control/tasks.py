@@ -11,7 +11,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import (
+    finite_array,
     is_whole,
+    make_read_only,
     require_instance,
     require_known,
     require_positive,
@@ -272,8 +274,7 @@ class ComparableTask:
 
     def _set(self, name: str, value: object) -> None:
         """Set a field of the frozen task during initialisation; arrays become read-only."""
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
+        make_read_only(value)
         object.__setattr__(self, name, value)
 
     def _set_scales(self, weight: float, length: float | None) -> None:
@@ -288,27 +289,6 @@ class ComparableTask:
 def lever(arm: Arm, length: float | None) -> float:
     """Return the lever arm of rotations: the length that one radian counts as [m/rad]."""
     return arm.characteristic_length if length is None else length
-
-
-def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a new array of finite floats; None in the shape stands for any positive length.
-
-    Raises:
-        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
-    """
-    words = f"finite numbers of shape {shape}".replace("None", "k")
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if values is None or array.size == 0:
-        raise InvalidValue(name, values, words)
-    fits = array.ndim == len(shape)
-    if not (fits and all(want in (None, have) for have, want in zip(array.shape, shape, strict=True))):
-        raise InvalidValue(f"{name} (shape)", array.shape, words)
-    for where in np.argwhere(~np.isfinite(array))[:1]:
-        raise InvalidValue(f"{name}{where.tolist()}", float(array[tuple(where)]), words)
-    return array
 
 
 HOLDS = ("position", "pose")

@@ -14,11 +14,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, require_known, require_positive
+from pinposture._validation import (
+    finite_array,
+    finite_vector,
+    make_read_only,
+    require_known,
+    require_positive,
+)
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names, finite_array
+from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 
 Array = NDArray[np.float64]
 
@@ -87,6 +93,7 @@ class Actuators:
         """
         checked = check_names(names)
         table = finite_array("matrix", matrix, (len(checked), arm.nv))
+        make_read_only(table)
         if len(units) != len(checked) or not set(units) <= {RADIAN, METRE}:
             allowed = f"{RADIAN!r} or {METRE!r} for each of {len(checked)} actuators"
             raise InvalidValue("units", units, allowed)

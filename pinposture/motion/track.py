@@ -94,8 +94,10 @@ class RunRecord:
             target: the new target, if it has changed.
         """
         self._target = self._target if target is None else target
-        self._steps.append(step._replace(diagnostics=_without_state(step.diagnostics)))
-        if not step.diagnostics.following_path:
+        note = step.diagnostics
+        spectrum = SingularValues(note.sigma_min, note.sigma_max)  # computed now, to keep no state in memory
+        self._steps.append(step._replace(diagnostics=note._replace(spectrum=spectrum)))
+        if not note.following_path:
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
@@ -155,11 +157,6 @@ class RunRecord:
         return replace(
             run, reason=f"{reason}; {run.excess.text}", violated_constraints=np.array(relaxed, dtype=np.str_)
         )
-
-
-def _without_state(note: Diagnostics) -> Diagnostics:
-    """Return diagnostics with their singular values computed, so that they keep no state in memory."""
-    return note._replace(spectrum=SingularValues(note.sigma_min, note.sigma_max))
 
 
 Callback = Callable[[int, ArmState, Step], object]

@@ -504,14 +504,15 @@ class Tracker:
         limits = cast(Limits, limits)  # checked by `cycle_of`
         require_known("interface", interface, INTERFACES)
         require_known("planning", planning, PLANNING)
-        times = {
-            "feedback_time_constant": feedback_time_constant,
-            "resync_time": resync_time,
-            "timeout": timeout,
-            "deadline": deadline,
-        }
-        for name, value in {**times, "max_tracking_error": max_tracking_error}.items():
-            _positive(name, value)
+        for name, value in (
+            ("feedback_time_constant", feedback_time_constant),
+            ("resync_time", resync_time),
+            ("timeout", timeout),
+            ("deadline", deadline),
+            ("max_tracking_error", max_tracking_error),
+        ):
+            if value != inf:
+                require_positive(name, value)
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # refuse limits of another arm now
         controller, self.scene = in_scene(controller_named(controller), scene)
@@ -614,7 +615,9 @@ class Tracker:
         """
         if scene is not None and scene is not self.scene:
             self._steps.controller, self.scene = in_scene(self._steps.controller, scene)
-        passed = self._period if dt is None else _duration(dt)
+        if dt is not None:
+            require_positive("dt", dt)
+        passed = self._period if dt is None else float(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
         feedback = self._feedback.update(q_measured, points, dt)
@@ -716,16 +719,3 @@ def _mean_distance(points: Array, target: Target) -> float:
     """Return the mean distance of control points (m, 3) from their targets [m]."""
     placed = target.has_target
     return float(np.linalg.norm((target.points - points)[placed], axis=1).mean())
-
-
-def _duration(dt: float) -> float:
-    require_positive("dt", dt)
-    return float(dt)
-
-
-def _positive(name: str, value: float) -> None:
-    """Raise InvalidValue unless a number is positive, or infinite."""
-    if value is None:
-        raise InvalidValue(name, value, "a positive number, or inf")
-    if value != float("inf"):
-        require_positive(name, value)

@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -76,6 +76,10 @@ OWN_TOLERANCE = 1e-7  # tolerance of custom kinematics, in reaches of the module
 MAX_ASKED = 1000  # number of queries to custom kinematics for the next target point of a module
 
 AT_LIMIT = 1e-6  # distance from a position limit at which a joint counts as at it, in `Arm.joint_units`
+
+GENTLER = "use a gentler curve, wider joint limits or shorter modules"
+AT_THE_BASE = 'use placement="translate" or "align"'
+"""Advice for a curve that bends too much, and for one that does not begin at the base."""
 
 OFF_CURVE = 0.1
 """Distance from the curve at which a control point counts as not placed, in lengths of its module, or of the
@@ -156,14 +160,17 @@ class Walk:
     def place(self, unit: Unit) -> TargetError | None:
         """Place the next unit; return the error if that fails."""
         self._carry(unit.joints.start)
-        columns = self._arm.columns[unit.inputs]
+        columns, kinematics = self._arm.columns[unit.inputs], unit.kinematics
         base = pin.SE3(self._turn @ unit.frame, self._turn @ unit.base + self._place)
-        if isinstance(unit.kinematics, ClosedForm):
+        found: tuple[float, Array] | TargetError
+        if isinstance(kinematics, ClosedForm):
             found = self._by_closed_form(unit, base)
-        elif isinstance(unit.kinematics, NumericModule):
-            found = self._numerically(unit, base, self.positions[columns])
+        elif isinstance(kinematics, NumericModule):
+            found = kinematics.place(base, self._curve, self.parameter, self.positions[columns])
+            if not found[0] >= 0.0:
+                found = self._no_place(unit, base, found[0] == -1.0)
         else:
-            found = self._by_your_own(unit, unit.kinematics, base)
+            found = self._by_your_own(unit, kinematics, base)
         if isinstance(found, TargetError):
             return found
         self.parameter, self.positions[columns] = found
@@ -192,11 +199,6 @@ class Walk:
             exceeded = _exceeded_limit(arm, unit, given, *limits, initial, slice(None)) if state[8] else ""
             return _failure(arm, self._curve, unit, state, exceeded)
         return float(parameters[0]), found
-
-    def _numerically(self, unit: Unit, base: pin.SE3, near: Array) -> tuple[float, Array] | TargetError:
-        module = cast(NumericModule, unit.kinematics)
-        s, found = module.place(base, self._curve, self.parameter, near)
-        return (s, found) if s >= 0.0 else self._no_place(unit, base, s == -1.0)
 
     def _by_your_own(
         self, unit: Unit, kinematics: ModuleKinematics, base: pin.SE3
@@ -233,11 +235,11 @@ class Walk:
             advice = f"the module reaches {reach:.4g} m; lengthen the curve or use fewer modules"
             return CurveEndsEarly(module, at, f"the curve ends {left:.4g} m beyond its base; {advice}")
         if gap > reach:
-            advice = 'use placement="translate" or "align"'
-            return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
+            text = f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
+            return CurveLeavesTooSharply(module, at, text)
         text = "no posture within its joint limits puts its end on the curve"
         kind = CurveLeavesTooSharply if unit.module == 0 else CurveBendsTooMuch
-        return kind(module, at, f"{text}; use a gentler curve, wider joint limits or shorter modules")
+        return kind(module, at, f"{text}; {GENTLER}")
 
 
 def _exceeded_limit(
@@ -272,13 +274,14 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) ->
         advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
         return CurveEndsEarly(module, at, f"{text}; {advice}")
     if found:
-        advice = "use a gentler curve, wider joint limits or shorter modules"
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
-        return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {advice}")
+        return kind(
+            module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {GENTLER}"
+        )
     gap = float(np.linalg.norm(first))
     if gap > reach:
-        advice = 'use placement="translate" or "align"'
-        return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
+        text = f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
+        return CurveLeavesTooSharply(module, at, text)
     if unit.kinematics.dof == 1 and abs(last[1]) > slack:
         text = f"the curve is {abs(last[1]):.4g} m off the plane in which the module moves"
         return CurveBendsTooMuch(module, at, f"{text}; use a planar curve in that plane, or two hinges")
@@ -561,13 +564,11 @@ def _obstruction(
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
     if gap > ON_CURVE * arm.length and not np.any(arm.roaming):
-        advice = 'use placement="translate" or "align"'
-        return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {advice}"
+        return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"
         return CurveBendsTooMuch, f"its joint axes are parallel, so it moves in a plane; {advice}"
     if stuck:
         listed = ", ".join(repr(names[u]) for u in stuck[:3]) + (", ..." if len(stuck) > 3 else "")
-        advice = "use a gentler curve, wider joint limits or shorter modules"
-        return CurveBendsTooMuch, f"joints are at their limits: {listed}; {advice}"
+        return CurveBendsTooMuch, f"joints are at their limits: {listed}; {GENTLER}"
     return CurveBendsTooMuch, "use a gentler curve or shorter modules"

@@ -32,7 +32,6 @@ from pinposture.study.record import (
     one_line,
     run_all,
 )
-from pinposture.study.reproduce.runs import displacements
 
 Array = NDArray[np.float64]
 
@@ -276,7 +275,7 @@ def record_scene_run(
     """
     around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
-    ways = zip(run.q[:-1], displacements(run), strict=True)
+    ways = zip(run.q[:-1], run.displacements, strict=True)
     shares = np.arange(1, SAMPLES_OF_A_STEP + 1)[:, None] / SAMPLES_OF_A_STEP
     between = np.array([around.minimum_along(run.arm.checked(q), shares * dq).distance for q, dq in ways])
     lost = np.minimum(at[:-1], margin) - between
