@@ -238,6 +238,8 @@ def finite_array(
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InvalidValue(name, values, words) from None
+    if values is None:
+        raise InvalidValue(name, None, words)
     if shape is not None:
         sizes = zip(array.shape, shape, strict=False)
         if array.ndim != len(shape) or not all(have == (want or max(have, 1)) for have, want in sizes):

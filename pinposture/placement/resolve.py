@@ -275,9 +275,7 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) ->
         return CurveEndsEarly(module, at, f"{text}; {advice}")
     if found:
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
-        return kind(
-            module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {GENTLER}"
-        )
+        return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {GENTLER}")
     gap = float(np.linalg.norm(first))
     if gap > reach:
         text = f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"

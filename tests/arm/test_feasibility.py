@@ -22,7 +22,7 @@ def circle(curvature: float) -> pp.Curve:
 
 def follows(arm: pp.Arm, curve: pp.Curve, roll: float) -> bool:
     try:
-        pp.resolve_targets(arm, curve, roll=roll, method="sequential")
+        pp.resolve_targets(arm, curve, placement="align", roll=roll, method="sequential")
     except TargetError:
         return False
     return True

@@ -23,6 +23,7 @@ from pinposture.errors import InvalidValue
 
 
 @pytest.mark.parametrize("name", ARMS)
+@pytest.mark.filterwarnings("ignore:.*overlapping in every posture")
 def test_nothing_near_is_missed(name):
     """Against all pairs: with an infinite distance no bound is ever good enough to leave one out."""
     rng, arm = np.random.default_rng(7), ARMS[name]()

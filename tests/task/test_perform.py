@@ -85,6 +85,7 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
 
 @given(st.integers(0, 10_000))
 @examples(20)
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_limits_hold_for_any_reference_and_any_cycle(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = arm_named(list(ARMS)[rng.integers(len(ARMS))])
