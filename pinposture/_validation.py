@@ -32,7 +32,7 @@ SMALLEST_LENGTH = 1e-9
 
 
 def is_number(value: object) -> bool:
-    """Tell whether a value is a real number, of Python or numpy, and not a truth value."""
+    """Return whether a value is a real number, of Python or numpy, and not a truth value."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
@@ -49,7 +49,7 @@ def require_share(name: str, value: float) -> None:
 
 
 def is_whole(value: object) -> bool:
-    """Tell whether a value is a whole number, of Python or numpy, and not a truth value."""
+    """Return whether a value is a whole number, of Python or numpy, and not a truth value."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 

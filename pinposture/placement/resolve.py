@@ -504,8 +504,8 @@ def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target
     q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
     points = arm.at(q).compiled.points
     residual = _distances(arm, result.positions, curve, result.parameters)
-    told = result.placed_by or ("least squares",) * arm.n_modules
-    return Target(points, weights, q, curve, result.parameters, residual, method, reason, placed_by=told)
+    placed_by = result.placed_by or ("least squares",) * arm.n_modules
+    return Target(points, weights, q, curve, result.parameters, residual, method, reason, placed_by=placed_by)
 
 
 def _warn_if_far(arm: Arm, target: Target) -> None:
