@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral, Real
-from types import UnionType
 from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.errors import CurveError, InvalidValue, UnknownName, did_you_mean
+from pinposture.errors import CurveError, InvalidValue, did_you_mean
 
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
@@ -85,18 +84,6 @@ def length(name: str, value: Any, zero: bool = False) -> float:
     least = 0.0 if zero else SMALLEST_LENGTH
     allowed = f"a length of {least:g} to {LARGEST_LENGTH:g} m"
     return as_number(name, value, allowed, lambda x: least <= x <= LARGEST_LENGTH)
-
-
-def require_instance(name: str, value: object, kind: type | UnionType, allowed: str) -> None:
-    """Raise InvalidValue, with the words `allowed`, unless a value is an instance of a class."""
-    if not isinstance(value, kind):
-        raise InvalidValue(name, value, allowed)
-
-
-def require_known(kind: str, name: object, known: Collection[str]) -> None:
-    """Raise UnknownName unless a name is one of those known."""
-    if not isinstance(name, str) or name not in known:
-        raise UnknownName(kind, name, known)
 
 
 def known_keys(what: str, given: Mapping[str, Any], allowed: Iterable[str]) -> None:

@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from pinposture._validation import require_instance, require_known, set_fields
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_instance, require_known
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 
@@ -90,7 +89,8 @@ class JointSpec:
             upper = _number("upper", self.upper, "a finite number")
             if lower >= upper:
                 raise InvalidValue("joint limits", (lower, upper), "lower < upper")
-        set_fields(self, lower=lower, upper=upper)
+        object.__setattr__(self, "lower", lower)
+        object.__setattr__(self, "upper", upper)
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -150,7 +150,10 @@ class ModuleTemplate:
                 raise InvalidValue(f"joints[{i}].follows", at, allowed)
         radius = _number("radius", self.radius, "1e-6 to 1e6 m", lowest=1e-6, highest=1e6)
         lead = _number("lead", self.lead, "0 to 1e6 m", lowest=0.0, highest=1e6)
-        set_fields(self, lead=lead, joints=joints, link_lengths=checked, radius=radius)
+        object.__setattr__(self, "lead", lead)
+        object.__setattr__(self, "joints", joints)
+        object.__setattr__(self, "link_lengths", checked)
+        object.__setattr__(self, "radius", radius)
 
     @property
     def length(self) -> float:

@@ -22,8 +22,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture._validation import require_known
-from pinposture.errors import FileError, InvalidValue, URDFError
+from pinposture.errors import FileError, InvalidValue, URDFError, require_known
 from pinposture.storage import read_text
 
 Array = NDArray[np.float64]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture._validation import require_known
 from pinposture.cli.inputs import JsonOption
 from pinposture.cli.output import (
     MOTION_FILE,
@@ -19,7 +18,7 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
 )
-from pinposture.errors import FileError
+from pinposture.errors import FileError, require_known
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
@@ -24,7 +23,7 @@ from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, keyf
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
-from pinposture.errors import FileError, PostureError, TaskError
+from pinposture.errors import FileError, PostureError, TaskError, require_known
 from pinposture.motion import Motion, save
 from pinposture.placement.target import arm_axis
 from pinposture.storage import settled

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, is_whole, require_instance, require_known
+from pinposture._validation import as_number, finite_vector, is_whole
 from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
@@ -27,6 +27,8 @@ from pinposture.errors import (
     PostureError,
     TargetError,
     TaskError,
+    require_instance,
+    require_known,
     warn_caller,
 )
 from pinposture.placement import Target, resolve_targets

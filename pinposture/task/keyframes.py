@@ -11,9 +11,9 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_known, require_positive, require_whole
+from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_known
 from pinposture.placement.least_squares import refined
 from pinposture.task.keyframe import (
     CONTINUITIES,
