@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 import pinposture as pp
 from pinposture.errors import TargetError
 
-ROLLS = np.linspace(0.0, np.pi, 7)
-
 
 def limited_arm(bend: float) -> pp.Arm:
     return pp.Arm.from_modules([pp.template("RyRz").with_limits(-bend, bend)] * 12)

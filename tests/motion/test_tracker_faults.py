@@ -293,7 +293,7 @@ def test_late_cycles_make_up_for_nothing_and_short_ones_move_less(arm: pp.Arm, d
     assert np.all(np.abs(dq / cycle - before / 0.02) <= 10.0 * cycle + 1e-6)
 
 
-@pytest.mark.filterwarnings("ignore:q_measured: .* outside the limits")
+@pytest.mark.filterwarnings("ignore:q_measured.* outside the limits")
 def test_an_arm_that_was_measured_outside_its_limits_comes_back() -> None:
     arm = arms()[-1]
     tracker = Tracker(arm, "geodesic", LIMITS)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from task.keyed_arms import S_CURVE, coil, five_postures, snake, straight
+from task.keyed_arms import S_CURVE, coil, five_postures, positions, snake, straight
 
 import pinposture as pp
 from pinposture.task.keyframes import Keyframe, keyframe_reference
@@ -31,10 +31,6 @@ def gentle(length: float) -> list[Keyframe]:
         Keyframe(hook, duration=1.0, trim=True),
         Keyframe(straight(1.5 * length), duration=1.0, trim=True, method="closest"),
     ]
-
-
-def positions(reference: Reference) -> np.ndarray:
-    return reference.offsets + reference.arm.positions(reference.start)
 
 
 def promises(reference: Reference) -> None:

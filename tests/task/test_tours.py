@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from task.keyed_arms import snake, straight
+from task.keyed_arms import positions, snake, straight
 from task.performed import arm_named, check_motion
 from task.same_tasks import assert_same
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, MotionError, PostureWarning, TaskError
-from pinposture.task import Keyframe, Reference, keyframe_reference, perform
+from pinposture.task import Keyframe, keyframe_reference, perform
 
 LIMITS = pp.Limits(step=None, dt=0.02, velocity=1.5, acceleration=6.0)
 CONTINUITIES = ("velocity", "acceleration")
@@ -37,10 +37,6 @@ def bow(arm: pp.Arm) -> pp.Curve:
 
 def taught(arm: pp.Arm, seed: int, size: float = 0.5) -> np.ndarray:
     return size * np.random.default_rng(seed).uniform(-1.0, 1.0, arm.nv)
-
-
-def positions(reference: Reference) -> np.ndarray:
-    return reference.offsets + reference.arm.positions(reference.start)
 
 
 def mixed(arm: pp.Arm) -> list[Keyframe]:
