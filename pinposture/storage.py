@@ -122,6 +122,14 @@ def write_figure(path: Path, figure: Figure) -> None:
     write_bytes(path, picture.getvalue())
 
 
+def require_suffix(path: Path, *allowed: str, hint: str = "") -> str:
+    """Return the suffix of a file in lower case; raise FileError, with a hint, if it is not allowed."""
+    suffix = path.suffix.lower()
+    if suffix not in allowed:
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(allowed)}{hint}")
+    return suffix
+
+
 def with_suffix(path: Path, *allowed: str, hint: str = "") -> Path:
     """Return the path of a file to write, with the first of these suffixes if it has none.
 
@@ -132,9 +140,7 @@ def with_suffix(path: Path, *allowed: str, hint: str = "") -> Path:
         raise FileError(path, "is a directory; allowed: the name of a file")
     if not path.suffix:
         return path.with_name(path.name + allowed[0])
-    if path.suffix.lower() not in allowed:
-        listed = ", ".join(allowed)
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {listed}, or no ending{hint}")
+    require_suffix(path, *allowed, hint=f", or no ending{hint}")
     return path
 
 

@@ -34,7 +34,7 @@ from pinposture.errors import (
     require_known,
     warn_caller,
 )
-from pinposture.storage import parse_json, parse_toml, read_text, relative, write_text
+from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix, write_text
 
 VERSION = 1
 MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
@@ -220,10 +220,7 @@ class Scene:
                 values.
         """
         path = Path(path)
-        suffix = path.suffix.lower()
-        if suffix not in (".toml", ".json"):
-            raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
-        text = read_text(path)
+        suffix, text = require_suffix(path, ".toml", ".json"), read_text(path)
         try:
             content = parse_toml(text) if suffix == ".toml" else parse_json(path, text)
         except (ValueError, RecursionError) as error:  # of TOML, with the line
@@ -245,8 +242,7 @@ class Scene:
             FileError: the name does not end in .json, or the file cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() != ".json":
-            raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
+        require_suffix(path, ".json")
         described = self.to_dict(embed=False)
         for each in described["obstacles"].values():
             if "path" in each:

@@ -30,7 +30,7 @@ from pinposture._validation import (
 )
 from pinposture.curve.geometry import MAX_DEGREE, Geometry, Parts, trim
 from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName, require_known
-from pinposture.storage import parse_json, read_text, write_text
+from pinposture.storage import parse_json, read_text, require_suffix, write_text
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -309,10 +309,7 @@ def read_description(path: Path) -> dict[str, Any]:
         FileError: missing, unreadable, of another format, or a malformed line.
         CurveError: invalid points in a table; names the line.
     """
-    suffix = path.suffix.lower()
-    if suffix not in (".json", *_TABLES):
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: .json, .csv, .txt")
-    text = read_text(path)
+    suffix, text = require_suffix(path, ".json", *_TABLES), read_text(path)
     if suffix in _TABLES:
         return {"type": "points", "points": _table(path, text)}
     content = parse_json(path, text)
@@ -386,8 +383,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     Raises:
         FileError: the name does not end in .json, or the file cannot be written.
     """
-    if path.suffix.lower() != ".json":
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
+    require_suffix(path, ".json")
     write_text(path, json.dumps(content, allow_nan=False) + "\n")
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pinposture.errors import FileError, InvalidValue, did_you_mean
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
-from pinposture.storage import parse_json, read_text, write_text
+from pinposture.storage import parse_json, read_text, require_suffix, write_text
 
 SUFFIXES = (".npz", ".csv", ".json")
 """Suffixes of files that can be written and read."""
@@ -26,10 +26,7 @@ SUFFIXES = (".npz", ".csv", ".json")
 
 def check_format(path: Path) -> str:
     """Return the suffix of a file in lower case; raise FileError if it is not one of `SUFFIXES`."""
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(SUFFIXES)}")
-    return suffix
+    return require_suffix(path, *SUFFIXES)
 
 
 Array = NDArray[np.float64]

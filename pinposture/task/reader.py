@@ -34,7 +34,7 @@ from pinposture.errors import (
     require_known,
 )
 from pinposture.placement.target import length_misfit
-from pinposture.storage import parse_json, parse_toml, read_text, settled
+from pinposture.storage import parse_json, parse_toml, read_text, require_suffix, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
 from pinposture.task.keyframe import (
     CONTINUITIES,
@@ -65,6 +65,8 @@ from pinposture.task.toml import Place, lines_of_toml
 
 # Text parsed into plain data.
 
+TASK_SUFFIXES = (".toml", ".json")
+
 MAX_NESTING = 20
 """Largest depth of nested tables and lists; three times that of a task."""
 
@@ -72,13 +74,6 @@ MAX_INTEGER_BITS = 64
 """Largest size of a whole number, as in TOML."""
 
 _TOML_ERROR = re.compile(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", re.DOTALL)
-
-
-def check_format(path: Path) -> None:
-    """Raise FileError unless the name ends in .toml or .json."""
-    suffix = path.suffix.lower()
-    if suffix not in (".toml", ".json"):
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
 
 
 def _parsed(path: Path, text: str) -> dict[str, Any]:
@@ -152,7 +147,7 @@ class Document:
         Raises:
             FileError: it is missing, unreadable, of another format, or as for `parse`.
         """
-        check_format(path)
+        require_suffix(path, *TASK_SUFFIXES)
         return cls.parse(path, read_text(path))
 
     @classmethod
