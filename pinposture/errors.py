@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -55,6 +55,12 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return a question about the most similar of the known names, with a leading blank, or ""."""
     close = get_close_matches(str(name), tuple(known), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def enumerated(items: Sequence[str], most: int, between: str = ", ") -> str:
+    """Return the first items of a list for a message, and the number of the others."""
+    more = f" and {len(items) - most} more" if len(items) > most else ""
+    return between.join(items[:most]) + more
 
 
 class InvalidValue(PostureError, ValueError):

@@ -25,7 +25,7 @@ from pinposture.collision.distances import (
 from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import InvalidValue, require_instance, warn_caller
+from pinposture.errors import InvalidValue, enumerated, require_instance, warn_caller
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -397,10 +397,7 @@ class CollisionModel:
                 f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == reason
             ]
             if pairs:
-                listed = ", ".join(pairs[:MAX_LISTED_PAIRS])
-                if len(pairs) > MAX_LISTED_PAIRS:
-                    listed += f" and {len(pairs) - MAX_LISTED_PAIRS} more pairs"
-                warn_caller(f"{listed}: {reason}; {so}")
+                warn_caller(f"{enumerated(pairs, MAX_LISTED_PAIRS)}: {reason}; {so}")
         self._distances = objects.distances(chosen)
         first, second = self._distances.first, self._distances.second
         self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence, Sized
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import finite_array, make_read_only, require_positive, set_fields
 from pinposture.arm import Arm
 from pinposture.arm.couplings import joint_axes
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, enumerated
 
 # Checks of joint trajectories.
 
@@ -48,7 +48,8 @@ def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
         "unknown": [name for name in names if name not in expected],
     }
     if any(wrong.values()):
-        values = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
+        listed = {word: enumerated(list(map(repr, joints)), MAX_NAMED) for word, joints in wrong.items()}
+        values = "; ".join(f"{word}: {joints}" for word, joints in listed.items() if joints)
         allowed = f"the {len(expected)} joints of the arm in any order ({values})"
         raise InvalidValue("joint_names", names, allowed)
 
@@ -93,12 +94,6 @@ def step_duration(dt: float | None, known: float | None) -> float:
     if known is not None and abs(step - known) > TIME_TOLERANCE * known:
         raise InvalidValue("dt", dt, f"{known} s, from the limits of this run, or None")
     return step
-
-
-def _listed(names: Iterable[str]) -> str:
-    listed = [repr(name) for name in names]
-    more = f" and {len(listed) - MAX_NAMED} more" if len(listed) > MAX_NAMED else ""
-    return ", ".join(listed[:MAX_NAMED]) + more
 
 
 # Configurations as joint positions.

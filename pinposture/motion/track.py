@@ -16,7 +16,7 @@ from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.control.limits import JerkFilter, require_limits
-from pinposture.errors import InvalidValue, require_instance, warn_caller
+from pinposture.errors import InvalidValue, enumerated, require_instance, warn_caller
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
@@ -305,10 +305,7 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
     """Return a clause naming the joint limits and distances that limited a step."""
     held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
     held += step.diagnostics.near
-    if not held:
-        return ""
-    more = f" and {len(held) - MAX_NAMED_LIMITS} more" if len(held) > MAX_NAMED_LIMITS else ""
-    return f"; held by {', '.join(held[:MAX_NAMED_LIMITS])}{more}"
+    return f"; held by {enumerated(held, MAX_NAMED_LIMITS)}" if held else ""
 
 
 def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:

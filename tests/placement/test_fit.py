@@ -58,7 +58,7 @@ def independent(arm: pp.Arm, curve: pp.Curve, starts: int = 4) -> float:
 @pytest.mark.parametrize("kind", AWKWARD)
 def test_awkward_modules_come_as_close_as_an_independent_fit(kind: str) -> None:
     arm = pp.Arm.from_modules([AWKWARD[kind]] * 5, base_placement=PLACEMENT)
-    target = pp.resolve_targets(arm, gentle(arm), method="closest")
+    target = pp.resolve_targets(arm, gentle(arm), placement="align", method="closest")
     assert set(target.placed_by) == {"least squares"}
     assert target.fallback == ""  # it was asked for
     rms = np.sqrt(np.mean(target.curve.nearest(target.points)[1] ** 2))
