@@ -38,6 +38,8 @@ Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
 
 ALLOWED_LENGTHS = (1e-9, 1e9)
 """Shortest and longest accepted chain [m]; beyond these, squared lengths could under- or overflow."""
+SUSPECT_LENGTH = 100.0
+"""Length of a chain above which it may be in millimetres [m]."""
 SUSPECT_LIMITS = (4.0 * np.pi, 360.0)
 """Position limits of revolute joints that may be in degrees: above the first, up to the second [rad]."""
 MULTI_DOF_JOINTS = ("floating", "planar")
@@ -94,6 +96,9 @@ def load_model(
 ) -> LoadedModel:
     """Load and check a description, reduce it to the chain and split that into modules. See `Arm.load`."""
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
+    for name, given, values in (("locked", locked, "positions"), ("couplings", couplings, "leaders")):
+        if not isinstance(given, Mapping | None):
+            raise InvalidValue(name, given, f"a mapping from names of joints to {values}, or None")
     found = find_urdf(source)
     description = with_couplings(read_description(found.urdf), couplings)
     links, sizes = _read_modules(modules)
@@ -130,6 +135,8 @@ def load_model(
     segmentation = _modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
     points = _add_end_frames(model, names, tip, segmentation.sizes, links)
     warnings = _lock_warnings(description, base, tip, names, locks)
+    if skeleton.length > SUSPECT_LENGTH:
+        warnings.append(f"the arm is {skeleton.length:.4g} m long; is it in millimetres, not metres?")
     if segmentation.can_follow is False:
         warnings.append(segmentation.reason)
     if wrist is not None:

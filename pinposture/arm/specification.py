@@ -48,6 +48,11 @@ class Specification(BaseModel):
             name = ".".join(map(str, first["loc"])) or type(self).__name__
             raise InvalidValue(name, first["input"], first["msg"]) from None
 
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        for name, value in super().__repr_args__():
+            if value is not None:
+                yield name, f"{value[:60]}..." if isinstance(value, str) and len(value) > 60 else value
+
 
 class PlacementSpec(Specification):
     """A placement in the world.

@@ -62,6 +62,9 @@ class Commands(TyperGroup):
             hint = f"; see {error.ctx.command_path} --help" if error.ctx else ""
             print_error(error.format_message().rstrip(".") + hint)
             code = REFUSED
+        except OSError as error:  # of standard output, such as on a full disk; others are FileErrors
+            print_error(f"the output cannot be written ({error.strerror or error})")
+            code = REFUSED
         except typer.Abort:  # Ctrl-C in older versions of Typer; newer ones return the code
             code = INTERRUPTED
         if standalone_mode:
@@ -92,13 +95,13 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
 
 
 def _arguments_as_options(text: str, known: Sequence[str | None]) -> str:
-    """Replace advice such as placement="align" by --placement align, for known parameters only."""
+    """Replace advice such as placement="align" or scale=0.1 by options, for known parameters only."""
 
     def option(found: re.Match[str]) -> str:
         name, values = found["name"], found["values"].replace('"', "")
         return f"--{name.replace('_', '-')} {values}" if name in known else found[0]
 
-    return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*)', option, text)
+    return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*|[\d.]*\d)', option, text)
 
 
 app = typer.Typer(

@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pinposture.arm import Arm
+    from pinposture.motion import Batch
+
+
+MOST_STARTS = 1_000_000
+"""Largest number of starts to draw."""
 
 
 @examples(
@@ -94,6 +99,8 @@ def run(
     from pinposture.storage import check_writable
 
     controller_options.check()
+    if ends_only and output is None:
+        raise InvalidValue("--ends-only", ends_only, "only with --output")
     limits = limit_options.read()
     surroundings = scene_options.read()
     arm = arm_options.read(urdf)
@@ -119,8 +126,26 @@ def run(
         )
     file = None if output is None else str(save(batch, output / BATCH))
     asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed, "scene": scene_options.file}
-    print_result(as_json, {**asked, **batch.to_dict(), "file": file}, batch.in_words(), filter(None, [file]))
+    words = {
+        name: text.replace("raise max_steps", "raise --steps") for name, text in batch.in_words().items()
+    }
+    blocked = _starts_in_collision(batch)
+    if blocked:
+        where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
+        words["starts"] = f"{where}; choose others by --starts or --seed"
+    results = {**batch.to_dict(), "starts_in_collision": blocked, "file": file}
+    print_result(as_json, {**asked, **results}, words, filter(None, [file]))
     end_with(batch.faults)
+
+
+def _starts_in_collision(batch: Batch) -> list[int]:
+    """Return the numbers of the runs that begin in collision, counted from 0."""
+    from pinposture.collision import CollisionModel
+
+    if batch.scene is None:
+        return []
+    distances = CollisionModel(batch.arm, batch.scene)
+    return [k for k, q in enumerate(batch.q_start) if distances.minimum(q).distance < 0.0]
 
 
 def _read_starts(
@@ -138,11 +163,11 @@ def _read_starts(
     Raises:
         UnknownName: neither a kind of start nor a file.
         FileError: a file without numbers.
-        InvalidValue: a count below 1, a count for a file, or a row that is invalid for the arm.
+        InvalidValue: a count out of range, a count for a file, or a row that is invalid for the arm.
     """
     if text in STARTS:
-        if count is not None and count < 1:
-            raise InvalidValue("--count", count, "a whole number of at least 1")
+        if count is not None and not 1 <= count <= MOST_STARTS:
+            raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_STARTS}")
         return [read_start(arm, text, seed + k, degrees) for k in range(10 if count is None else count)]
     if Path(text).suffix.lower() not in (".csv", ".npy"):
         raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))

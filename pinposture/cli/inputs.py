@@ -110,6 +110,11 @@ class ArmOptions:
         """
         from pinposture.arm import TEMPLATES, Arm
 
+        if not urdf:
+            raise InvalidValue("URDF", urdf, "a file, a name of robot_descriptions, or - for stdin")
+        for folder in self.package_dir or ():
+            if not folder.is_dir():
+                raise InvalidValue("--package-dir", str(folder), "a folder that exists")
         source: str | Path = Path(urdf)
         if urdf in TEMPLATES and not Path(urdf).exists():
             advice = f"create an arm from the template: pinposture generate {urdf} --modules 20 -o arm.urdf"
@@ -195,8 +200,8 @@ def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float
     return couplings
 
 
-def read_curve(name: str, arm: Arm) -> Curve:
-    """Return the preset of a name, scaled to an arm, or the curve in a file.
+def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
+    """Return the preset of a name, scaled to an arm, or the curve in a file, with a scale factor.
 
     Presets are those of the thesis on an arm of 1 m with 20 modules. A module of an arm with fewer modules
     covers a larger share of the arm, so the helix is wider for it, and bends by the same angle per module.
@@ -204,15 +209,18 @@ def read_curve(name: str, arm: Arm) -> Curve:
     Raises:
         UnknownName: neither a preset nor a file.
         FileError: a file without a curve.
+        InvalidValue: an invalid scale factor, or one for a preset.
     """
     from pinposture.curve import CURVES, Curve
 
     if name in CURVES:
+        if scale != 1.0:
+            raise InvalidValue("--scale", scale, "only with a file; presets are scaled to the arm")
         preset, wider = CURVES[name], max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
         return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
     if not Path(name).suffix:  # all curve files have one
         raise UnknownName("curve preset or file", name, CURVES)
-    return Curve.load(name)
+    return Curve.load(name, scale)
 
 
 def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.float64]:
@@ -520,12 +528,16 @@ CURVE_HELP = (
     "of the arm; with fewer than 20 modules, a turn for every 8)."
 )
 CurveOption = Annotated[str, TARGET(CURVE_HELP, "CURVE")]
+ScaleOption = Annotated[
+    float, TARGET("Scale factor of a curve file, such as 0.001 for millimetres.", "FACTOR")
+]
 
 
 @dataclass(frozen=True)
 class PlacementOptions:
-    """The placement of a curve, and the control points that follow it."""
+    """The scale and placement of a curve, and the control points that follow it."""
 
+    scale: ScaleOption = 1.0
     placement: Annotated[
         str | None,
         TARGET(
@@ -564,7 +576,7 @@ class PlacementOptions:
         placement = usual_placement(scene) if self.placement is None else self.placement
         target = resolve_targets(
             arm,
-            read_curve(curve, arm),
+            read_curve(curve, arm, self.scale),
             placement=cast(Literal["as_is", "translate", "align"], placement),  # checked by the callee
             roll=self.roll,
             incomplete="partial" if self.partial else "raise",

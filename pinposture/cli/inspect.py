@@ -12,6 +12,7 @@ from pinposture.cli.inputs import (
     TARGET,
     ArmOptions,
     JsonOption,
+    ScaleOption,
     SceneOptions,
     UrdfArgument,
     read_curve,
@@ -45,6 +46,7 @@ def run(
             "Show how well the arm can follow this curve, placed at its base: a file, line or helix.", "CURVE"
         ),
     ] = None,
+    scale: ScaleOption = 1.0,
     scene_options: SceneOptions,
     plot: Annotated[
         Path | None, OUTPUT("Save a PNG picture of modules, joint axes and control points here.", "FILE")
@@ -74,11 +76,13 @@ def run(
     With --scene it also shows the obstacles of the file, the bodies of the arm, and what is nearest to each;
     with --self-collision, distances of the arm from itself count. The help of track describes scene files.
     """
+    if curve is None and scale != 1.0:
+        raise InvalidValue("--scale", scale, "only with --curve")
     surroundings = scene_options.read()
     arm = arm_options.read(urdf)
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
-    followed = None if curve is None else _describe_following(arm, curve)
+    followed = None if curve is None else _describe_following(arm, curve, scale)
     around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
         from pinposture.storage import write_figure
@@ -214,11 +218,11 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
     }
 
 
-def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
+def _describe_following(arm: Arm, curve: str, scale: float) -> dict[str, Any]:
     """Describe how well an arm can follow a curve at its base, as JSON-compatible data; lengths in metres."""
     from pinposture.placement import resolve_targets
 
-    target = resolve_targets(arm, read_curve(curve, arm), incomplete="partial")
+    target = resolve_targets(arm, read_curve(curve, arm, scale), incomplete="partial")
     if target.curve is None or target.residual is None:
         raise InvalidValue("--curve", curve, "one on which the control points can be placed")
     return {

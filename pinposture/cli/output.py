@@ -177,12 +177,12 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
     import numpy as np
 
     # Short enough to leave room for the ^C of the terminal: on a full line it would spoil the next line.
-    text = "step {task.completed} of {task.total}, mean point error {task.fields[error]:.4g} m"
-    with _progress_bar("tracking", text) as update:
+    text = "step {} of {}, mean point error {:.3g} m"
+    with _progress_bar("tracking", text, first="planning") as update:
 
         def show(step: int, state: Any, _: object) -> None:
             distances = np.linalg.norm(target.points - state.points, axis=1)
-            update(step, steps, error=float(distances[target.has_target].mean()))
+            update(step, steps, float(distances[target.has_target].mean()))
 
         yield show
 
@@ -197,32 +197,49 @@ def count_progress(noun: str) -> Iterator[Callable[[int, int], object]]:
     Yields:
         A function to call with the number of finished items and the total number.
     """
-    with _progress_bar("running", f"{noun} {{task.completed}} of {{task.total}}", remaining=True) as update:
+    with _progress_bar("running", f"{noun} {{}} of {{}}", first=f"first {noun}", remaining=True) as update:
         yield update
 
 
 @contextmanager
 def time_progress() -> Iterator[Callable[[float, float], object]]:
     """Show the progress of a motion on stderr; nothing if that is not a terminal."""
-    with _progress_bar("moving", "{task.completed:.1f} s of {task.total:.1f} s") as update:
+    with _progress_bar("moving", "{:.1f} s of {:.1f} s", first="planning") as update:
         yield update
 
 
 @contextmanager
-def _progress_bar(label: str, text: str, remaining: bool = False) -> Iterator[Callable[..., object]]:
-    """Yield a function of progress and total that updates a bar on stderr, shown from its first call."""
+def search_progress() -> Iterator[None]:
+    """Show on stderr how long a search takes; nothing if that is not a terminal."""
+    with _progress_bar("searching", "", first="postures"):
+        yield
+
+
+@contextmanager
+def _progress_bar(
+    label: str, text: str, *, first: str, remaining: bool = False
+) -> Iterator[Callable[..., object]]:
+    """Show a bar on stderr, with the time taken so far; nothing if that is not a terminal.
+
+    Args:
+        label: what is being done.
+        text: format of the values with which the yielded function is called: progress, total and others.
+        first: the text before the first call.
+        remaining: whether to estimate the remaining time.
+    """
     if not sys.stderr.isatty():
-        yield lambda *_, **__: None
+        yield lambda *_: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = [TextColumn(label), BarColumn(bar_width=20), TextColumn(text)]
-    more = [TimeRemainingColumn()] if remaining else []
+    words = TextColumn("{task.description}, {task.elapsed:.0f} s", markup=False)
+    columns = [TextColumn(label), BarColumn(bar_width=12), words]
+    more = [TimeRemainingColumn(), TextColumn("left")] if remaining else []
     with Progress(*columns, *more, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=1.0, visible=False, error=math.nan)
-        yield lambda done, total, **more: progress.update(
-            task, completed=done, total=total, visible=True, **more
+        task = progress.add_task(first, total=None)
+        yield lambda done, total, *values: progress.update(
+            task, completed=done, total=total, description=text.format(done, total, *values)
         )
 
 

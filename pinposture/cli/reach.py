@@ -19,7 +19,16 @@ from pinposture.cli.inputs import (
     read_numbers,
     read_start,
 )
-from pinposture.cli.output import FILES, end_with, examples, keep, print_json, print_note, print_table
+from pinposture.cli.output import (
+    FILES,
+    end_with,
+    examples,
+    keep,
+    print_json,
+    print_note,
+    print_table,
+    search_progress,
+)
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -96,17 +105,18 @@ def run(
     first = None if start is None else read_start(arm, start, seed, degrees)
     if output is not None:
         check_writable(output)
-    found = reach(
-        arm,
-        place,
-        direction=pointing,
-        scene=surroundings,
-        start=first,
-        count=count,
-        seed=seed,
-        budget=budget,
-        tolerance=tolerance,
-    )
+    with search_progress():
+        found = reach(
+            arm,
+            place,
+            direction=pointing,
+            scene=surroundings,
+            start=first,
+            count=count,
+            seed=seed,
+            budget=budget,
+            tolerance=tolerance,
+        )
     hindrance = found[0].path.hindrance if found[0].path else ""
     files = []
     if output is not None:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pinposture.study import ArmSurvey, Record, SceneRun, Spread, Subject
 
 
-ArmsOption = Annotated[str | None, ARM("Built-in arms: ryrz20,planar45.", "NAME,...")]
+ArmsOption = Annotated[str | None, ARM("Built-in arms: ryrz20, planar45.", "NAME,...")]
 ControllersOption = Annotated[str | None, MOTION("Controllers to compare.", "NAME,...")]
 SeedOption = Annotated[int, MOTION("First seed.", "N", flags="--seed0")]
 
@@ -466,7 +466,8 @@ _SCENE_COLUMNS: Columns = {
 def run_scenes(
     *,
     scenes: Annotated[
-        str | None, MOTION("Some of: post,slot,narrow,wall,pipe,inside,coil,out; else all.", "NAME,...")
+        str | None,
+        MOTION("Some of: post, slot, narrow, wall, pipe, inside, coil, out; else all.", "NAME,..."),
     ] = None,
     seeds: Annotated[int, MOTION("Number of runs in each scene.", "N")] = 10,
     seed0: SeedOption = 0,
@@ -536,7 +537,10 @@ def run_clutter(
     *,
     kinds: Annotated[
         str | None,
-        MOTION("Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.", "NAME,..."),
+        MOTION(
+            "Some of: balls, posts, hole, two-walls, shelf, corner, pipe, machine, coil; else all.",
+            "NAME,...",
+        ),
     ] = None,
     seeds: Annotated[int, MOTION("Number of problems of each kind.", "N")] = 10,
     seed0: SeedOption = 0,
@@ -621,7 +625,7 @@ def run_cycles(
 )
 def run_leader(
     *,
-    arms: Annotated[str | None, ARM("Arms: ryrz,universal,hinge.", "NAME,...")] = None,
+    arms: Annotated[str | None, ARM("Arms: ryrz, universal, hinge.", "NAME,...")] = None,
     bendings: Annotated[str | None, MOTION("Curvature times module length of the paths.", "RAD,...")] = None,
     options: KeepOptions,
 ) -> None:

@@ -175,8 +175,10 @@ class TipOptions:
         Raises:
             InvalidValue: more than one tip goal, a weight or priority without a goal, or invalid numbers.
             UnknownName: `hold_tip` is neither position nor pose.
+            OutOfReach: a goal farther from the base than the arm is long.
         """
         from pinposture.control import EndEffector
+        from pinposture.control.reach import require_within_reach
 
         places = {
             "--tip-position": self.tip_position,
@@ -187,15 +189,19 @@ class TipOptions:
         if len(given) > 1:
             first, second, *_ = given
             raise InvalidValue(second, given[second], f"without {first}")
-        weight = 1.0 if self.tip_weight is None else self.tip_weight
+        options: dict[str, Any] = {"weight": 1.0 if self.tip_weight is None else self.tip_weight}
+        options["priority"] = self.tip_priority
+        task = None
         if self.tip_position is not None:
-            position = _finite("--tip-position", self.tip_position, "X,Y,Z")
-            return EndEffector(position=position, weight=weight, priority=self.tip_priority)
+            task = EndEffector(_finite("--tip-position", self.tip_position, "X,Y,Z"), **options)
         if self.tip_pose is not None:
             pose = _placement(_finite("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW"))
-            return EndEffector(pose=pose, weight=weight, priority=self.tip_priority)
+            task = EndEffector(pose=pose, **options)
+        if task is not None:
+            require_within_reach(start.arm, task)
+            return task
         if self.hold_tip is not None:
-            return EndEffector.held(start, self.hold_tip, weight=weight, priority=self.tip_priority)
+            return EndEffector.held(start, self.hold_tip, **options)
         for option, value in (
             ("--tip-weight", self.tip_weight),
             ("--tip-priority", self.tip_priority or None),

@@ -147,6 +147,18 @@ def _turns_or_slides(model: pin.Model, joint: int) -> bool:
     return is_coupled(model.joints[joint]) or (name.startswith(("R", "P")) and not name.startswith("Planar"))
 
 
+class Poses(NamedTuple):
+    """Poses of k solids, world frame.
+
+    Attributes:
+        rotations: from the axes of each solid, (k, 3, 3).
+        positions: their origins, (k, 3) [m].
+    """
+
+    rotations: Array
+    positions: Array
+
+
 Posed: TypeAlias = tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]
 """Two solids, each with its placement."""
 _SOUND = 1e100
@@ -168,9 +180,14 @@ class Contact(NamedTuple):
 
 
 class Narrow(threading.local):
-    """Distance queries to coal; each thread has its own request and result."""
+    """Distance queries to coal; each thread has its own requests and result.
+
+    Attributes:
+        places: two placements for reuse, as creating one takes longer than a query.
+    """
 
     def __init__(self) -> None:
+        self.places = coal.Transform3s(), coal.Transform3s()
         self._result = coal.DistanceResult()
         # By default distances are off by up to a micrometre per metre, which shows in derivatives. The search
         # in penetration cannot be more precise: it then fails and returns a distance of 1.8e308.
@@ -313,6 +330,8 @@ class PairDistances:
         self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
         self._carriers = np.array(joints, dtype=np.int64)
         self._local = np.array([[each.start, each.end] for each in bodies]).reshape(-1, 2, 3)
+        self._turns = np.array([each.rotation for each in bodies]).reshape(-1, 3, 3)
+        self._shifts = np.array([each.position for each in bodies]).reshape(-1, 3, 1)
         kinds = np.array([SEGMENT] * len(bodies) + [each.kind for each in fixed], dtype=np.int64)
         exact = [each.round for each in bodies] + [each.exact for each in fixed]
         self._kinds, self._exact = kinds, np.array(exact, dtype=np.bool_)
@@ -392,12 +411,12 @@ class PairDistances:
         near, distances, normals = whole[0, :count], numbers[0, :count], vectors[1, :count]
         points = vectors[0, :count] - normals * self._arrays.radii[self.first[near], None]
         found: list[tuple[int, Contact]] = []
-        places: dict[tuple[int, int], coal.Transform3s] = {}
+        poses = self._pose_bodies(placements, 0) if opened else None
         for at in np.argsort(bounds[:opened], kind="stable"):
             k, bound = int(open_pairs[at]), float(bounds[at])
-            if bound >= max(within, best):
+            if bound >= max(within, best) or poses is None:
                 break
-            contact = self._narrow.contact(self._posed(k, placements, 0, places))
+            contact = self._narrow.contact(self._posed(k, poses, self.first[k], self.second[k]))
             distance = bound if math.isnan(contact.distance) else contact.distance - self._point_radius(k)
             contact = contact._replace(distance=distance)
             if contact.distance < best:
@@ -426,12 +445,15 @@ class PairDistances:
         candidates = len(ends) * self._open
         open_pairs, bounds = np.empty((candidates, 2), dtype=np.int64), np.empty(candidates)
         best, pair, opened = kernels.smallest_distance(ends, self._arrays, below, open_pairs, bounds)
-        places: dict[tuple[int, int], coal.Transform3s] = {}
+        poses: dict[int, Poses] = {}
         for at in np.argsort(bounds[:opened], kind="stable"):
             if bounds[at] >= min(best, below):
                 break
             sample, candidate = (int(each) for each in open_pairs[at])
-            distance = self._narrow.distance(self._posed(candidate, placements, sample, places))
+            if sample not in poses:
+                poses[sample] = self._pose_bodies(placements, sample)
+            first, second = self.first[candidate], self.second[candidate]
+            distance = self._narrow.distance(self._posed(candidate, poses[sample], first, second))
             # If coal fails, the bound is on the safe side.
             distance = float(bounds[at]) if math.isnan(distance) else distance - self._point_radius(candidate)
             if distance < best:
@@ -478,16 +500,17 @@ class PairDistances:
         self, kinematics: TreeKinematics, q: Array, offsets: Array, drifts: Array, samples: Array
     ) -> Array:
         """Compute the distances at samples of `smallest_distance_on_motions` with coal, (k,) [m]."""
-        pieces, shares, pairs = samples[:, 0].astype(np.int64), samples[:, 1, None], samples[:, 3]
+        pieces, shares, pairs = samples[:, 0].astype(np.int64), samples[:, 1, None], samples[:, 3].astype(int)
         placements = kinematics.place(q, (1.0 - shares) * offsets[pieces] + shares * offsets[pieces + 1])
         drifted = (1.0 - shares) * drifts[pieces] + shares * drifts[pieces + 1]
         placements = placements._replace(origins=placements.origins + drifted[:, None])
-        found = np.empty(len(samples))
-        places: dict[tuple[int, int], coal.Transform3s] = {}
-        for sample, pair in enumerate(pairs.astype(int)):
-            distance = self._narrow.distance(self._posed(int(pair), placements, sample, places))
+        found, count = np.empty(len(samples)), len(samples)
+        bodies = np.append(self.first[pairs], np.minimum(self.second[pairs], len(self._joints) - 1))
+        poses = self._pose_bodies(placements, np.tile(np.arange(count), 2), bodies)
+        for sample, pair in enumerate(pairs.tolist()):
+            distance = self._narrow.distance(self._posed(pair, poses, sample, count + sample))
             bound = float(samples[sample, 5])  # on the safe side if coal fails
-            found[sample] = bound if math.isnan(distance) else distance - self._point_radius(int(pair))
+            found[sample] = bound if math.isnan(distance) else distance - self._point_radius(pair)
         return found
 
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
@@ -537,25 +560,31 @@ class PairDistances:
         kernels.place_axes(self._carriers, self._local, *placements, ends)
         return ends
 
-    def _posed(
-        self,
-        pair: int,
-        placements: Placements,
-        sample: int,
-        places: dict[tuple[int, int], coal.Transform3s],
-    ) -> Posed:
-        """Return both solids of a pair with their placements; `places` caches those of bodies."""
-        posed = []
-        for index in (int(self.first[pair]), int(self.second[pair])):
-            each = self._solids[index]
-            if index >= len(self._joints):
-                place = self._fixed[index - len(self._joints)]
-            elif (sample, index) in places:
-                place = places[sample, index]
-            else:
-                joint = self._joints[index]
-                turn, shift = placements.rotations[sample, joint], placements.origins[sample, joint]
-                place = coal.Transform3s(turn @ each.rotation, turn @ each.position + shift)
-                places[sample, index] = place
-            posed += [each.geometry, place]
-        return posed[0], posed[1], posed[2], posed[3]
+    def _pose_bodies(
+        self, placements: Placements, samples: int | Indices, bodies: slice | Indices = slice(None)
+    ) -> Poses:
+        """Return the poses of bodies, k of them, each at a sample of the placements."""
+        joints = self._carriers[bodies]
+        turns = placements.rotations[samples, joints]
+        shifts = (turns @ self._shifts[bodies])[..., 0] + placements.origins[samples, joints]
+        return Poses(turns @ self._turns[bodies], shifts)
+
+    def _posed(self, pair: int, poses: Poses, first: int, second: int) -> Posed:
+        """Return both solids of a pair with their placements, which the next call in this thread reuses.
+
+        Args:
+            pair: index of the pair.
+            poses: poses of bodies.
+            first: index of the pose of the first body.
+            second: index of the pose of the second, if it is not an obstacle.
+        """
+        here, there = self._narrow.places
+        here.setRotation(poses.rotations[first])
+        here.setTranslation(poses.positions[first])
+        other = self.second[pair]
+        if other >= len(self._joints):
+            there = self._fixed[other - len(self._joints)]
+        else:
+            there.setRotation(poses.rotations[second])
+            there.setTranslation(poses.positions[second])
+        return self._solids[self.first[pair]].geometry, here, self._solids[other].geometry, there

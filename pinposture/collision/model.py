@@ -334,6 +334,9 @@ class CollisionModel:
             models[key] = made
         return models[key]._in_moment(scene)
 
+    def __repr__(self) -> str:
+        return f"CollisionModel({len(self.bodies)} bodies, {len(self.pairs)} pairs, {self.scene})"
+
     def _in_moment(self, scene: Scene) -> CollisionModel:
         """Return the model of the same scene with obstacles moved; the last one is cached."""
         if scene == self.scene:

@@ -493,6 +493,11 @@ class JerkFilter:
         return np.asarray((self._owed * self._steps).sum(axis=0))
 
     @property
+    def delay(self) -> float:
+        """Number of cycles by which the arm follows the steps late."""
+        return 0.5 * (self.cycles - 1)
+
+    @property
     def moving(self) -> bool:
         """Whether the arm still moves if all further steps are zero."""
         return bool(np.any(self._steps[1:]))

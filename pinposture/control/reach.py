@@ -156,7 +156,7 @@ def reach(
     require_positive("tolerance", allowed_error)
     task, limits = _tip_task(arm, goal, direction), Limits() if limits is None else limits
     first = None if start is None else arm.checked_start(start, "start")
-    _check_in_reach(arm, _place_of(task), allowed_error, scene)
+    _check_in_reach(arm, task, allowed_error, scene)
     _check_orientation(arm, task, allowed_error)
     until = began + (budget if first is None else 0.5 * budget)
     search = _Search(arm, task, scene, limits, allowed_error)
@@ -200,7 +200,7 @@ def reach_from(
         ReachError: the goal is inside an obstacle.
     """
     task, tolerance = _tip_task(arm, place, None), TIP_TOLERANCE * arm.length
-    _check_in_reach(arm, _place_of(task), tolerance, scene)
+    _check_in_reach(arm, task, tolerance, scene)
     search = _Search(arm, task, scene, Limits() if limits is None else limits, tolerance)
     state = arm.at(arm.checked_start(start, "start")).compiled
     return search.descend(state)
@@ -224,13 +224,23 @@ def _place_of(task: EndEffector) -> Array:
     return np.asarray(task.position if task.pose is None else task.pose[:3, 3])
 
 
-def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | None) -> None:
-    """Refuse goals that no posture can reach."""
+def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) -> None:
+    """Raise OutOfReach for a goal that is farther from the base than the arm is long, by a tolerance [m]."""
+    place = _place_of(task)
     slides = arm.columns[arm.slides[arm.columns]]
     travel = np.maximum(np.abs(arm.limits.lower[slides]), np.abs(arm.limits.upper[slides])).sum()
     away, most = float(np.linalg.norm(place - arm.chain.base)), arm.length + float(travel)
-    if away > most + tolerance:
-        raise OutOfReach(place, f"it is {away:.4g} m from the base, and the arm reaches {most:.4g} m")
+    if away > most + max(tolerance, TIP_TOLERANCE * arm.length):
+        advice = "is it in millimetres, not metres?" if away > 100.0 * most else "choose a nearer one"
+        base = ", ".join(f"{each:.4g}" for each in arm.chain.base)
+        reason = f"it is {away:.4g} m from the base at ({base}) m, and the arm reaches {most:.4g} m; {advice}"
+        raise OutOfReach(place, reason)
+
+
+def _check_in_reach(arm: Arm, task: EndEffector, tolerance: float, scene: Scene | None) -> None:
+    """Refuse goals that no posture can reach."""
+    require_within_reach(arm, task, tolerance)
+    place = _place_of(task)
     offset = place - arm.chain.points[-1]
     across = float(np.linalg.norm(offset - arm.plane.T @ (arm.plane @ offset)))
     if across > tolerance:

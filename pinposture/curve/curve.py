@@ -162,7 +162,7 @@ class Curve(Geometry):
         }
 
     @classmethod
-    def load(cls, path: str | Path) -> Curve:
+    def load(cls, path: str | Path, scale: float = 1.0) -> Curve:
         """Read a curve from a file.
 
         Args:
@@ -171,13 +171,16 @@ class Curve(Geometry):
                 commas, semicolons or spaces, with or without a header line, and with comments after '#'. A
                 header may give another unit: x [mm] or x_mm, or cm. The curve passes through listed points
                 as in `points`.
+            scale: scale factor for its coordinates, such as 0.001 for a file in millimetres.
 
         Raises:
             FileError: an invalid file; names the line, row or key.
+            InvalidValue: a scale that is not a number above 0.
         """
-        path = Path(path)
+        path, factor = Path(path), as_number("scale", scale, "a finite number > 0", lambda x: x > 0.0)
         try:
-            return cls.from_dict(read_description(path))
+            read = cls.from_dict(read_description(path))
+            return read if factor == 1.0 else cls(read.knots, factor * read.coefficients, read.degree)
         except (CurveError, InvalidValue, UnknownName) as error:
             raise FileError(path, str(error)) from error
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
-from pinposture._validation import finite_vector
+from pinposture._validation import finite_vector, require_whole
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.collision.obstacles import Obstacle
@@ -23,7 +24,7 @@ from pinposture.errors import CurveError, InvalidValue, TaskError
 from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
-from pinposture.task.keyframe import MOST_CYCLES, OF_A_CURVE
+from pinposture.task.keyframe import MOST_CYCLES, OF_A_CURVE, lap_of
 
 Array = NDArray[np.float64]
 
@@ -323,6 +324,57 @@ def times_of(task: Task) -> list[float]:
         times.append(left + (gap or 0.0) if keyframe.time is None else keyframe.time)
         left = times[-1] + keyframe.hold
     return times
+
+
+class Pass(NamedTuple):
+    """A keyframe in a lap of the motion."""
+
+    keyframe: int  # 0-based
+    lap: int  # 0-based
+    time: float  # when it is to be taken [s]
+
+
+def passes_of(task: Task) -> list[Pass]:
+    """Return when each keyframe is to be taken, in all laps.
+
+    The last keyframe of a closed tour begins the next lap, so that the first one is not listed again.
+    """
+    times, period = times_of(task), lap_time(task)
+    closed = task.repeat > 1 and len(_lap(task)) == len(times)
+    return [
+        Pass(index, lap, lap * period + times[index])
+        for lap in range(task.repeat)
+        for index in range(int(closed and lap > 0), len(times))
+    ]
+
+
+def lap_time(task: Task) -> float:
+    """Return how long a lap is to take, including the return to the first keyframe [s]."""
+    times, keyframes = times_of(task), keyframes_of(task)
+    lap = _lap(task)
+    back = lap[-1].duration if len(lap) > len(times) else None
+    return times[-1] + keyframes[-1].hold + (back or 0.0)
+
+
+def _lap(task: Task) -> tuple[Keyframe, ...]:
+    """Return the keyframes of a lap, as `lap_of`; without a return if no motion can have their times."""
+    keyframes = keyframes_of(task)
+    with suppress(TaskError):
+        return keyframes if task.repeat == 1 else lap_of(keyframes, cycle_of(task.limits))
+    return keyframes
+
+
+def repeated(laps: int) -> Edit:
+    """Repeat the tour for a number of laps; for a single one, the time to return to the first is dropped."""
+
+    def edit(task: Task) -> Task:
+        require_whole("laps", laps, 1)
+        keyframes = list_keyframes(task, 0)
+        if laps == 1:
+            keyframes[0] = replace(keyframes[0], duration=None)
+        return task.edited(motion=tuple(keyframes), repeat=laps)
+
+    return edit
 
 
 def with_keyframe(index: int, **changes: Any) -> Edit:

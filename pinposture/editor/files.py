@@ -7,6 +7,7 @@ import logging
 import re
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,11 +20,11 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, keyframes_of
+from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, joints_at, keyframes_of
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
-from pinposture.errors import FileError, PostureError, TaskError, require_known
+from pinposture.errors import FileError, PostureError, require_known
 from pinposture.motion import Motion, save
 from pinposture.placement.target import arm_axis
 from pinposture.storage import settled
@@ -34,7 +35,7 @@ logger = logging.getLogger(__name__)
 
 AUTOSAVE_PERIOD = 0.3  # between two files [s]
 MAX_WAIT = 10.0  # for files that are being written [s]
-MAX_LISTED = 100  # task files to choose from
+MAX_LISTED = 500  # task files to choose from
 
 
 class Version(NamedTuple):
@@ -313,6 +314,8 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
         FileError: a name that leads, or might lead, out of the folder: from the root, from a home directory,
             by "..", or by a link; or one that no file can have.
     """
+    if not name:
+        raise FileError("the file", "has no name yet; enter one, such as task.toml")
     given, path = Path(name), (folder if start is None else start) / name
     outside = bool(given.anchor) or name.startswith("~") or ".." in given.parts
     try:
@@ -415,6 +418,7 @@ Array = NDArray[np.float64]
 BENDS = (1.4, 0.8, 0.4, 0.2)  # turn of the curve between its ends [rad]; the first that the arm can take
 CONTROL_POINTS = 6
 JOINT_SHARES = (0.3, 0.15, 0.05, 0.0)  # of joint ranges, for a shape where no bent line can be taken
+CLOSE = 0.02  # distance of the whole arm from a curve that it takes closely, relative to the arm
 CURVE_LENGTH = 1.08  # relative to the arm, since modules cut corners
 ACCELERATION = 20.0  # limit of each joint [rad/s^2 or m/s^2]: smooth, and fast enough to follow a drag
 BENT_TIME = 3.0  # of the second keyframe [s]
@@ -423,29 +427,28 @@ BENT_TIME = 3.0  # of the second keyframe [s]
 def first_task(arm: Arm, name: str = "") -> Task:
     """Return a task for an arm of which nothing is known: straight, and three seconds later bent.
 
+    If the arm takes no such curve closely, its keyframes are taught.
+
     Args:
         arm: the arm.
         name: of the task.
-
-    Raises:
-        TaskError: no shape was found that the arm can take.
     """
     straight = _first_feasible(arm, [_line(arm), *_along_arm(arm, (0.0,))])
     bent = _first_feasible(arm, [*(_arc(arm, bend) for bend in BENDS), *_along_arm(arm, JOINT_SHARES)])
     if straight is None or bent is None:
-        raise TaskError("the arm", "no curve was found that it can take; start from a task file")
-    keyframes = (
-        Keyframe(straight.curve, name="straight", placement="as_is", trim=True),
-        Keyframe(bent.curve, time=BENT_TIME, name="bent", placement="as_is", trim=True),
-    )
+        ends = (Keyframe(joints=joints_at(arm, _bent(arm, share))) for share in (0.0, JOINT_SHARES[0]))
+    else:
+        ends = (Keyframe(each.curve, placement="as_is", trim=True) for each in (straight, bent))
+    first, last = ends
+    keyframes = (replace(first, name="straight"), replace(last, name="bent", time=BENT_TIME))
     limits = Limits(step=None, dt=DEFAULT_CYCLE, acceleration=ACCELERATION)
     return Task(arm=arm, motion=keyframes, limits=limits, name=name)
 
 
 def _first_feasible(arm: Arm, shapes: list[Shape]) -> Shape | None:
     for shape in shapes:
-        keyframe = Keyframe(shape.curve, placement="as_is", trim=True)
-        if judge(arm, keyframe, None).target is not None:
+        verdict = judge(arm, Keyframe(shape.curve, placement="as_is", trim=True), None)
+        if verdict.target is not None and (verdict.distance_from_curve or 0.0) < CLOSE * arm.length:
             return shape
     return None
 
@@ -484,12 +487,9 @@ def _round_points(arm: Arm, points: Array) -> Array:
 def _along_arm(arm: Arm, shares: tuple[float, ...]) -> list[Shape]:
     """Return shapes along the stretched arm with its joints moved by shares of their ranges."""
     shapes: list[Shape] = []
-    start = arm.straight()
-    lower, upper = (np.clip(edge, -np.pi, np.pi) for edge in (arm.limits.lower, arm.limits.upper))
     for share in shares:
-        middle = np.clip(0.5 * (lower + upper) - arm.positions(start), -1.0, 1.0) * arm.moved
         try:
-            line = arm_line(arm, arm.integrate(start, share * middle))
+            line = arm_line(arm, _bent(arm, share))
             end = line[-1] + (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2]) * 0.05 * arm.length
             through = Curve.points(np.vstack([line, end]))
             tolerance = 2.0 * FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
@@ -498,3 +498,11 @@ def _along_arm(arm: Arm, shares: tuple[float, ...]) -> list[Shape]:
         except PostureError:
             continue
     return shapes
+
+
+def _bent(arm: Arm, share: float) -> Array:
+    """Return the stretched arm with its joints moved by a share towards the middle of their ranges, (nq,)."""
+    start = arm.straight()
+    lower, upper = (np.clip(edge, -np.pi, np.pi) for edge in (arm.limits.lower, arm.limits.upper))
+    middle = np.clip(0.5 * (lower + upper) - arm.positions(start), -1.0, 1.0) * arm.moved
+    return arm.integrate(start, share * middle)

@@ -123,8 +123,8 @@ class Rehearsal:
 
         try:
             report(0.0)
-            reference = task.reference(found)
-            return Rehearsed(task, task.perform(reference, moved))
+            own = task.edited()  # of no file, whose lines may have changed
+            return Rehearsed(task, own.perform(own.reference(found), moved))
         except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
             return Rehearsed(task, None, " ".join(str(error).split()))
         except _Cancelled:

@@ -13,7 +13,7 @@ from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import Edit, Shape, joints_at, keyframes_of, reshaped, with_keyframe
 from pinposture.editor.playback import Playback
 from pinposture.editor.solver import Live, Problem
-from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
 from pinposture.task import Keyframe, Task
 
 MAX_HISTORY = 500  # states that are kept for undo
@@ -253,9 +253,8 @@ class Session:
             final: whether it is to be accepted.
         """
         self.proposal = None
-        if not self.has_points():
-            return
         try:
+            self.check_points()
             shape = self.shape
         except PostureError as error:
             self.say(str(error), "error")
@@ -307,12 +306,11 @@ class Session:
         if proposal.note:
             self.say(f"{proposal.what}; {proposal.note}")
 
-    def has_points(self) -> bool:
-        """Return whether the keyframe has control points; if it has none, say so."""
+    def check_points(self) -> None:
+        """Raise TaskError if the keyframe has no control points."""
         if self.keyframe.curve is None:
-            text = "is a taught configuration without control points; draw a curve through it first"
-            self.say(f"keyframe {self.selected + 1} {text}", "error")
-        return self.keyframe.curve is not None
+            reason = "a taught configuration has no control points; 'To curve' draws a curve through it"
+            raise TaskError(f"keyframe {self.selected + 1}", reason)
 
     def take_hold(self, handle: int | None, more: bool = False) -> None:
         """Select a control point, 0-based, instead of an obstacle or the tip; an unknown one is ignored.
@@ -331,10 +329,14 @@ class Session:
             self.obstacle, self.tip = None, False
 
     def take_all(self) -> None:
-        """Select all control points but the one at the base, the last one in the end."""
-        if self.has_points():
-            self.take_hold(len(self.shape.points) - 1)
-            self.handles = tuple(range(1, len(self.shape.points)))
+        """Select all control points but the one at the base, the last one in the end.
+
+        Raises:
+            TaskError: the keyframe has no control points.
+        """
+        self.check_points()
+        self.take_hold(len(self.shape.points) - 1)
+        self.handles = tuple(range(1, len(self.shape.points)))
 
     def select(self, keyframe: int) -> None:
         """Select another keyframe, 0-based; an unknown one is ignored."""

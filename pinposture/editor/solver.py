@@ -125,7 +125,7 @@ def _uncovered_rest(arm: Arm, target: Target) -> list[str]:
     rest = target.curve.length - float(target.parameters[target.has_target].max(initial=0.0))
     if rest <= UNREPORTED_REST * float(arm.chain.module_lengths.max()):
         return []
-    return [f"too long by {rest:.3g} m: the grey part of the curve stays free"]
+    return [f"the curve is longer than the arm by {rest:.3g} m (its grey part)"]
 
 
 def _joints_at_limits(arm: Arm, target: Target) -> list[str]:

@@ -20,6 +20,9 @@ TINY = 1e-300
 PARALLEL_SQUARED = 1e-14
 """Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
 
+MEETING_SQUARED = 1e-28
+"""Square of the gap, relative to length and distance of a line, below which its direction is rounding."""
+
 LONG = 64.0
 """Squared length of a line above which its bounding box is too loose, in squared half diagonals of a box."""
 
@@ -186,19 +189,20 @@ def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest
     ax, ay, az, ux, uy, uz, squares = line
     x, y, z = ax - points[at, 0], ay - points[at, 1], az - points[at, 2]
     t = min(max(-(x * ux + y * uy + z * uz) / max(squares, TINY), 0.0), 1.0)
+    meeting = MEETING_SQUARED * (x * x + y * y + z * z + squares)
     x, y, z = x + t * ux, y + t * uy, z + t * uz
     apart = x * x + y * y + z * z
     if below <= 0.0 or apart >= below * below:
         return np.inf, 0.0, 0.0, 0.0, 0.0
     size = np.sqrt(apart)
-    if size <= TINY:
+    if apart <= meeting:
         return 0.0, t, 0.0, 0.0, 0.0
     return size, t, x / size, y / size, z / size
 
 
 @subkernel
 def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> Nearest:
-    ax, ay, az, ux, uy, uz, _ = line
+    ax, ay, az, ux, uy, uz, squares = line
     px, py, pz = triangles[at, 0, 0], triangles[at, 0, 1], triangles[at, 0, 2]
     ex, ey, ez = triangles[at, 1, 0] - px, triangles[at, 1, 1] - py, triangles[at, 1, 2] - pz
     fx, fy, fz = triangles[at, 2, 0] - px, triangles[at, 2, 1] - py, triangles[at, 2, 2] - pz
@@ -206,6 +210,7 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
     nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
     ee, ff, ef = ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, ex * fx + ey * fy + ez * fz
     area = nx * nx + ny * ny + nz * nz
+    meeting = MEETING_SQUARED * (x * x + y * y + z * z + squares)
     best, place, sx, sy, sz = below, 0.0, 0.0, 0.0, 0.0
     found, flat = False, area <= PARALLEL_SQUARED * ee * ff
     if not flat:
@@ -252,7 +257,7 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
         apart = gx * gx + gy * gy + gz * gz
         if best > 0.0 and apart < best * best:
             best, place, found = np.sqrt(apart), t, True
-            if best > TINY:
+            if apart > meeting:
                 sx, sy, sz = gx / best, gy / best, gz / best
             elif flat:
                 sx, sy, sz = 0.0, 0.0, 0.0

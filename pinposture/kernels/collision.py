@@ -31,7 +31,13 @@ from pinposture.kernels.arrays import (
     JointTree,
     Pairs,
 )
-from pinposture.kernels.bounding_volumes import TINY, is_inside, nearest_in_tree, way_to_segment
+from pinposture.kernels.bounding_volumes import (
+    MEETING_SQUARED,
+    TINY,
+    is_inside,
+    nearest_in_tree,
+    way_to_segment,
+)
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 FLAT = 1e-13
@@ -230,7 +236,7 @@ def _segment_contact(line: Array2, other: Array2) -> Contact:
     s, gx, gy, gz = way_to_segment(rx, ry, rz, ux, uy, uz, vx, vy, vz)
     px, py, pz = line[0, 0] + s * ux, line[0, 1] + s * uy, line[0, 2] + s * uz
     size = np.sqrt(gx * gx + gy * gy + gz * gz)
-    if size <= TINY:
+    if size * size <= MEETING_SQUARED * (rx * rx + ry * ry + rz * rz + ux * ux + uy * uy + uz * uz):
         return 0.0, px, py, pz, 0.0, 0.0, 0.0
     return size, px, py, pz, gx / size, gy / size, gz / size
 

@@ -225,6 +225,7 @@ class Batch:
         runs = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return {
             "verdict": self.verdict,
+            "faults": list(self.faults),
             "count": len(self),
             "statuses": dict(Counter(self.status.tolist()).most_common()),
             "controller": self.controller,

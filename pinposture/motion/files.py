@@ -142,7 +142,7 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
     if kind in (None, JointTrajectory) and suffix in _TEXT_FILES:
         return _TEXT_FILES[suffix][1](path)
     if not path.is_file():
-        raise FileError(path, "no such file")
+        raise FileError(path, "is a directory; name a file in it" if path.is_dir() else "no such file")
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}

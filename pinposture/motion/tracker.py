@@ -608,7 +608,10 @@ class Tracker:
                 type. Sensor faults do not raise.
         """
         if scene is not None and scene is not self.scene:
-            self._steps.controller, self.scene = in_scene(self._steps.controller, scene)
+            controller, self.scene = in_scene(self._steps.controller, scene)
+            if self._filter.cycles > 1 and scene.velocities:  # obstacles where the filtered steps meet them
+                controller, _ = in_scene(controller, scene.after(self._filter.delay * self._period))
+            self._steps.controller = controller
         if dt is not None:
             require_positive("dt", dt)
         passed = self._period if dt is None else float(dt)

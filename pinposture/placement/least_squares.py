@@ -177,7 +177,7 @@ def _nearest_parameters(arm: Arm, curve: Curve, start: float, q: Array) -> Array
     steps = np.arange(1, LOOK_AHEAD_SAMPLES + 1) / LOOK_AHEAD_SAMPLES
     found = np.empty(len(points))
     for k, point in enumerate(points):
-        ahead = start + reach[k] * steps
+        ahead = np.minimum(start + reach[k] * steps, curve.length)
         found[k] = start = ahead[np.argmin(np.linalg.norm(curve.at(ahead) - point, axis=1))]
     return found
 

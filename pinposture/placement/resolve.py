@@ -44,6 +44,7 @@ from pinposture.placement.module_kinematics import (
     unit_row,
 )
 from pinposture.placement.target import (
+    IN_MILLIMETRES,
     ON_CURVE,
     Moved,
     Placement,
@@ -404,7 +405,7 @@ def far_moved(arm: Arm, what: str, moved: Moved) -> str:
     share = f"{moved.distance / arm.length:.2g} of the arm length"
     advice = 'placement="as_is" keeps it in place, "align" moves it without this warning'
     if moved.distance > FAR_AWAY * arm.length:
-        advice = "is it in millimetres, not metres?"
+        advice = IN_MILLIMETRES
     return f"{what} was {moved} to the base of the arm ({share}); {advice}"
 
 

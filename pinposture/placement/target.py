@@ -28,6 +28,9 @@ beyond which it belongs to another arm."""
 MAX_LENGTH_RATIO = 100
 """Length of a curve, and distance of a point from the base, that suggest another unit, in arm lengths."""
 
+IN_MILLIMETRES = "if it is in millimetres, load it with scale=0.001"
+"""Advice on a curve that is too large."""
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -202,8 +205,7 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
         return
     away, share = distances[worst], distances[worst] / arm.length
     text = f"points[{worst}] is {away:.4g} m from the base of the arm, {share:.3g} times its length"
-    text += "; is it in millimetres, not metres?"
-    warn_caller(text)
+    warn_caller(f"{text}; is it in millimetres, not metres?")
 
 
 ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
@@ -285,7 +287,7 @@ def length_misfit(arm: Arm, curve: Curve) -> str:
     if curve.length <= longest:
         return ""
     allowed = f"{longest:.4g} m at most, {MAX_LENGTH_RATIO} times the arm"
-    return f"is {curve.length:.4g} m long; allowed: {allowed}; is it in millimetres, not metres?"
+    return f"is {curve.length:.4g} m long; allowed: {allowed}; {IN_MILLIMETRES}"
 
 
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -79,16 +79,16 @@ class Simulation:
     timestep: float
     status: str
     reason: str
-    commanded: Array = field(repr=False)
-    q: Array = field(repr=False)
-    commanded_points: Array = field(repr=False)
-    points: Array = field(repr=False)
-    torques: Array = field(repr=False)
-    torque_limits: Array = field(repr=False)
-    saturated: Array = field(repr=False)
-    clearance: Array = field(repr=False)
-    targets: Array | None = field(default=None, repr=False)
-    weights: Array | None = field(default=None, repr=False)
+    commanded: Array
+    q: Array
+    commanded_points: Array
+    points: Array
+    torques: Array
+    torque_limits: Array
+    saturated: Array
+    clearance: Array
+    targets: Array | None = None
+    weights: Array | None = None
     measured: float = 1.0
     warnings: tuple[str, ...] = ()
     scene: Scene | None = None
@@ -96,6 +96,9 @@ class Simulation:
 
     def __post_init__(self) -> None:
         make_read_only(*vars(self).values())
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.loop} loop, {self.status}, {self.time[-1]:.4g} s, {self.arm})"
 
     @property
     def finished(self) -> bool:

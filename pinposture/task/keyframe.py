@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, cast
@@ -71,8 +71,8 @@ class Keyframe:
         joints: joint positions as of `Arm.positions`, (nv,) [rad or m]. Without a curve, they are the
             posture. With a curve, they select one of several configurations that fit it equally well, as
             least squares may find; those that do not fit the arm are then ignored with a warning.
-        trim: whether to use only the first part of a curve that is longer than the arm by more than a module;
-            otherwise it is refused.
+        trim: whether a curve may be longer than the arm, which takes its first part; if not, one that is
+            longer by more than a module draws a warning.
         speed: largest share of the velocity limits for the motion to this keyframe, in (0, 1].
 
     Raises:
@@ -98,6 +98,11 @@ class Keyframe:
         require_instance("name", self.name, str, "text, or empty for the number of the keyframe")
         with naming(f"keyframe {self.name!r}" if self.name else "keyframe"):
             self._check()
+
+    def __repr__(self) -> str:
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        given = [f"{name}={value!r}" for name, value in values.items() if value != getattr(type(self), name)]
+        return f"Keyframe({', '.join(given)})"
 
     def _check(self) -> None:
         self._check_curve()
@@ -407,13 +412,11 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
 
     Raises:
         TargetError: as `resolve_targets`.
-        TaskError: a curve that is too long, a tip task with priority that is out of reach.
+        TaskError: a tip task with priority that is out of reach.
         InvalidValue: a region that the arm does not have.
     """
     (keyframe,) = with_fitting_joints(arm, (keyframe,))
     target = _target(arm, keyframe, keyframe.method, near)
-    if target.curve is not None:
-        _check_covered(arm, (keyframe,), 0, _resolved(arm, target, False))
     if keyframe.tip is not None:
         q = cast(Array, target.q)
         shift = tip_shift(arm, keyframe, target, q, title((keyframe,), 0))
@@ -429,7 +432,6 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
 
     Raises:
         TargetError: as `resolve_targets`; names the keyframe.
-        TaskError: a curve that is too long; names the keyframe.
     """
     keyframes, targets = with_fitting_joints(arm, keyframes), []
     for index, keyframe in enumerate(keyframes):
@@ -452,7 +454,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
             with suppress(TargetError):  # keep its own method
                 target = _target(arm, keyframe, method)
         resolved.append(_resolved(arm, target, target.method != method or keyframe.joints is not None))
-        _check_covered(arm, keyframes, index, resolved[-1])
+        _warn_of_rest(arm, keyframes, index, resolved[-1])
         if (
             keyframe.placement is None
             and target.moved is not None
@@ -497,15 +499,13 @@ def _of_joints(arm: Arm, keyframe: Keyframe) -> Target:
     return Target(arm.at(q).compiled.points, np.ones(arm.n_modules), q=q)
 
 
-def _check_covered(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
-    """Refuse a curve that is longer than the arm covers, unless it is to be trimmed."""
+def _warn_of_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
+    """Warn of a curve that is longer than the arm covers, unless it is to be trimmed."""
     anchored, covered = cast(AnchoredCurve, resolved.anchored), float(resolved.parameters[-1])
     length = anchored.curve.length - anchored.parameter
-    if keyframes[index].trim or length - covered <= float(arm.chain.module_lengths.max()):
-        return
-    advice = "shorten it, use a longer arm, or set trim to use its first part"
-    reason = f"the curve is {length:.4g} m long, and the arm covers {covered:.4g} m of it; {advice}"
-    raise TaskError(title(keyframes, index), reason)
+    if not keyframes[index].trim and length - covered > float(arm.chain.module_lengths.max()):
+        text = f"the arm takes the first {covered:.4g} m of its curve of {length:.4g} m"
+        warn_caller(f"{title(keyframes, index)}: {text}; set trim to accept this")
 
 
 def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str) -> Array:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm
-from pinposture.errors import InvalidValue, require_known
+from pinposture.control.reach import require_within_reach
+from pinposture.errors import InvalidValue, OutOfReach, require_known, warn_caller
 from pinposture.placement.least_squares import refined
 from pinposture.task.keyframe import (
     CONTINUITIES,
@@ -335,8 +336,8 @@ def keyframe_reference(
     Raises:
         InvalidValue: fewer than two keyframes, or an invalid keyframe, interval or number of laps.
         UnknownName: a `continuity` that does not exist.
-        TaskError: times that do not increase, a curve that is too long, a tip task with priority that is out
-            of reach; names the keyframe.
+        TaskError: times that do not increase, a tip task with priority that is out of reach; names the
+            keyframe.
         TargetError: as `resolve_targets`; names the keyframe.
     """
     keyframes = tuple(keyframes)
@@ -429,6 +430,10 @@ def _with_tips(
             where, q = title(keyframes, index), arm.configuration(positions[rows.reached[index]])
             with naming(where):
                 shifts[index] = tip_shift(arm, keyframe, motion.keyframes[index].target, q, where)
+            try:
+                require_within_reach(arm, keyframe.tip)
+            except OutOfReach as error:
+                warn_caller(f"{where}: {error}")
     if not np.any(shifts):
         return positions
     shifted = positions.copy()

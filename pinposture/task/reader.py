@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
-from pinposture._validation import require_whole
+from pinposture._validation import known_keys, require_whole
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
@@ -342,6 +342,11 @@ def make_curve(document: Document, where: Place, spec: str | dict[str, Any]) -> 
         curve = CURVES[spec]
     elif isinstance(spec, str):
         curve, description = document.file(where, Curve.load), settled(document.named(where, spec))
+    elif "path" in spec:
+        with document.blaming(where):
+            known_keys("a curve file", spec, ("path", "scale"))
+            path = document.named((*where, "path"), spec["path"])
+            curve, description = Curve.load(path, spec.get("scale", 1.0)), {**spec, "path": settled(path)}
     else:
         with document.blaming(where):
             curve = Curve.from_dict(spec)

@@ -72,6 +72,9 @@ class Reference:
         if not np.all(np.isfinite(self.offsets)):
             raise InvalidValue("offsets", self.offsets, "finite numbers")
 
+    def __repr__(self) -> str:
+        return f"Reference({self.arm}, {self.rows} rows, {self.duration:.4g} s, {len(self.marks)} marks)"
+
     @property
     def rows(self) -> int:
         """Number of rows, N + 1."""

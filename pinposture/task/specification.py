@@ -297,6 +297,8 @@ def _curve(value: object) -> object:
         return value
     if not isinstance(value, Mapping):
         raise _wrong(value, "a name, a file, or a table with a type")
+    if "path" in value and not _is_file_name(value["path"]):
+        raise _wrong(value["path"], "the name of a file as path")
     return _in_si(value, _CURVE_UNITS)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+import textwrap
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -108,6 +109,18 @@ class Task(TaskParts):
             start = self.arm.checked_start(self.start, "start")
             start.flags.writeable = False
             self._set("start", start)
+
+    def __repr__(self) -> str:
+        motion = self.motion
+        if isinstance(motion, Leader):
+            does = f"follow {motion.path}"
+        else:
+            names = ", ".join(each.name or str(number) for number, each in enumerate(motion, 1))
+            does = f"{len(motion)} keyframes: {textwrap.shorten(names, 70, placeholder=' ...')}"
+        laps = f", {self.repeat} times" if self.repeat > 1 else ""
+        around = f"{self.scene}, " if self.scene else ""
+        cycle = f"{self.controller.name}, cycle {cycle_of(self.limits):g} s"
+        return f"Task({self.name!r}, {does}{laps},\n     {self.arm},\n     {around}{cycle})"
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)

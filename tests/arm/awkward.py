@@ -123,6 +123,18 @@ REFUSED = {
     ),
     "module without a joint": (arm_text(pairs(2)), {"modules": ["l1", "tip"]}, InvalidValue, "link 'l1'"),
     "joints left over": (arm_text(pairs(2)), {"modules": ["l2"], "tip": "tip"}, InvalidValue, "all 4 joints"),
+    "locked without positions": (
+        arm_text(pairs(2)),
+        {"locked": ["j1"]},
+        InvalidValue,
+        "to positions, or None",
+    ),
+    "couplings of no mapping": (
+        arm_text(pairs(2)),
+        {"couplings": 3},
+        InvalidValue,
+        "couplings is 3; allowed: a",
+    ),
     "folders of numbers": (arm_text(pairs(2)), {"package_dirs": [3]}, InvalidValue, "paths of folders"),
 }
 
@@ -144,6 +156,13 @@ WARNED = {
         4,
         2,
         ["limits of joints 'j1', 'j2' are up to 90 rad; are they in degrees?"],
+    ),
+    "millimetres": (
+        arm_text([("revolute", Y, "50 0 0"), ("revolute", Z, "50 0 0")] * 2, tip="50 0 0"),
+        {},
+        4,
+        2,
+        ["the arm is 200 m long; is it in millimetres, not metres?"],
     ),
     "locked by limits": (
         arm_text([*pairs(1), ("revolute", X, LINK, limit(0, 0)), *pairs(1)]),

@@ -85,7 +85,7 @@ def test_every_part_of_the_last_link_comes_out_the_same_if_the_tip_is_named(name
     np.testing.assert_allclose(same.jacobians, state.jacobians, atol=1e-12)
 
 
-@pytest.mark.parametrize("factor", [1e-3, 1e3])
+@pytest.mark.parametrize("factor", [1e-3, 1e2])
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_of_any_size_behaves_alike(name, factor):
     arm, other = load(described(name)), load(scaled(described(name), factor))

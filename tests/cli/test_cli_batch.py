@@ -54,7 +54,22 @@ def test_words_on_stdout_and_the_file_on_stderr(command, arm_file, tmp_path):
     batch = pp.load(tmp_path / "batch.npz", pp.Batch)
     assert result.err.splitlines() == [f"wrote {tmp_path / 'batch.npz'}"]
     lines = [line.split("  ", 1) for line in result.out.splitlines()]
-    assert {name.strip(): text.strip() for name, text in lines} == batch.in_words()
+    said = {name.strip(): text.strip().replace("--steps", "max_steps") for name, text in lines}
+    assert said == batch.in_words()
+    assert "; raise --steps to continue" in result.out
+
+
+def test_starts_in_collision_are_told_of_with_advice(command, arm_file, tmp_path):
+    """The straight arm is 0.3 m long along x; bent at a right angle at its base, it is not near the ball."""
+    (tmp_path / "scene.toml").write_text(
+        'obstacles.ball = {type = "sphere", center = [0.25, 0, 0], radius = 0.02}'
+    )
+    (tmp_path / "starts.csv").write_text("0,1.57" + ",0" * 10 + "\n" + "0" + ",0" * 11)
+    asked = ("batch", arm_file, "--curve", "line", "--scene", tmp_path / "scene.toml", "--steps", 1)
+    result = command(*asked, "--starts", tmp_path / "starts.csv")
+    assert "in collision in 1 of 2 runs, run 1 first; choose others by --starts or --seed" in result.out
+    found = json.loads(command(*asked, "--starts", tmp_path / "starts.csv", "--json").out)
+    assert found["starts_in_collision"] == [1]
 
 
 def test_several_curves_from_one_start(command, arm_file, tmp_path):
@@ -105,6 +120,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
     ("options", "says"),
     [
         (("--count", 0), "--count"),
+        (("--count", 10**9), "--count is 1000000000; allowed: a whole number from 1 to 1000000"),
         (("--starts", "missing.csv"), "missing.csv"),
         (("--starts", "nowhere"), "'nowhere'"),
         (("--starts", "TABLE", "--count", 2), "--count"),
@@ -112,6 +128,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
         (("--starts", "TEXT"), "table of numbers"),
         (("--starts", "EMPTY"), "empty"),
         (("--jobs", 0), "jobs"),
+        (("--ends-only",), "--ends-only is True; allowed: only with --output"),
         (("--curve", "line", "--count", 3), r"(2, 3)"),
         (("-o", "TEXT/many"), "is a file"),
         (("-o", "many.npz"), "a directory, in which batch.npz is saved"),

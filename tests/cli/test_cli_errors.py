@@ -41,6 +41,8 @@ CASES = [
     Case(
         "template for a file", "track RyRz --curve helix", ("RyRz: no such file", "pinposture generate RyRz")
     ),
+    Case("no name of an arm", "inspect EMPTY", ("URDF is ''", "- for stdin")),
+    Case("missing folder of meshes", "inspect ARM --package-dir DIR/none", ("--package-dir is 'DIR/none'",)),
     Case("arm is a directory", "inspect DIR", ("DIR", "directory")),
     Case("malformed URDF", "inspect DIR/broken.urdf", ("DIR/broken.urdf", "line 3", "XML")),
     Case("no link of the joint", "track DIR/orphan.urdf --curve helix", ("joint 'j'", "'nowhere'")),
@@ -67,6 +69,14 @@ CASES = [
     Case("text in a CSV", "track ARM --curve DIR/text.csv", ("DIR/text.csv", "line 2", "'hello'")),
     Case("malformed JSON", "track ARM --curve DIR/broken.json", ("DIR/broken.json", "line 1")),
     Case("curve too short", "track ARM --curve DIR/short.json", ("module 4", "lengthen the curve")),
+    Case(
+        "curve in millimetres",
+        "track ARM --curve DIR/mm.csv",
+        ("33 m long; allowed: 30 m", "load it with --scale 0.001"),
+    ),
+    Case("scale 0", "batch ARM --curve DIR/mm.csv --scale 0", ("scale is 0.0", "> 0")),
+    Case("preset with a scale", "track ARM --curve line --scale 2", ("--scale is 2.0", "only with a file")),
+    Case("scale of nothing", "inspect ARM --scale 2", ("--scale is 2.0", "only with --curve")),
     Case("curve out of plane", "track DIR/flat.urdf --curve helix", ("module 1", "off the plane")),
     Case("curve elsewhere", "track ARM --curve DIR/far.json --placement as_is", ("module 1", "5 m", "align")),
     Case(
@@ -139,6 +149,7 @@ def directory(command, tmp_path_factory):
         "one.csv": "x,y,z\n0,0,0\n",
         "one.xyz": "0 0 0\n1 0 0\n",
         "twice.csv": "0,0,0\n1,0,0\n1,0,0\n2,0,0\n",
+        "mm.csv": "0,0,0\n33,0,0\n",
         "nan.csv": "0,0,0\nnan,0,0\n2,0,0\n",
         "text.csv": "0,0,0\n1,hello,0\n",
         "broken.json": '{"type": "line",',
@@ -168,7 +179,7 @@ def test_wrong_input_is_refused_in_one_line_that_names_it(
     def placed(text: str) -> str:
         for name, place in places.items():
             text = text.replace(name, place)
-        return text
+        return text.replace("EMPTY", "")
 
     result = command(*(placed(word) for word in case.line.split()), input="hello")
     assert result.code == 2

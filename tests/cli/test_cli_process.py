@@ -62,6 +62,19 @@ def test_an_error_is_one_line_on_stderr_with_code_2(tmp_path):
 
 
 @pytest.mark.process
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
+def test_output_that_cannot_be_written_is_an_error_in_one_line(arm_file):
+    for options in ((), ("--json",)):
+        with Path("/dev/full").open("w") as full:
+            line = [*COMMAND, "inspect", str(arm_file), *options]
+            result = subprocess.run(
+                line, env=environment(), stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            )
+        assert result.stderr == "error: the output cannot be written (No space left on device)\n"
+        assert result.returncode == 2
+
+
+@pytest.mark.process
 def test_notes_come_whatever_the_filters_say_and_leave_other_warnings_alone(arm_file, tmp_path):
     file = tmp_path / "limitless.urdf"
     file.write_text(re.sub(r'lower="\S+" upper="\S+"', "", arm_file.read_text()))
@@ -211,5 +224,6 @@ def test_a_terminal_sees_how_much_is_done(monkeypatch, capsys):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with count_progress("run") as tell:
+        assert "first run, 0 s" in capsys.readouterr().err
         tell(3, 4)
     assert "run 3 of 4" in capsys.readouterr().err

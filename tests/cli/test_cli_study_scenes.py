@@ -98,7 +98,7 @@ def test_runs_that_did_not_do_as_they_should_are_named(command, runs, found):
 
 def test_the_help_names_every_scene(command):
     out = " ".join(command("study", "scenes", "--help", env={"COLUMNS": "200"}).out.split())
-    assert f"Some of: {','.join(SITUATIONS)}; else all." in out
+    assert f"Some of: {', '.join(SITUATIONS)}; else all." in out
 
 
 @pytest.mark.studies

@@ -91,6 +91,15 @@ def test_options_reach_the_run(command, arm_file, tmp_path):
     np.testing.assert_allclose(run.target.points, target.points, atol=1e-12)
 
 
+def test_a_curve_file_in_millimetres_is_scaled(command, arm_file, tmp_path):
+    curve = tmp_path / "curve.csv"
+    curve.write_text("0,0,0\n200,50,0\n330,50,0\n")
+    asked = (arm_file, "--curve", curve, "--scale", 0.001, "--json")
+    assert json.loads(command("track", *asked).out)["curve_length"] == pytest.approx(0.338, abs=1e-2)
+    assert json.loads(command("batch", *asked, "--count", 1).out)["faults"] == []
+    assert json.loads(command("inspect", *asked).out)["curve"]["placed_points"] == 6
+
+
 @pytest.mark.parametrize(("modules", "length"), [(20, 0.5), (20, 5.0), (6, 0.5), (50, 5.0)])
 def test_presets_are_scaled_to_the_arm(command, tmp_path, modules, length):
     links = ",".join([str(length / modules / 2)] * 2)

@@ -15,7 +15,6 @@ from collision.scans_by_hand import brute_force, hull_distance, local_bodies, po
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
-from scipy.optimize import minimize
 
 import pinposture as pp
 from pinposture.collision import Box, Capsule, CollisionModel, Mesh, Scan, Scene, Sphere
@@ -192,22 +191,23 @@ def contact(shape, obstacle):
     return pairs.near(HERE, np.inf)
 
 
-def sampled_distance(start, end, triangle):
-    """Of a segment from a triangle, by minimising over where on both; starts spread over both."""
-    edges = triangle[1:] - triangle[0]
+def distance_by_faces(start, end, triangle):
+    """Of a segment from a triangle: the smallest between all of their faces, ends and edges included.
 
-    def square(x):
-        gap = start + x[0] * (end - start) - triangle[0] - x[1] * edges[0] - (1.0 - x[1]) * x[2] * edges[1]
-        return gap @ gap
-
-    # Squared distance is convex in (place on the line, weights of the corners); x[2] scales the last weight.
-    best = min(
-        minimize(
-            square, x0, bounds=[(0, 1)] * 3, method="L-BFGS-B", options={"ftol": 1e-16, "gtol": 1e-12}
-        ).fun
-        for x0 in ((0.5, 0.3, 0.3), (0.0, 0.1, 0.1), (1.0, 0.6, 0.5))
-    )
-    return np.sqrt(best)
+    Between the affine hulls of two faces, least squares give the nearest points; they count if they are in
+    the faces. If a hull has several nearest points, some of them are in a smaller face, too.
+    """
+    best = np.inf
+    for line in map(np.array, ([start], [end], [start, end])):
+        for corners in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
+            face = triangle[corners]
+            matrix = np.concatenate([line[1:] - line[0], face[0] - face[1:]]).T
+            gap = face[0] - line[0]
+            shares = np.linalg.lstsq(matrix, gap, rcond=1e-12)[0] if matrix.size else np.zeros(0)
+            weights = shares[len(line) - 1 :]
+            if np.all(shares >= -1e-12) and np.all(shares <= 1 + 1e-12) and weights.sum() <= 1 + 1e-12:
+                best = min(best, np.linalg.norm(matrix @ shares - gap))
+    return best
 
 
 @examples(60)
@@ -218,7 +218,7 @@ def test_a_capsule_is_as_far_from_a_triangle_as_any_two_of_their_points(start, e
     body = Sphere(start, radius) if ball else Capsule(start, end, radius)
     end = start if ball else end
     near = contact(body, Scan(corners, [[0, 1, 2]]))
-    true = sampled_distance(start, end, corners)
+    true = distance_by_faces(start, end, corners)
     assert near.distances[0] <= true - radius + 1e-9
     if not near.normals[0].any():  # they meet in a point of a triangle that is a line
         assert true < 1e-9 and np.linalg.norm(np.cross(*(corners[1:] - corners[0]))) < 1e-6
@@ -226,7 +226,7 @@ def test_a_capsule_is_as_far_from_a_triangle_as_any_two_of_their_points(start, e
         assert near.distances[0] == pytest.approx(true - radius, abs=1e-6)
     else:  # the axis crosses it, and no longer does when it has been moved away as far as is told
         away = (-near.distances[0] - radius + 1e-6) * near.normals[0]
-        assert true < 1e-4 and sampled_distance(start + away, end + away, corners) > 1e-8
+        assert true < 1e-4 and distance_by_faces(start + away, end + away, corners) > 1e-8
         assert np.linalg.norm(near.normals[0]) == pytest.approx(1.0)
 
 

@@ -32,6 +32,18 @@ def test_saved_curve_comes_back_equal_to_the_last_bit(make, tmp_path):
     assert Curve.from_dict(json.loads(json.dumps(curve.to_dict()))) == curve
 
 
+@pytest.mark.parametrize("name", ["curve.csv", "curve.json"])
+def test_a_file_in_millimetres_is_loaded_with_a_scale(name, tmp_path):
+    path, thousand = tmp_path / name, (1000 * np.array(POINTS)).tolist()
+    rows = "\n".join(",".join(map(str, row)) for row in thousand)
+    path.write_text(rows if path.suffix == ".csv" else json.dumps(thousand))
+    curve = Curve.load(path, scale=0.001)
+    np.testing.assert_allclose(curve.resample(50), Curve.points(POINTS).resample(50), atol=1e-12)
+    for scale in (0, -1, np.inf, "mm", None):
+        with pytest.raises(PostureError, match="scale is"):
+            Curve.load(path, scale=scale)
+
+
 def test_saving_replaces_a_file_and_leaves_nothing_else(tmp_path):
     path = tmp_path / "curve.json"
     path.write_text("old")

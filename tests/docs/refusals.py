@@ -63,6 +63,9 @@ SETTLED: dict[str, Load] = {
     "revolute limits of 4 pi to 360 rad": loading(
         arm_text([*pairs(1), ("revolute", Y, LINK, limit(-90, 90)), ("revolute", Z, LINK)])
     ),
+    "more than 100 m from the first joint to the tip": loading(
+        arm_text([("revolute", Y, "100 0 0"), ("revolute", Z, "100 0 0")] * 2, tip="100 0 0")
+    ),
     "parallel axes in a row": loading(arm_text([("revolute", Z, LINK), *[("revolute", Y, LINK)] * 3])),
     "joints beside the chain": loading(
         arm_text(pairs(2), extra=links(["jaw"]) + moving("grip", "l2", "jaw", "prismatic"))

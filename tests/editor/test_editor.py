@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited_tasks import L, six_modules, task
+from editor.edited_tasks import L, six_modules, task
+from editor.page_client import visiting
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import pinposture as pp
@@ -103,6 +104,7 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
                 keyframes.delete,
                 partial(keyframes.rename, k, "höhle"),
                 lambda session, k=k: session.edit(edits.retimed(k, 0.5 * k), "retimed"),  # type: ignore[misc]
+                lambda session, k=k: session.edit(edits.repeated(k % 4), "laps"),  # type: ignore[misc]
                 partial(obstacles.add_obstacle, chance.choice(["sphere", "box"]), np.zeros((1, 3))),
                 partial(obstacles.edit_obstacle, name, key, value, final),
                 partial(obstacles.rename_obstacle, name, "x"),
@@ -132,6 +134,23 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
     last = Task.load(autosave_path(session.path) if session.changed else session.path)
     assert last.motion == session.task.motion
     assert last.scene == session.task.scene
+
+
+def test_laps_and_limits_are_typed_and_undone(editor: Editor) -> None:
+    session, before = editor.session, editor.session.task
+    with visiting(editor.url) as client:
+        client.set("Laps", 3)
+        until(lambda: session.task.repeat == 3)
+        client.set("Return [s]", 0.125)
+        until(lambda: edits.keyframes_of(session.task)[0].duration == 0.125)
+        for label, name in (("Speed [rad/s]", "velocity"), ("Accel. [rad/s²]", "acceleration")):
+            client.set(label, 1.125)
+            until(lambda name=name: getattr(session.task.limits, name) == 1.125)
+        client.set("Jerk [rad/s³]", 50.25)
+        until(lambda: session.task.limits.jerk == 50.25)
+    for _ in range(5):
+        editor.post(Session.undo)
+    until(lambda: session.task is before)
 
 
 def test_a_part_that_fails_does_not_end_the_loop(

@@ -39,6 +39,7 @@ any_edit = st.one_of(
     st.builds(lambda r: edits.with_obstacle("ball", pp.Sphere((1, 1, 1), r)), st.sampled_from([0.1, 0.2])),
     st.just(edits.with_obstacle("ball", None)),
     st.builds(edits.taught, places, st.just(np.full(12, 0.1))),
+    st.builds(edits.repeated, st.integers(0, 3)),
 )
 
 
@@ -126,6 +127,25 @@ def test_where_a_keyframe_cannot_be_dragged_to() -> None:
         edits.dragged(2, 0.05)(crowded)
     with pytest.raises(TaskError, match="keyframe 9"):
         edits.dragged(8, 0.05)(crowded)
+
+
+@pytest.mark.parametrize(("count", "duration"), [(4, None), (3, None), (3, 1.5), (4, 0.7)])
+def test_keyframes_of_all_laps_are_where_the_reference_has_them(count: int, duration: float | None) -> None:
+    frames = edits.keyframes_of(task())[:count]  # of four, the last one closes the tour
+    single = task(*frames)
+    tour = edits.with_keyframe(0, duration=duration)(edits.repeated(3)(single))
+    reference = tour.reference()
+    passes, marks = edits.passes_of(tour), reference.marks
+    assert [each.time for each in passes] == pytest.approx([reference.interval * mark.row for mark in marks])
+    names = [frame.name or f"keyframe {index + 1}" for index, frame in enumerate(frames)]
+    assert [f"{names[each.keyframe]}, lap {each.lap + 1}" for each in passes] == [mark.name for mark in marks]
+    assert edits.repeated(1)(tour).motion == frames
+    assert [each.time for each in edits.passes_of(single)] == edits.times_of(single)
+
+
+def test_a_tour_of_refused_times_is_still_listed() -> None:
+    early = task(Keyframe(straight_line()), Keyframe(bent_spline(), time=0.0, trim=True), repeat=2)
+    assert [each.keyframe for each in edits.passes_of(early)] == [0, 1, 1]
 
 
 def test_the_first_keyframe_stays_at_the_beginning() -> None:

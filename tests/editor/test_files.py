@@ -15,7 +15,16 @@ from edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor import edits
-from pinposture.editor.files import Autosave, Files, autosave_path, recover, restore, task_files, within
+from pinposture.editor.files import (
+    Autosave,
+    Files,
+    autosave_path,
+    first_task,
+    recover,
+    restore,
+    task_files,
+    within,
+)
 from pinposture.editor.session import Session
 from pinposture.errors import FileError
 from pinposture.task import Task
@@ -399,3 +408,14 @@ def test_task_files_to_choose_from_are_those_of_the_folder_the_latest_first(tmp_
     (tmp_path / "gone.toml").symlink_to(tmp_path / "nowhere.toml")
     (tmp_path / "folder.toml").mkdir()
     assert task_files(tmp_path) == ("sub/in.toml", "new.toml", "old.toml")
+
+
+@pytest.mark.parametrize("joint", [pp.JointSpec("z", "prismatic", 0.0, 0.1), pp.JointSpec("z", lower=0.9)])
+def test_the_keyframes_of_an_arm_that_takes_no_line_are_taught(joint: pp.JointSpec) -> None:
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("module", (joint,), (0.1,))] * 3)
+    first = first_task(arm)
+    straight, bent = first.motion  # type: ignore[misc]
+    assert (straight.curve, bent.curve, straight.joints == bent.joints) == (None, None, False)
+    assert first.perform().converged
+    line = edits.keyframes_of(first_task(six_modules()))[0].curve
+    assert line is not None

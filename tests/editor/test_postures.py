@@ -16,6 +16,7 @@ from pinposture.editor.edits import added, removed, reordered, times_of, with_ke
 from pinposture.editor.postures import add_taught, drag_tip, draw_curve, hold_tip, teach
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, judge
+from pinposture.errors import TaskError
 from pinposture.task import Keyframe, Task
 
 pytest.importorskip("viser")
@@ -114,15 +115,16 @@ def test_a_taught_keyframe_is_taken_and_has_no_points_to_change() -> None:
     assert len(session.shape.points) == 0
     for act in (
         lambda: session.reshape(lambda arm, shape: shape.moved(arm, 1, (0, 0, 0)), "moved"),
-        session.take_all,
         lambda: insert_point(session),
-        lambda: delete_points(session),
     ):
         session.say("")
         act()
-        assert "keyframe 2 is a taught configuration without control points" in session.notice.text
+        assert "keyframe 2: a taught configuration has no control points" in session.notice.text
         assert session.notice.kind == "error"
         assert (session.task, session.proposal, session.handles) == (before, None, ())
+    for refused in (session.take_all, lambda: delete_points(session)):
+        with pytest.raises(TaskError, match="keyframe 2: a taught configuration has no control points"):
+            refused()
 
 
 def test_a_curve_is_drawn_through_a_taught_posture() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -102,8 +103,11 @@ def test_no_thread_is_left_after_closing(monkeypatch: pytest.MonkeyPatch) -> Non
     assert not [each for each in threading.enumerate() if each.name == "pinposture-rehearsal"]
 
 
-def test_a_task_that_cannot_be_tells_which_keyframe_and_why() -> None:
+@pytest.mark.parametrize("from_a_file", [False, True])
+def test_a_task_that_cannot_be_tells_which_keyframe_and_why(from_a_file: bool, tmp_path: Path) -> None:
     task = short(motion=(Keyframe(bent_spline(), trim=True), Keyframe(half_line(), time=1.0)))
+    if from_a_file:
+        task = Task.load(task.save(tmp_path / "task.toml"))
     rehearsal = Rehearsal()
     rehearsal.ask(task)
     found = done(rehearsal, task)

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from edited_tasks import L, bent_spline, straight_line, task
 
+import pinposture as pp
+from pinposture.editor.files import Files, first_task
 from pinposture.editor.session import Session
+from pinposture.errors import CurveError
 from pinposture.task import Keyframe
 
 pytest.importorskip("viser")
 
 from pinposture.editor.ui import curve
+from pinposture.editor.ui.page import shortcuts
 
 
 @pytest.fixture
@@ -58,6 +62,17 @@ def test_those_that_are_selected_move_together_and_another_one_alone(session: Se
     assert session.handles == (1,)
 
 
+def test_an_arrow_key_that_leads_out_of_the_plane_of_the_arm_is_refused() -> None:
+    session = Session(first_task(pp.Arm.from_template("Rz", 6)))
+    session.take_hold(2)
+    keys = {each.label: each.act for each in shortcuts(Files(lambda _: None), lambda _: None)}
+    with pytest.raises(CurveError, match="point 3: cannot leave the plane of the arm along z"):
+        keys["Move it up (+z)"](session)
+    assert session.proposal is None
+    keys["Move it ahead (+x)"](session)
+    assert session.proposal is not None
+
+
 def test_points_that_are_dragged_come_to_the_grid(session: Session) -> None:
     points = session.shape.points.copy()
     session.take_all()
@@ -75,8 +90,8 @@ def test_points_that_are_dragged_come_to_the_grid(session: Session) -> None:
 def test_copies_are_selected_and_all_are_deleted_at_once(session: Session) -> None:
     points = session.shape.points.copy()
     for act in (curve.duplicate_points, curve.delete_points):
-        act(session)
-        assert session.notice.text == "no control point is selected: click on one, or press N"
+        with pytest.raises(CurveError, match="no control point is selected: click on one, or press N"):
+            act(session)
     session.take_hold(3)
     session.take_hold(1, more=True)
     curve.duplicate_points(session)

@@ -7,9 +7,11 @@ import time
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from editor.edited_tasks import L, bent_spline, six_modules, straight_line, task
 from editor.played import Clock, done, live_of, short
+from scipy.spatial.transform import Rotation
 
 import pinposture as pp
 from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, nearest
@@ -17,7 +19,7 @@ from pinposture.editor.playback import Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.ui.keyframes import row_label
-from pinposture.editor.ui.page import DIRECTIONS, FRAME_MARGIN, framing, status_of
+from pinposture.editor.ui.page import DIRECTIONS, FRAME_MARGIN, framing, status_of, viewpoint
 from pinposture.task import Keyframe, Task
 
 THICK = 0.01
@@ -55,7 +57,7 @@ def crossing() -> tuple[pp.Arm, np.ndarray]:
 def test_a_shape_that_is_taken_is_green() -> None:
     kind, head, _ = told_of(Keyframe(straight_line()))
     assert kind == "good"
-    assert re.fullmatch(r"On the curve to 0(\.\d+)? mm", head)
+    assert re.fullmatch(r"On the curve to within 0(\.\d+)? mm", head)
 
 
 def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
@@ -71,6 +73,21 @@ def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
     playback.pause()
     clock.now += 50.0
     assert status_of(session, live)[1].startswith("Motion at 0.2 s, ")
+
+
+def test_the_lap_that_is_shown_is_named() -> None:
+    session = Session(short(repeat=3))
+    playback, task = session.playback, session.task
+    playback.rehearsal.ask(task)
+    motion = done(playback.rehearsal, task).motion
+    assert motion is not None
+    playback.seek(task, 0.0)
+    session.update_playback()
+    for passed in motion.waypoints:
+        assert passed.row is not None
+        playback.seek(task, float(motion.time[passed.row]) + 0.06)
+        lap = passed.name.rsplit(", ")[-1]
+        assert f", {lap} of 3, " in status_of(session, playback.seen(live_of(session)))[1]
 
 
 def test_a_tip_that_is_elsewhere_is_amber_and_says_how_far() -> None:
@@ -155,6 +172,20 @@ def test_a_keyframe_is_judged_again_only_when_it_is_another() -> None:
     assert len(verdicts._known) == 2
     del other
     assert len(verdicts._known) == 1  # those of keyframes that are gone are forgotten
+
+
+@pytest.mark.parametrize("heading", [(1, 0, 0), (0, -1, 0), (-1, 1, 0.5), (0, 0, 1)])
+def test_a_new_page_shows_the_whole_arm_with_its_base_at_the_left(heading: tuple[float, ...]) -> None:
+    turn = Rotation.align_vectors([heading], [(1.0, 0.0, 0.0)])[0].as_matrix()
+    arm = pp.Arm.from_template("RyRz", 6, base_placement=pin.SE3(turn, np.array([0.5, 0.2, 0.1])))
+    view = viewpoint(arm)
+    ahead = view.look_at - view.position
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    axes = np.array([each / np.linalg.norm(each) for each in (right, np.cross(right, ahead), ahead)])
+    x, y, z = axes @ (np.vstack([arm.chain.base, arm.at(arm.straight()).points]) - view.position).T
+    half = np.tan(0.5 * view.opening) * z
+    assert np.all(np.abs(x) < half) and np.all(np.abs(y) < half)
+    assert x[0] < x[-1] - 0.5 * arm.length or heading[:2] == (0, 0)
 
 
 @pytest.mark.parametrize("direction", list(DIRECTIONS.values()))

@@ -16,6 +16,8 @@ from editor.page_client import Client, until, visiting
 
 from pinposture import editor as package
 from pinposture.editor import Editor
+from pinposture.editor.files import within
+from pinposture.errors import FileError
 from pinposture.task import Task
 
 NAMES = (
@@ -62,6 +64,11 @@ def says(editor: Editor, words: str) -> None:
 def press(client: Client, label: str, name: str, button: str) -> None:
     client.set(label, name)
     client.set(button, True)
+
+
+def test_a_file_without_a_name_is_refused(root: Path) -> None:
+    with pytest.raises(FileError, match="has no name yet"):
+        within(root, "")
 
 
 def test_nothing_outside_is_saved_opened_or_loaded(editor: Editor, root: Path) -> None:

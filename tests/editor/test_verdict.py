@@ -76,19 +76,21 @@ def test_a_curve_that_leaves_the_base_the_other_way() -> None:
     assert "at the base" in verdict.reason or "at module 1" in verdict.reason
 
 
-def test_too_long_is_said_and_taken() -> None:
-    verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), trim=True), None)
+@pytest.mark.parametrize("trim", [False, True])
+def test_too_long_is_said_and_taken(trim: bool) -> None:
+    verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), trim=trim), None)
     assert verdict.target is not None
     assert len(verdict.notes) == 1
-    assert verdict.notes[0].startswith("too long by 0.15 m: ")
-    whole = Keyframe(pp.Curve.line((0, 0, 0), (L + MODULE, 0, 0)), trim=True)
+    assert verdict.notes[0].startswith("the curve is longer than the arm by 0.15 m")
+    whole = Keyframe(pp.Curve.line((0, 0, 0), (L + MODULE, 0, 0)), trim=trim)
     assert judge(six_modules(), whole, None).notes == ()
 
 
-def test_too_long_without_leave_to_trim_is_refused_without_a_wrong_number() -> None:
-    verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), name="third"), None)
+def test_a_tip_out_of_reach_is_refused_without_a_wrong_number() -> None:
+    goal = pp.EndEffector((0, 0, 2 * L), priority=True)
+    verdict = judge(six_modules(), Keyframe(straight_line(), name="third", tip=goal), None)
     assert verdict.target is None
-    assert "0.45 m long, and the arm covers 0.3 m of it" in verdict.reason
+    assert "is missed by at least 0.30" in verdict.reason
     assert "keyframe" not in verdict.reason
 
 

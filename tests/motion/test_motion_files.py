@@ -157,6 +157,8 @@ def test_what_has_no_format_is_neither_saved_nor_loaded(arm: pp.Arm, motion: Mot
 def test_what_is_missing_or_no_such_file_is_named(motion: Motion, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="no such file"):
         pp.load(tmp_path / "nowhere.npz", Motion)
+    with pytest.raises(FileError, match="is a directory; name a file in it"):
+        pp.load(tmp_path)
     for name, text in (("empty.npz", b""), ("text.npz", b"not an archive"), ("zip.npz", b"PK\x03\x04")):
         (tmp_path / name).write_bytes(text)
         with pytest.raises(FileError, match=name):

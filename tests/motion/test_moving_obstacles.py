@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -85,6 +86,39 @@ def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, 
     assert lowest >= MARGIN - 2e-4
     if deadline == np.inf:
         assert tracker.report.status == "converged"
+
+
+@pytest.mark.parametrize("seed", cases([6, 5, 14], 1))
+def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_queries(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A post sweeps through the goal, which moves, at 0.3 m/s; measurements are noisy."""
+    queries, original = [0], CollisionModel.nearest
+
+    def counted(*given: Any) -> Any:
+        queries[-1] += 1
+        return original(*given)
+
+    monkeypatch.setattr(CollisionModel, "nearest", counted)
+    rng, q, before = np.random.default_rng(seed), np.zeros(40), np.zeros(40)
+    post = pp.Scene({"post": pp.Capsule((0, 0, -1), (0, 0, 1), BALL)}, margin=2 * MARGIN, arm_radius=THIN)
+    goal = pp.arm.smooth_configuration(arm(), rng, 0.3)
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=4.0, dt=DT)
+    tracker, lowest = pp.Tracker(arm(), limits=limits, scene=post), np.inf
+    for cycle in range(700):
+        y, wanted = -1.2 + 0.3 * DT * cycle, goal * (1.0 + 0.15 * np.sin(0.01 * cycle))
+        tracker.update(pp.Target.from_configuration(arm(), wanted))
+        moment = post.moved({"post": (0.6, y, 0.0)}, velocities={"post": (0.0, 0.3, 0.0)})
+        dq = tracker.step(q + rng.normal(0.0, 2e-3, 40), scene=moment)
+        assert np.abs(dq).max() <= limits.velocity * DT + 1e-12
+        assert np.abs(dq - before).max() <= limits.acceleration * DT**2 + 1e-12
+        q, before = tracker.command, dq
+        height = np.clip(arm().at(q).points[:, 2], -1.0, 1.0)
+        axis = np.column_stack([np.full(20, 0.6), np.full(20, y + 0.3 * DT), height])
+        lowest = min(lowest, np.linalg.norm(arm().at(q).points - axis, axis=1).min() - BALL - THIN)
+        queries.append(0)
+    assert lowest >= 2 * MARGIN - 2e-4
+    assert np.percentile(queries, 98) <= 20  # a whole search for a goal makes 70
 
 
 def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:

@@ -79,7 +79,7 @@ def test_no_goal_is_sought_in_the_loop_while_an_obstacle_passes_over_it(
 ) -> None:
     monkeypatch.setattr(geodesic, "find_path", refuse)
     monkeypatch.setattr(plan, "find_goal", refuse)
-    goal = smooth_configuration(arm, np.random.default_rng(1), 0.5)
+    goal = smooth_configuration(arm, np.random.default_rng(1), 1.0)
     ball = pp.Scene({"ball": pp.Sphere((0.0, 0.0, 0.0), 0.03)}, margin=0.005, arm_radius=0.005)
     tracker = pp.Tracker(arm, limits=LIMITS, scene=ball, deadline=0.002)
     tracker.update(pp.Target.from_configuration(arm, goal))
@@ -101,7 +101,7 @@ def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
     arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plan, "find_goal", refuse)
-    goal = smooth_configuration(arm, np.random.default_rng(1), 0.5)
+    goal = smooth_configuration(arm, np.random.default_rng(1), 1.0)
     place = tuple(arm.at(goal).points[-1])
     scene = pp.Scene({"ball": pp.Sphere(place, 0.02)}, margin=0.005, arm_radius=0.005)
     tracker = pp.Tracker(arm, limits=LIMITS, scene=scene, deadline=0.002)
@@ -135,7 +135,7 @@ def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
 def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
     loop = Loop(tracker, arm.neutral())
-    goal = smooth_configuration(arm, np.random.default_rng(3), 0.5)
+    goal = smooth_configuration(arm, np.random.default_rng(3), 1.0)
     tracker.update(pp.Target.from_configuration(arm, goal))
     loop.run("holding")
     os.kill(tracker._steps._process._process.pid, signal.SIGKILL)
@@ -200,8 +200,8 @@ def test_a_plan_for_an_outdated_target_is_interrupted_but_not_the_one_after_it(a
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
     process = EndlessPlanning()
     tracker._steps._process = process
-    q = smooth_configuration(arm, rng, 0.5)
-    targets = [pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5)) for _ in range(3)]
+    q = smooth_configuration(arm, rng, 1.0)
+    targets = [pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 1.0)) for _ in range(3)]
     nearly = pp.Target.from_configuration(arm, arm.integrate(targets[0].q, np.full(arm.nv, 1e-4)))
     for target, plans in ((targets[0], 1), (nearly, 1), (targets[1], 2), (targets[2], 2)):
         tracker.update(target)

@@ -59,7 +59,7 @@ def test_a_curve_that_is_taken_from_elsewhere_is_said(arm: pp.Arm) -> None:
     ) as told:
         target = pp.resolve_targets(arm, line(0.5, 0.0, 0.5))
     assert told[0].filename == __file__
-    with pytest.warns(pp.PostureWarning, match=r"moved by 400 m .*; is it in millimetres, not metres\?"):
+    with pytest.warns(pp.PostureWarning, match=r"moved by 400 m .*; if it is in millimetres, load"):
         pp.resolve_targets(arm, line(400.0, 0.0, 0.0))
     np.testing.assert_allclose(target.moved, [(-0.5, 0.0, -0.5), (0.0, 0.0, -np.pi / 2)], atol=1e-12)
     with warnings.catch_warnings():

@@ -262,7 +262,7 @@ def test_what_is_no_arm_or_no_curve_is_named(arm: pp.Arm) -> None:
 def test_a_curve_in_millimetres_is_refused(arm: pp.Arm, placement: str | None) -> None:
     metres = pp.Curve.points(HELIX.resample(60))
     assert pp.resolve_targets(arm, metres).has_target.all()
-    text = r"curve: is 1\d+ m long; allowed: 100 m at most, 100 times the arm; is it in millimetres"
+    text = r"curve: is 1\d+ m long; allowed: 100 m at most, 100 times the arm; if it is in millimetres, load"
     with pytest.raises(CurveError, match=text):
         pp.resolve_targets(arm, pp.Curve.points(1000.0 * metres.resample(60)), placement=placement)
     assert pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (99.9, 0, 0))).has_target.all()

@@ -46,6 +46,14 @@ def test_following_a_curve_is_as_good_as_beginning_anew():
         assert np.all(near.residual < 0.1 * arm().length / arm().n_modules)
 
 
+def test_a_posture_on_a_curve_that_ends_at_its_tip_is_found_again():
+    before = resolved(turned(0))
+    ends = float(before.parameters[-1]) + 1e-3 * arm().length
+    posture = pp.Target.from_configuration(arm(), before.q)
+    again = resolved(turned(0).trimmed(0.0, ends), near=posture)
+    assert np.abs(arm().at(again.q).points - posture.points).max() < 1e-3 * arm().length
+
+
 def test_it_is_an_optimum_within_the_limits():
     near = resolved(turned(7), near=resolved(turned(5)))
     best = cost(near, near.q, near.parameters, "smooth")

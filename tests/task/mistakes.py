@@ -132,7 +132,9 @@ BOWED -> [[keyframes]]\ntime = 1\njoints = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, "175 d
 BOWED -> [[keyframes]]\ntime = 1\njoints = [0, -40, 0, 0, 0, 0, 0, 0, 0, 0, 30, 0]\n
     :: keyframe 2, joints: is -40 rad for joint 2 'm01_j2_z' | is it in degrees? | "-40 deg" @ joints
 BOW -> curve = { type = "helix", radius = 100, pitch = 0, turns = 0.6 }
-    :: keyframe 2, curve: is 377 m long; allowed: 30 m at most, 100 times the arm; is it in millimetres
+    :: keyframe 2, curve: is 377 m long; allowed: 30 m at most, 100 times the arm; if it is in millimetres
+BOW -> curve = { path = 3 } :: keyframe 2, curve: is 3 | name of a file
+BOW -> curve = { path = "way.csv", scle = 2 } :: keyframe 2, curve: key of a curve file is | mean 'scale'
 hold = 0.1 -> speed = 0 :: keyframe 2, speed: is 0; allowed: a share of the velocity limits, in (0, 1]
 hold = 0.1 -> speed = "9 cm/s" :: keyframe 2, speed: is '9 cm/s'; allowed: a number
 version = 1 + repeat = 0 :: repeat: is 0; allowed: a whole number, 1 or more
@@ -181,8 +183,6 @@ name = "straight"\n -> name = "straight"\nduration = 1\n
     :: keyframe 1 'straight': its duration is 1 s, the time to return | set repeat to 2 @ [[keyframes]]
 "1 s" -> "1 ms" :: keyframe 2 'bowed' | same control cycle @ SECOND
 "1 s" -> "600000 min" :: keyframe 2 'bowed': it ends at 3.6e+07 s | at most @ SECOND
-trim = true\n ->
-    :: keyframe 2 'bowed': the curve is 0.377 m long | arm covers 0. | shorten it | set trim @ SECOND
 0.3, 0, 0 -> 0.2, 0, 0 :: keyframe 1 'straight': module 5 | curve ends | lengthen @ [[keyframes]]
 ["-170 deg", 3.0] -> [-0.1, 0.1] :: keyframe 2 'bowed': module 1 | joint limits | gentler curve @ SECOND
 hold = 0.1 -> tip = { position = [1, 1, 1], priority = true }

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import pickle
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from arms import template_arm
 from task.keyed_arms import coil, snake, straight
@@ -72,12 +75,6 @@ def test_values_of_a_keyframe(options: dict[str, Any], kind: type[PostureError],
             r"keyframe 2 'b': its region is \(0, 20\); the arm has control points 0 to 19",
         ),
         (
-            lambda: [start(), Keyframe(coil(1.0), duration=1.0, name="coil")],
-            {},
-            TaskError,
-            r"keyframe 2 'coil': the curve is 1\.145 m long, and the arm covers .* m of it; .* trim",
-        ),
-        (
             lambda: [
                 start(),
                 Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((2, 0, 0), priority=True)),
@@ -100,6 +97,25 @@ def test_motions(
     arm, keyframes = template_arm("RyRz", 20), make()
     with pytest.raises(kind, match=message):
         keyframe_reference(arm, keyframes, **{"interval": 0.02, **options})
+
+
+def test_a_curve_longer_than_the_arm_is_trimmed_with_a_warning_unless_that_is_asked() -> None:
+    arm = template_arm("RyRz", 20)
+    long = Keyframe(coil(1.0), duration=1.0, name="coil")
+    words = r"^keyframe 2 'coil': the arm takes the first .* of 1\.145 m; set trim"
+    with pytest.warns(pp.PostureWarning, match=words) as said:
+        warned = keyframe_reference(arm, [start(), long], 0.02)
+    assert len(said) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        asked = keyframe_reference(arm, [start(), replace(long, trim=True)], 0.02)
+    np.testing.assert_array_equal(warned.offsets, asked.offsets)
+
+
+def test_a_tip_goal_beyond_the_reach_draws_a_warning() -> None:
+    keyframes = [start(), Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((0, 0.75, -1)))]
+    with pytest.warns(pp.PostureWarning, match=r"^keyframe 2: .* it is 1\.25 m from the base .* reaches 1 m"):
+        keyframe_reference(template_arm("RyRz", 20), keyframes, 0.02)
 
 
 @pytest.mark.parametrize(

@@ -164,22 +164,26 @@ def test_curves_are_written_as_what_they_are(tmp_path: Path) -> None:
 
 def test_described_curves_stay_what_they_were_and_their_copies_too(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "way.csv", [[0, 0, 0], [0.1, 0, 0], [0.3, 0.05, 0]], delimiter=",")
+    np.savetxt(tmp_path / "mm.csv", [[0, 0, 0], [100, 0, 0], [300, 50, 0]], delimiter=",")
     text = VALID.replace('{ type = "line", a = [0, 0, 0], b = [0.3, 0, 0] }', '"way.csv"')
     text += '[[keyframes]]\nduration = 1\ncurve = "helix"\n'
+    text += '[[keyframes]]\nduration = 1\ncurve = { path = "mm.csv", scale = 0.001 }\n'
     (tmp_path / "task.toml").write_text(text)
     task = pp.Task.load(tmp_path / "task.toml")
-    first, second, third = task.motion
+    first, second, third, scaled = task.motion
+    assert scaled.curve.length == pytest.approx(first.curve.length)
     copy = pp.Keyframe(pp.Curve(third.curve.knots, third.curve.coefficients, 5), duration=2.0)
     changed = pp.Keyframe(second.curve.moved(np.eye(3), (0, 0, 1)), duration=1.0)
-    edited = task.edited(motion=(second, third, first, copy, changed), layout=None)
+    edited = task.edited(motion=(second, third, first, copy, scaled, changed), layout=None)
     said = written(edited, tmp_path / "parts" / "task.toml")["keyframes"]
-    assert [each["curve"] for each in said[:4]] == [
+    assert [each["curve"] for each in said[:5]] == [
         {"type": "helix", "radius": 0.1, "pitch": 0, "turns": 0.6},
         "helix",
         "../way.csv",
         "helix",
+        {"path": "../mm.csv", "scale": 0.001},
     ]
-    assert said[4]["curve"]["type"] == "bspline"
+    assert said[5]["curve"]["type"] == "bspline"
     (tmp_path / "way.csv").write_text("0,0,0\n1,0,0\n")
     with pytest.warns(PostureWarning, match="curve was '../way.csv', which has changed since"):
         said = written(edited, tmp_path / "parts" / "task.toml")["keyframes"]

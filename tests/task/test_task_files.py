@@ -58,6 +58,24 @@ def test_json_and_toml_say_the_same(tmp_path: Path, text: str) -> None:
     assert tasks[0].formats == tasks[1].formats
 
 
+@pytest.mark.parametrize(
+    ("text", "shown"), [(VALID, "2 keyframes: straight, bowed"), (LEADER, "follow Curve(")]
+)
+def test_a_task_and_what_belongs_to_it_are_shown_in_a_few_lines(
+    tmp_path: Path, text: str, shown: str
+) -> None:
+    task = loaded(tmp_path, text)
+    assert shown in repr(task) and repr(task.arm) in repr(task)
+    assert repr(task).count("\n") == 2
+    for each in (task, task.reference(), task.arm.spec, pp.Arm.load(task.arm.urdf).spec):
+        assert max(map(len, repr(each).splitlines())) < 150
+
+
+def test_a_keyframe_shows_what_differs_from_its_defaults() -> None:
+    bent = pp.Keyframe(joints=(0.1, -0.2), name="bent", time=2.0, hold=0.0, speed=0.5)
+    assert repr(bent) == "Keyframe(time=2.0, name='bent', joints=(0.1, -0.2), speed=0.5)"
+
+
 def test_values_arrive_as_they_were_meant(tmp_path: Path) -> None:
     more = 'placement = "translate"\nroll = "90 deg"\nmethod = "closest"\nregion = [2, 6]\n'
     tip = 'position = ["10 cm", 0, 0.1], rotation = ["90 deg", 0, 0], point = 3, weight = 4'
@@ -161,10 +179,10 @@ def test_a_task_in_python_needs_no_file() -> None:
     arm = pp.Arm.from_template("RyRz", modules=6)
     keyframes = (
         pp.Keyframe(pp.Curve.line((0, 0, 0), (0.3, 0, 0))),
-        pp.Keyframe(pp.Curve.line((0, 0, 0), (1, 0, 0)), time=1.0),
+        pp.Keyframe(pp.Curve.line((0, 0, 0), (0.2, 0, 0)), time=1.0),
     )
     task = pp.Task(arm, keyframes, pp.Limits(step=None, dt=0.02))
-    with pytest.raises(pp.errors.TaskError, match=r"^keyframe 2: the curve is 1 m long"):
+    with pytest.raises(pp.errors.CurveEndsEarly, match=r"^keyframe 2: module 5"):
         task.reference()
 
 

@@ -145,6 +145,8 @@ RETREAT_SHARE = 0.2
 MAX_NAMED_PAIRS = 3
 """Largest number of pairs that a message lists."""
 
+BRAKING_HARDER = "limits of acceleration: braking within them would cause contact"
+
 MAX_HALVINGS = 6
 """How often a step from which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
@@ -315,7 +317,8 @@ class Avoidance:
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
         """Whether the arm keeps its margin during a step and while it then stops."""
         stopping = self._stopping(state, dq)
-        if not self._is_clear(state, dq, stopping, self.margin - self._rounding):
+        least = self.margin - self._rounding
+        if self._lowest(state, np.vstack([dq, stopping]), least) < least:
             return False
         self._approved = dq, stopping
         return True
@@ -338,8 +341,10 @@ class Avoidance:
         bounds, rest = self._bounds, np.zeros((1, len(dq)))
         rooms = bounds.edges - state.forward.positions
         braking = np.vstack([stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), rest])
+        # Obstacles keep moving when the arm has stopped, so that all steps are compared at the same time.
+        until = max(len(braking), len(self._stopping(state, dq)) + 1) if self.moving else 0
         now = self.near(state).minimum
-        lowest = min(now, self._lowest(state, braking, self.margin))
+        lowest = min(now, self._lowest(state, braking, self.margin, until))
         touching = min(now, 0.0) - self._rounding
         # A moving obstacle can still be evaded where braking does not help.
         least = min(self.margin, lowest if self.moving else max(lowest, touching)) - self._rounding
@@ -351,31 +356,48 @@ class Avoidance:
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
             stopping = self._stopping(state, step)
-            if self._is_clear(state, step, stopping, least):
+            if self._lowest(state, np.vstack([step, stopping]), least, until) >= least:
                 return ClearStep(step, share, stopping, relaxed)
-        if lowest >= touching:
-            return ClearStep(braking[0], 0.0, braking[1:], relaxed)
+        harder = self._brake_harder(state, braking, touching, until) if lowest < touching else None
+        return ClearStep(braking[0], 0.0, braking[1:], relaxed) if harder is None else harder
+
+    def _brake_harder(self, state: ArmState, braking: Array, touching: float, until: int) -> ClearStep | None:
+        """Return the gentlest step beyond the acceleration limits that prevents contact.
+
+        None if a moving obstacle comes anyway, or if the step would still help in the next cycle: the arm may
+        evade until then.
+        """
         for number in range(1, MAX_HALVINGS + 1):
-            step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
+            part = 0.5**number * (number < MAX_HALVINGS)
+            step, next_step = part * braking[0], part * braking[min(1, len(braking) - 1)]
             stopping = self._stopping(state, step)
-            if number == MAX_HALVINGS or self._is_clear(state, step, stopping, touching):
+            if self._lowest(state, np.vstack([step, stopping]), touching, until) >= touching:
+                later = np.vstack([braking[0], next_step, self._stopping(state, next_step)])
+                if self.moving and self._lowest(state, later, touching, until) >= touching:
+                    return None
                 break
-        words = "limits of acceleration: braking within them would cause contact"
-        return ClearStep(step, 0.0, stopping, (words,))
+        else:
+            if self.moving:
+                return None
+        return ClearStep(step, 0.0, stopping, (BRAKING_HARDER,))
 
     def _stopping(self, state: ArmState, dq: Array) -> Array:
         """Return the steps that stop the arm after a step, (k, nv)."""
         bounds = self._bounds
         return stopping_steps(bounds.edges - (state.forward.positions + dq), dq, bounds.bound, bounds.brake)
 
-    def _is_clear(self, state: ArmState, step: Array, stopping: Array, least: float) -> bool:
-        """Whether all pairs keep the distance `least` during a step and while the arm then stops."""
-        return self._lowest(state, np.vstack([step[None], stopping]), least) >= least
+    def _lowest(self, state: ArmState, steps: Array, below: float, until: int = 0) -> float:
+        """Return the smallest distance during steps (k, nv) [m]; exact only if it is smaller than `below`.
 
-    def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
-        """Return the smallest distance during steps (k, nv) [m]; exact only if it is smaller than `below`."""
+        The arm then rests until so many steps have passed.
+        """
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
-        times = self._dt * np.arange(float(len(path))) if self.moving else None
+        if len(path) <= until:
+            path = np.concatenate([path, path[-1:]])
+        times = None
+        if self.moving:
+            times = self._dt * np.arange(float(len(path)))
+            times[-1] = self._dt * max(len(path) - 1, until)
         return self.clearance.minimum_on_motions(state.q, path, below, times=times).distance
 
     @property

@@ -222,6 +222,7 @@ def minimize(
     avoidance: Avoidance | None,
     good: float,
     allowed: float = 0.0,
+    steps: int = MAX_SEARCH_STEPS,
 ) -> LeastSquaresResult:
     """Search for a local minimum of the cost by steps from a state.
 
@@ -235,13 +236,14 @@ def minimize(
         good: mean distance of the control points from their targets at which the search ends [m], unless
             there are further tasks.
         allowed: violation of the margin that is accepted [m].
+        steps: largest number of steps.
     """
     if avoidance is None and not objective.tasks:
-        return _minimize_alone(objective, state, edges, good)
+        return _minimize_alone(objective, state, edges, good, steps)
     columns = objective.columns
     cost, damping, idle = objective.cost(state), 1.0, 0
     close = allowed if avoidance is None else max(avoidance.intrusion(state), allowed)
-    for _ in range(MAX_SEARCH_STEPS):
+    for _ in range(steps):
         if not objective.tasks and close == allowed and objective.mean_error(state) <= good:
             break
         here = state.positions[columns]
@@ -266,10 +268,12 @@ def minimize(
     return LeastSquaresResult(state, cost, objective.mean_error(state), close - allowed)
 
 
-def _minimize_alone(objective: Objective, state: ArmState, edges: Array, good: float) -> LeastSquaresResult:
+def _minimize_alone(
+    objective: Objective, state: ArmState, edges: Array, good: float, steps: int
+) -> LeastSquaresResult:
     """Run `minimize` for points and chords in free space, in one compiled call."""
     arm, positions = objective.arm, state.forward.positions.copy()
-    squares, mean = _search(objective, positions, edges, good, MAX_SEARCH_STEPS)
+    squares, mean = _search(objective, positions, edges, good, steps)
     found = arm.at(arm.integrate(state.q, positions - state.forward.positions)).compiled
     return LeastSquaresResult(found, 0.5 * squares, mean, 0.0)
 

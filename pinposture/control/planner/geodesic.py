@@ -25,7 +25,7 @@ from pinposture.control.planner.follow import (
 )
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
 from pinposture.control.planner.path import JointPath, TimedPath, retime
-from pinposture.control.planner.plan import PlanNeeded, find_path, is_small_change, replan
+from pinposture.control.planner.plan import PlanNeeded, find_path, is_small_change, replan, short_path
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -216,10 +216,14 @@ class Geodesic:
     def _find_path(
         self, objective: Objective, state: ArmState, limits: Limits, attempt: int = 0
     ) -> JointPath:
-        if not self.plans:
-            raise PlanNeeded(attempt)
         bounds = limits.for_arm(state.arm)
-        return find_path(objective, state, bounds, Avoidance.of(self.scene, objective, bounds), attempt)
+        avoidance = Avoidance.of(self.scene, objective, bounds)
+        if self.plans:
+            return find_path(objective, state, bounds, avoidance, attempt)
+        path = None if attempt or objective.tasks else short_path(objective, state, None, bounds, avoidance)
+        if path is None:
+            raise PlanNeeded(attempt)
+        return path
 
     def _plan(
         self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None

@@ -19,7 +19,7 @@ from pinposture.collision.model import describe_distance
 from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
-from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
+from pinposture.control.planner.damped_least_squares import MAX_QUICK_STEPS, LeastSquaresResult, minimize
 from pinposture.control.planner.objective import (
     GOAL_TOLERANCE,
     PRIORITY_WEIGHT,
@@ -80,8 +80,8 @@ MAX_BEND = 0.5
 MIN_PLANNED_MOTION = 0.1
 """Joint motion up to which no path around obstacles is planned, in `Arm.joint_units`."""
 
-MAX_PROMPT_MOTION = 0.5
-"""Joint motion up to which a path without obstacles is found well within a cycle, in `Arm.joint_units`."""
+MAX_SHORT_MOTION = 0.5
+"""Joint motion up to which the most direct path is found well within a cycle, in `Arm.joint_units`."""
 
 MAX_PATHS = 12
 """Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
@@ -154,6 +154,7 @@ def find_path(
     attempt: int = 0,
     until: float = inf,
     report: Report | None = None,
+    goal: ArmState | None = None,
 ) -> JointPath:
     """Find the goal configuration and the most direct clear path to it.
 
@@ -166,8 +167,10 @@ def find_path(
         until: time of `perf_counter` after which no further path is tried.
         report: progress callback. If given, a `KeyboardInterrupt` ends the search, which then returns the
             best path so far.
+        goal: the state at the goal; None: it is searched.
     """
-    goal = None if objective.tasks or avoidance is not None else _known_goal(objective, bounds, state.q)
+    if goal is None and avoidance is None and not objective.tasks:
+        goal = _known_goal(objective, bounds, state.q)
     if goal is None:
         good = GOAL_TOLERANCE * objective.arm.length
         goal = find_goal(objective, state, bounds.edges, avoidance, good).state
@@ -178,6 +181,39 @@ def find_path(
     if first is None or last is None:
         return replace(path, scene=scene, attempt=attempt)
     return replace(path, scene=scene, attempt=attempt, task_errors=(first.errors, last.errors))
+
+
+def short_path(
+    objective: Objective,
+    state: ArmState,
+    goal: ArmState | None,
+    bounds: JointBounds,
+    avoidance: Avoidance | None,
+) -> JointPath | None:
+    """Return the most direct path to a goal if it is short and clear, which is found well within a cycle.
+
+    Args:
+        objective: the objective, without tasks.
+        state: the state of the arm.
+        goal: the state at the goal; None: that of the target, if it has one that is clear.
+        bounds: the limits of the joints.
+        avoidance: the obstacles to avoid; None: none.
+    """
+    if goal is None:
+        goal = _known_goal(objective, bounds, state.q)
+        if goal is None or not (avoidance is None or avoidance.intrusion(goal) == 0.0):
+            return None
+    motion = _size(objective, objective.arm.difference(state.q, goal.q))
+    if motion > MAX_SHORT_MOTION:
+        return None
+    path = direct_path(objective, state.q, goal.q, bounds.edges)
+    if avoidance is None:
+        return path
+    if motion > MIN_PLANNED_MOTION:
+        possible = _possible_clearance(avoidance, state, goal)
+        if _closest_on(path, avoidance, possible).distance < possible:
+            return None
+    return replace(path, scene=avoidance.clearance.scene)
 
 
 # The goal configuration.
@@ -320,9 +356,7 @@ def _clearest_path(
     if avoidance is None:
         penalties = None if tasks is None else Penalties(tasks)
         return direct_path(objective, start, goal.q, bounds.edges, penalties, attempt)
-    # A path cannot be clearer than its ends.
-    ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
-    possible = min(avoidance.margin, *ends) - 1e-9 * objective.arm.length
+    possible = _possible_clearance(avoidance, state, goal)
     most_direct = direct_path(objective, start, goal.q, bounds.edges)
     short = MAX_DETOUR * most_direct.length
     clear: list[JointPath] = []
@@ -364,6 +398,12 @@ def _clearest_path(
     if clear:
         return min(clear, key=lambda path: path.length)
     return max(hindered, key=lambda each: each[0])[1]
+
+
+def _possible_clearance(avoidance: Avoidance, state: ArmState, goal: ArmState) -> float:
+    """Return the margin, or the clearance of an end of the path if that is smaller [m]."""
+    ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
+    return min(avoidance.margin, *ends) - 1e-9 * state.arm.length
 
 
 def _hindered(path: JointPath, closest: Closest) -> JointPath:
@@ -456,30 +496,30 @@ def replan(
     before = path.configuration(path.end)
     known = _known_goal(objective, bounds, before)
     if known is not None and (avoidance is None or avoidance.intrusion(known) == 0.0):
-        goal = known.q
+        goal, clear = known, True
     else:
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
-        if prompt and avoidance is not None:  # the search can take long; keep the previous goal
-            return path.revised(objective=objective), np.zeros(arm.nv) if bend is None else bend
-        start = arm.at(before).compiled
-        first = start if objective.target.q is None else None
-        enough = _achievable_error(path.objective, objective, start)
-        good = GOAL_TOLERANCE * arm.length
-        goal = find_goal(objective, state, bounds.edges, avoidance, good, first, enough, prompt).state.q
-    change = objective.displacement(objective.normalize(arm.difference(before, goal)))
+        start, good = arm.at(before).compiled, GOAL_TOLERANCE * arm.length
+        if avoidance is None:
+            first = start if objective.target.q is None else None
+            enough = _achievable_error(path.objective, objective, start)
+            found = find_goal(objective, state, bounds.edges, None, good, first, enough, prompt)
+        else:  # a whole search takes long: this one goes on in the next cycle
+            allowed = avoidance.intrusion(state)
+            found = minimize(objective, start, bounds.edges, avoidance, good, allowed, MAX_QUICK_STEPS)
+        goal, clear = found.state, found.intrusion == 0.0
+    change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
     bent = change if bend is None else bend + change
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         return replace(path.bent(place, change, bounds.edges), objective=objective), bent
-    motion = _size(objective, arm.difference(state.q, goal))
-    if prompt and motion > (MAX_PROMPT_MOTION if avoidance is None else MIN_PLANNED_MOTION):
+    new = short_path(objective, state, goal, bounds, avoidance)
+    if new is None and prompt:
         raise PlanNeeded
-    if avoidance is None:
-        return direct_path(objective, state.q, goal, bounds.edges), None
-    if motion > MIN_PLANNED_MOTION:
-        return find_path(objective, state, bounds, avoidance), None
-    return replace(direct_path(objective, state.q, goal, bounds.edges), scene=path.scene), None
+    if new is None:
+        new = find_path(objective, state, bounds, avoidance, goal=goal if clear else None)
+    return new, None
 
 
 def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> float:

@@ -16,7 +16,16 @@ from pinposture.editor.edits import with_controller, with_limits
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
-from pinposture.editor.ui.parts import Post, Typed, color, framed_html, on_change, put, quaternions
+from pinposture.editor.ui.parts import (
+    Post,
+    Typed,
+    color,
+    framed_html,
+    length_text,
+    on_change,
+    put,
+    quaternions,
+)
 from pinposture.viz import palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius
@@ -32,6 +41,7 @@ MAX_STRETCHES_NAMED = 4
 MAX_ELLIPSOIDS, ELLIPSOID_OPACITY = 8, 0.4
 MEASURED_OPACITY = 0.45
 OLD_AGE = 1.0  # from which on joint states are called old [s]
+RATE_DIGITS = 4  # of limits, behind the point
 FACTS_PERIOD = 0.25  # for which facts stay, so that they can be read [s]
 
 
@@ -228,7 +238,7 @@ class MeasuredArm:
         else:
             away = live.arm.at(latest.q).points - live.state.points
             distance = float(np.linalg.norm(away, axis=1).mean())
-            lines = [f"{1000.0 * distance:.3g} mm from the plan on average"]
+            lines = [f"{length_text(distance)} from the plan on average"]
             if latest.age > OLD_AGE:
                 lines.append(f"the last joint state is {latest.age:.0f} s old")
         if latest.complaint:
@@ -246,10 +256,13 @@ class ArmTab:
         self._steps, self._due = -1, 0.0
         self._facts = gui.add_markdown("")
         self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
-        hint = "Limit of each joint; 0: the limits of the arm itself"
-        speed = gui.add_number("Speed [rad/s] (0: arm's own)", 0.0, min=0.0, step=0.1, hint=hint)
+        hint = "Limit of each joint; 0: that of the arm"
+        speed = gui.add_number("Speed [rad/s]", 0.0, min=0.0, step=0.1, hint=hint)
         hint = "Limit of each joint; 0: none"
         acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
+        hint = "Limit of each joint, along with that of acceleration; 0: none"
+        jerk = gui.add_number("Jerk [rad/s³]", 0.0, min=0.0, step=10.0, hint=hint)
+        speed.precision = acceleration.precision = jerk.precision = RATE_DIGITS
         self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
         hint = "Manipulability; red and flat: singular"
@@ -258,6 +271,7 @@ class ArmTab:
         self._limits = (
             Typed(speed, partial(self._set_limit, "velocity", "speed")),
             Typed(acceleration, partial(self._set_limit, "acceleration", "acceleration")),
+            Typed(jerk, partial(self._set_limit, "jerk", "jerk")),
         )
         on_change(self._at_once, self._set_at_once)
 
@@ -265,9 +279,10 @@ class ArmTab:
         """Bring it up to date."""
         limits = session.task.limits
         put(self._controller, value=session.task.controller.name)
-        for field, limit in zip(self._limits, (limits.velocity, limits.acceleration), strict=True):
+        values = limits.velocity, limits.acceleration, limits.jerk
+        for field, limit in zip(self._limits, values, strict=True):
             several = np.ndim(limit if limit is not None else 0.0) > 0
-            field.show(0.0 if limit is None else round(float(np.min(limit)), 6), disabled=several)
+            field.show(0.0 if limit is None else round(float(np.min(limit)), RATE_DIGITS), disabled=several)
         put(self._at_once, value=session.at_once)
         now = time.monotonic()
         if live.steps != self._steps and now >= self._due:

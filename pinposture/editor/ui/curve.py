@@ -28,6 +28,7 @@ from pinposture.editor.ui.parts import (
     quaternions,
     round_number,
 )
+from pinposture.errors import CurveError
 from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
@@ -45,7 +46,6 @@ AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
 SMALL_ERROR, LARGE_ERROR = 1e-3, 0.3  # green below, red above; relative to a module length
 LINE_ERROR = 1e-2  # from which on a line leads to the target, relative to a module length
 PALE_SHARE = 0.1  # of white in the colours of other curves
-SHOWN_DIGITS = 4  # of coordinates [m]
 
 
 def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
@@ -138,28 +138,31 @@ def insert_point(session: Session) -> None:
 
 def duplicate_points(session: Session) -> None:
     """Propose the curve with copies of the selected control points, which are then selected."""
-    if is_any_selected(session):
-        chosen = sorted(session.handles)
-        what = f"duplicated {named(chosen)}"
-        session.reshape(lambda arm, shape: shape.duplicated(arm, *chosen), what)
-        if session.proposal is not None:
-            session.handles = tuple(index + before for before, index in enumerate(chosen, start=1))
+    chosen = selected_points(session)
+    session.reshape(lambda arm, shape: shape.duplicated(arm, *chosen), f"duplicated {named(chosen)}")
+    if session.proposal is not None:
+        session.handles = tuple(index + before for before, index in enumerate(chosen, start=1))
 
 
 def delete_points(session: Session) -> None:
     """Propose the curve without the selected control points."""
-    if is_any_selected(session):
-        chosen = session.handles
-        session.reshape(lambda arm, shape: shape.removed(arm, *chosen), f"deleted {named(chosen)}")
-        if session.proposal is not None:
-            session.handle = max(min(chosen) - 1, 1)
+    chosen = selected_points(session)
+    session.reshape(lambda arm, shape: shape.removed(arm, *chosen), f"deleted {named(chosen)}")
+    if session.proposal is not None:
+        session.handle = max(chosen[0] - 1, 1)
 
 
-def is_any_selected(session: Session) -> bool:
-    """Return whether a control point is selected; if none is, say so."""
-    if session.has_points() and not session.handles:
-        session.say("no control point is selected: click on one, or press N", "warning")
-    return bool(session.handles)
+def selected_points(session: Session) -> list[int]:
+    """Return the selected control points, 0-based, in their order along the curve.
+
+    Raises:
+        TaskError: the keyframe has no control points.
+        CurveError: none is selected.
+    """
+    session.check_points()
+    if not session.handles:
+        raise CurveError("no control point is selected", "click on one, or press N")
+    return sorted(session.handles)
 
 
 class Handles:
@@ -399,7 +402,9 @@ class ShapeTab:
             visible=False,
         )
         self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
-        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="World frame")
+        self._digits = max(3, 3 - int(np.floor(np.log10(arm.length))))  # of coordinates, behind the point
+        step = 10.0**-self._digits
+        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=step, hint="World frame")
         self._place = Typed(place, self._move, preview=True)
         hint = "Insert after keeps the curve, Duplicate keeps the other points"
         edit = gui.add_button_group("Points", tuple(POINT_ACTIONS), hint=hint)
@@ -433,7 +438,7 @@ class ShapeTab:
             self._place.finish()  # it was meant for the one before
             self._index, self._keyframe = handle, session.selected
         place = session.shape.points[self._index] if handle is not None else self._place.control.value
-        shown = tuple(round(float(x), SHOWN_DIGITS) + 0.0 for x in place)  # no -0.0
+        shown = tuple(round(float(x), self._digits) + 0.0 for x in place)  # no -0.0
         self._place.show(shown, disabled=handle is None or handle == 0)
         put(self._snap, value=session.grid > 0.0)
 

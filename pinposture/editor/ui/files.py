@@ -97,7 +97,7 @@ class FileTab:
     def __init__(self, server: viser.ViserServer, files: Files, post: Post) -> None:
         self._files, self._post, gui = files, post, server.gui
         self._about = gui.add_html("")
-        hint = "Task files in the folder and its subfolders; the chosen one can be opened"
+        hint = "Task files in the folder and its subfolders; type to filter, then open the chosen one"
         self._choice: Any = gui.add_dropdown("Choose", (NO_FILE,), hint=hint)
         self._path = gui.add_text("Task file", "", hint="File to open or to save as: .toml or .json")
         save_as = gui.add_button("Save under this name")

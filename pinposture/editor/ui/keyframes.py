@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 LISTED_ROWS = 8
 MARK_COLORS = {"collides": palette.ACTIVE, "refused": palette.MARK}
-SECOND_DIGITS = 3  # of times, behind the point
+SECOND_DIGITS = 3  # of times and speeds, behind the point
 
 
 class KeyframesTab:
@@ -49,7 +49,6 @@ class KeyframesTab:
         name = gui.add_text("Name", "", hint="Empty: its number")
         when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When the arm reaches it")
         hold = gui.add_number("Hold [s]", 0.0, step=0.1, hint="How long to stay; later keyframes shift")
-        when.precision = hold.precision = SECOND_DIGITS
         speed = gui.add_number("Speed [%]", 100.0, step=5.0, hint="Of the velocity limits, on the way to it")
         self._name, self._time = Typed(name, self._rename), Typed(when, self._retime)
         self._hold = Typed(hold, self._set_hold)
@@ -58,7 +57,13 @@ class KeyframesTab:
         hint = "Placement of the modules on the curve; auto: one by one, or all at once if that zigzags"
         self._method = gui.add_dropdown("Method", METHODS, hint=hint)
         self._about = gui.add_html("")
-        self._others = gui.add_checkbox("Show the others", True, hint="Show the other curves faintly")
+        laps = gui.add_number("Laps", 1, min=1, step=1, hint="How often the whole motion is repeated")
+        hint = "Time to return to the first keyframe for the next lap; 0: as the longest motion between two"
+        back = gui.add_number("Return [s]", 0.0, min=0.0, step=0.1, hint=hint)
+        for field in (when, hold, speed, back):
+            field.precision = SECOND_DIGITS
+        self._laps, self._back = Typed(laps, self._repeat), Typed(back, self._set_return)
+        self._others = gui.add_checkbox("Other curves", True, hint="Show the curves of the other keyframes")
         for number, row in enumerate(self._rows):
             on_click(row, partial(self._select, number))
         on_click(self._above, partial(self._scroll, -LISTED_ROWS))
@@ -90,6 +95,8 @@ class KeyframesTab:
         self._speed.show(round(100.0 * own.speed, SECOND_DIGITS))
         put(self._method, value=own.method, disabled=own.curve is None)
         put(self._about, content=about(own), visible=bool(about(own)))
+        self._laps.show(session.task.repeat)
+        self._back.show(keyframes[0].duration or 0.0, visible=session.task.repeat > 1)
 
     def _list(
         self, keyframes: tuple[Keyframe, ...], times: list[float], selected: int, marks: tuple[str, ...]
@@ -143,6 +150,15 @@ class KeyframesTab:
 
     def _set_hold(self, hold: float, _: bool) -> None:
         edit, what = edits.held(self._index, float(hold)), f"keyframe {self._index + 1} held {hold:g} s"
+        self._post(lambda session: session.edit(edit, what))
+
+    def _repeat(self, laps: float, _: bool) -> None:
+        what = f"{laps:g} laps" if laps != 1 else "a single lap"
+        self._post(lambda session: session.edit(edits.repeated(round(laps)), what))
+
+    def _set_return(self, time: float, _: bool) -> None:
+        edit = edits.with_keyframe(0, duration=float(time) or None)
+        what = f"return to keyframe 1 in {time:g} s" if time else "return to keyframe 1 in the usual time"
         self._post(lambda session: session.edit(edit, what))
 
     def _set_speed(self, share: float, _: bool) -> None:

@@ -15,9 +15,10 @@ import viser
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.editor.edits import keyframes_of
+from pinposture.editor.edits import TIME_TOLERANCE, keyframes_of, lap_time
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.playback import Playback
 from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
@@ -34,16 +35,28 @@ from pinposture.editor.ui.curve import (
     delete_points,
     duplicate_points,
     insert_point,
-    is_any_selected,
     move_point,
+    selected_points,
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
-from pinposture.editor.ui.parts import Part, Post, color, framed_html, on_choice, put, round_number
-from pinposture.editor.ui.player import PANEL_GAP, PANEL_HEIGHT, Player, play_or_pause
+from pinposture.editor.ui.parts import (
+    Part,
+    Post,
+    color,
+    framed_html,
+    length_text,
+    on_choice,
+    put,
+    round_number,
+)
+from pinposture.editor.ui.player import Player, covered_height, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
+from pinposture.errors import CurveError
 from pinposture.motion.tracker import NOT_DONE
+from pinposture.placement.target import arm_axis
+from pinposture.task import Task
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
 
@@ -60,8 +73,12 @@ MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
-SMALLEST_ERROR = 1e-6  # smaller ones are shown as 0 [mm]
 STATUS_HEIGHT = 124  # [pixels]
+IN_SIGHT = """<style>
+div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}
+div:has(> div > div > div > #always) {overflow: visible !important}
+</style>"""
+"""Keeps the status in sight while the controls below it are scrolled."""
 
 
 class Status:
@@ -80,7 +97,8 @@ class Status:
             message = f"<div {about}>{escape(notice.text)}</div>"
         content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)
         # Of fixed height, so that nothing below it jumps.
-        put(self._html, content=f'<div style="height:{STATUS_HEIGHT}px;overflow-y:auto">{content}</div>')
+        style = f"height:min({STATUS_HEIGHT}px, 15vh);overflow-y:auto"
+        put(self._html, content=f'{IN_SIGHT}<div id="always" style="{style}">{content}</div>')
 
 
 class Toolbar:
@@ -142,10 +160,11 @@ def _is_off(session: Session, live: Live) -> bool:
 
 def _heading(session: Session, live: Live) -> str:
     """Return what the arm is doing, and how near it is to what it should do."""
-    error, distance = _millimetres(live.mean_error), live.verdict.distance_from_curve
+    error, distance = length_text(live.mean_error), live.verdict.distance_from_curve
     if session.playback.q is not None:
         playback = session.playback
         head = "Playing the motion" if playback.playing else f"Motion at {playback.time:.1f} s"
+        head += _lap(session.task, playback)
         head += f", {error} off its targets"
     elif live.reason == NOT_DONE:
         head = f"Planning, {error} to go"
@@ -154,19 +173,24 @@ def _heading(session: Session, live: Live) -> str:
     elif live.status != "converged":
         head = f"Stopped, {error} to go"
     elif distance is not None:
-        head = f"On the curve to {_millimetres(distance)}"
+        head = f"On the curve to within {length_text(distance)}"
     else:
-        head = f"On target to {error}"
+        head = f"On target to within {error}"
     if live.tip_error is not None:
-        head += f", tip {_millimetres(live.tip_error)} off"
+        head += f", tip {length_text(live.tip_error)} off"
     if session.nearest is not None:
         clearance = session.nearest.distance
-        head += f", {_millimetres(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"
+        head += f", {length_text(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"
     return head
 
 
-def _millimetres(length: float) -> str:
-    return f"{1000.0 * length:.3g} mm" if 1000.0 * length > SMALLEST_ERROR else "0 mm"
+def _lap(task: Task, playback: Playback) -> str:
+    """Return which lap of a repeated tour is shown, as the end of a phrase."""
+    moment, motion = playback.moment, playback.motion
+    if task.repeat == 1 or moment is None or motion is None:
+        return ""
+    lap = int(float(motion.plan_time[moment.row]) / lap_time(task) + TIME_TOLERANCE)
+    return f", lap {min(lap + 1, task.repeat)} of {task.repeat}"
 
 
 Array = NDArray[np.float64]
@@ -174,14 +198,14 @@ Array = NDArray[np.float64]
 CONTROLS_WIDTH = 340  # [pixels]
 NUDGE = 0.01  # by an arrow key, relative to the arm
 FIELD_OF_VIEW = 40.0  # of the camera, vertically [deg]
-CAMERA_DISTANCE = 1.75  # in arm lengths
-CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of the arm
-LOOK_BELOW = 0.13  # of the arm, in arm lengths: the plots cover the bottom of the picture
+CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of an arm along the x axis
+MIN_LEVEL = 0.1  # horizontal part of the direction of an arm, below which it counts as upright
 FLOOR_CELLS = 10  # along the arm
 FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
 # Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
 # screen, which may be several to one of the page.
-MIN_COVERED, MAX_COVERED = 0.35, 0.6
+MIN_COVERED, MAX_COVERED, COVERED_AT_FIRST = 0.3, 0.6, 0.1
+MIN_ASPECT = 1.0  # of a picture in which the initial camera sees the whole arm
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
     "Front": np.array([1.0, 0.0, 0.0]),
@@ -239,8 +263,7 @@ async def _on_trigger(post: Post, act: Callable[[Session], object], key: str, _:
 
 def _select_next(by: int, session: Session) -> None:
     """Select the next or previous control point; the one at the base is skipped."""
-    if not session.has_points():
-        return
+    session.check_points()
     count = len(session.shape.points)
     at = session.handle if session.handle is not None else (0 if by > 0 else count)
     session.take_hold((at - 1 + by) % (count - 1) + 1)
@@ -248,11 +271,12 @@ def _select_next(by: int, session: Session) -> None:
 
 def _nudge(axis: int, sign: float, session: Session) -> None:
     """Move the selected control points a little along an axis of the world, or by a step of the grid."""
-    if not is_any_selected(session) or session.handle is None:
-        return
-    place = np.array(session.shape.points[session.handle])
-    place[axis] += sign * (session.grid or NUDGE * session.arm.length)
-    move_point(session.handle, place, True, session)
+    selected_points(session)
+    arm, last = session.arm, session.handles[-1]
+    step = sign * (session.grid or NUDGE * arm.length) * np.eye(3)[axis]
+    if arm.dimension == 2 and np.linalg.norm(arm.plane @ step) < 1e-6 * arm.length:
+        raise CurveError(f"point {last + 1}", f"cannot leave the plane of the arm along {'xyz'[axis]}")
+    move_point(last, session.shape.points[last] + step, True, session)
 
 
 class Viewpoint(NamedTuple):
@@ -263,12 +287,22 @@ class Viewpoint(NamedTuple):
     opening: float  # angle from the bottom of the picture to its top [rad]
 
 
+def camera_direction(arm: Arm) -> Array:
+    """Return the direction, (3,), from an arm to a camera that sees its base at the left."""
+    ahead = arm_axis(arm)
+    level = float(np.hypot(*ahead[:2]))
+    if level < MIN_LEVEL:
+        return CAMERA_DIRECTION
+    cosine, sine = ahead[:2] / level
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(turn @ CAMERA_DIRECTION)
+
+
 def viewpoint(arm: Arm) -> Viewpoint:
-    """Return a camera that sees the whole of an arm."""
-    middle = 0.5 * (arm.chain.base + arm.at(arm.straight()).points[-1])
-    away = CAMERA_DISTANCE * arm.length * CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION)
-    middle[2] -= LOOK_BELOW * arm.length
-    return Viewpoint(middle + away, middle, float(np.radians(FIELD_OF_VIEW)))
+    """Return a camera that has the straight arm in sight."""
+    points = np.vstack([arm.chain.base, arm.at(arm.straight()).points])
+    radius = BALL_RADIUS * link_radius(arm)
+    return framing(points, radius, camera_direction(arm), MIN_ASPECT, COVERED_AT_FIRST)
 
 
 def framing(points: Array, radius: float, direction: Array, aspect: float, covered: float) -> Viewpoint:
@@ -356,6 +390,7 @@ class Page:
             show_logo=False, show_share_button=False, brand_color=color(palette.START), dark_mode=False
         )
         offer_tour(self._server)
+        self._server.on_client_connect(self._watch_aspect)
         self._build(session.arm)
 
     def _build(self, arm: Arm) -> None:
@@ -392,17 +427,32 @@ class Page:
             self._parts += [FileTab(server, self._files, post), ExportButtons(server, post)]
         add_shortcuts(server, self._files, partial(self._frame, "All"), post)
 
-    def _frame(self, direction: str, session: Session) -> None:
-        """Move the cameras of all browsers so that the arm and all control points are in sight."""
+    async def _watch_aspect(self, client: viser.ClientHandle) -> None:
+        """Frame the arm in a browser whenever its picture becomes narrow, as beside the controls."""
+        narrow = False
+
+        async def watch(camera: viser.CameraHandle) -> None:
+            nonlocal narrow
+            before, narrow = narrow, camera.aspect < MIN_ASPECT
+            if narrow and not before:
+                self._post(partial(self._frame, "All", only=client.client_id))
+
+        client.camera.on_update(watch)
+
+    def _frame(self, direction: str, session: Session, only: int | None = None) -> None:
+        """Move the camera of one or all browsers so that the arm and all control points are in sight."""
         arm, q = session.arm, self._arm.q
         points = np.vstack([self._arm.foot, arm.chain.base, session.shape.points, arm.at(q).points])
         radius = BALL_RADIUS * link_radius(arm)
-        for client in self._server.get_clients().values():
+        for number, client in self._server.get_clients().items():
             camera = client.camera
+            if only not in (None, number):
+                continue
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
-                covered = (PANEL_HEIGHT + PANEL_GAP) / camera.image_height
+                covered = covered_height(camera.image_height) / camera.image_height
                 covered = min(max(covered, MIN_COVERED), MAX_COVERED)
-                view = framing(points, radius, DIRECTIONS[direction], camera.aspect, covered)
+                away = camera_direction(arm) if direction == "All" else DIRECTIONS[direction]
+                view = framing(points, radius, away, camera.aspect, covered)
                 camera.position, camera.look_at = view.position, view.look_at
 
     def show(self, session: Session, live: Live) -> None:

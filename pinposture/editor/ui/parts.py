@@ -22,6 +22,7 @@ Color = tuple[int, int, int]
 Post: TypeAlias = Callable[..., None]
 """`Editor.post`: posts a request to the loop."""
 
+SMALLEST_LENGTH = 1e-9  # smaller ones are shown as 0 [m]
 TYPING_PAUSE = 0.8  # after the last key before a typed value counts [s]
 
 
@@ -47,6 +48,13 @@ def round_number(value: float) -> float:
     """Round to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - value)) * power)
+
+
+def length_text(length: float) -> str:
+    """Return a length [m] in words: in millimetres below a metre."""
+    if length < SMALLEST_LENGTH:
+        return "0 mm"
+    return f"{1000.0 * length:.3g} mm" if length < 1.0 else f"{length:.3g} m"
 
 
 def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -> str:

@@ -18,12 +18,12 @@ from viser import uplot
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.editor import edits
-from pinposture.editor.edits import TIME_DIGITS, keyframes_of, times_of
+from pinposture.editor.edits import TIME_DIGITS, Pass, keyframes_of, passes_of, times_of
 from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, limits_per_step
 from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
-from pinposture.editor.ui.parts import Post, on_change, on_choice, put, round_number
+from pinposture.editor.ui.parts import Post, length_text, on_change, on_choice, put, round_number
 from pinposture.motion import Motion
 from pinposture.motion.trajectory import limit_shares
 from pinposture.task import Task
@@ -47,10 +47,12 @@ SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
 NO_TIMES = np.zeros(0)
 
 PANEL_WIDTH, PANEL_HEIGHT, PANEL_GAP = 440, 274, 8  # of the panel; from the edges of the picture [pixels]
+LOW_PAGE, LOW_PANEL_HEIGHT = 700, 150  # page height up to which the panel has no plot; its height [pixels]
 ROOM_BEHIND = 0.15  # the end of the motion, on the timeline, relative to its duration
 MIN_LENGTH = 1.0  # of the timeline [s]
 TICKS, DRAG_STEPS = 7, 100  # about how many times are written at it; and can be dragged to
-MAX_NUMBERED = 24  # keyframes with numbers at the timeline
+MAX_NUMBERED, MAX_DRAWN = 24, 300  # keyframes with numbers at the timeline; and in all, of all laps
+LATER_LAP_OPACITY = 0.6  # of keyframes in laps after the first
 
 
 class Trace(NamedTuple):
@@ -254,7 +256,7 @@ class Plots:
         put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
 
     def _in_words(self, error: float) -> str:
-        return "0 mm" if error < SMALLEST_SHOWN_ERROR * self._length else f"{MILLI * error:.3g} mm"
+        return length_text(0.0 if error < SMALLEST_SHOWN_ERROR * self._length else error)
 
 
 def _lines(color: str) -> tuple[uplot.Series, ...]:
@@ -326,6 +328,12 @@ The timeline may be drawn anew at any time, even between the press and this scri
 the page no more.
 """
 
+HIDDEN = f"""<style>
+div:has(> #timeline) + div {{display: none}}
+@media (max-height: {LOW_PAGE}px) {{ div:has(> #legend), div:has(> #legend) + div {{display: none}} }}
+</style>"""
+"""Hides the field that requests are written into, and the plot in a low page."""
+
 STYLES = {
     "strip": "position:relative;height:42px;margin:2px 20px 4px 20px;touch-action:none;user-select:none",
     "line": f"position:absolute;top:11px;height:5px;width:100%;border-radius:3px;background:{palette.FAINT}",
@@ -348,33 +356,36 @@ class TimeAxis:
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post, self._length = post, 1.0  # of the axis [s]
-        self._times: tuple[float | None, ...] = ()
+        self._passes: list[Pass] = []  # that are drawn
+        self._known: tuple[Task, Motion | None] | None = None
         self._gestures = 0  # each is answered by a new drawing, with the keyframes where they are
         self._moving, self._strip = (server.gui.add_html("", order=1.0) for _ in range(2))
         on_change(server.gui.add_text("", "", order=1.0), self._take)
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
-        playback, keyframes, planned = session.playback, keyframes_of(session.task), times_of(session.task)
-        duration, self._times = _schedule(session.task, playback)
-        self._length = max((1.0 + ROOM_BEHIND) * duration, MIN_LENGTH)
+        task, playback, keyframes = session.task, session.playback, keyframes_of(session.task)
+        if self._known is None or self._known[0] is not task or self._known[1] is not playback.motion:
+            self._known = task, playback.motion
+            duration, self._passes = _schedule(task, playback)
+            self._length = max((1.0 + ROOM_BEHIND) * duration, MIN_LENGTH)
+        planned = times_of(task)
         step = round_number(self._length / TICKS)
         drawn = [self._at("line", 0.0, "")]
         drawn += [self._at("tick", at, f"{at:g} s") for at in np.arange(0.0, self._length, step)]
-        for index, (keyframe, at) in enumerate(zip(keyframes, self._times, strict=False)):
-            if at is None:
-                continue
+        for number, (index, lap, at) in enumerate(self._passes):
             mark = session.marks[index] if len(session.marks) == len(keyframes) else ""
             selected = index == session.selected
             shade = f"background:{palette.START if selected else MARK_COLORS.get(mark, palette.QUIET)}"
-            width = f"width:{100.0 * keyframe.hold / self._length:.3f}%"
+            width = f"width:{100.0 * keyframes[index].hold / self._length:.3f}%"
             drawn.append(self._at("hold", at, "", f"{width};{shade}"))
-            about = f'data-keyframe="{index}" title="{escape(row_label(keyframes, planned, index, mark))}"'
-            number = str(index + 1) if len(keyframes) <= MAX_NUMBERED else "&nbsp;"
-            drawn.append(self._at("keyframe", at, number, f"{shade};z-index:{1 + selected}", about))
+            words = f"lap {lap + 1}:  " * (task.repeat > 1) + row_label(keyframes, planned, index, mark)
+            about = f'data-keyframe="{number}" title="{escape(words)}"'
+            label = str(index + 1) if len(self._passes) <= MAX_NUMBERED else "&nbsp;"
+            shade += f";z-index:{1 + selected};opacity:{LATER_LAP_OPACITY if lap else 1}"
+            drawn.append(self._at("keyframe", at, label, shade, about))
         about = f'id="timeline" data-gestures="{self._gestures}" onpointerdown="{escape(ON_PRESS)}"'
-        hidden = "<style>div:has(> #timeline) + div {display: none}</style>"
-        put(self._strip, content=f'{hidden}<div {about} style="{STYLES["strip"]}">{"".join(drawn)}</div>')
+        put(self._strip, content=f'{HIDDEN}<div {about} style="{STYLES["strip"]}">{"".join(drawn)}</div>')
         moving = ""
         if playback.rehearsal.working:
             width = f"width:{100.0 * playback.rehearsal.progress:.0f}%"
@@ -399,10 +410,17 @@ class TimeAxis:
         at, step = share * self._length, round_number(self._length / DRAG_STEPS)
         if what == "seek":
             seek(at, session)
-        elif what == "select":
-            session.select(index)
-        elif what == "move" and 0 <= index < min(len(self._times), len(keyframes_of(session.task))):
-            drag_keyframe(index, at - (self._times[index] or 0.0), step, session)
+        elif 0 <= index < len(self._passes):
+            keyframe, _, before = self._passes[index]
+            if what == "select":
+                session.select(keyframe)
+            elif what == "move" and keyframe < len(keyframes_of(session.task)):
+                drag_keyframe(keyframe, at - before, step, session)
+
+
+def covered_height(picture: float) -> float:
+    """Return how much of a picture the panel covers at its bottom, by the height of the picture [pixels]."""
+    return PANEL_GAP + (LOW_PANEL_HEIGHT if picture <= LOW_PAGE else PANEL_HEIGHT)
 
 
 class Player:
@@ -492,13 +510,17 @@ def _labels(playback: Playback) -> tuple[str, ...]:
     return first, LIVE, SLOWER, f"{playback.speed:g}x", FASTER, last
 
 
-def _schedule(task: Task, playback: Playback) -> tuple[float, tuple[float | None, ...]]:
-    """Return duration and times of keyframes of the motion that is shown, or else as planned [s].
+def _schedule(task: Task, playback: Playback) -> tuple[float, list[Pass]]:
+    """Return duration [s] and keyframes of the motion that is shown, or else as planned.
 
-    The time is None for a keyframe that the motion does not reach.
+    Keyframes that the motion does not reach are left out, and so are those after the first `MAX_DRAWN`.
     """
-    motion, times = playback.motion, times_of(task)
+    motion, passes = playback.motion, passes_of(task)
     if motion is None:
-        return times[-1] + keyframes_of(task)[-1].hold, tuple(times)
-    rows = [passed.row for passed in motion.waypoints]
-    return playback.lasting, tuple(None if row is None else float(motion.time[row]) for row in rows)
+        return passes[-1].time + keyframes_of(task)[-1].hold, passes[:MAX_DRAWN]
+    reached = [
+        each._replace(time=float(motion.time[passed.row]))
+        for each, passed in zip(passes, motion.waypoints, strict=False)
+        if passed.row is not None
+    ]
+    return playback.lasting, reached[:MAX_DRAWN]

@@ -29,6 +29,7 @@ from pinposture.editor.ui.parts import (
     add_lines,
     color,
     framed_html,
+    length_text,
     on_change,
     on_choice,
     on_click,
@@ -46,8 +47,8 @@ SCAN_COLOR = palette.mixed(palette.OBSTACLE, "#FFFFFF", 0.35)  # of a scan witho
 SCAN_OPACITY = 0.6  # of such a surface, which may stand in front of the arm
 LOAD_KINDS = ("scan", "obstacle")
 EXPLANATION = (
-    "A **scan** (surface or points) is shown, and the clearance from it is told, but the arm does **not** "
-    "avoid it. As an **obstacle**, it is avoided as it is, hollows and all."
+    "A **scan** (a mesh or points) is shown with its clearance, but the arm does **not** avoid it. "
+    "An **obstacle** it avoids, and it can move within its cavities."
 )
 
 
@@ -183,6 +184,7 @@ VECTOR_LABELS = {
 """Labels and hints of values of three numbers, by attribute."""
 
 LENGTH_DIGITS, ANGLE_DIGITS = 4, 2  # of shown coordinates [m] and angles [deg]
+MICROMETRES = 6  # digits of radii and margins [m]
 
 
 class DrawnObstacle(NamedTuple):
@@ -402,13 +404,11 @@ class ClearanceLine:
 def clearance_text(found: NearestObstacle | None) -> str:
     """Return a clearance in words."""
     if found is None:
-        return "nothing to be near to"
-    size = f"{1000.0 * abs(found.distance):.3g} mm"
+        return "there are no obstacles or scans"
+    size = length_text(abs(found.distance))
     if found.distance < 0.0:
         return f"{found.body} is {size} inside {found.other}"
-    less = (
-        f", less than the margin of {1000.0 * found.margin:.3g} mm" if found.distance < found.margin else ""
-    )
+    less = f", less than the margin of {length_text(found.margin)}" if found.distance < found.margin else ""
     return f"{size} from {found.body} to {found.other}{less}"
 
 
@@ -440,6 +440,8 @@ class SceneTab:
             hint = "Radius of its links; 0: as in its description"
             thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=0.001, hint=hint)
             self._arm_radius = Typed(thickness, self._set_arm_radius)
+        for each in (radius, margin, thickness):
+            each.precision = MICROMETRES
         with gui.add_folder("Meshes and scans", expand_by_default=False):
             self._scans = ScanControls(server, scans, post)
         on_choice(add, lambda label: post(partial(obstacles.add_obstacle, KIND_LABELS[label], self._points)))
@@ -462,9 +464,9 @@ class SceneTab:
                 typed.finish()  # it was meant for the one before
             self._name = name or ""
         self._show_values(listed.get(self._name))
-        self._margin.show(round(scene.margin, 6))
+        self._margin.show(round(scene.margin, MICROMETRES))
         put(self._self_collision, value=scene.self_collision)
-        self._arm_radius.show(0.0 if scene.arm_radius is None else round(scene.arm_radius, 6))
+        self._arm_radius.show(0.0 if scene.arm_radius is None else round(scene.arm_radius, MICROMETRES))
         found = session.nearest
         shade = palette.QUIET if found is None else CLEARANCE_COLORS[found.level]
         text = escape(clearance_text(found))
@@ -480,7 +482,7 @@ class SceneTab:
             shown = typed.control.value if own is None else _shown_vector(key, own)
             typed.show(shown, visible=own is not None)
         radius = getattr(obstacle, "radius", None)
-        shown = 0.0 if radius is None else round(radius, LENGTH_DIGITS + 1)
+        shown = 0.0 if radius is None else round(radius, MICROMETRES)
         self._radius.show(shown, visible=radius is not None)
 
     def _select(self, name: str) -> None:

@@ -46,7 +46,7 @@ def test_the_arm_follows_while_a_point_is_dragged(edit: Edit, look: Look, file: 
     assert editor.live.mean_error < min(1e-6, max(error for _, _, error in seen))
     assert np.linalg.norm(session.shape.points[2] - points[2]) > 0.05
     assert np.array_equal(session.shape.points[:2], points[:2])
-    wait_until(lambda: "On the curve to " in window.status, "the page says so")
+    wait_until(lambda: "On the curve to within " in window.status, "the page says so")
     window.picture("03-dragged")
 
 

@@ -71,6 +71,26 @@ def test_keyframes_are_chosen_and_dragged_at_the_timeline(edit: Edit, look: Look
     window.press("Undo")
     wait_until(lambda: times_of(session.task) == [0.0, 1.0, 2.0, 3.0, 5.0], "it is all taken back")
 
+    # Laps are drawn one after the other; in each of them a keyframe is chosen and dragged.
+    window.tab("Keyframes")
+    window.field("Laps").fill("2")
+    window.says("2 laps")
+    assert session.task.repeat == 2
+    wait_until(lambda: window.page.locator("#timeline [data-keyframe]").count() == 10, "both are drawn")
+    window.page.mouse.click(*window.middle(keyframe(9)))
+    wait_until(lambda: session.selected == 3, "the fourth is chosen in the second lap")
+    x, y = window.middle(keyframe(9))
+    window.page.mouse.move(x, y)
+    window.page.mouse.down()
+    window.page.mouse.move(x + 10.0, y)
+    window.page.mouse.up()
+    window.says("keyframe 4 is now at")
+    assert 3.0 < times_of(session.task)[3] < 4.5
+    window.press("Undo")
+    window.says("undone: moved keyframe 4 in time")
+    window.press("Undo")
+    wait_until(lambda: session.task.repeat == 1, "a single lap is left")
+
     # The first stays where it is.
     x, _ = window.middle(keyframe(1))
     drag(window, 1, 0.5)

@@ -79,6 +79,22 @@ def test_nothing_is_covered_in_a_small_window(edit: Edit, look: Look, file: Path
 
     for name in ("Play", "Loop: off", "Undo", "Save", "Top", "Insert after", "Delete"):
         wait_until(lambda name=name: seen(name), f"{name} is not covered", 10.0)
+    assert not window.page.locator("#legend").is_visible()
+    (client,) = editor.page._server.get_clients().values()
+    points = editor.live.state.points
+
+    def is_in_sight() -> bool:
+        """Whether the arm is in the picture and above the panel."""
+        camera, top = client.camera, window.page.get_by_role("tab", name="Motion").bounding_box()["y"]
+        ahead = camera.look_at - camera.position
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        axes = np.array([each / np.linalg.norm(each) for each in (right, np.cross(right, ahead), ahead)])
+        x, y, z = axes @ (points - camera.position).T
+        slope = np.tan(0.5 * camera.fov) * z
+        low = 1.0 - 2.0 * top / 600.0  # of the picture above the panel, from -1 to 1
+        return bool(np.all(np.abs(x) < camera.aspect * slope) and np.all((low * slope < y) & (y < slope)))
+
+    wait_until(is_in_sight, "the arm is not covered")
 
 
 def test_a_task_file_of_the_folder_is_chosen_and_opened(edit: Edit, look: Look, file: Path) -> None:
