@@ -228,7 +228,7 @@ def between() -> Figure:
     """The curve between two keyframes: it bends, and keeps its length."""
     line = pp.Curve.line((0, 0, 0), (1, 0, 0))
     coil = pp.Curve.helix(radius=0.16, pitch=0.0, turns=1.0)
-    keyframes = [pp.Keyframe(line), pp.Keyframe(coil, time=1.0, trim=True)]
+    keyframes = [pp.Keyframe(line), pp.Keyframe(coil, time=1.0, placement="align", trim=True)]
     reference: Reference = pp.keyframe_reference(PLANAR, keyframes, interval=0.02)
     figure, (ax,) = empty(1, 3.4)
     panel = PosturePanel(PLANAR, ax)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from difflib import get_close_matches
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeAlias
 
@@ -12,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.errors import CurveError, InvalidValue, UnknownName
+from pinposture.errors import CurveError, InvalidValue, did_you_mean
 
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
@@ -32,7 +31,7 @@ SMALLEST_LENGTH = 1e-9
 
 
 def is_number(value: object) -> bool:
-    """Tell whether a value is a real number, of Python or numpy, and not a truth value."""
+    """Return whether a value is a real number, of Python or numpy, and not a truth value."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
@@ -49,7 +48,7 @@ def require_share(name: str, value: float) -> None:
 
 
 def is_whole(value: object) -> bool:
-    """Tell whether a value is a whole number, of Python or numpy, and not a truth value."""
+    """Return whether a value is a whole number, of Python or numpy, and not a truth value."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
@@ -59,18 +58,12 @@ def require_whole(name: str, value: int, least: int) -> None:
         raise InvalidValue(name, value, f"a whole number of at least {least}")
 
 
-def is_count(value: object) -> bool:
-    """Tell whether a value is a whole number of at least 1, and not a truth value."""
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
-
-
 def as_number(name: str, value: object, allowed: str, test: Callable[[float], bool]) -> float:
     """Read one finite number for which `test` holds, else raise InvalidValue with the words `allowed`."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        number = float(value)
-        if math.isfinite(number) and test(number):
-            return number
-    raise InvalidValue(name, value, allowed)
+    number = float(value) if is_number(value) else math.nan  # type: ignore[arg-type]
+    if not (math.isfinite(number) and test(number)):
+        raise InvalidValue(name, value, allowed)
+    return number
 
 
 def as_count(name: str, value: object, low: int, high: int) -> int:
@@ -93,20 +86,12 @@ def length(name: str, value: Any, zero: bool = False) -> float:
     return as_number(name, value, allowed, lambda x: least <= x <= LARGEST_LENGTH)
 
 
-def require_known(kind: str, name: object, known: Collection[str]) -> None:
-    """Raise UnknownName unless a name is one of those known."""
-    if name not in known:
-        raise UnknownName(kind, name, known)
-
-
 def known_keys(what: str, given: Mapping[str, Any], allowed: Iterable[str]) -> None:
     """Raise InvalidValue for an unknown key; the message suggests a similar one."""
     names = tuple(allowed)
     for key in given:
         if key not in names:
-            close = get_close_matches(str(key), names, n=1)
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
-            raise InvalidValue(f"key of {what}", key, ", ".join(names) + hint)
+            raise InvalidValue(f"key of {what}", key, ", ".join(names) + did_you_mean(key, names))
 
 
 def as_points(
@@ -227,6 +212,30 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray
     return array
 
 
+def finite_array(
+    name: str, values: ArrayLike, shape: tuple[int | None, ...] | None = None
+) -> NDArray[np.float64]:
+    """Return a fresh array of finite floats; None in the shape stands for any positive length.
+
+    Raises:
+        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
+    """
+    words = "finite numbers" if shape is None else f"finite numbers of shape {shape}".replace("None", "k")
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(name, values, words) from None
+    if values is None:
+        raise InvalidValue(name, None, words)
+    if shape is not None:
+        sizes = zip(array.shape, shape, strict=False)
+        if array.ndim != len(shape) or not all(have == (want or max(have, 1)) for have, want in sizes):
+            raise InvalidValue(f"{name} (shape)", array.shape, words)
+    for where in np.argwhere(~np.isfinite(array))[:1]:
+        raise InvalidValue(f"{name}{where.tolist() or ''}", float(array[tuple(where)]), "finite numbers")
+    return array
+
+
 def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """Return a fresh vector (size,) of finite floats.
 
@@ -240,6 +249,19 @@ def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64
             bad = int(np.argmin(finite))
             raise InvalidValue(f"{name}[{bad}]", float(vector[bad]), "finite numbers")
     return vector
+
+
+def set_fields(frozen: object, **values: object) -> None:
+    """Set attributes of a frozen dataclass during its construction."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def make_read_only(*values: object) -> None:
+    """Make the arrays among some values read-only."""
+    for value in values:
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
 
 
 def rigid_placement(name: str, value: object) -> pin.SE3:

@@ -1,12 +1,14 @@
-"""Errors and warnings. Each message names the thing at fault, its value and what is allowed."""
+"""Errors, warnings and checks. Each message names the thing at fault, its value and what is allowed."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 
@@ -41,6 +43,26 @@ def warn_caller(message: str) -> None:
     warnings.warn(message, PostureWarning, stacklevel=level)
 
 
+@contextmanager
+def no_warnings() -> Iterator[None]:
+    """Suppress PostureWarnings, for instance those that have been given before."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        yield
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return a question about the most similar of the known names, with a leading blank, or ""."""
+    close = get_close_matches(str(name), tuple(known), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def enumerated(items: Sequence[str], most: int, between: str = ", ") -> str:
+    """Return the first items of a list for a message, and the number of the others."""
+    more = f" and {len(items) - most} more" if len(items) > most else ""
+    return between.join(items[:most]) + more
+
+
 class InvalidValue(PostureError, ValueError):
     """A value of the wrong type, shape, size or sign, or one that is not finite.
 
@@ -67,13 +89,24 @@ class UnknownName(PostureError, KeyError):
 
     def __init__(self, kind: str, name: object, allowed: Iterable[str]) -> None:
         self.kind, self.name, self.allowed = kind, name, tuple(allowed)
-        close = get_close_matches(str(name), self.allowed, n=1)
         listed = ", ".join(self.allowed[:12]) + (", ..." if len(self.allowed) > 12 else "")
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        hint = did_you_mean(name, self.allowed)
         super().__init__(f"no {kind} is called {name!r}{hint}; there are: {listed or 'none'}")
 
     def __str__(self) -> str:  # KeyError would show the repr of the message
         return str(self.args[0])
+
+
+def require_instance(name: str, value: object, kind: type | UnionType, allowed: str) -> None:
+    """Raise InvalidValue, with the words `allowed`, unless a value is an instance of a class."""
+    if not isinstance(value, kind):
+        raise InvalidValue(name, value, allowed)
+
+
+def require_known(kind: str, name: object, known: Collection[str]) -> None:
+    """Raise UnknownName unless a name is one of those known."""
+    if not isinstance(name, str) or name not in known:
+        raise UnknownName(kind, name, known)
 
 
 class FileError(PostureError, OSError):

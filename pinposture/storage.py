@@ -1,4 +1,4 @@
-"""Files: read with clear errors, written atomically, named relative to another file."""
+"""Reading files with clear errors, writing them atomically, and relative paths."""
 
 from __future__ import annotations
 
@@ -6,24 +6,28 @@ import csv
 import io
 import json
 import os
+import sys
 import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pinposture.errors import FileError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Files: read with clear errors, written atomically.
-
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file atomically: first next to its destination, then renamed.
+    """Write a file atomically: as a draft next to its destination, which then replaces it.
 
-    Until then, and if writing fails, an existing file stays unchanged; no reader sees a partial file. Missing
-    directories are created; a link is followed, not replaced.
+    If writing fails, an existing file stays unchanged, and no reader sees a partial file. Missing directories
+    are created; a link is followed, not replaced.
 
     Raises:
         FileError: it cannot be written, or a directory or device has that name.
@@ -54,10 +58,10 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def read_text(path: Path) -> str:
-    """The text of a UTF-8 file, with its line ends as they are; a byte order mark is left out.
+    """Return the text of a UTF-8 file, with its own line ends and without a byte order mark.
 
     Raises:
-        FileError: it is missing, cannot be read, or holds something else.
+        FileError: it is missing, cannot be read, or is not UTF-8 text.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -72,8 +76,30 @@ def read_text(path: Path) -> str:
         raise FileError(path, f"cannot be read ({error})") from error
 
 
+def parse_json(path: Path, text: str, **options: Any) -> Any:
+    """Return the content of a JSON text; `options` are those of `json.loads`.
+
+    Raises:
+        FileError: it is malformed; names the file, and the line if that is known.
+    """
+    try:
+        return json.loads(text, **options)
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    except ValueError as error:  # a number of thousands of digits
+        raise FileError(path, str(error)) from error
+    except RecursionError as error:
+        raise FileError(path, "lists or objects are nested too deep") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the content of a TOML text; raises a ValueError that names the line, or a RecursionError."""
+    content: dict[str, Any] = tomllib.loads(text)
+    return content
+
+
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 text file in the way of `write_bytes`."""
+    """Write a UTF-8 text file as `write_bytes` does."""
     write_bytes(path, text.encode())
 
 
@@ -90,36 +116,42 @@ def write_json(path: Path, content: object) -> None:
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure of matplotlib as PNG, as `write_bytes` does, whatever the name of the file."""
+    """Write a matplotlib figure as PNG, as `write_bytes` does, whatever the suffix."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png")
     write_bytes(path, picture.getvalue())
 
 
+def require_suffix(path: Path, *allowed: str, hint: str = "") -> str:
+    """Return the suffix of a file in lower case; raise FileError, with a hint, if it is not allowed."""
+    suffix = path.suffix.lower()
+    if suffix not in allowed:
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(allowed)}{hint}")
+    return suffix
+
+
 def with_suffix(path: Path, *allowed: str, hint: str = "") -> Path:
-    """The path of a file that is to be written: with the first of these endings if it has none.
+    """Return the path of a file to write, with the first of these suffixes if it has none.
 
     Raises:
-        FileError: it has another ending, or no name at all.
+        FileError: it has another suffix, or no name at all.
     """
     if not path.name:
         raise FileError(path, "is a directory; allowed: the name of a file")
     if not path.suffix:
         return path.with_name(path.name + allowed[0])
-    if path.suffix.lower() not in allowed:
-        listed = ", ".join(allowed)
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {listed}, or no ending{hint}")
+    require_suffix(path, *allowed, hint=f", or no ending{hint}")
     return path
 
 
 def check_writable(directory: Path) -> None:
-    """Raise if no file can be created in a directory, before the work whose result it is for.
+    """Check that files can be created in a directory, for instance before a long computation.
 
     Args:
         directory: the directory; it need not exist yet.
 
     Raises:
-        FileError: it is a file, or it, or the parent in which it would be created, is not writable.
+        FileError: it is a file, or it is not writable, or cannot be created.
     """
     there = directory.absolute()
     while not there.exists() and there != there.parent:
@@ -130,28 +162,20 @@ def check_writable(directory: Path) -> None:
         raise FileError(there, "cannot be written (permission denied)")
 
 
-# Paths of files that a task names: absolute in memory, relative to the task file where that is possible.
-
-
 def settled(path: str | Path) -> Path:
-    """Return the absolute path of a file, its parent without links and dots; a link itself stays one."""
+    """Return the absolute path of a file, without links and dots in its parent; a link itself is kept."""
     given = Path(path)
     try:
         return Path(os.path.realpath(given.parent)) / given.name
-    except (OSError, ValueError):  # no way that could be followed
+    except (OSError, ValueError):  # the path cannot be resolved
         return given.absolute()
 
 
 def relative(path: Path, folder: Path) -> str:
-    """How a file in a folder names another one: with slashes, on every system.
-
-    Args:
-        path: the file that is named.
-        folder: where the file lies that names it.
-    """
+    """Return the path of a file relative to a folder, with slashes on every system; absolute if need be."""
     there = settled(path)
     try:
         words = Path(os.path.relpath(there, os.path.realpath(folder))).as_posix()
     except ValueError:  # on another drive
         return there.as_posix()
-    return there.as_posix() if words.startswith("~") else words  # it would be read as somebody's home
+    return there.as_posix() if words.startswith("~") else words  # which would stand for a home directory

@@ -27,7 +27,7 @@ class TrackerNode(Node):
         self.arm, self.measured, self.age = arm, None, 0
         limits = pp.Limits(step=None, dt=DT, acceleration=10.0)  # speeds are those of the URDF
         self.tracker = pp.Tracker(arm, limits=limits, deadline=DT / 2)
-        self.tracker.update(pp.resolve_targets(arm, curve))
+        self.tracker.update(pp.resolve_targets(arm, curve, placement="align"))
         self.commands = self.create_publisher(Float64MultiArray, "/position_controller/commands", 1)
         self.create_subscription(JointState, "/joint_states", self.on_joint_states, 1)
         self.create_subscription(String, "/curve", self.on_curve, 1)
@@ -43,7 +43,7 @@ class TrackerNode(Node):
     def on_curve(self, message: String) -> None:
         """Give the arm another shape; keep the present one if it cannot take it."""
         try:
-            self.tracker.update(pp.resolve_targets(self.arm, pp.Curve.load(message.data)))
+            self.tracker.update(pp.resolve_targets(self.arm, pp.Curve.load(message.data), placement="align"))
         except pp.PostureError as error:
             self.get_logger().error(str(error))
 

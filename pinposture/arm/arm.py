@@ -46,7 +46,7 @@ from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, warn_caller
+from pinposture.errors import InvalidValue, require_instance, warn_caller
 from pinposture.storage import settled
 
 Array = NDArray[np.float64]
@@ -283,8 +283,7 @@ class Arm(ConfigurationSpace):
             UnknownName: a frame does not exist.
             InvalidValue: the frames are not in order along one chain.
         """
-        if not isinstance(model, pin.Model):
-            raise InvalidValue("model", model, "a pin.Model")
+        require_instance("model", model, pin.Model, "a pin.Model")
         own = pin.Model(model)
         placement = rigid_placement("base_placement", base_placement)
         place_base(own, placement)

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector
+from pinposture._validation import finite_vector, make_read_only
 from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
@@ -101,8 +101,7 @@ class ConfigurationSpace:
         # A model built by hand has the largest floats as limits that were never set.
         lower[lower <= -NO_LIMIT], upper[upper >= NO_LIMIT] = -np.inf, np.inf
         velocity[(velocity <= 0.0) | (velocity >= NO_LIMIT)] = np.inf
-        for array in (lower, upper, velocity):
-            array.flags.writeable = False
+        make_read_only(lower, upper, velocity)
         return JointLimits(lower, upper, velocity)
 
     @cached_property
@@ -211,8 +210,7 @@ def check_joint_positions(
         worst = int(np.argmax(np.where(free, np.abs(positions), 0.0)))
         count = f"{np.count_nonzero(wound)} joints without limits"
         turns = f"{count} are wound by more than {WOUND_POSITION / FULL_TURN:g} turns"
-        text = f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}"
-        warn_caller(text)
+        warn_caller(f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}")
 
 
 def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -31,7 +31,7 @@ from pinposture.arm.urdf_reader import (
     quote_names,
     read_description,
 )
-from pinposture.errors import InvalidValue, UnknownName, URDFError
+from pinposture.errors import InvalidValue, URDFError, require_known
 
 Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
 """How to split the chain: joints per module, one number for all or one each, or links where modules end."""
@@ -258,8 +258,7 @@ def _checked_locks(description: Description, locked: Mapping[str, float]) -> dic
     known = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
     checked = {}
     for name, value in locked.items():
-        if name not in known:
-            raise UnknownName("moving joint", name, known)
+        require_known("moving joint", name, known)
         if known[name].type in MULTI_DOF_JOINTS:
             allowed = f"nothing: the joint is {known[name].type}, its position is not a single number"
             raise InvalidValue(f"locked[{name!r}]", value, allowed)
@@ -404,8 +403,7 @@ def _modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]
     placements = neutral_placements(model)
     n, ends = len(skeleton.names), [0]
     for link in links:
-        if link not in bodies:
-            raise UnknownName("link", link, bodies)
+        require_known("link", link, bodies)
         frame = bodies[link]
         name = str(model.names[frame.parentJoint])
         end = skeleton.names.index(name) + 1 if name in skeleton.names else 0

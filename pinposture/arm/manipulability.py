@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture._validation import make_read_only
+from pinposture.errors import InvalidValue, require_known
 
 Array = NDArray[np.float64]
 
@@ -82,8 +83,7 @@ def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, cent
     radii = np.where(radii > ZERO_SINGULAR_VALUE * radii[0], radii, 0.0)
     directions = axes.T @ plane
     center = center.copy()
-    for array in (center, directions, radii):
-        array.flags.writeable = False
+    make_read_only(center, directions, radii)
     return Ellipsoid(point, base, center, directions, radii)
 
 
@@ -109,8 +109,7 @@ def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...
 
 def section_bases(chosen: Sequence[int], relative_to: str) -> tuple[int, ...]:
     """Return the start of the section of each chosen control point; see `Ellipsoid.base` and `SECTIONS`."""
-    if relative_to not in SECTIONS:
-        raise UnknownName("start of a section", relative_to, SECTIONS)
+    require_known("start of a section", relative_to, SECTIONS)
     if relative_to == "base":
         return (0,) * len(chosen)
     return tuple(max((other + 1 for other in chosen if other < point), default=0) for point in chosen)
@@ -118,8 +117,7 @@ def section_bases(chosen: Sequence[int], relative_to: str) -> tuple[int, ...]:
 
 def _point_index(names: Sequence[str], point: object) -> int:
     if isinstance(point, str):
-        if point not in names:
-            raise UnknownName("control point", point, names)
+        require_known("control point", point, names)
         return list(names).index(point)
     count = len(names)
     if isinstance(point, int | np.integer) and not isinstance(point, bool) and -count <= point < count:

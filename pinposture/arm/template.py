@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_instance, require_known
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 
@@ -297,8 +297,7 @@ def template(name: str) -> ModuleTemplate:
     Raises:
         UnknownName: there is no such template.
     """
-    if not isinstance(name, str) or name not in TEMPLATES:
-        raise UnknownName("template", name, TEMPLATES)
+    require_known("template", name, TEMPLATES)
     return TEMPLATES[name]
 
 
@@ -326,8 +325,7 @@ def modules_to_urdf(
         raise InvalidValue("modules", modules, "a sequence of ModuleTemplate")
     listed = list(modules)
     for index, module in enumerate(listed):
-        if not isinstance(module, ModuleTemplate):
-            raise InvalidValue(f"modules[{index}]", module, "a ModuleTemplate")
+        require_instance(f"modules[{index}]", module, ModuleTemplate, "a ModuleTemplate")
     if not listed:
         raise InvalidValue("modules", modules, "at least one ModuleTemplate")
     if not isinstance(name, str) or not name.strip() or not name.isprintable():

@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.errors import FileError, InvalidValue, UnknownName, URDFError
+from pinposture.errors import FileError, InvalidValue, URDFError, require_known
 from pinposture.storage import read_text
 
 Array = NDArray[np.float64]
@@ -128,8 +128,7 @@ class Description:
             URDFError: the tip is not below the base.
         """
         for link in (base, tip):
-            if not isinstance(link, str) or (link != self.root and link not in self.joint_before):
-                raise UnknownName("link", link, self.links)
+            require_known("link", link, self.links)
         path: list[JointDescription] = []
         link = tip
         while link != base:

@@ -14,7 +14,7 @@ import typer
 from pinposture.cli.compile import compile_missing
 from pinposture.cli.inputs import ArmOptions, NoBrowserOption, refuse_given
 from pinposture.cli.output import examples, print_note
-from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.errors import FileError, InvalidValue, require_known
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -161,8 +161,7 @@ def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
     from pinposture.arm.template import TEMPLATES
     from pinposture.task.specification import MOST_MODULES
 
-    if source not in TEMPLATES:
-        raise UnknownName("task file, robot description or template", source, TEMPLATES)
+    require_known("task file, robot description or template", source, TEMPLATES)
     modules = arm_options.modules
     replace(arm_options, modules=None).refuse("nothing: a template has no links yet")
     try:

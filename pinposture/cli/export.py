@@ -18,7 +18,7 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
 )
-from pinposture.errors import FileError, UnknownName
+from pinposture.errors import FileError, require_known
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -119,9 +119,9 @@ def check_form(output: Path, form: str) -> None:
     """Raise an error for an unknown format or suffix."""
     from pinposture.motion.joint_files import check_format
 
-    if form not in ("", *NAMED_FORMATS):
-        raise UnknownName("format", form, NAMED_FORMATS)
-    if not form and output.suffix.lower() != ".mcap":
+    if form:
+        require_known("format", form, NAMED_FORMATS)
+    elif output.suffix.lower() != ".mcap":
         check_format(output)
 
 

@@ -16,7 +16,7 @@ from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
-from pinposture.errors import FileError, InvalidValue, warn_caller
+from pinposture.errors import FileError, InvalidValue, enumerated, warn_caller
 
 Array = NDArray[np.float64]
 Shape: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
@@ -66,11 +66,8 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
     for joint in lacking:
         bodies.extend(stand_ins.get(joint, ()))
     if faults:
-        named = [f"link {link!r}: {reason}" for link, _, reason in faults[:_MAX_LISTED_FAULTS]]
-        if len(faults) > _MAX_LISTED_FAULTS:
-            named.append(f"and {len(faults) - _MAX_LISTED_FAULTS} more")
-        message = f"capsules stand in for unusable collision geometry: {'; '.join(named)}"
-        warn_caller(message)
+        named = enumerated([f"link {link!r}: {why}" for link, _, why in faults], _MAX_LISTED_FAULTS, "; ")
+        warn_caller(f"capsules stand in for unusable collision geometry: {named}")
     return tuple(sorted(bodies, key=lambda body: body.joint))
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_number
 from pinposture.arm.urdf_reader import parse_xml
 from pinposture.errors import FileError, InvalidValue, PostureError
-from pinposture.storage import read_text
+from pinposture.storage import read_text, require_suffix
 
 MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")  # suffixes of readable mesh files
 
@@ -182,11 +182,8 @@ def read_scan(path: Path) -> ReadScan:
     Raises:
         FileError: missing, in another format, or malformed; says what is wrong and what is allowed.
     """
-    reader = SCAN_READERS.get(path.suffix.lower())
-    if reader is None:
-        convert = "; convert it, as by: pcl_pcd2ply in.pcd out.ply" if path.suffix.lower() == ".pcd" else ""
-        allowed = ", ".join(SCAN_READERS)
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {allowed}{convert}")
+    convert = "; convert it, as by: pcl_pcd2ply in.pcd out.ply" if path.suffix.lower() == ".pcd" else ""
+    reader = SCAN_READERS[require_suffix(path, *SCAN_READERS, hint=convert)]
     try:
         if not path.is_file():
             raise FileError(path, "is a directory" if path.is_dir() else "no such file")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import SMALLEST_LENGTH, finite_vector
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
-from pinposture.collision.bodies import Body, bodies_of
+from pinposture.collision.bodies import bodies_of
 from pinposture.collision.distances import (
     Contacts,
     MotionSearch,
@@ -25,7 +25,7 @@ from pinposture.collision.distances import (
 from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import InvalidValue, warn_caller
+from pinposture.errors import InvalidValue, enumerated, require_instance, warn_caller
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -60,17 +60,38 @@ STATIONARY = 1e-9
 _NEGLIGIBLE = 1e-9
 
 
-def stationary_ends(
-    arm: Arm, kinematics: TreeKinematics, bodies: Sequence[Body], solids: Sequence[Solid]
-) -> list[tuple[int, Array]]:
+class CollisionObjects(NamedTuple):
+    """An arm among obstacles.
+
+    Attributes:
+        arm: the arm.
+        kinematics: the kinematics of its model.
+        joints: index of the joint that carries each body.
+        solids: the bodies, each in its joint frame.
+        fixed: the obstacles, world frame.
+    """
+
+    arm: Arm
+    kinematics: TreeKinematics
+    joints: Sequence[int]
+    solids: Sequence[Solid]
+    fixed: Sequence[Solid]
+
+    def distances(self, pairs: Sequence[IndexPair]) -> PairDistances:
+        """Return the distances of pairs of bodies, or of bodies and obstacles; see `PairDistances`."""
+        return PairDistances(self.solids, self.joints, self.fixed, pairs)
+
+
+def stationary_ends(objects: CollisionObjects) -> list[tuple[int, Array]]:
     """Return the axis ends of moving bodies that no joint motion moves.
 
-    Each is a body index and a world position, (3,) [m]. `solids` are the shapes of the bodies.
+    Each is a body index and a world position, (3,) [m].
     """
-    ends = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
-    joints, rng, found = np.array([body.joint for body in bodies], dtype=int), np.random.default_rng(0), []
+    ends = np.array([[each.start, each.end] for each in objects.solids]).reshape(-1, 2, 3)
+    arm, joints, rng = objects.arm, np.array(objects.joints, dtype=int), np.random.default_rng(0)
+    found = []
     for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-        rotations, positions = (each[0, joints] for each in kinematics.place(q))
+        rotations, positions = (each[0, joints] for each in objects.kinematics.place(q))
         found.append(ends @ rotations.swapaxes(1, 2) + positions[:, None])
     still = np.ptp(found, axis=0).max(axis=2) <= STATIONARY * arm.length  # (bodies, 2)
     return [(int(body), found[0][body, end]) for body, end in np.argwhere(still & (joints > 0)[:, None])]
@@ -90,25 +111,19 @@ class ExcludedPair(NamedTuple):
     reason: str
 
 
-def _self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
+def _self_pairs(model: pin.Model, carriers: Sequence[int]) -> Iterator[IndexPair]:
     """Yield the pairs of bodies that can move relative to each other and are not on adjacent joints."""
-    for second, other in enumerate(bodies):
-        for first, body in enumerate(bodies[:second]):
-            joints = (body.joint, other.joint)
+    for second, other in enumerate(carriers):
+        for first, joint in enumerate(carriers[:second]):
+            joints = (joint, other)
             joined = any(a == b or int(model.parents[a]) == b for a, b in (joints, joints[::-1]) if a or b)
             if not joined and joints != (0, 0):
                 # The body nearer to the tip comes first: it is the one that moves away.
-                yield (second, first) if other.joint >= body.joint else (first, second)
+                yield (second, first) if other >= joint else (first, second)
 
 
 def _choose_pairs(
-    arm: Arm,
-    kinematics: TreeKinematics,
-    bodies: Sequence[Body],
-    solids: Sequence[Solid],
-    fixed: Sequence[Solid],
-    scene: Scene,
-    free: Collection[int],
+    objects: CollisionObjects, scene: Scene, free: Collection[int]
 ) -> tuple[list[IndexPair], dict[IndexPair, str]]:
     """Choose the pairs to check; return them and the pairs excluded with a reason.
 
@@ -124,70 +139,55 @@ def _choose_pairs(
 
     No pair with a moving obstacle, whose indices are in `free`, is excluded.
     """
-    count = len(bodies)
-    mounted = _mounted_pairs(arm, kinematics, bodies, solids, fixed, scene.margin)
+    arm, count = objects.arm, len(objects.joints)
+    mounted = _mounted_pairs(objects, scene.margin)
     excluded = dict.fromkeys(sorted(mounted), "the arm is mounted on it")
-    moving = [index for index, body in enumerate(bodies) if body.joint]
-    against = [(index, count + k) for index in moving for k in range(len(fixed))]
-    own = list(_self_pairs(arm.model, bodies)) if scene.self_collision else []
-    near = PairDistances(solids, [body.joint for body in bodies], [], own)
+    moving = [index for index, joint in enumerate(objects.joints) if joint]
+    against = [(index, count + k) for index in moving for k in range(len(objects.fixed))]
+    own = list(_self_pairs(arm.model, objects.joints)) if scene.self_collision else []
+    near = objects.distances(own)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
         limit = MARGINS_APART * scene.margin + STATIONARY * arm.length
-        found = near.near(kinematics.place(q), limit).pairs
+        found = near.near(objects.kinematics.place(q), limit).pairs
         touching |= {(int(near.first[k]), int(near.second[k])) for k in found}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
     excluded = {pair: why for pair, why in excluded.items() if pair[1] not in free}
     left = [pair for pair in (*against, *own) if pair not in excluded]
-    close = _always_close(arm, kinematics, bodies, solids, fixed, left, scene.margin)
+    close = _always_close(objects, left, scene.margin)
     close = [pair for pair in close if pair[1] not in free]
-    overlapping = _always_close(arm, kinematics, bodies, solids, fixed, close, 0.0)
+    overlapping = _always_close(objects, close, 0.0)
     excluded |= dict.fromkeys(close, ALWAYS_CLOSE) | dict.fromkeys(overlapping, ALWAYS_OVERLAPPING)
     return [pair for pair in left if pair not in close], excluded
 
 
-def _always_close(
-    arm: Arm,
-    kinematics: TreeKinematics,
-    bodies: Sequence[Body],
-    solids: Sequence[Solid],
-    fixed: Sequence[Solid],
-    pairs: Sequence[IndexPair],
-    margin: float,
-) -> list[IndexPair]:
+def _always_close(objects: CollisionObjects, pairs: Sequence[IndexPair], margin: float) -> list[IndexPair]:
     """Return the pairs that are closer than the margin in all sampled postures."""
-    rng, left = np.random.default_rng(0), list(pairs)
-    distances = PairDistances(solids, [body.joint for body in bodies], fixed, left)
+    arm, rng, left = objects.arm, np.random.default_rng(0), list(pairs)
+    distances, count = objects.distances(left), len(objects.joints)
     for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(RANDOM_POSTURES))):
         if not left:
             break
-        found = np.sort(distances.near(kinematics.place(q), margin).pairs)
+        found = np.sort(distances.near(objects.kinematics.place(q), margin).pairs)
         left = [(int(distances.first[k]), int(distances.second[k])) for k in found]
         distances = distances.among(left)
     # If even the last body never clears an obstacle, the arm is inside that obstacle.
-    around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
+    around_all = {second for first, second in left if second >= count and first == count - 1}
     return [pair for pair in left if pair[1] not in around_all]
 
 
-def _mounted_pairs(
-    arm: Arm,
-    kinematics: TreeKinematics,
-    bodies: Sequence[Body],
-    solids: Sequence[Solid],
-    fixed: Sequence[Solid],
-    margin: float,
-) -> set[IndexPair]:
+def _mounted_pairs(objects: CollisionObjects, margin: float) -> set[IndexPair]:
     """Return the pairs of a body and an obstacle near a stationary end of the body."""
-    still = stationary_ends(arm, kinematics, bodies, solids)
+    still, solids, fixed = stationary_ends(objects), objects.solids, objects.fixed
     balls = []
     for body, position in still:
         radius = solids[body].radius if solids[body].round else SMALLEST_LENGTH
         balls.append(solid(Sphere(tuple(position), radius)))
     pairs = [(ball, len(balls) + k) for ball in range(len(balls)) for k in range(len(fixed))]
     distances = PairDistances(balls, [0] * len(balls), fixed, pairs)
-    near = distances.near(kinematics.place(arm.neutral()), np.nextafter(margin, np.inf)).pairs
+    near = distances.near(objects.kinematics.place(objects.arm.neutral()), np.nextafter(margin, np.inf)).pairs
     first, second = distances.first[near], distances.second[near] - len(balls)
-    return {(still[ball][0], len(bodies) + int(k)) for ball, k in zip(first, second, strict=True)}
+    return {(still[ball][0], len(solids) + int(k)) for ball, k in zip(first, second, strict=True)}
 
 
 def escape_direction(first: Array, second: Array, plane: Array) -> Array:
@@ -322,10 +322,8 @@ class CollisionModel:
         Raises:
             InvalidValue: not an arm or not a scene.
         """
-        if not isinstance(arm, Arm):
-            raise InvalidValue("arm", arm, "an Arm")
-        if not isinstance(scene, Scene):
-            raise InvalidValue("scene", scene, "a Scene")
+        require_instance("arm", arm, Arm, "an Arm")
+        require_instance("scene", scene, Scene, "a Scene")
         models: dict[tuple[Scene, frozenset[str]], CollisionModel] = arm.cache.setdefault(cls, {})
         key = scene.first, scene.moving
         if key not in models:
@@ -380,7 +378,6 @@ class CollisionModel:
         self._space, self._kinematics = ConfigurationSpace(arm.model), TreeKinematics(arm.model)
         self._arm_length = arm.length
         bodies = bodies_of(arm, scene.arm_radius)
-        self._solids = [solid(body.shape) for body in bodies]
         named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
         fixed = [each for _, each in named]
         self._numbers = {name: [] for name in scene.obstacles}
@@ -390,7 +387,11 @@ class CollisionModel:
         self.bodies = tuple(body.name for body in bodies)
         names = (*self.bodies, *(name for name, _ in named))
         free = {len(bodies) + k for k, (name, _) in enumerate(named) if name in moving}
-        chosen, excluded = _choose_pairs(arm, self._kinematics, bodies, self._solids, fixed, scene, free)
+        joints = [body.joint for body in bodies]
+        objects = CollisionObjects(
+            arm, self._kinematics, joints, [solid(body.shape) for body in bodies], fixed
+        )
+        chosen, excluded = _choose_pairs(objects, scene, free)
         left_out = (ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         self.excluded_pairs = tuple(dict.fromkeys(left_out))
         apart = f"nothing keeps them apart (margin {scene.margin:g} m)"
@@ -399,12 +400,8 @@ class CollisionModel:
                 f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == reason
             ]
             if pairs:
-                listed = ", ".join(pairs[:MAX_LISTED_PAIRS])
-                if len(pairs) > MAX_LISTED_PAIRS:
-                    listed += f" and {len(pairs) - MAX_LISTED_PAIRS} more pairs"
-                warn_caller(f"{listed}: {reason}; {so}")
-        joints = [body.joint for body in bodies]
-        self._distances = PairDistances(self._solids, joints, fixed, chosen)
+                warn_caller(f"{enumerated(pairs, MAX_LISTED_PAIRS)}: {reason}; {so}")
+        self._distances = objects.distances(chosen)
         first, second = self._distances.first, self._distances.second
         self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
         self._carriers = np.array([*joints, *[0] * len(fixed)], dtype=np.int64)

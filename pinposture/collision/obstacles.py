@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pinposture._validation import known_keys
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Piece, Sphere
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_instance, require_known
 from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
 
 Array = NDArray[np.float64]
@@ -41,14 +41,12 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
         UnknownName: an unknown type.
         FileError: the file of a mesh or scan is missing or invalid.
     """
-    if not isinstance(described, Mapping):
-        raise InvalidValue("obstacle", described, "a table with a 'type'")
+    require_instance("obstacle", described, Mapping, "a table with a 'type'")
     values = dict(described)
     name = values.pop("type", None)
     if name is None:
         raise InvalidValue("type", None, ", ".join(OBSTACLE_TYPES))
-    if not isinstance(name, str) or name not in OBSTACLE_TYPES:
-        raise UnknownName("type of obstacle", name, OBSTACLE_TYPES)
+    require_known("type of obstacle", name, OBSTACLE_TYPES)
     kind = OBSTACLE_TYPES[name]
     if kind in (Mesh, Scan):
         return kind.from_dict(values, folder)

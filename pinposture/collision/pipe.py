@@ -10,11 +10,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import _validation
-from pinposture._validation import is_count, length
+from pinposture._validation import length, require_whole
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Box
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_instance
 
 Array = NDArray[np.float64]
 
@@ -132,11 +132,9 @@ def pipe_walls(path: Curve, radius: float, sides: int = 6, thickness: float = 0.
     Raises:
         InvalidValue: invalid values, or a bend that is too tight for the radius.
     """
-    if not isinstance(path, Curve):
-        raise InvalidValue("path", path, "a Curve")
+    require_instance("path", path, Curve, "a Curve")
     radius, thickness = length("radius", radius), length("thickness", thickness)
-    if not is_count(sides) or sides < MIN_SIDES:
-        raise InvalidValue("sides", sides, f"a whole number of at least {MIN_SIDES}")
+    require_whole("sides", sides, MIN_SIDES)
     s = np.linspace(0.0, path.length, int(np.ceil(SAMPLES_PER_RADIUS * path.length / radius)) + 1)
     tightest = float(np.max(path.curvature(s)))
     if radius * tightest > MAX_RADIUS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,10 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import _validation
-from pinposture._validation import LARGEST_LENGTH, Matrix, Vector, is_count, known_keys, length, point
+from pinposture._validation import (
+    LARGEST_LENGTH,
+    Matrix,
+    Vector,
+    known_keys,
+    length,
+    make_read_only,
+    point,
+    require_whole,
+    set_fields,
+)
 from pinposture.collision.files import read_scan, scale_factor
-from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, set_fields
-from pinposture.errors import FileError, InvalidValue, PostureWarning, warn_caller
+from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path
+from pinposture.errors import FileError, InvalidValue, no_warnings, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -181,9 +190,7 @@ class Scan(Surface):
         if width > MAX_PLAUSIBLE_WIDTH:
             text = f"{self.name} is {width:.4g} m wide; if it is in millimetres, load it with scale=0.001"
             warn_caller(text)
-        for array in (points, faces, colors):
-            if array is not None:
-                array.flags.writeable = False
+        make_read_only(points, faces, colors)
         set_fields(self, points=points, faces=faces, colors=colors, dropped=dropped, point_radius=radius)
         set_fields(
             self,
@@ -271,8 +278,7 @@ class Scan(Surface):
         Raises:
             InvalidValue: not a whole number of at least 1, or too small for a surface to keep any triangles.
         """
-        if not is_count(count):
-            raise InvalidValue("count", count, "a whole number of at least 1")
+        require_whole("count", count, 1)
         if len(self.points) <= count:
             return self
         kept, cubes = representatives(self.points, int(count))
@@ -283,8 +289,7 @@ class Scan(Surface):
                 allowed = "more points; with so few, no triangle of the surface is left"
                 raise InvalidValue("count", count, allowed)
         colors = None if self.colors is None else self.colors[kept]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PostureWarning)  # a warning about its width was already given
+        with no_warnings():  # one about its width has been given
             return replace(self, points=self.points[kept], faces=faces, colors=colors, path=None)
 
     def __repr__(self) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import ItemsView, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pinposture._validation import Vector, known_keys, length, point, require_positive
+from pinposture._validation import Vector, known_keys, length, point, require_positive, set_fields
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import (
     OBSTACLE_TYPES,
@@ -26,13 +25,16 @@ from pinposture.collision.obstacles import (
     solids,
 )
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
-from pinposture.storage import read_text, relative, write_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from pinposture.errors import (
+    FileError,
+    InvalidValue,
+    PostureError,
+    UnknownName,
+    require_instance,
+    require_known,
+    warn_caller,
+)
+from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix, write_text
 
 VERSION = 1
 MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
@@ -71,32 +73,28 @@ class Scene:
     _hash: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.obstacles, Mapping):
-            raise InvalidValue("obstacles", self.obstacles, "a mapping from names to obstacles")
+        require_instance("obstacles", self.obstacles, Mapping, "a mapping from names to obstacles")
         for name, obstacle in self.obstacles.items():
             if not isinstance(name, str) or not name.strip() or not name.isprintable():
                 raise InvalidValue("name of an obstacle", name, "printable text that is not blank")
             if not isinstance(obstacle, tuple(OBSTACLE_TYPES.values())):
                 allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
                 raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
-        if not isinstance(self.self_collision, bool):
-            raise InvalidValue("self_collision", self.self_collision, "True or False")
-        object.__setattr__(self, "obstacles", MappingProxyType(dict(self.obstacles)))
-        object.__setattr__(self, "margin", length("margin", self.margin, zero=True))
+        require_instance("self_collision", self.self_collision, bool, "True or False")
+        obstacles, margin = MappingProxyType(dict(self.obstacles)), length("margin", self.margin, zero=True)
+        set_fields(self, obstacles=obstacles, margin=margin)
         if self.arm_radius is not None:
-            object.__setattr__(self, "arm_radius", length("arm_radius", self.arm_radius))
+            set_fields(self, arm_radius=length("arm_radius", self.arm_radius))
         velocities = {name: point(f"velocities[{name!r}]", v) for name, v in self._known(self.velocities)}
-        object.__setattr__(self, "velocities", MappingProxyType(velocities))
+        set_fields(self, velocities=MappingProxyType(velocities))
         # The hash is precomputed: every control step may look up the collision model of a scene.
-        object.__setattr__(self, "_hash", hash(self._key()))
+        set_fields(self, _hash=hash(self._key()))
 
     def _known(self, values: Mapping[str, Any]) -> ItemsView[str, Any]:
         """Return the items of a mapping from obstacle names; raise UnknownName for an unknown obstacle."""
-        if not isinstance(values, Mapping):
-            raise InvalidValue("values", values, "a mapping from names of obstacles")
+        require_instance("values", values, Mapping, "a mapping from names of obstacles")
         for name in values:
-            if name not in self.obstacles:
-                raise UnknownName("obstacle", name, tuple(self.obstacles))
+            require_known("obstacle", name, self.obstacles)
         return values.items()
 
     @property
@@ -160,12 +158,12 @@ class Scene:
             return self
         other = replace(self, self_collision=False)
         if self._first is not None:
-            object.__setattr__(other, "_first", replace(self._first, self_collision=False))
+            set_fields(other, _first=replace(self._first, self_collision=False))
         return other
 
     def _at_moment(self, obstacles: Mapping[str, Obstacle], velocities: Mapping[str, Vector]) -> Scene:
         other = replace(self, obstacles=obstacles, velocities=velocities)
-        object.__setattr__(other, "_first", self.first)
+        set_fields(other, _first=self.first)
         return other
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
@@ -198,16 +196,14 @@ class Scene:
             UnknownName: an unknown type of obstacle.
             FileError: a missing or unreadable mesh or scan.
         """
-        if not isinstance(described, Mapping):
-            raise InvalidValue("scene", described, f"a table of: {', '.join(_KEYS)}")
+        require_instance("scene", described, Mapping, f"a table of: {', '.join(_KEYS)}")
         known_keys("the scene", described, _KEYS)
         version = described.get("version", VERSION)
         if isinstance(version, bool) or version != VERSION:
             raise InvalidValue("version", version, str(VERSION))
         values = {key: described[key] for key in _KEYS[2:] if key in described}
         listed = described.get("obstacles", {})
-        if not isinstance(listed, Mapping):
-            raise InvalidValue("obstacles", listed, "a table of obstacles, each under its name")
+        require_instance("obstacles", listed, Mapping, "a table of obstacles, each under its name")
         obstacles = {name: _obstacle(name, each, folder) for name, each in listed.items()}
         return cls(obstacles, **values)
 
@@ -224,15 +220,10 @@ class Scene:
                 values.
         """
         path = Path(path)
-        suffix = path.suffix.lower()
-        if suffix not in (".toml", ".json"):
-            raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
-        text = read_text(path)
+        suffix, text = require_suffix(path, ".toml", ".json"), read_text(path)
         try:
-            content = tomllib.loads(text) if suffix == ".toml" else json.loads(text)
-        except json.JSONDecodeError as error:
-            raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-        except (ValueError, RecursionError) as error:  # TOML errors contain the line
+            content = parse_toml(text) if suffix == ".toml" else parse_json(path, text)
+        except (ValueError, RecursionError) as error:  # of TOML, with the line
             raise FileError(path, str(error).replace("\n", " ")) from error
         try:
             scene = cls.from_dict(content, str(path.parent))
@@ -251,8 +242,7 @@ class Scene:
             FileError: the name does not end in .json, or the file cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() != ".json":
-            raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
+        require_suffix(path, ".json")
         described = self.to_dict(embed=False)
         for each in described["obstacles"].values():
             if "path" in each:

@@ -24,11 +24,13 @@ from pinposture._validation import (
     direction,
     known_keys,
     length,
+    make_read_only,
     point,
     rotation,
+    set_fields,
 )
 from pinposture.collision.files import Triangles, merge_corners, read_mesh, scale_factor
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_instance
 from pinposture.kernels.arrays import Trees
 
 Array = NDArray[np.float64]
@@ -137,12 +139,6 @@ Own = TypeVar("Own", bound="Surface")
 UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 CONVEX = 1e-7  # relative tolerance of the volumes of a convex mesh and its hull
-
-
-def set_fields(frozen: object, **values: object) -> None:
-    """Set attributes of a frozen dataclass during its construction."""
-    for name, value in values.items():
-        object.__setattr__(frozen, name, value)
 
 
 @dataclass(frozen=True)
@@ -365,9 +361,7 @@ class Surface(Described):
         return {each.name: self.__dict__[each.name] for each in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for value in state.values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        make_read_only(*state.values())
         self.__dict__.update(state)
 
 
@@ -433,8 +427,7 @@ class Mesh(Surface):
             vertices = _hull_vertices(vertices)
             faces = _hull_faces(vertices)
         faces = faces.astype(np.int32)
-        for array in (vertices, faces):
-            array.flags.writeable = False
+        make_read_only(vertices, faces)
         set_fields(self, vertices=vertices, faces=faces, convex=hull, center=point("center", self.center))
         set_fields(self, rotation=rotation("rotation", self.rotation))
 
@@ -489,8 +482,7 @@ def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folde
         raise InvalidValue(f"path or {key}", given, "one of the two: a file, or points (n, 3) [m]")
     if "path" in values:
         path = values.pop("path")
-        if not isinstance(path, str):
-            raise InvalidValue("path", path, "the name of a file")
+        require_instance("path", path, str, "the name of a file")
         if "faces" in values:
             raise InvalidValue("faces", values["faces"], "nothing: they are read from the file")
         return kind.load(Path(folder) / path, **values)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.limits import Limits
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_instance
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -154,10 +154,8 @@ class Controller(Protocol):
 
 def require_step_arguments(state: object, target: object, memory: object = None) -> None:
     """Raise InvalidValue if an argument of a step has the wrong type."""
-    if not isinstance(state, ArmState):
-        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
+    require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     if not (memory is None or isinstance(memory, Memory)):
         raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
 

@@ -310,8 +310,7 @@ class Limits:
             require_positive("dt", self.dt)
             object.__setattr__(self, "dt", float(self.dt))
             if self.dt > MAX_USUAL_CYCLE:
-                text = f"dt is {self.dt:g} s, long for a control cycle; is it in milliseconds?"
-                warn_caller(text)
+                warn_caller(f"dt is {self.dt:g} s, long for a control cycle; is it in milliseconds?")
         for name in ("velocity", "acceleration"):
             if getattr(self, name) is not None and self.dt is None:
                 raise InvalidValue("dt", None, f"a positive duration [s], needed to limit the {name}")

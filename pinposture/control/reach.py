@@ -22,7 +22,7 @@ from pinposture.control.limits import Limits
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
-from pinposture.errors import InvalidValue, OutOfReach, ReachError
+from pinposture.errors import InvalidValue, OutOfReach, ReachError, require_instance
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -144,8 +144,7 @@ def reach(
         ReachError: no clear posture was found; the message says how close the search came.
     """
     began = perf_counter()
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
+    require_instance("arm", arm, Arm, "an Arm")
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if not (limits is None or isinstance(limits, Limits)):

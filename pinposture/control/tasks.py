@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import is_whole, require_positive, rigid_placement
+from pinposture._validation import finite_array, is_whole, make_read_only, require_positive, rigid_placement
 from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_instance, require_known
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -266,8 +266,7 @@ class ComparableTask:
 
     def _set(self, name: str, value: object) -> None:
         """Set a field of the frozen task during initialisation; arrays become read-only."""
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
+        make_read_only(value)
         object.__setattr__(self, name, value)
 
     def _set_scales(self, weight: float, length: float | None) -> None:
@@ -282,27 +281,6 @@ class ComparableTask:
 def lever(arm: Arm, length: float | None) -> float:
     """Return the lever arm of rotations: the length that one radian counts as [m/rad]."""
     return arm.characteristic_length if length is None else length
-
-
-def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a new array of finite floats; None in the shape stands for any positive length.
-
-    Raises:
-        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
-    """
-    words = f"finite numbers of shape {shape}".replace("None", "k")
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if values is None or array.size == 0:
-        raise InvalidValue(name, values, words)
-    fits = array.ndim == len(shape)
-    if not (fits and all(want in (None, have) for have, want in zip(array.shape, shape, strict=True))):
-        raise InvalidValue(f"{name} (shape)", array.shape, words)
-    for where in np.argwhere(~np.isfinite(array))[:1]:
-        raise InvalidValue(f"{name}{where.tolist()}", float(array[tuple(where)]), words)
-    return array
 
 
 HOLDS = ("position", "pose")
@@ -358,8 +336,7 @@ class EndEffector(ComparableTask):
                 raise InvalidValue("point", self.point, "the index or the name of one control point")
             self._set("point", int(self.point))
         for name in ("priority", "direction_only"):
-            if not isinstance(getattr(self, name), bool | np.bool_):
-                raise InvalidValue(name, getattr(self, name), "True or False")
+            require_instance(name, getattr(self, name), bool | np.bool_, "True or False")
             self._set(name, bool(getattr(self, name)))
         if self.direction_only and self.pose is None:
             raise InvalidValue("direction_only", True, "False, or a pose in place of the position")
@@ -379,10 +356,8 @@ class EndEffector(ComparableTask):
             UnknownName: another value of `hold`, or a control point that the arm does not have.
             InvalidValue: as for `EndEffector`, or an index that no control point has.
         """
-        if not isinstance(state, ArmState):
-            raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
-        if hold not in HOLDS:
-            raise UnknownName("thing to hold", hold, HOLDS)
+        require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
+        require_known("thing to hold", hold, HOLDS)
         k = _index(state, point)
         if hold == "position":
             return cls(position=state.points[k], point=point, **options)
@@ -460,8 +435,7 @@ class JointPosture(ComparableTask):
             return arm.columns
         known = arm.chain.input_names
         for name in self.joints:
-            if name not in known:
-                raise UnknownName("joint", name, known)
+            require_known("joint", name, known)
         return arm.columns[[known.index(name) for name in self.joints]]
 
 
@@ -534,8 +508,7 @@ class Tangents(ComparableTask):
         Raises:
             InvalidValue: a target without a curve, or an index that it does not have.
         """
-        if not isinstance(target, Target):
-            raise InvalidValue("target", target, "a Target on a curve, from resolve_targets")
+        require_instance("target", target, Target, "a Target on a curve, from resolve_targets")
         if target.curve is None or target.parameters is None:
             raise InvalidValue("target.curve", None, "a target on a curve, from resolve_targets")
         m = len(target.parameters)

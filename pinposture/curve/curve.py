@@ -29,8 +29,8 @@ from pinposture._validation import (
     check_distinct,
 )
 from pinposture.curve.geometry import MAX_DEGREE, Geometry, Parts, trim
-from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
-from pinposture.storage import read_text, write_text
+from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName, require_known
+from pinposture.storage import parse_json, read_text, require_suffix, write_text
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -312,20 +312,10 @@ def read_description(path: Path) -> dict[str, Any]:
         FileError: missing, unreadable, of another format, or a malformed line.
         CurveError: invalid points in a table; names the line.
     """
-    suffix = path.suffix.lower()
-    if suffix not in (".json", *_TABLES):
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: .json, .csv, .txt")
-    text = read_text(path)
+    suffix, text = require_suffix(path, ".json", *_TABLES), read_text(path)
     if suffix in _TABLES:
         return {"type": "points", "points": _table(path, text)}
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-    except ValueError as error:  # a number with thousands of digits
-        raise FileError(path, str(error)) from error
-    except RecursionError as error:
-        raise FileError(path, "lists within lists without end") from error
+    content = parse_json(path, text)
     if isinstance(content, list):
         return {"type": "points", "points": content}
     if not isinstance(content, dict):
@@ -396,8 +386,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     Raises:
         FileError: the name does not end in .json, or the file cannot be written.
     """
-    if path.suffix.lower() != ".json":
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
+    require_suffix(path, ".json")
     write_text(path, json.dumps(content, allow_nan=False) + "\n")
 
 
@@ -422,15 +411,14 @@ def read_call(
     if "type" not in description:
         raise CurveError("description", f"needs the key 'type'; allowed: {', '.join(constructors)}")
     kind = description["type"]
-    if not isinstance(kind, str) or kind not in constructors:
-        raise UnknownName("type of curve", kind, constructors)
+    require_known("type of curve", kind, constructors)
     keys = {
         name: parameter.default is inspect.Parameter.empty
         for name, parameter in inspect.signature(constructors[kind]).parameters.items()
     }
     for key in description:
-        if key != "type" and key not in keys:
-            raise UnknownName(f"key of a {kind!r} curve", key, keys)
+        if key != "type":
+            require_known(f"key of a {kind!r} curve", key, keys)
     for key, needed in keys.items():
         if needed and key not in description:
             raise CurveError(f"{kind!r} curve", f"needs the key {key!r}")

@@ -24,7 +24,7 @@ from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, join
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
-from pinposture.errors import FileError, PostureError, UnknownName
+from pinposture.errors import FileError, PostureError, require_known
 from pinposture.motion import Motion, save
 from pinposture.placement.target import arm_axis
 from pinposture.storage import settled
@@ -371,8 +371,7 @@ def export(motion: Motion, kind: str, stem: str) -> Export:
         FileError: it cannot be written.
         InvalidValue: times that the format cannot hold.
     """
-    if kind not in EXPORT_KINDS:
-        raise UnknownName("kind of export", kind, EXPORT_KINDS)
+    require_known("kind of export", kind, EXPORT_KINDS)
     suffix, noun, write = EXPORT_KINDS[kind]
     name = f"{re.sub(r'[^A-Za-z0-9._-]+', '_', stem).strip('._') or 'motion'}{suffix}"
     with TemporaryDirectory(prefix="pinposture-") as folder:

@@ -18,7 +18,7 @@ from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstac
 from pinposture.collision.scene import obstacles_around, obstacles_near
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.session import Proposal, Session
-from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
+from pinposture.errors import InvalidValue, PostureError, TaskError, require_known
 from pinposture.task import Task
 
 Array = NDArray[np.float64]
@@ -279,8 +279,7 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
     Raises:
         UnknownName: there is no such kind.
     """
-    if kind not in NEW_OBSTACLE_KINDS:
-        raise UnknownName("kind of obstacle", kind, NEW_OBSTACLE_KINDS)
+    require_known("kind of obstacle", kind, NEW_OBSTACLE_KINDS)
     path = _resampled(np.vstack([arm.chain.base, points]))
     up = arm.plane[np.abs(arm.plane[:, 2]).argmax()] if arm.dimension == 2 else np.array([0.0, 0.0, 1.0])
     up = -up if up[2] < 0.0 else up

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, require_positive
+from pinposture._validation import finite_array, finite_vector, make_read_only, require_positive
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.errors import InvalidValue, UnknownName
-from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names, finite_array
+from pinposture.errors import InvalidValue, require_known
+from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 
 Array = NDArray[np.float64]
 
@@ -87,6 +87,7 @@ class Actuators:
         """
         checked = check_names(names)
         table = finite_array("matrix", matrix, (len(checked), arm.nv))
+        make_read_only(table)
         if len(units) != len(checked) or not set(units) <= {RADIAN, METRE}:
             allowed = f"{RADIAN!r} or {METRE!r} for each of {len(checked)} actuators"
             raise InvalidValue("units", units, allowed)
@@ -256,8 +257,7 @@ def _module_end(arm: Arm, name: str, point: str | int) -> int:
     """Return the number of joints of the chain up to a control point."""
     points = arm.control_points
     if isinstance(point, str):
-        if point not in points:
-            raise UnknownName(f"control point of tendon {name!r}", point, points)
+        require_known(f"control point of tendon {name!r}", point, points)
         point = points.index(point)
     if not -len(points) <= point < len(points):
         raise InvalidValue(f"control point of tendon {name!r}", point, f"an index of {len(points)} points")

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import is_whole
+from pinposture._validation import is_whole, make_read_only
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory, make_read_only
+from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory
 from pinposture.placement import Target
 
 # The motions of many runs, concatenated.
@@ -61,7 +61,7 @@ class Motions:
     texts: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        make_read_only(self)
+        make_read_only(*vars(self).values())
 
     def arrays_of(self, number: int, arm: Arm, target: Target) -> dict[str, NDArray[Any]]:
         """Return the arrays of the `Trajectory` of a run, given its index, 0-based, arm and target."""
@@ -156,7 +156,7 @@ class Batch:
     motions: Motions | None = None
 
     def __post_init__(self) -> None:
-        make_read_only(self)
+        make_read_only(*vars(self).values())
 
     def __len__(self) -> int:
         return len(self.status)
@@ -219,19 +219,10 @@ class Batch:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the batch as data for JSON, without the configurations; lengths in metres."""
-        runs = [
-            {
-                "status": str(self.status[k]),
-                "reason": str(self.reason[k]),
-                "steps": int(self.steps[k]),
-                "start_error": float(self.start_error[k]),
-                "final_error": float(self.final_error[k]),
-                "mean_error": float(self.mean_error[k]),
-                "path_length_ratio": float(self.path_length_ratio[k]),
-                "clearance": None if self.scene is None else float(self.clearance[k]),
-            }
-            for k in range(len(self))
-        ]
+        names = ("status", "reason", "steps", "start_error", "final_error", "mean_error", "path_length_ratio")
+        columns: dict[str, list[Any]] = {name: getattr(self, name).tolist() for name in names}
+        columns["clearance"] = [None] * len(self) if self.scene is None else self.clearance.tolist()
+        runs = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return {
             "verdict": self.verdict,
             "faults": list(self.faults),

@@ -214,14 +214,6 @@ def _unpack_limits(about: About, arrays: Arrays) -> Limits:
     return Limits(**values, dt=about["dt"], position_margin=about["position_margin"])
 
 
-def _pack_scene(scene: Scene | None) -> dict[str, Any] | None:
-    return None if scene is None else scene.to_dict()
-
-
-def _unpack_scene(data: dict[str, Any] | None) -> Scene | None:
-    return None if data is None else Scene.from_dict(data)
-
-
 def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
     """Return how a curve was moved, from JSON data."""
     if data is None:
@@ -257,7 +249,7 @@ def _pack_run(run: Trajectory) -> tuple[About, Arrays]:
         "moved": run.target.moved,
         "approximate": run.target.approximate,
         "controller": run.controller,
-        "scene": _pack_scene(run.scene),
+        "scene": None if run.scene is None else run.scene.to_dict(),
         "status": run.status,
         "reason": run.reason,
     }
@@ -290,7 +282,7 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
             approximate=about.get("approximate", ""),  # missing in files of older versions
         ),
         limits=_unpack_limits(about, arrays),
-        scene=_unpack_scene(about["scene"]),
+        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
         controller=about["controller"],
         status=about["status"],
         reason=about["reason"],
@@ -364,7 +356,7 @@ def _pack_batch(batch: Batch) -> tuple[About, Arrays]:
         "arm": batch.arm.to_dict(),
         "targets": about_targets,
         "controller": batch.controller,
-        "scene": _pack_scene(batch.scene),
+        "scene": None if batch.scene is None else batch.scene.to_dict(),
         "max_steps": batch.max_steps,
         "tolerance": batch.tolerance,
         "texts": None if motions is None else list(motions.texts),
@@ -383,7 +375,7 @@ def _unpack_batch(about: About, arrays: Arrays) -> Batch:
         targets=_unpack_targets(arrays, about["targets"]),
         controller=about["controller"],
         limits=_unpack_limits(about, arrays),
-        scene=_unpack_scene(about["scene"]),
+        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
         max_steps=about["max_steps"],
         tolerance=about["tolerance"],
         motions=motions,
@@ -488,43 +480,16 @@ def _unpack_joints(about: About, arrays: Arrays) -> JointTrajectory:
     return JointTrajectory(**values, name=about["name"])
 
 
-register(
-    Format(
-        "pinposture-run",
-        4,
-        Trajectory,
-        "run",
-        _pack_run,
-        _unpack_run,
-        {
-            "pinposture-batch": "contains many runs; save one of them: pp.save(pp.load(file)[0], ...)",
-            "pinposture-motion": "contains a motion in time; its run is pp.load(file).run",
-        },
-    )
-)
-register(
-    Format(
-        "pinposture-motion",
-        2,
-        Motion,
-        "motion",
-        _pack_motion,
-        _unpack_motion,
-        {
-            "pinposture-run": "contains a run without times; pp.load(file) returns it as a Trajectory",
-            "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
-        },
-    )
-)
+_NO_RUN = {
+    "pinposture-batch": "contains many runs; save one of them: pp.save(pp.load(file)[0], ...)",
+    "pinposture-motion": "contains a motion in time; its run is pp.load(file).run",
+}
+_NO_MOTION = {
+    "pinposture-run": "contains a run without times; pp.load(file) returns it as a Trajectory",
+    "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
+}
+_JOINTS = "pinposture-joint-trajectory"
+register(Format("pinposture-run", 4, Trajectory, "run", _pack_run, _unpack_run, _NO_RUN))
+register(Format("pinposture-motion", 2, Motion, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
 register(Format("pinposture-batch", 2, Batch, "batch", _pack_batch, _unpack_batch, {}))
-register(
-    Format(
-        "pinposture-joint-trajectory",
-        1,
-        JointTrajectory,
-        "joint trajectory",
-        _pack_joints,
-        _unpack_joints,
-        {},
-    )
-)
+register(Format(_JOINTS, 1, JointTrajectory, "joint trajectory", _pack_joints, _unpack_joints, {}))

@@ -8,7 +8,6 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from itertools import pairwise
 from math import floor, inf, isfinite, nan
 from pathlib import Path
@@ -17,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.errors import FileError, InvalidValue
+from pinposture.errors import FileError, InvalidValue, did_you_mean
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
-from pinposture.storage import read_text, write_text
+from pinposture.storage import parse_json, read_text, require_suffix, write_text
 
 SUFFIXES = (".npz", ".csv", ".json")
 """Suffixes of files that can be written and read."""
@@ -27,10 +26,7 @@ SUFFIXES = (".npz", ".csv", ".json")
 
 def check_format(path: Path) -> str:
     """Return the suffix of a file in lower case; raise FileError if it is not one of `SUFFIXES`."""
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(SUFFIXES)}")
-    return suffix
+    return require_suffix(path, *SUFFIXES)
 
 
 Array = NDArray[np.float64]
@@ -143,7 +139,7 @@ def read_ros_message(path: Path) -> JointTrajectory:
     Raises:
         FileError: the file is missing or contains something else; names the point, 0-based.
     """
-    content = _parsed(path)
+    content = parse_json(path, read_text(path))
     if isinstance(content, dict) and "trajectory" in content:
         content = content["trajectory"]
     _check_fields(path, "the message", content, MESSAGE)
@@ -168,25 +164,13 @@ def read_ros_message(path: Path) -> JointTrajectory:
     return with_computed_rates(path, joints, np.array([time / NANOSECONDS for time in times]), values)
 
 
-def _parsed(path: Path) -> Any:
-    try:
-        return json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-    except ValueError as error:  # a number of thousands of digits
-        raise FileError(path, str(error)) from error
-    except RecursionError as error:
-        raise FileError(path, "too deeply nested lists") from error
-
-
 def _check_fields(path: Path, what: str, value: Any, fields: tuple[str, ...]) -> None:
     """Raise FileError unless a value is an object with some of these fields; others may be misspelt."""
     if not isinstance(value, dict):
         raise FileError(path, f"{what} is {_short(value)}; allowed: an object with {', '.join(fields)}")
     for name in value:
         if name not in fields:
-            close = get_close_matches(name, fields, n=1)
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
+            hint = did_you_mean(name, fields)
             raise FileError(path, f"{what} has a field {name!r}{hint}; allowed: {', '.join(fields)}")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence, Sized
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import finite_array, make_read_only, require_positive, set_fields
 from pinposture.arm import Arm
 from pinposture.arm.couplings import joint_axes
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, enumerated
 
 # Checks of joint trajectories.
 
@@ -48,7 +48,8 @@ def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
         "unknown": [name for name in names if name not in expected],
     }
     if any(wrong.values()):
-        values = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
+        listed = {word: enumerated(list(map(repr, joints)), MAX_NAMED) for word, joints in wrong.items()}
+        values = "; ".join(f"{word}: {joints}" for word, joints in listed.items() if joints)
         allowed = f"the {len(expected)} joints of the arm in any order ({values})"
         raise InvalidValue("joint_names", names, allowed)
 
@@ -60,27 +61,6 @@ def count_rows(name: str, values: ArrayLike) -> int:
     if rows == 0:
         raise InvalidValue(name, values, "a list with at least one entry")
     return rows
-
-
-def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-    """Return a new read-only array of finite floats, of a shape if one is given.
-
-    Raises:
-        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
-    """
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(name, values, f"numbers{'' if shape is None else f', {shape}'}") from None
-    if shape is not None and array.shape != shape:
-        raise InvalidValue(f"{name} (shape)", array.shape, str(shape))
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        entry = ", ".join(map(str, bad[0]))
-        where = f"{name}[{entry}]" if entry else name
-        raise InvalidValue(where, float(array[tuple(bad[0])]), "finite numbers")
-    array.flags.writeable = False
-    return array
 
 
 def check_times(time: Array) -> None:
@@ -114,12 +94,6 @@ def step_duration(dt: float | None, known: float | None) -> float:
     if known is not None and abs(step - known) > TIME_TOLERANCE * known:
         raise InvalidValue("dt", dt, f"{known} s, from the limits of this run, or None")
     return step
-
-
-def _listed(names: Iterable[str]) -> str:
-    listed = [repr(name) for name in names]
-    more = f" and {len(listed) - MAX_NAMED} more" if len(listed) > MAX_NAMED else ""
-    return ", ".join(listed[:MAX_NAMED]) + more
 
 
 # Configurations as joint positions.
@@ -159,12 +133,7 @@ def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
     Raises:
         InvalidValue: another shape, or a row that is not a configuration; names the row.
     """
-    try:
-        rows = np.asarray(q, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue("q", q, f"configurations, (N, {arm.nq})") from None
-    if rows.ndim != 2 or rows.shape[1] != arm.nq or len(rows) == 0:
-        raise InvalidValue("q (shape)", rows.shape, f"(N, {arm.nq}) with at least one row")
+    rows = finite_array("q", q, (None, arm.nq))
     positions = np.array([arm.positions(arm.checked(row, f"q[{k}]")) for k, row in enumerate(rows)])
     for joint in list(arm.model.joints)[1:]:
         if joint.nv == 1 and joint.nq > 1:
@@ -173,18 +142,6 @@ def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
 
 
 # Velocities and accelerations by finite differences.
-
-
-class Rates(NamedTuple):
-    """Velocity and acceleration of each joint at each row.
-
-    Attributes:
-        velocities: (N, n) [rad/s or m/s].
-        accelerations: (N, n) [rad/s^2 or m/s^2].
-    """
-
-    velocities: Array
-    accelerations: Array
 
 
 class Peaks(NamedTuple):
@@ -204,8 +161,8 @@ class Peaks(NamedTuple):
         return f"Peaks(speeds up to {speed:.4g}, accelerations up to {change:.4g}, {len(self.speeds)} joints)"
 
 
-def compute_rates(time: Array, positions: Array) -> Rates:
-    """Return central and second differences, exact for constant acceleration.
+def compute_rates(time: Array, positions: Array) -> tuple[Array, Array]:
+    """Return velocities and accelerations, (N, n): differences that are exact for constant acceleration.
 
     With slopes s and intervals h before and after a row,
 
@@ -228,7 +185,7 @@ def compute_rates(time: Array, positions: Array) -> Rates:
             before, after = intervals[:-1], intervals[1:]
             velocities[1:-1] = (before * slopes[1:] + after * slopes[:-1]) / (before + after)
             accelerations[1:-1] = 2.0 * (slopes[1:] - slopes[:-1]) / (before + after)
-    return Rates(velocities, accelerations)
+    return velocities, accelerations
 
 
 def find_peaks(time: Array, positions: Array) -> Peaks:
@@ -311,14 +268,12 @@ class JointTrajectory:
         units = tuple(self.units) or ("",) * len(names)
         if len(units) != len(names) or not set(units) <= {RADIAN, METRE, ""}:
             raise InvalidValue("units", units, f"{RADIAN!r}, {METRE!r} or '' for each of {len(names)} joints")
-        object.__setattr__(self, "joint_names", names)
-        object.__setattr__(self, "units", units)
         rows = count_rows("time", self.time)
-        object.__setattr__(self, "time", finite_array("time", self.time, (rows,)))
+        set_fields(self, joint_names=names, units=units, time=finite_array("time", self.time, (rows,)))
         check_times(self.time)
         for field in ("positions", "velocities", "accelerations"):
-            table = finite_array(field, getattr(self, field), (rows, len(names)))
-            object.__setattr__(self, field, table)
+            set_fields(self, **{field: finite_array(field, getattr(self, field), (rows, len(names)))})
+        make_read_only(*vars(self).values())
 
     @classmethod
     def from_positions(
@@ -348,8 +303,8 @@ class JointTrajectory:
         table = finite_array("positions", positions, (rows, len(names)))
         rest = np.zeros_like(table)
         still = cls(names, np.asarray(row_times(time, rows)), table, rest, rest, tuple(units), name)
-        found = compute_rates(still.time, still.positions)
-        return replace(still, velocities=found.velocities, accelerations=found.accelerations)
+        velocities, accelerations = compute_rates(still.time, still.positions)
+        return replace(still, velocities=velocities, accelerations=accelerations)
 
     @classmethod
     def from_configurations(cls, arm: Arm, q: ArrayLike, time: ArrayLike) -> JointTrajectory:

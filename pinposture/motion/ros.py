@@ -18,7 +18,7 @@ from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.joint_files import NANOSECONDS, to_message
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.storage import check_writable, write_text
+from pinposture.storage import check_writable, require_suffix, write_text
 
 WORLD = "world"
 """Parent frame of the base of the arm."""
@@ -51,8 +51,7 @@ def write_goal(trajectory: JointTrajectory, path: str | Path, goal_time_toleranc
         InvalidValue: times out of range for a ROS 2 message, or a negative tolerance.
     """
     path = Path(path)
-    if path.suffix.lower() not in (".json", ".yaml", ".yml"):
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json, .yaml, .yml")
+    require_suffix(path, ".json", ".yaml", ".yml")
     require_positive("goal_time_tolerance", goal_time_tolerance, zero=True)
     seconds, nanoseconds = divmod(round(goal_time_tolerance * NANOSECONDS), NANOSECONDS)
     goal = {

@@ -16,7 +16,7 @@ from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.control.limits import JerkFilter, require_limits
-from pinposture.errors import InvalidValue, warn_caller
+from pinposture.errors import InvalidValue, enumerated, require_instance, warn_caller
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
@@ -94,8 +94,10 @@ class RunRecord:
             target: the new target, if it has changed.
         """
         self._target = self._target if target is None else target
-        self._steps.append(step._replace(diagnostics=_without_state(step.diagnostics)))
-        if not step.diagnostics.following_path:
+        note = step.diagnostics
+        spectrum = SingularValues(note.sigma_min, note.sigma_max)  # computed now, to keep no state in memory
+        self._steps.append(step._replace(diagnostics=note._replace(spectrum=spectrum)))
+        if not note.following_path:
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
@@ -155,11 +157,6 @@ class RunRecord:
         return replace(
             run, reason=f"{reason}; {run.excess.text}", violated_constraints=np.array(relaxed, dtype=np.str_)
         )
-
-
-def _without_state(note: Diagnostics) -> Diagnostics:
-    """Return diagnostics with their singular values computed, so that they keep no state in memory."""
-    return note._replace(spectrum=SingularValues(note.sigma_min, note.sigma_max))
 
 
 Callback = Callable[[int, ArmState, Step], object]
@@ -308,10 +305,7 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
     """Return a clause naming the joint limits and distances that limited a step."""
     held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
     held += step.diagnostics.near
-    if not held:
-        return ""
-    more = f" and {len(held) - MAX_NAMED_LIMITS} more" if len(held) > MAX_NAMED_LIMITS else ""
-    return f"; held by {', '.join(held[:MAX_NAMED_LIMITS])}{more}"
+    return f"; held by {enumerated(held, MAX_NAMED_LIMITS)}" if held else ""
 
 
 def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:
@@ -371,8 +365,7 @@ def track(
     """
     controller, scene = in_scene(controller_named(controller), scene)
     limits = require_limits(limits)
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     target.check_arm(arm)
     if target.q is not None:
         arm.checked_start(target.q, "target.q")

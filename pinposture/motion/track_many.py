@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +15,7 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.limits import require_limits
-from pinposture.errors import InvalidValue, PostureError, PostureWarning, warn_caller
+from pinposture.errors import InvalidValue, PostureError, no_warnings, require_instance, warn_caller
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track
 from pinposture.motion.trajectory import Trajectory
@@ -42,21 +41,6 @@ class _Setting:
     tolerance: float
     keep: str
     process: int
-
-
-class _Ends(NamedTuple):
-    """The results of one run that become columns of a `Batch`."""
-
-    status: str
-    reason: str
-    steps: int
-    start_error: float
-    final_error: float
-    mean_error: float
-    path_length_ratio: float
-    clearance: float
-    q_start: Array
-    q_final: Array
 
 
 def track_many(
@@ -128,14 +112,12 @@ def track_many(
         for k in range(count)
     ]
     ends, motions = [], []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # given above
+    with no_warnings():  # given above
         for done, (end, motion) in enumerate(adaptively_in_order(tasks, jobs), 1):
             ends.append(end)
             motions.append(motion)
             if progress is not None:
                 progress(done, count)
-    columns = zip(_Ends._fields, zip(*ends, strict=True), strict=True)
     batch = Batch(
         arm=arm,
         targets=tuple(listed),
@@ -145,12 +127,11 @@ def track_many(
         max_steps=int(max_steps),
         tolerance=float(tolerance),
         motions=concatenate_runs(motions) if keep == "motions" else None,
-        **{name: np.array(values) for name, values in columns},
+        **{name: np.array([each[name] for each in ends]) for name in ends[0]},
     )
     failed = np.flatnonzero(batch.status == FAILED)
     if len(failed):
-        text = f"{len(failed)} of {count} runs failed; run {failed[0]}: {batch.reason[failed[0]]}"
-        warn_caller(text)
+        warn_caller(f"{len(failed)} of {count} runs failed; run {failed[0]}: {batch.reason[failed[0]]}")
     return batch
 
 
@@ -164,8 +145,7 @@ def _targets(arm: Arm, targets: Target | Sequence[Target]) -> list[Target]:
     except TypeError:
         raise InvalidValue("targets", targets, "a Target, or a sequence of Targets") from None
     for k, target in enumerate(listed):
-        if not isinstance(target, Target):
-            raise InvalidValue(f"targets[{k}]", target, "a Target, as `resolve_targets` returns it")
+        require_instance(f"targets[{k}]", target, Target, "a Target, as `resolve_targets` returns it")
         try:
             target.check_arm(arm)
         except InvalidValue as error:
@@ -196,18 +176,17 @@ def _count_runs(targets: int, starts: int) -> int:
 
 def _run_quietly(
     shared: Shared[_Setting], target: Target, start: Array
-) -> tuple[_Ends, dict[str, NDArray[Any]]]:
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Compute one run; in worker processes without warnings, which the caller has already given."""
     setting = shared.value
     if setting.process == os.getpid():
         return _run(setting, target, start)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)
+    with no_warnings():
         return _run(setting, target, start)
 
 
-def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[str, NDArray[Any]]]:
-    """Compute one run; return its results and, if motions are kept, its arrays."""
+def _run(setting: _Setting, target: Target, start: Array) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Compute one run; return its entries in the columns of `Batch` and, if motions are kept, its arrays."""
     try:
         run = track(
             setting.arm,
@@ -221,18 +200,18 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[s
         )
     except PostureError as error:
         run = _failed_run(setting, target, start, f"{type(error).__name__}: {' '.join(str(error).split())}")
-    ends = _Ends(
-        status=run.status,
-        reason=run.reason,
-        steps=run.steps,
-        start_error=float(run.posture_error[0]),
-        final_error=float(run.posture_error[-1]),
-        mean_error=float(run.mean_error[-1]),
-        path_length_ratio=run.path_length_ratio,
-        clearance=float(run.clearance.min()),
-        q_start=run.q[0],
-        q_final=run.q[-1],
-    )
+    ends = {
+        "status": run.status,
+        "reason": run.reason,
+        "steps": run.steps,
+        "start_error": float(run.posture_error[0]),
+        "final_error": float(run.posture_error[-1]),
+        "mean_error": float(run.mean_error[-1]),
+        "path_length_ratio": run.path_length_ratio,
+        "clearance": float(run.clearance.min()),
+        "q_start": run.q[0],
+        "q_final": run.q[-1],
+    }
     return ends, run_arrays(run) if setting.keep == "motions" else {}
 
 

@@ -32,7 +32,7 @@ from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
 from pinposture.control.planner.plan import PlanNeeded, is_small_change
-from pinposture.errors import InvalidValue, PostureError, UnknownName
+from pinposture.errors import InvalidValue, PostureError, require_instance, require_known
 from pinposture.motion.processes import BackgroundProcess, Interrupted, Shared
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target
@@ -500,20 +500,17 @@ class Tracker:
     ) -> None:
         period = cycle_of(limits)
         limits = cast(Limits, limits)  # checked by `cycle_of`
-        for name, choice, choices in (
-            ("interface", interface, INTERFACES),
-            ("planning", planning, PLANNING),
+        require_known("interface", interface, INTERFACES)
+        require_known("planning", planning, PLANNING)
+        for name, value in (
+            ("feedback_time_constant", feedback_time_constant),
+            ("resync_time", resync_time),
+            ("timeout", timeout),
+            ("deadline", deadline),
+            ("max_tracking_error", max_tracking_error),
         ):
-            if choice not in choices:
-                raise UnknownName(name, choice, choices)
-        times = {
-            "feedback_time_constant": feedback_time_constant,
-            "resync_time": resync_time,
-            "timeout": timeout,
-            "deadline": deadline,
-        }
-        for name, value in {**times, "max_tracking_error": max_tracking_error}.items():
-            _positive(name, value)
+            if value != inf:
+                require_positive(name, value)
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # refuse limits of another arm now
         controller, self.scene = in_scene(controller_named(controller), scene)
@@ -564,8 +561,7 @@ class Tracker:
             InvalidValue: the target does not fit the arm (the previous one stays), or a velocity is given for
                 a target without a configuration.
         """
-        if not isinstance(target, Target):
-            raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+        require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
         if velocity is not None:
             target = replace(target, velocity=finite_vector("velocity", velocity, self.arm.nv))
         target.check_arm(self.arm)
@@ -622,7 +618,9 @@ class Tracker:
             if self._filter.cycles > 1 and scene.velocities:  # obstacles where the filtered steps meet them
                 controller, _ = in_scene(controller, scene.after(self._filter.delay * self._period))
             self._steps.controller = controller
-        passed = self._period if dt is None else _duration(dt)
+        if dt is not None:
+            require_positive("dt", dt)
+        passed = self._period if dt is None else float(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
         feedback = self._feedback.update(q_measured, points, dt)
@@ -732,16 +730,3 @@ def _mean_distance(points: Array, target: Target) -> float:
     """Return the mean distance of control points (m, 3) from their targets [m]."""
     placed = target.has_target
     return float(np.linalg.norm((target.points - points)[placed], axis=1).mean())
-
-
-def _duration(dt: float) -> float:
-    require_positive("dt", dt)
-    return float(dt)
-
-
-def _positive(name: str, value: float) -> None:
-    """Raise InvalidValue unless a number is positive, or infinite."""
-    if value is None:
-        raise InvalidValue(name, value, "a positive number, or inf")
-    if value != float("inf"):
-        require_positive(name, value)

@@ -6,12 +6,14 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import make_read_only
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Limits
@@ -38,13 +40,6 @@ OFF_THE_PATH = "an obstacle keeps the arm off the planned path"
 
 HOLDING_SHARE = 0.85
 """Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
-
-
-def make_read_only(result: object) -> None:
-    """Make the arrays among the fields of a result read-only."""
-    for value in vars(result).values():
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
 
 
 class Shares(NamedTuple):
@@ -135,9 +130,8 @@ def _joint_shares(run: Trajectory) -> tuple[Array, Array, Array]:
 
     The arm is at rest before and after. Without a limit, the ratio is zero.
     """
-    arm, bounds = run.arm, run.limits.for_arm(run.arm)
-    moved = [arm.difference(a, b) for a, b in zip(run.q[:-1], run.q[1:], strict=True)]
-    values, shares = np.reshape(moved, (run.steps, arm.nv)), []
+    bounds = run.limits.for_arm(run.arm)
+    values, shares = run.displacements, []
     for most in (bounds.bound, bounds.acceleration, bounds.jerk):
         shares.append(np.abs(values) / (np.inf if most is None else most))
         values = np.diff(np.pad(values, ((1, 1), (0, 0))), axis=0)
@@ -354,7 +348,7 @@ class Trajectory:
     scene: Scene | None = None
 
     def __post_init__(self) -> None:
-        make_read_only(self)
+        make_read_only(*vars(self).values())
 
     @property
     def steps(self) -> int:
@@ -375,6 +369,12 @@ class Trajectory:
     def verdict(self) -> str:
         """The result in one line."""
         return describe_result(self)
+
+    @cached_property
+    def displacements(self) -> Array:
+        """Joint displacement of each step, (steps, nv) [rad or m]."""
+        moved = [self.arm.difference(a, b) for a, b in pairwise(self.q)]
+        return np.reshape(moved, (self.steps, self.arm.nv))
 
     @cached_property
     def posture_error(self) -> Array:
@@ -499,7 +499,7 @@ class Motion:
     deviations: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        make_read_only(self)
+        make_read_only(*vars(self).values())
 
     @property
     def arm(self) -> Arm:
@@ -614,8 +614,7 @@ class Motion:
     @cached_property
     def velocities(self) -> Array:
         """Joint velocities in each cycle, (steps, nv) [rad/s or m/s]."""
-        moved = [self.arm.difference(a, b) for a, b in zip(self.q[:-1], self.q[1:], strict=True)]
-        return np.reshape(moved, (self.steps, self.arm.nv)) / self.dt
+        return self.run.displacements / self.dt
 
     @cached_property
     def accelerations(self) -> Array:

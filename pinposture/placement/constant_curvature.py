@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_positive
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
-from pinposture.placement.module_kinematics import AHEAD, curve_crossings
+from pinposture.placement.module_kinematics import AHEAD, curve_crossings, first_facing
 
 Array = NDArray[np.float64]
 
@@ -85,11 +85,8 @@ class ConstantCurvature:
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
         """TP, as `ModuleKinematics.target_point`, with the least stretch; prefers bends up to half a turn."""
-        first = None
-        for s, p in curve_crossings(curve, base, start, self._level, self.reach):
-            if p[0] >= 0.0:
-                return s
-            first = s if first is None else first
+        crossings = curve_crossings(curve, base, start, self._level, self.reach)
+        first = first_facing(crossings, lambda p: bool(p[0] >= 0.0))
         if first is not None or not self.stretch:
             return first
         ahead = np.linspace(start + AHEAD * self.reach, start + self.reach * np.pi, STRETCH_SAMPLES)

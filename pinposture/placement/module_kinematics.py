@@ -16,6 +16,7 @@ from scipy.stats import qmc
 
 from pinposture import kernels
 from pinposture.arm import Arm
+from pinposture.arm.kinematics import Chain
 from pinposture.arm.module_kinematics import (
     ModuleJoints,
     ModuleKinematics,
@@ -91,7 +92,7 @@ def curve_crossings(
         s = float(block[-1])
 
 
-def _first_facing(crossings: Iterator[tuple[float, Array]], faces: Callable[[Array], bool]) -> float | None:
+def first_facing(crossings: Iterator[tuple[float, Array]], faces: Callable[[Array], bool]) -> float | None:
     """Return the first crossing that faces the module, else the first one, else None."""
     first = None
     for s, point in crossings:
@@ -160,7 +161,7 @@ class Torus:
             outer = np.hypot(rho - l1, p[:, 1]) - l2
             return np.asarray(outer * (np.hypot(rho + l1, p[:, 1]) - l2) if l2 > l1 > 0.0 else outer)
 
-        return _first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
+        return first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
 
     def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
         """TP, (6.13)-(6.15) corrected: where a polyline crosses the torus.
@@ -269,7 +270,7 @@ class RollPitch:
         def level(p: Array) -> Array:
             return np.asarray(np.linalg.norm(p - [self.l1, 0.0, 0.0], axis=1) - self.l2)
 
-        return _first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
+        return first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
 
     def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
         """TP: where a polyline (n + 1, 3) [m] crosses the sphere, as `Torus.crossings`."""
@@ -539,7 +540,7 @@ def _find_units(arm: Arm) -> tuple[Unit, ...]:
         if claimed is not None:
             units.append(claimed)
         else:
-            start, stop = max(waiting, joints.start), _last_mover(arm, k)
+            start, stop = max(waiting, joints.start), after_last_mover(chain, k, joints.start)
             if waiting < joints.start and stop - joints.start < (1 if arm.dimension == 2 else 2):
                 start = waiting
             if stop <= start:
@@ -573,17 +574,18 @@ def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoi
     return joints_in_base_frame(*kinds, stations, columns, chain.ratios[joints], lower, upper)
 
 
-def _last_mover(arm: Arm, module: int) -> int:
-    """Return the index after the last joint that moves the end of a module."""
-    chain = arm.chain
-    joints = chain.module_slices[module]
-    alone, stop = np.bincount(chain.columns)[chain.columns] == 1, joints.stop
-    while stop > joints.start and chain.revolute[stop - 1] and alone[stop - 1]:
+def after_last_mover(chain: Chain, module: int, start: int) -> int:
+    """Return the index after the last joint, from `start` on, that moves the end of a module.
+
+    A joint whose axis passes through the end does not move it, unless another joint is coupled to it.
+    """
+    alone, stop = np.bincount(chain.columns)[chain.columns] == 1, int(chain.module_slices[module].stop)
+    while stop > start and chain.revolute[stop - 1] and alone[stop - 1]:
         lever = chain.points[module] - chain.origins[stop - 1]
         if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > SHAPE_TOLERANCE * chain.length:
             break
         stop -= 1
-    return int(stop)
+    return stop
 
 
 def _units_of(arm: Arm, module: int, joints: slice, base: Array, end: Array) -> list[Unit]:

@@ -17,6 +17,7 @@ from pinposture.curve import Curve
 from pinposture.errors import PostureError
 from pinposture.kernels.arrays import PointObjective, ScrewChain
 from pinposture.placement.least_squares import fit_curve
+from pinposture.placement.module_kinematics import after_last_mover
 from pinposture.placement.target import Target
 
 Array = NDArray[np.float64]
@@ -32,8 +33,6 @@ JOINT_SAMPLES = 16
 
 ROUGH_DISTANCE, EXACT_DISTANCE = 1e-3, 1e-9
 """Distances accepted by a rough search, in mean module lengths, and by an exact one, in arm lengths."""
-
-ON_AXIS_DISTANCE = 1e-9  # distance from a joint axis within which a point counts as on it, in arm lengths
 
 REGULARISATION = 1e-8
 """Weight of joint positions against distances in arm lengths [1/rad]; resolves redundancy."""
@@ -174,17 +173,9 @@ def _first_joints(chain: Chain, indices: tuple[int, ...]) -> tuple[Whole, Whole,
     Also returns the first degree of freedom of each and their number, (p + 1,). A joint belongs to the first
     point it can move: joints whose axes pass through a point belong to the next, unless they are coupled.
     """
-    alone = np.bincount(chain.columns)[chain.columns] == 1
-    ends = [*chain.module_starts[1:].tolist(), len(chain.joints)]
     begins = [0]
     for k in indices:
-        stop = ends[k]
-        while stop > begins[-1] and chain.revolute[stop - 1] and alone[stop - 1]:
-            lever = chain.points[k] - chain.origins[stop - 1]
-            if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > ON_AXIS_DISTANCE * chain.length:
-                break
-            stop -= 1
-        begins.append(stop)
+        begins.append(after_last_mover(chain, k, begins[-1]))
     joints = np.array(begins, dtype=np.int64)
     return np.array(indices, dtype=np.int64), joints, np.searchsorted(chain.leaders, joints).astype(np.int64)
 

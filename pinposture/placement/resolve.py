@@ -6,14 +6,14 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector
+from pinposture._validation import finite_vector, require_whole
 from pinposture.arm import Arm
 from pinposture.arm.module_kinematics import ModuleKinematics
 from pinposture.curve import Curve
@@ -25,8 +25,9 @@ from pinposture.errors import (
     CurveOutOfReach,
     InvalidValue,
     TargetError,
-    UnknownName,
     UnsupportedModule,
+    require_instance,
+    require_known,
     warn_caller,
 )
 from pinposture.placement.least_squares import base_positions, fit_curve, fit_near
@@ -78,6 +79,10 @@ OWN_TOLERANCE = 1e-7  # tolerance of custom kinematics, in reaches of the module
 MAX_ASKED = 1000  # number of queries to custom kinematics for the next target point of a module
 
 AT_LIMIT = 1e-6  # distance from a position limit at which a joint counts as at it, in `Arm.joint_units`
+
+GENTLER = "use a gentler curve, wider joint limits or shorter modules"
+AT_THE_BASE = 'use placement="translate" or "align"'
+"""Advice for a curve that bends too much, and for one that does not begin at the base."""
 
 OFF_CURVE = 0.1
 """Distance from the curve at which a control point counts as not placed, in lengths of its module, or of the
@@ -158,14 +163,17 @@ class Walk:
     def place(self, unit: Unit) -> TargetError | None:
         """Place the next unit; return the error if that fails."""
         self._carry(unit.joints.start)
-        columns = self._arm.columns[unit.inputs]
+        columns, kinematics = self._arm.columns[unit.inputs], unit.kinematics
         base = pin.SE3(self._turn @ unit.frame, self._turn @ unit.base + self._place)
-        if isinstance(unit.kinematics, ClosedForm):
+        found: tuple[float, Array] | TargetError
+        if isinstance(kinematics, ClosedForm):
             found = self._by_closed_form(unit, base)
-        elif isinstance(unit.kinematics, NumericModule):
-            found = self._numerically(unit, base, self.positions[columns])
+        elif isinstance(kinematics, NumericModule):
+            found = kinematics.place(base, self._curve, self.parameter, self.positions[columns])
+            if not found[0] >= 0.0:
+                found = self._no_place(unit, base, found[0] == -1.0)
         else:
-            found = self._by_your_own(unit, unit.kinematics, base)
+            found = self._by_your_own(unit, kinematics, base)
         if isinstance(found, TargetError):
             return found
         self.parameter, self.positions[columns] = found
@@ -194,11 +202,6 @@ class Walk:
             exceeded = _exceeded_limit(arm, unit, given, *limits, initial, slice(None)) if state[8] else ""
             return _failure(arm, self._curve, unit, state, exceeded)
         return float(parameters[0]), found
-
-    def _numerically(self, unit: Unit, base: pin.SE3, near: Array) -> tuple[float, Array] | TargetError:
-        module = cast(NumericModule, unit.kinematics)
-        s, found = module.place(base, self._curve, self.parameter, near)
-        return (s, found) if s >= 0.0 else self._no_place(unit, base, s == -1.0)
 
     def _by_your_own(
         self, unit: Unit, kinematics: ModuleKinematics, base: pin.SE3
@@ -235,11 +238,11 @@ class Walk:
             advice = f"the module reaches {reach:.4g} m; lengthen the curve or use fewer modules"
             return CurveEndsEarly(module, at, f"the curve ends {left:.4g} m beyond its base; {advice}")
         if gap > reach:
-            advice = 'use placement="translate" or "align"'
-            return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
+            text = f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
+            return CurveLeavesTooSharply(module, at, text)
         text = "no posture within its joint limits puts its end on the curve"
         kind = CurveLeavesTooSharply if unit.module == 0 else CurveBendsTooMuch
-        return kind(module, at, f"{text}; use a gentler curve, wider joint limits or shorter modules")
+        return kind(module, at, f"{text}; {GENTLER}")
 
 
 def _exceeded_limit(
@@ -274,13 +277,12 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) ->
         advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
         return CurveEndsEarly(module, at, f"{text}; {advice}")
     if found:
-        advice = "use a gentler curve, wider joint limits or shorter modules"
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
-        return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {advice}")
+        return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {GENTLER}")
     gap = float(np.linalg.norm(first))
     if gap > reach:
-        advice = 'use placement="translate" or "align"'
-        return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
+        text = f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
+        return CurveLeavesTooSharply(module, at, text)
     if unit.kinematics.dof == 1 and abs(last[1]) > slack:
         text = f"the curve is {abs(last[1]):.4g} m off the plane in which the module moves"
         return CurveBendsTooMuch(module, at, f"{text}; use a planar curve in that plane, or two hinges")
@@ -381,21 +383,15 @@ def _check_arguments(
     method: str,
     near: Target | None,
 ) -> None:
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
-    if not isinstance(curve, Curve):
-        raise InvalidValue("curve", curve, "a Curve")
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("curve", curve, Curve, "a Curve")
     if misfit := length_misfit(arm, curve):
         raise CurveError("curve", misfit)
-    for kind, name, allowed in (
-        ("placement", "align" if placement is None else placement, PLACEMENTS),
-        ("way to treat an incomplete target", incomplete, ("raise", "partial")),
-        ("method", method, METHODS),
-    ):
-        if name not in allowed:
-            raise UnknownName(kind, name, allowed)
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
-        raise InvalidValue("samples", samples, "a whole number of at least 2")
+    if placement is not None:
+        require_known("placement", placement, PLACEMENTS)
+    require_known("way to treat an incomplete target", incomplete, ("raise", "partial"))
+    require_known("method", method, METHODS)
+    require_whole("samples", samples, 2)
     if not math.isfinite(roll):
         raise InvalidValue("roll", roll, "a finite angle [rad]")
     if near is not None:
@@ -511,8 +507,8 @@ def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target
     q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
     points = arm.at(q).compiled.points
     residual = _distances(arm, result.positions, curve, result.parameters)
-    told = result.placed_by or ("least squares",) * arm.n_modules
-    return Target(points, weights, q, curve, result.parameters, residual, method, reason, placed_by=told)
+    placed_by = result.placed_by or ("least squares",) * arm.n_modules
+    return Target(points, weights, q, curve, result.parameters, residual, method, reason, placed_by=placed_by)
 
 
 def _warn_if_far(arm: Arm, target: Target) -> None:
@@ -569,13 +565,11 @@ def _obstruction(
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
     if gap > ON_CURVE * arm.length and not np.any(arm.roaming):
-        advice = 'use placement="translate" or "align"'
-        return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {advice}"
+        return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"
         return CurveBendsTooMuch, f"its joint axes are parallel, so it moves in a plane; {advice}"
     if stuck:
         listed = ", ".join(repr(names[u]) for u in stuck[:3]) + (", ..." if len(stuck) > 3 else "")
-        advice = "use a gentler curve, wider joint limits or shorter modules"
-        return CurveBendsTooMuch, f"joints are at their limits: {listed}; {advice}"
+        return CurveBendsTooMuch, f"joints are at their limits: {listed}; {GENTLER}"
     return CurveBendsTooMuch, "use a gentler curve or shorter modules"

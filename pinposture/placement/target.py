@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, float_array
+from pinposture._validation import finite_array, finite_vector, is_whole, make_read_only
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, warn_caller
@@ -77,7 +77,7 @@ class Target:
             value = getattr(self, name)
             if value is not None:
                 array = np.array(value, dtype=np.float64)
-                array.flags.writeable = False
+                make_read_only(array)
                 object.__setattr__(self, name, array)
 
     def __repr__(self) -> str:
@@ -154,8 +154,7 @@ class Target:
         """
         m = len(self.weights)
         for name, value, lowest in (("first", first, 0), ("last", last, first)):
-            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if not (whole and lowest <= value < m):
+            if not (is_whole(value) and lowest <= value < m):
                 raise InvalidValue(name, value, f"a whole number from {lowest} to {m - 1}")
         inside = np.zeros(m, dtype=np.bool_)
         inside[first : last + 1] = True
@@ -181,8 +180,8 @@ class Target:
             InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
         """
         m = arm.n_modules
-        positions = _finite_array("points", points, (m, 3))
-        checked = np.ones(m) if weights is None else _finite_array("weights", weights, (m,))
+        positions = finite_array("points", points, (m, 3))
+        checked = np.ones(m) if weights is None else finite_array("weights", weights, (m,))
         if np.any(checked < 0.0) or not np.any(checked > 0.0):
             raise InvalidValue("weights", checked.tolist(), "numbers >= 0, at least one of them > 0")
         _warn_of_far_points(arm, np.where(checked[:, None] > 0.0, positions, arm.chain.base))
@@ -207,14 +206,6 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
     away, share = distances[worst], distances[worst] / arm.length
     text = f"points[{worst}] is {away:.4g} m from the base of the arm, {share:.3g} times its length"
     warn_caller(f"{text}; is it in millimetres, not metres?")
-
-
-def _finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = float_array(name, values, shape)
-    if not np.all(np.isfinite(array)):
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidValue(f"{name}{list(where)}", float(array[where]), "finite numbers")
-    return array
 
 
 ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
@@ -352,7 +343,7 @@ def arm_axis(arm: Arm) -> Array:
     if arm_axis not in arm.cache:
         reach = arm.chain.flattened(arm.at(arm.straight()).compiled.points[-1]) - arm.chain.base
         direction = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
-        direction.flags.writeable = False
+        make_read_only(direction)
         arm.cache[arm_axis] = direction
     axis: Array = arm.cache[arm_axis]
     return axis

@@ -25,7 +25,7 @@ from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
-from pinposture.errors import InvalidValue, PostureError, URDFError, warn_caller
+from pinposture.errors import InvalidValue, PostureError, URDFError, enumerated, require_instance, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -84,8 +84,7 @@ class Servos:
         if not isinstance(self.torque_limits, bool):
             require_positive("torque_limits", self.torque_limits)
         for name in ("gravity_compensation", "speed_reference"):
-            if not isinstance(getattr(self, name), bool):
-                raise InvalidValue(name, getattr(self, name), "True or False")
+            require_instance(name, getattr(self, name), bool, "True or False")
 
     def limits(self, effort: Array) -> Array:
         """Return the torque limit of each servo, (n,) [N m or N]; infinite without a limit.
@@ -422,7 +421,7 @@ def _check_inertials(text: str, source: str) -> None:
 
 def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
     """Return the rigid body moved by each joint, and a warning for each kind of corrected fault."""
-    links = _links_after(model)
+    links_after = _links_after(model)
     bodies: list[RigidBody] = []
     faults: dict[str, list[str]] = {}
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
@@ -431,7 +430,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
         )
         bodies.append(body)
         if fault:
-            faults.setdefault(fault, []).append(links[name].name)
+            faults.setdefault(fault, []).append(links_after[name].name)
     ball = f"a ball of {1e3 * DEFAULT_MASS:g} g with a radius of {1e2 * DEFAULT_RADIUS:g} cm"
     correction = {
         "no mass": f"taken as {ball}",
@@ -439,9 +438,8 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
     }
     messages = []
     for fault, names in faults.items():
-        more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
-        listed = f"moving link{'s' * (len(names) > 1)} {', '.join(map(repr, names[:MAX_LISTED]))}{more}"
-        messages.append(f"{listed}: {fault}; {correction[fault]}")
+        links = f"moving link{'s' * (len(names) > 1)} {enumerated(list(map(repr, names)), MAX_LISTED)}"
+        messages.append(f"{links}: {fault}; {correction[fault]}")
     return bodies, tuple(messages)
 
 

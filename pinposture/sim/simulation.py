@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import make_read_only, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.motion.files import Format, check_shapes, register
-from pinposture.motion.trajectory import closest, describe_result, find_faults, make_read_only
+from pinposture.motion.trajectory import closest, describe_result, find_faults
 from pinposture.sim.model import Servos
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ class Simulation:
     tolerance: float = 0.0
 
     def __post_init__(self) -> None:
-        make_read_only(self)
+        make_read_only(*vars(self).values())
 
     def __repr__(self) -> str:
         return f"Simulation({self.loop} loop, {self.status}, {self.time[-1]:.4g} s, {self.arm})"

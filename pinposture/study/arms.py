@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,11 +14,10 @@ from joblib import delayed
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pinposture._validation import require_known
 from pinposture.arm import Arm, JointSpec, ModuleTemplate
 from pinposture.arm.template import modules_to_urdf
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue, PostureError, PostureWarning
+from pinposture.errors import FileError, InvalidValue, PostureError, no_warnings, require_known
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
@@ -167,8 +165,7 @@ def survey_arms(
 
 def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmSurvey | None:
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they are stored on the arm
+        with no_warnings():  # they are stored on the arm
             arm = Arm.load(source)
     except PostureError as error:
         return ArmSurvey(name, refused=str(error).replace(str(source), name))
@@ -182,8 +179,7 @@ def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmS
         length=arm.length,
         notes=arm.warnings,
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # the table reports it
+    with no_warnings():  # the table reports it
         target = resolve_targets(arm, gentle_curve(arm), placement="align", incomplete="partial")
     curve = target.curve or gentle_curve(arm)
     distance = curve.nearest(arm.chain.flattened(target.points))[1]

@@ -19,7 +19,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.errors import FileError
 from pinposture.motion.trajectory import path_length_ratio
-from pinposture.storage import read_text, write_text
+from pinposture.storage import parse_json, read_text, write_text
 from pinposture.study.clutter import dense_clearance, draw_problem
 from pinposture.study.scenarios import ARMS, SCENARIOS, case, urdf_files
 from pinposture.study.scenes import situation_arm
@@ -59,8 +59,8 @@ def make_cases(each: int = 5) -> dict[str, Any]:
     for kind in SCENE_GROUPS:
         for seed in range(BENCHMARK_SEED, BENCHMARK_SEED + each):
             problem = draw_problem(arm, kind, seed)
-            told = _case(kind, seed, "ryrz20", problem.start, arm.at(problem.goal).points)
-            cases.append(told | {"scene": problem.scene.to_dict()})
+            described = _case(kind, seed, "ryrz20", problem.start, arm.at(problem.goal).points)
+            cases.append(described | {"scene": problem.scene.to_dict()})
     return {
         "format": CASES_FORMAT,
         "version": BENCHMARK_VERSION,
@@ -90,8 +90,8 @@ def _described(name: str, arm: Arm) -> dict[str, Any]:
 
 
 def _case(group: str, seed: int, arm: str, start: Array, points: Array) -> dict[str, Any]:
-    told = {"id": f"{group}-{seed}", "group": group, "arm": arm, "scene": None}
-    return told | {"start": start.round(9).tolist(), "target": points.round(9).tolist()}
+    described = {"id": f"{group}-{seed}", "group": group, "arm": arm, "scene": None}
+    return described | {"start": start.round(9).tolist(), "target": points.round(9).tolist()}
 
 
 def write_cases(path: Path, each: int = 5) -> str:
@@ -182,17 +182,14 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
         name = str(run.get("case")) if isinstance(run, Mapping) else ""
         if name not in named or name in runs:
             raise FileError(results, f"contains a run of case {name!r}; allowed: each case of {cases} once")
-        told = named[name]
-        runs[name] = _scored(results, known, told, arms[told["arm"]], run.get("q"))
+        described = named[name]
+        runs[name] = _scored(results, known, described, arms[described["arm"]], run.get("q"))
     groups = list(dict.fromkeys(each["group"] for each in known["cases"]))
     return str(given["program"]), [_score(group, named.values(), runs) for group in groups]
 
 
 def _read(path: Path, form: str, keys: Sequence[str]) -> dict[str, Any]:
-    try:
-        content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    content = parse_json(path, read_text(path))
     if not isinstance(content, dict) or content.get("format") != form:
         raise FileError(path, f'is not a file with "format": "{form}"')
     if content.get("version") != BENCHMARK_VERSION:
@@ -203,25 +200,28 @@ def _read(path: Path, form: str, keys: Sequence[str]) -> dict[str, Any]:
     return content
 
 
-def _scored(path: Path, known: Mapping[str, Any], told: Mapping[str, Any], arm: Arm, q: object) -> _Run:
+def _scored(path: Path, known: Mapping[str, Any], described: Mapping[str, Any], arm: Arm, q: object) -> _Run:
     try:
         positions = np.array(q, dtype=float)
     except (TypeError, ValueError):
         positions = np.empty(0)
-    start = np.array(told["start"])
+    start = np.array(described["start"])
     if positions.ndim != 2 or positions.shape[1] != len(start) or not np.isfinite(positions).all():
         raise FileError(
-            path, f"case {told['id']}: q is not an array of (steps + 1, {len(start)}) finite numbers"
+            path, f"case {described['id']}: q is not an array of (steps + 1, {len(start)}) finite numbers"
         )
     if np.abs(positions[0] - start).max() > LIMIT_ROUNDING:
-        raise FileError(path, f"case {told['id']}: q does not begin at the start of the case")
+        raise FileError(path, f"case {described['id']}: q does not begin at the start of the case")
     points = np.array([arm.at(each).points for each in positions])
-    errors = np.linalg.norm(points - np.array(told["target"]), axis=2)
+    errors = np.linalg.norm(points - np.array(described["target"]), axis=2)
     changes, steps = np.abs(np.diff(positions, axis=0)), len(positions) - 1
     lower, upper = arm.limits.lower - LIMIT_ROUNDING, arm.limits.upper + LIMIT_ROUNDING
     held = steps <= known["max_steps"] and changes.max(initial=0.0) <= known["step_limit"] + LIMIT_ROUNDING
     held = bool(held and np.all((positions >= lower) & (positions <= upper)))
-    clear = told["scene"] is None or dense_clearance(arm, Scene.from_dict(told["scene"]), positions) > 0.0
+    clear = (
+        described["scene"] is None
+        or dense_clearance(arm, Scene.from_dict(described["scene"]), positions) > 0.0
+    )
     error = float(errors[-1].mean()) / arm.length
     return _Run(
         reached=held and clear and error <= known["reached"],

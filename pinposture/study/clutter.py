@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise, product
 from math import ceil
 from time import perf_counter
@@ -15,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import Vector, require_known
+from pinposture._validation import Vector
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scan, Scene, Sphere
 from pinposture.collision.pipe import Bend, pipe_axis, pipe_walls
 from pinposture.control import Limits, plan
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, PostureWarning
+from pinposture.errors import InvalidValue, PostureError, no_warnings, require_known
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import Progress
 from pinposture.motion.trajectory import path_length_ratio
@@ -152,7 +150,7 @@ def _machine(arm: Arm, rng: np.random.Generator) -> Drawn:
     }
     inside = None
     scene = Scene(walls | parts, margin=CLUTTER_MARGIN + SPARE_CLEARANCE + POINT_RADIUS)
-    with _quietly():
+    with no_warnings():
         model = CollisionModel(arm, scene)
     for _ in range(MAX_REACHES):
         towards = _triple(rng, (0.7, -0.25, -0.25), (0.9, 0.25, 0.25))
@@ -204,7 +202,7 @@ def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
         if start is None or goal is None:
             continue
         scene = Scene(obstacles, self_collision=not obstacles, margin=CLUTTER_MARGIN)
-        with _quietly():
+        with no_warnings():
             model = CollisionModel(arm, scene)
         if min(model.minimum(q).distance for q in (start, goal)) > CLUTTER_MARGIN + SPARE_CLEARANCE:
             return ClutterProblem(scene, start, goal)
@@ -261,19 +259,11 @@ def _posture_on(arm: Arm, points: Sequence[tuple[float, float, float]]) -> Array
 
 
 def _posture_along(arm: Arm, curve: Curve) -> Array | None:
-    with _quietly():
+    with no_warnings():
         try:
             return resolve_targets(arm, curve, placement="as_is").q
         except PostureError:
             return None
-
-
-@contextmanager
-def _quietly() -> Iterator[None]:
-    """Suppress warnings, because unsuitable draws are repeated."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)
-        yield
 
 
 def _either_way(

@@ -21,7 +21,6 @@ from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target
 from pinposture.storage import read_text, write_figure, write_json, write_table
 from pinposture.study.arms import UNIFORM, Subject
-from pinposture.study.reproduce.runs import displacements
 from pinposture.study.scenarios import largest_turn
 
 if TYPE_CHECKING:
@@ -155,7 +154,7 @@ def record_run(run: Trajectory, case: Case, controller: str, seconds: float = 0.
     errors, steps = run.posture_error, run.steps
     rises = np.diff(errors) > RISE * errors[0]
     bound = run.limits.step
-    dq = displacements(run)
+    dq = run.displacements
     return Record(
         *case,
         controller=controller,

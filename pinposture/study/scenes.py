@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Obstacle, Scene, Sphere
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_known
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target
@@ -32,7 +31,6 @@ from pinposture.study.record import (
     one_line,
     run_all,
 )
-from pinposture.study.reproduce.runs import displacements
 
 Array = NDArray[np.float64]
 
@@ -276,7 +274,7 @@ def record_scene_run(
     """
     around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
-    ways = zip(run.q[:-1], displacements(run), strict=True)
+    ways = zip(run.q[:-1], run.displacements, strict=True)
     shares = np.arange(1, SAMPLES_OF_A_STEP + 1)[:, None] / SAMPLES_OF_A_STEP
     between = np.array([around.minimum_along(run.arm.checked(q), shares * dq).distance for q, dq in ways])
     lost = np.minimum(at[:-1], margin) - between

@@ -18,7 +18,7 @@ from pinposture.collision.bodies import bodies_of
 from pinposture.collision.distances import PairDistances, TreeKinematics
 from pinposture.collision.obstacles import solid, solids
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, OutOfReach, ReachError
+from pinposture.errors import InvalidValue, OutOfReach, ReachError, require_instance
 from pinposture.placement.target import arm_axis
 from pinposture.task.follow_leader import FedArm
 
@@ -93,10 +93,8 @@ def find_path(
         ReachError: no curve was found; the message says why.
     """
     until = perf_counter() + budget if isinstance(budget, int | float) else inf
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
-    if not isinstance(scene, Scene):
-        raise InvalidValue("scene", scene, "a Scene(...)")
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("scene", scene, Scene, "a Scene(...)")
     require_positive("budget", budget)
     require_whole("seed", seed, 0)
     follower = _follower(arm)

@@ -16,7 +16,14 @@ from scipy.spatial import cKDTree
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnknownName, UnsupportedModule
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    InvalidValue,
+    TargetError,
+    UnsupportedModule,
+    require_instance,
+    require_known,
+)
 from pinposture.placement import Target
 from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve
@@ -75,8 +82,7 @@ class FedArm:
     """
 
     def __init__(self, arm: Arm, start: ArrayLike | None = None) -> None:
-        if not isinstance(arm, Arm):
-            raise InvalidValue("arm", arm, FEED_REQUIREMENT)
+        require_instance("arm", arm, Arm, FEED_REQUIREMENT)
         chain = arm.chain
         if arm.couplings:
             name, leader, *_ = arm.couplings[0]
@@ -175,10 +181,8 @@ class Route:
     def __init__(
         self, arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | None = None
     ) -> None:
-        if not isinstance(path, Curve):
-            raise InvalidValue("path", path, "a Curve")
-        if placement not in PATH_PLACEMENTS:
-            raise UnknownName("placement", placement, PATH_PLACEMENTS)
+        require_instance("path", path, Curve, "a Curve")
+        require_known("placement", placement, PATH_PLACEMENTS)
         self.fed = fed = FedArm(arm, start)
         placed, moved = place_curve(fed.body, path, placement, 0.0)
         if placement == "align":
@@ -431,8 +435,7 @@ def follow_leader(
     """
     require_positive("interval", interval)
     require_positive("speed", speed)
-    if method not in PATH_METHODS:
-        raise UnknownName("method", method, PATH_METHODS)
+    require_known("method", method, PATH_METHODS)
     route = Route(arm, path, placement, start)
     fed = route.fed
     stride = MAX_STRIDE * float(fed.links.chain.module_lengths.min())
@@ -555,18 +558,15 @@ def check_leader(leader: Leader, arm: Arm) -> None:
         InvalidValue: names the attribute.
         UnknownName: a `placement` or `method` that does not exist.
     """
-    if not isinstance(leader.path, Curve):
-        raise InvalidValue("path", leader.path, "a Curve")
+    require_instance("path", leader.path, Curve, "a Curve")
     require_positive("speed", leader.speed)
     for name in ("depth", "pipe"):
         if getattr(leader, name) is not None:
             require_positive(name, getattr(leader, name))
-    if leader.placement not in (None, *PATH_PLACEMENTS):
-        raise UnknownName("placement", leader.placement, PATH_PLACEMENTS)
-    if leader.method not in PATH_METHODS:
-        raise UnknownName("method", leader.method, PATH_METHODS)
-    if not isinstance(leader.and_back, bool):
-        raise InvalidValue("and_back", leader.and_back, "True or False")
+    if leader.placement is not None:
+        require_known("placement", leader.placement, PATH_PLACEMENTS)
+    require_known("method", leader.method, PATH_METHODS)
+    require_instance("and_back", leader.and_back, bool, "True or False")
     longest, narrowest = MAX_SIZE_RATIO * arm.length, arm.length / MAX_SIZE_RATIO
     if leader.path.length > longest:
         allowed = f"{longest:.4g} m, {MAX_SIZE_RATIO} times the arm"

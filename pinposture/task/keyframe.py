@@ -27,7 +27,8 @@ from pinposture.errors import (
     PostureError,
     TargetError,
     TaskError,
-    UnknownName,
+    require_instance,
+    require_known,
     warn_caller,
 )
 from pinposture.placement import Target, resolve_targets
@@ -94,8 +95,7 @@ class Keyframe:
     speed: float = 1.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise InvalidValue("name", self.name, "text, or empty for the number of the keyframe")
+        require_instance("name", self.name, str, "text, or empty for the number of the keyframe")
         with naming(f"keyframe {self.name!r}" if self.name else "keyframe"):
             self._check()
 
@@ -115,10 +115,9 @@ class Keyframe:
                 as_number(name, value, "a finite number >= 0 [s]", lambda number: number >= 0.0)
         as_number("speed", self.speed, "a share of the velocity limits, in (0, 1]", lambda x: 0.0 < x <= 1.0)
         as_number("roll", self.roll, "a finite angle [rad]", lambda _: True)
-        if self.placement not in (None, *PLACEMENTS):
-            raise UnknownName("placement", self.placement, PLACEMENTS)
-        if self.method not in METHODS:
-            raise UnknownName("method", self.method, METHODS)
+        if self.placement is not None:
+            require_known("placement", self.placement, PLACEMENTS)
+        require_known("method", self.method, METHODS)
         if self.tip is not None and not isinstance(self.tip, EndEffector):
             raise InvalidValue("tip", self.tip, "an EndEffector, or None")
         if self.region is not None:
@@ -127,8 +126,7 @@ class Keyframe:
                 allowed = "two whole numbers (first, last), 0 <= first <= last"
                 raise InvalidValue("region", self.region, allowed)
             object.__setattr__(self, "region", (int(ends[0]), int(ends[1])))
-        if not isinstance(self.trim, bool):
-            raise InvalidValue("trim", self.trim, "True or False")
+        require_instance("trim", self.trim, bool, "True or False")
         if self.joints is not None:
             joints = finite_vector("joints", self.joints, np.size(self.joints))
             object.__setattr__(self, "joints", tuple(joints.tolist()))
@@ -558,8 +556,7 @@ def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyf
         if misfit and keyframe.curve is None:
             raise TaskError(title(keyframes, index), f"joints {misfit}")
         if misfit:
-            text = f"{title(keyframes, index)}: joints {misfit}; they are ignored"
-            warn_caller(text)
+            warn_caller(f"{title(keyframes, index)}: joints {misfit}; they are ignored")
         fitting.append(replace(keyframe, joints=None) if misfit else keyframe)
     return tuple(fitting)
 

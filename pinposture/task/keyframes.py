@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm
 from pinposture.control.reach import require_within_reach
-from pinposture.errors import InvalidValue, OutOfReach, UnknownName, warn_caller
+from pinposture.errors import InvalidValue, OutOfReach, require_known, warn_caller
 from pinposture.placement.least_squares import refined
 from pinposture.task.keyframe import (
     CONTINUITIES,
@@ -343,8 +343,7 @@ def keyframe_reference(
     keyframes = tuple(keyframes)
     check_keyframes(keyframes, arm)
     require_positive("interval", interval)
-    if continuity not in CONTINUITIES:
-        raise UnknownName("continuity", continuity, CONTINUITIES)
+    require_known("continuity", continuity, CONTINUITIES)
     require_whole("repeat", repeat, 1)
     tour = keyframes
     keyframes = tour if repeat == 1 else lap_of(tour, float(interval))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import sys
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -26,9 +24,17 @@ from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import CURVES, Curve
-from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
+from pinposture.errors import (
+    FileError,
+    InvalidValue,
+    PostureError,
+    TaskError,
+    UnknownName,
+    require_instance,
+    require_known,
+)
 from pinposture.placement.target import length_misfit
-from pinposture.storage import read_text, settled
+from pinposture.storage import parse_json, parse_toml, read_text, require_suffix, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
 from pinposture.task.keyframe import (
     CONTINUITIES,
@@ -57,13 +63,9 @@ from pinposture.task.specification import (
 )
 from pinposture.task.toml import Place, lines_of_toml
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-
 # Text parsed into plain data.
+
+TASK_SUFFIXES = (".toml", ".json")
 
 MAX_NESTING = 20
 """Largest depth of nested tables and lists; three times that of a task."""
@@ -74,19 +76,10 @@ MAX_INTEGER_BITS = 64
 _TOML_ERROR = re.compile(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", re.DOTALL)
 
 
-def check_format(path: Path) -> None:
-    """Raise FileError unless the name ends in .toml or .json."""
-    suffix = path.suffix.lower()
-    if suffix not in (".toml", ".json"):
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
-
-
 def _parsed(path: Path, text: str) -> dict[str, Any]:
     try:
         is_toml = path.suffix.lower() == ".toml"
-        values = tomllib.loads(text) if is_toml else json.loads(text, object_pairs_hook=_unique_keys)
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+        values = parse_toml(text) if is_toml else parse_json(path, text, object_pairs_hook=_unique_keys)
     except RecursionError:
         raise FileError(
             path, f"tables and lists are nested too deep; allowed: {MAX_NESTING} levels"
@@ -154,7 +147,7 @@ class Document:
         Raises:
             FileError: it is missing, unreadable, of another format, or as for `parse`.
         """
-        check_format(path)
+        require_suffix(path, *TASK_SUFFIXES)
         return cls.parse(path, read_text(path))
 
     @classmethod
@@ -465,20 +458,16 @@ def check_task(task: TaskParts) -> None:
         UnknownName: a `continuity`, a format or a control point that does not exist.
         TaskError: a keyframe or an obstacle that does not fit the arm; names it.
     """
-    if not isinstance(task.arm, Arm):
-        raise InvalidValue("arm", task.arm, "an Arm")
+    require_instance("arm", task.arm, Arm, "an Arm")
     cycle = cycle_of(task.limits)
     if cycle > LONGEST_CYCLE:
         raise InvalidValue("dt", cycle, f"{LONGEST_CYCLE:g} s at most")
     task.limits.for_arm(task.arm)
-    if task.continuity not in CONTINUITIES:
-        raise UnknownName("continuity", task.continuity, CONTINUITIES)
+    require_known("continuity", task.continuity, CONTINUITIES)
     require_whole("repeat", task.repeat, 1)
-    unknown = [each for each in task.formats if each not in RESULT_FORMATS]
-    if unknown:
-        raise UnknownName("format", unknown[0], RESULT_FORMATS)
-    if not isinstance(task.name, str):
-        raise InvalidValue("name", task.name, "text")
+    for each in task.formats:
+        require_known("format", each, RESULT_FORMATS)
+    require_instance("name", task.name, str, "text")
     described, kinds = task.described, (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
     if not isinstance(described, Mapping) or not all(isinstance(each, kinds) for each in described):
         allowed = "a mapping from curves, tips, a scene or obstacles to their descriptions"

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from difflib import get_close_matches
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
@@ -28,7 +27,7 @@ from pinposture.arm import Arm, template
 from pinposture.arm.specification import OF_A_TEMPLATE, OF_A_URDF
 from pinposture.control import CONTROLLERS
 from pinposture.curve import CURVES
-from pinposture.errors import UnknownName
+from pinposture.errors import UnknownName, did_you_mean
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
 from pinposture.task.keyframe import CONTINUITIES, OF_A_CURVE, joint_count_misfit
@@ -173,13 +172,8 @@ def _within(key: str | int, read: Callable[..., Read], *arguments: Any) -> Read:
         raise Misplaced(str(error), key, *getattr(error, "within", ())) from None
 
 
-def _did_you_mean(value: object, known: Iterable[str]) -> str:
-    close = get_close_matches(value, known, n=1) if isinstance(value, str) else []
-    return f" (did you mean {close[0]!r}?)" if close else ""
-
-
 def _unknown_key(key: str, allowed: Collection[str]) -> Misplaced:
-    hint = _did_you_mean(key, allowed)
+    hint = did_you_mean(key, allowed)
     return Misplaced(f"there is no such key{hint}; allowed: {', '.join(allowed)}", key)
 
 
@@ -220,7 +214,7 @@ def _one_of(*words: str) -> BeforeValidator:
 
 def _read_word(value: object, words: Collection[str]) -> str:
     if not isinstance(value, str) or value not in words:
-        raise _wrong(value, ", ".join(map(repr, words)), _did_you_mean(value, words))
+        raise _wrong(value, ", ".join(map(repr, words)), did_you_mean(value, words))
     return value
 
 
@@ -299,7 +293,7 @@ def _curve(value: object) -> object:
     if isinstance(value, str):
         if value not in CURVES and not Path(value).suffix:
             allowed = f"{', '.join(CURVES)}, a .json, .csv or .txt file, or a table with a type"
-            raise _wrong(value, allowed, _did_you_mean(value, CURVES))
+            raise _wrong(value, allowed, did_you_mean(value, CURVES))
         return value
     if not isinstance(value, Mapping):
         raise _wrong(value, "a name, a file, or a table with a type")

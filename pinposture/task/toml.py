@@ -7,7 +7,6 @@ header move with the section, and unchanged sections are neither parsed nor writ
 from __future__ import annotations
 
 import re
-import sys
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from difflib import SequenceMatcher
@@ -17,10 +16,7 @@ from typing import Any, NamedTuple
 import tomlkit
 from tomlkit.items import AbstractTable, Array, InlineTable, Item
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from pinposture.storage import parse_toml
 
 Place = tuple[str | int, ...]
 """The path to a value in a file: keys, and indices of list items from 0."""
@@ -123,7 +119,7 @@ class _Scanner:
     def _key(self) -> list[str]:
         begin = self._at
         self._skip(_KEY)
-        table, names = tomllib.loads(f"{self._text[begin : self._at]} = 0"), []
+        table, names = parse_toml(f"{self._text[begin : self._at]} = 0"), []
         while isinstance(table, dict):
             ((name, table),) = table.items()
             names.append(name)
@@ -283,7 +279,7 @@ class _Editor:
         }
         own_old = {key: value for key, value in old.items() if key not in kept}
         own = {key: value for key, value in new.items() if key not in kept}
-        present = own if own_old == own else tomllib.loads(section.body) if section else {}
+        present = own if own_old == own else parse_toml(section.body) if section else {}
         added = {key for key in own if key not in present and not _unchanged(own_old, own, key)}
         outermost, headless = not place, section is None
         sections = {key for key in added if _is_section(own[key], outermost, headless)}

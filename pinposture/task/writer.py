@@ -22,13 +22,13 @@ from pinposture.collision.obstacles import Obstacle
 from pinposture.control import CONTROLLERS, Controller, EndEffector, Geodesic, Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError, warn_caller
-from pinposture.storage import check_writable, relative, settled, write_text
+from pinposture.storage import check_writable, relative, require_suffix, settled, write_text
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.reader import (
+    TASK_SUFFIXES,
     Document,
     TaskParts,
-    check_format,
     make_curve,
     make_obstacle,
     make_scene,
@@ -98,8 +98,7 @@ class Descriptions:
                 return True
         except PostureError as error:
             reason = f"but {getattr(error, 'reason', error)}"
-        message = f"{self.file}: {key} was {shown(plain)}, {reason}; it is written out"
-        warn_caller(message)
+        warn_caller(f"{self.file}: {key} was {shown(plain)}, {reason}; it is written out")
         return False
 
 
@@ -371,7 +370,7 @@ def write_task(task: TaskParts, path: Path, layout: TomlLayout | None = None) ->
         path: the file.
         layout: the TOML file whose comments and layout are preserved.
     """
-    check_format(path)
+    require_suffix(path, *TASK_SUFFIXES)
     with _folder_of(path):  # relative paths in the file start from it
         descriptions = Descriptions(path, task.described)
         arm, urdf = write_arm(task.arm, descriptions)

@@ -6,7 +6,7 @@ import numpy as np
 
 from pinposture.arm import Arm, ControlPoints
 from pinposture.collision import Scene
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_known
 from pinposture.motion import Motion, Tracker, Trajectory
 from pinposture.placement import Target
 from pinposture.viz.arm_figure import plot_arm
@@ -94,8 +94,7 @@ def view(
             choice of control points.
         ViewerError: the server cannot be started or reached.
     """
-    if viewer not in VIEWERS:
-        raise UnknownName("viewer", viewer, VIEWERS)
+    require_known("viewer", viewer, VIEWERS)
     require_type("scene", scene, Scene, type(None))
     if isinstance(run, Trajectory | Motion):
         scene = scene or (run.run.scene if isinstance(run, Motion) else run.scene)

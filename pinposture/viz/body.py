@@ -168,8 +168,7 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
     if faults:
         listed = [f"{name} {reason}" for name, reason in list(faults.items())[:_MAX_LISTED]]
         listed += [f"and {len(faults) - _MAX_LISTED} more"] if len(faults) > _MAX_LISTED else []
-        text = f"links are not drawn with their original meshes: {'; '.join(listed)}"
-        warn_caller(text)
+        warn_caller(f"links are not drawn with their original meshes: {'; '.join(listed)}")
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 

@@ -15,6 +15,7 @@ import umsgpack
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pinposture._validation import require_whole
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import HalfSpace, Scene
@@ -506,8 +507,7 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timelin
     """
     if not (np.isfinite(fps) and 0.0 < fps <= 120.0):
         raise InvalidValue("fps", fps, "a number above 0, at most 120 [1/s]")
-    if isinstance(max_frames, bool) or not isinstance(max_frames, int) or max_frames < 2:
-        raise InvalidValue("max_frames", max_frames, "a whole number of at least 2")
+    require_whole("max_frames", max_frames, 2)
     if isinstance(shown, Motion):
         return _motion_playback(shown, float(fps), max_frames)
     count = min(shown.steps + 1, max_frames)

@@ -15,7 +15,7 @@ import pinposture as pp
 from pinposture import kernels
 from pinposture.arm import Coupling, JointSpec, ModuleTemplate, continuum_section, smooth_configuration
 from pinposture.arm.kinematics import constants_of, screws_of
-from pinposture.errors import InvalidValue, UnknownName, URDFError
+from pinposture.errors import InvalidValue, PostureWarning, UnknownName, URDFError
 from pinposture.kernels.arrays import FULL, Rows
 
 
@@ -110,7 +110,8 @@ def test_a_leader_may_come_behind_or_beside_and_followers_may_follow_followers()
         + moving("d", "l3", "l4", axis=Z, limits=limit(-1, 2), more=twice)
         + moving("motor", "l0", "side", axis=Z, limits=limit(-0.4, 0.4, 6))
     )
-    arm = pp.Arm.load(robot(links([f"l{k}" for k in range(5)] + ["side"]) + chain), tip="l4")
+    with pytest.warns(PostureWarning, match="locked: 1 at link 'l0' \\('motor'\\)"):
+        arm = pp.Arm.load(robot(links([f"l{k}" for k in range(5)] + ["side"]) + chain), tip="l4")
     assert arm.joint_names == ("a", "b")
     first, second = arm.couplings
     assert first == Coupling("c", "a", 0.5, 0.0)

@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 import pinposture as pp
 from pinposture.errors import TargetError
 
-ROLLS = np.linspace(0.0, np.pi, 7)
-
 
 def limited_arm(bend: float) -> pp.Arm:
     return pp.Arm.from_modules([pp.template("RyRz").with_limits(-bend, bend)] * 12)
@@ -22,7 +20,7 @@ def circle(curvature: float) -> pp.Curve:
 
 def follows(arm: pp.Arm, curve: pp.Curve, roll: float) -> bool:
     try:
-        pp.resolve_targets(arm, curve, roll=roll, method="sequential")
+        pp.resolve_targets(arm, curve, placement="align", roll=roll, method="sequential")
     except TargetError:
         return False
     return True

@@ -44,6 +44,7 @@ def test_a_template_begins_with_two_shapes_that_the_arm_can_take(tmp_path):
 
 @pytest.mark.parametrize("name", ["RyRz", "RzRy", "Rz", "RzRz", "RzRzRz"])
 @pytest.mark.parametrize("count", [1, 2, 7])
+@pytest.mark.filterwarnings("ignore:the arm does not follow the curve")
 def test_every_template_can_be_begun_with(name, count):
     task, _ = begin(name, None, None, str(count), None)
     assert task.arm.n_modules == count

@@ -87,7 +87,7 @@ def test_options_reach_the_run(command, arm_file, tmp_path):
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
     assert run.controller.startswith("Projection")
     assert np.abs(np.diff(run.q, axis=0)).max() == pytest.approx(0.02)
-    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], roll=0.5)
+    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], roll=0.5, placement="align")
     np.testing.assert_allclose(run.target.points, target.points, atol=1e-12)
 
 
@@ -122,7 +122,7 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
     command, arm_file, tmp_path, method
 ):
     summary = track(command, arm_file, "--method", method, "--steps", 1, "-o", tmp_path)
-    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], method=method)
+    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], method=method, placement="align")
     np.testing.assert_allclose(
         pp.load(tmp_path / "run.npz", pp.Trajectory).target.points, target.points, atol=1e-12
     )
@@ -292,7 +292,7 @@ def test_a_start_in_collision_names_the_options_of_the_start(command, arm_file, 
 
 
 def test_the_exit_code_tells_whether_the_arm_got_there(command, arm_file, tmp_path):
-    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"])
+    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], placement="align")
     np.save(tmp_path / "there.npy", target.q)
     base = ("track", arm_file, "--curve", "helix", "--steps", 1)
     assert command(*base).code == 1

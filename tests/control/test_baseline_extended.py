@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arms import template_arm
+from control.baseline_arms import state_of
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
@@ -36,11 +37,6 @@ def arm_called(name: str) -> pp.Arm:
 
 def planar() -> pp.Arm:
     return template_arm("Rz", 4)
-
-
-def state_of(arm: pp.Arm, seed: int) -> pp.ArmState:
-    rng = np.random.default_rng(seed)
-    return arm.at(arm.configuration(0.8 * arm.joint_units * rng.uniform(-1, 1, arm.nv)))
 
 
 def differences(state: pp.ArmState, function: object) -> np.ndarray:

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
+from control.baseline_arms import PLACEMENT, SLIDING, state_of
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
@@ -23,10 +24,6 @@ from pinposture.study.baseline_objectives import (
     objective_value,
 )
 
-PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
-SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
-ENDLESS = pp.JointSpec("z", type="continuous")
-SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, ENDLESS), (0.03,) * 3)
 ARMS = {
     "spatial": lambda: pp.Arm.from_template("RyRz", 6, base_placement=PLACEMENT),
     "planar": lambda: pp.Arm.from_template("Rz", 7, base_placement=PLACEMENT),
@@ -38,11 +35,6 @@ H = 1e-5
 @cache
 def arm_called(name: str) -> pp.Arm:
     return ARMS[name]()
-
-
-def state_of(arm: pp.Arm, seed: int, amplitude: float = 1.0) -> pp.ArmState:
-    rng = np.random.default_rng(seed)
-    return arm.at(arm.configuration(amplitude * arm.joint_units * rng.uniform(-1, 1, arm.nv)))
 
 
 def differences(state: pp.ArmState, function: Callable[[pp.ArmState], object]) -> np.ndarray:
@@ -70,7 +62,7 @@ def test_axes_are_those_of_pinocchio(kind: str) -> None:
 @examples(8)
 def test_position_derivatives_of_second_and_third_order(kind: str, seed: int, share: float) -> None:
     arm = arm_called(kind)
-    state, point = state_of(arm, seed), int(share * (arm.n_modules - 1))
+    state, point = state_of(arm, seed, 1.0), int(share * (arm.n_modules - 1))
     found = PositionDerivatives(state, point)
     columns = found.columns
     second = differences(state, lambda s: s.task_jacobians[point])  # (nv, d, nv)
@@ -110,7 +102,7 @@ def test_gradient_and_hessian_of_each_objective(kind: str, objective: str, seed:
 def test_the_measure_is_the_root_of_the_determinant(kind: str) -> None:
     arm = arm_called(kind)
     for seed in range(5):
-        state = state_of(arm, seed)
+        state = state_of(arm, seed, 1.0)
         jacobian = state.task_jacobians[-1] / arm.length
         measure = objective_value("manipulability", state, arm.n_modules - 1)
         assert measure == pytest.approx(np.sqrt(np.linalg.det(jacobian @ jacobian.T)), rel=1e-9)
@@ -121,7 +113,9 @@ def test_the_measure_has_no_gradient_where_the_jacobian_is_singular() -> None:
     state = arm.at(arm.straight())
     assert not objective_gradient("manipulability", state, 5).any()
     assert not objective_hessian("manipulability", state, 5).any()
-    assert not objective_gradient("manipulability", state_of(arm, 1), 0).any()  # two joints, three directions
+    assert not objective_gradient(
+        "manipulability", state_of(arm, 1, 1.0), 0
+    ).any()  # two joints, three directions
 
 
 def test_the_measure_does_not_depend_on_the_unit_of_length() -> None:
@@ -148,7 +142,7 @@ def test_joints_without_limits_and_joints_off_the_chain_feel_nothing() -> None:
     arm = arm_called("sliding")
     endless = np.array([joint.nq == 2 for joint in list(arm.model.joints)[1:]])
     assert endless.sum() == 4
-    gradient = objective_gradient("joint_limits", state_of(arm, 3), 3)
+    gradient = objective_gradient("joint_limits", state_of(arm, 3, 1.0), 3)
     assert not gradient[endless].any()
     assert gradient[~endless].all()
     model = pin.Model(pp.Arm.from_template("Rz", 3).model)

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arms import template_arm
+from control.baseline_arms import PLACEMENT, SLIDING, state_of, target_of
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
@@ -28,10 +29,6 @@ from pinposture.study.baselines import (
 )
 
 FREE = pp.Limits(step=None)
-PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
-SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
-ENDLESS = pp.JointSpec("z", type="continuous")
-SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, ENDLESS), (0.03,) * 3)
 ARMS = {
     "spatial": lambda: template_arm("RyRz", 7),
     "planar": lambda: pp.Arm.from_template("Rz", 8, base_placement=PLACEMENT),
@@ -54,16 +51,6 @@ def unlimited(arm: pp.Arm) -> pp.Arm:
 @cache
 def open_arm(kind: str) -> pp.Arm:
     return unlimited(ARMS[kind]())
-
-
-def state_of(arm: pp.Arm, seed: int, amplitude: float = 0.8) -> pp.ArmState:
-    rng = np.random.default_rng(seed)
-    return arm.at(arm.configuration(amplitude * arm.joint_units * rng.uniform(-1, 1, arm.nv)))
-
-
-def target_of(arm: pp.Arm, seed: int, weights: object = None) -> pp.Target:
-    target = pp.Target.from_points(arm, state_of(arm, seed + 10**6).points, weights)
-    return pp.Target(target.points, target.weights, q=state_of(arm, seed + 10**6).q)
 
 
 def stacked(state: pp.ArmState, target: pp.Target, points: list[int]) -> tuple[np.ndarray, np.ndarray]:

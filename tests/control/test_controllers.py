@@ -244,6 +244,7 @@ def test_selection_says_that_it_cannot_leave_the_straight_arm(spatial: pp.Arm) -
     st.sampled_from([0.0, 1e-7, 0.5, 3.1]),
     st.floats(1e-3, 0.5),
 )
+@pytest.mark.filterwarnings("ignore:points.* is .* m from the base of the arm")
 def test_every_output_is_finite_and_within_its_limits(
     narrow: pp.Arm, seed: int, name: str, amplitude: float, largest: float
 ) -> None:

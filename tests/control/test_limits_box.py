@@ -108,6 +108,7 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
         assert np.all(positions <= upper + ALLOWED)
 
 
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_a_joint_that_always_takes_the_edge_stops_exactly_at_its_limit() -> None:
     limits = pp.Limits(step=0.07, velocity=9.0, dt=0.02, acceleration=20.0)  # dq changes by at most 0.008
     q, previous, steps = limited().configuration(np.full(8, -0.75)), None, []
@@ -299,6 +300,7 @@ BRAKING = pp.Limits(dt=0.1, acceleration=1.0)
 
 
 @pytest.mark.parametrize("acceleration", [1e-250, 1e-12, 1e12, 1e300, np.inf])
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_extreme_accelerations_give_finite_steps(acceleration: float) -> None:
     for kind in ARMS:
         arm = arm_called(kind)

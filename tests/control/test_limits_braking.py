@@ -77,6 +77,7 @@ def steps_from(x: int, p: int, bound: int, brake: int, states: set[tuple[int, in
 
 @pytest.mark.parametrize(("bound", "brake"), [(1, 1), (4, 1), (5, 2), (6, 3), (3, 5), (9, 1)])
 @pytest.mark.parametrize(("low", "high"), [(-6, 9), (-1, 2), (0, 14)])
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_the_box_is_the_viability_kernel(low: int, high: int, bound: int, brake: int) -> None:
     template = pp.template("Rz").with_limits((low - 1) * UNIT, (high + 1) * UNIT)
     arm = pp.Arm.from_modules([template])

@@ -78,6 +78,7 @@ def test_tasks_are_saved_as_shown(in_a_folder: Path) -> None:
     assert pp.Task.load("coil.toml").arm.nv == 12
 
 
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> None:
     (text, _) = snippets("tasks.md", "toml")
     file = in_a_folder / "task.toml"

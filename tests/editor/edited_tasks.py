@@ -44,5 +44,5 @@ def task(*keyframes: Keyframe, arm: pp.Arm | None = None, **values: object) -> T
         Keyframe(coil(), duration=2.0, name="coil", trim=True),
         Keyframe(straight_line(), time=5.0),
     )
-    values.setdefault("limits", pp.Limits(dt=0.02, velocity=3.0))
+    values.setdefault("limits", pp.Limits(dt=0.02, velocity=2.0))
     return Task(arm=arm or six_modules(), motion=tuple(given), **values)  # type: ignore[arg-type]

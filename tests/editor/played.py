@@ -18,7 +18,7 @@ from pinposture.task import Keyframe, Task
 L = 0.2
 """Length of the arm of four modules [m]."""
 
-LIMITS = pp.Limits(dt=0.02, velocity=3.0, acceleration=20.0)
+LIMITS = pp.Limits(dt=0.02, velocity=2.0, acceleration=20.0)
 
 
 def four_modules() -> pp.Arm:

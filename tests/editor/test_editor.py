@@ -224,7 +224,7 @@ class Loose:
 
 
 def problem(number: int, **values: object) -> Problem:
-    session = Session(task(limits=pp.Limits(dt=0.02, velocity=3.0, acceleration=10.0)), selected=1)
+    session = Session(task(limits=pp.Limits(dt=0.02, velocity=2.0, acceleration=10.0)), selected=1)
     return session.problem._replace(number=number, **values)  # type: ignore[arg-type]
 
 

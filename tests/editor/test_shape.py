@@ -309,6 +309,7 @@ def test_a_curve_that_passes_the_base_begins_there(arm: pp.Arm) -> None:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("modules", [4, 8, 20])
+@pytest.mark.filterwarnings("ignore:the arm does not follow the curve")
 def test_a_curve_that_is_lengthened_is_nearly_always_long_enough_where_it_bends(modules: int) -> None:
     arm, rng = pp.Arm.from_template("RyRz", modules=modules), np.random.default_rng(modules)
     tried = short_of = 0
@@ -344,5 +345,6 @@ def test_a_keyframe_keeps_all_but_its_shape(arm: pp.Arm) -> None:
     )
     assert (after.placement, after.roll, after.trim) == ("as_is", 0.0, True)
     assert before.curve is coil()
-    here, there = resolve_targets(arm, after.curve, placement="as_is"), resolve_targets(arm, coil(), roll=0.3)
+    here = resolve_targets(arm, after.curve, placement="as_is")
+    there = resolve_targets(arm, coil(), placement="align", roll=0.3)
     assert np.abs(here.points - there.points).max() < 0.1 * arm.chain.module_lengths.mean()

@@ -20,7 +20,7 @@ def test_the_trace_of_a_motion_is_what_it_records() -> None:
     for row in range(motion.steps + 1):
         off = np.linalg.norm(motion.targets[row] - motion.run.points[row], axis=1)
         assert trace.largest[row] == pytest.approx(off.max(), abs=1e-12)
-    speeds = np.abs(np.diff(motion.q, axis=0)).max(axis=1) / motion.dt / 3.0
+    speeds = np.abs(np.diff(motion.q, axis=0)).max(axis=1) / motion.dt / LIMITS.velocity
     assert trace.speed is not None
     np.testing.assert_allclose(trace.speed[1:-1], 0.5 * (speeds[1:] + speeds[:-1]), atol=1e-9)
     rates = np.diff(np.concatenate([motion.q[:1], motion.q, motion.q[-1:]]), axis=0) / motion.dt
@@ -45,7 +45,7 @@ def test_the_arm_of_the_moment_is_kept_for_some_seconds() -> None:
     arm, session, clock = four_modules(), Session(short()), Clock()
     recent, live = Recent(clock), live_of(session)
     step = np.zeros(arm.nv)
-    step[3] = 0.5 * 3.0 * STEP_TIME  # half of what it may
+    step[3] = 0.5 * LIMITS.velocity * STEP_TIME  # half of what it may
     for count in range(1, 900):
         q = live.state.q + (step if count > 600 else 0.0)
         live = live._replace(steps=count, state=arm.at(q), errors=np.full(arm.n_modules, 0.001 * count))

@@ -174,7 +174,7 @@ def test_bad_actuators_are_refused(arm: pp.Arm, tendons: dict[str, Tendon]) -> N
     bent = pp.Arm.from_model(arm.model, arm.control_points)
     assert Actuators.from_tendons(bent, tendons).matrix.shape == (9, 6)
     for made, words in (
-        (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 5], ["m"]), r"allowed: \(1, 6\)"),
+        (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 5], ["m"]), r"of shape \(1, 6\)"),
         (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 6], ["deg"]), "'rad' or 'm' for each of 1"),
         (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 6], ["m"], velocity=0.0), "velocity is 0"),
         (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 6], ["m"], [1.0, 2.0]), r"one number or \(1,\)"),

@@ -31,10 +31,10 @@ def asked() -> Asked:
     starts = np.array([smooth_configuration(arm, rng, 0.2 + 0.2 * k) for k in range(5)])
     targets = [
         pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.7)),
-        pp.resolve_targets(arm, HELIX),
+        pp.resolve_targets(arm, HELIX, placement="align"),
         pp.Target.from_points(arm, arm.at(starts[0]).points + [0.0, 0.0, 3.0]),  # out of reach
         pp.Target.from_configuration(arm, starts[3]),  # there to begin with
-        pp.resolve_targets(arm, HELIX).region(1, 2),
+        pp.resolve_targets(arm, HELIX, placement="align").region(1, 2),
     ]
     starts[3] = targets[3].q
     return arm, targets, starts

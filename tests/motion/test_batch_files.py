@@ -36,7 +36,7 @@ def starts(arm: pp.Arm) -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def targets(arm: pp.Arm, starts: list[np.ndarray]) -> list[pp.Target]:
     return [
-        pp.resolve_targets(arm, HELIX),
+        pp.resolve_targets(arm, HELIX, placement="align"),
         pp.Target.from_configuration(arm, starts[0]),
         pp.Target.from_points(arm, arm.at(starts[1]).points, [1, 0, 0.5, 1]),
         pp.resolve_targets(arm, LINE),

@@ -13,6 +13,8 @@ from pinposture.motion import Tracker
 from pinposture.motion.tracker import MAX_POINT_OFFSET, Feedback
 from pinposture.placement import Target
 
+pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
+
 LAG, DT = 0.05, 1e-3
 FREE = pp.Limits(step=None, velocity=1e5, dt=DT)
 

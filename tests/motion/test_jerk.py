@@ -16,6 +16,8 @@ from pinposture.control.limits import JerkFilter
 from pinposture.errors import InvalidValue
 from pinposture.motion.trajectory import find_limit_violation
 
+pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
+
 DT = 0.01
 
 

@@ -361,7 +361,7 @@ def test_what_is_no_motion_is_refused(change: dict, message: str) -> None:
         (np.zeros((0, 4)), 0.1, r"q \(shape\)"),
         (np.zeros((2, 3)), 0.1, r"q \(shape\)"),
         ("x", 0.1, "q is 'x'"),
-        ([[0, 0, 0, 0], [0, np.nan, 0, 0]], 0.1, r"q\[1\]\[1\] is nan"),
+        ([[0, 0, 0, 0], [0, np.nan, 0, 0]], 0.1, r"q\[1, 1\] is nan"),
         (np.zeros((2, 4)), 0.0, "time is 0.0"),
         (np.zeros((2, 4)), True, "time"),
         (np.zeros((2, 4)), [0.0], r"positions \(shape\)"),

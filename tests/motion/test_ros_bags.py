@@ -345,7 +345,7 @@ def test_the_tracker_node_drives_the_arm_to_the_curve_and_to_another(tmp_path: P
         node.topics["/curve"](text(data=str(tmp_path / f"{name}.json")))
         node.cycle()
         run()
-        target = pp.resolve_targets(arm, curve)
+        target = pp.resolve_targets(arm, curve, placement="align")
         np.testing.assert_allclose(arm.at(arm.configuration(positions)).points, target.points, atol=1e-6)
     node.topics["/curve"](text(data=str(tmp_path / "missing.json")))
     assert "no such file" in node.said[-1]

@@ -207,7 +207,7 @@ def test_goals_of_an_action_and_messages_with_whole_seconds_are_read(tmp_path: P
     [
         ("", "line 1, column 1"),
         ("[1, 2", "line 1, column 6"),
-        ("[" * 100_000, "deeply nested lists"),
+        ("[" * 100_000, "nested too deep"),
         ([], "the message is []; allowed: an object with header, joint_names, points"),
         ({"trajectory": 3}, "the message is 3"),
         ({}, "allowed: a list of at least one name"),

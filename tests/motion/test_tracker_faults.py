@@ -154,6 +154,7 @@ class Laboratory:
 @pytest.mark.parametrize("irregular", [False, True])
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 @pytest.mark.parametrize("controller", ["geodesic", "joint", "lm", "switching", "dls"])
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_whatever_happens_outputs_keep_their_limits(controller: str, interface: str, irregular: bool) -> None:
     for seed in range(3):
         laboratory = Laboratory(seed, controller, interface, irregular)
@@ -163,6 +164,7 @@ def test_whatever_happens_outputs_keep_their_limits(controller: str, interface: 
 
 @given(st.integers(10, 100_000))
 @examples(12)
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_whatever_happens_to_the_best_of_them(seed: int) -> None:
     laboratory = Laboratory(seed, "geodesic", ["position", "velocity"][seed % 2], seed % 3 == 0)
     for _ in range(80):
@@ -291,6 +293,7 @@ def test_late_cycles_make_up_for_nothing_and_short_ones_move_less(arm: pp.Arm, d
     assert np.all(np.abs(dq / cycle - before / 0.02) <= 10.0 * cycle + 1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:q_measured.* outside the limits")
 def test_an_arm_that_was_measured_outside_its_limits_comes_back() -> None:
     arm = arms()[-1]
     tracker = Tracker(arm, "geodesic", LIMITS)

@@ -58,7 +58,7 @@ def independent(arm: pp.Arm, curve: pp.Curve, starts: int = 4) -> float:
 @pytest.mark.parametrize("kind", AWKWARD)
 def test_awkward_modules_come_as_close_as_an_independent_fit(kind: str) -> None:
     arm = pp.Arm.from_modules([AWKWARD[kind]] * 5, base_placement=PLACEMENT)
-    target = pp.resolve_targets(arm, gentle(arm), method="closest")
+    target = pp.resolve_targets(arm, gentle(arm), placement="align", method="closest")
     assert set(target.placed_by) == {"least squares"}
     assert target.fallback == ""  # it was asked for
     rms = np.sqrt(np.mean(target.curve.nearest(target.points)[1] ** 2))
@@ -71,8 +71,8 @@ def test_awkward_modules_come_as_close_as_an_independent_fit(kind: str) -> None:
 @pytest.mark.parametrize("template", ["RyRz", "RzRy"])
 def test_closest_agrees_with_algorithm_1_where_that_is_exact(template: str) -> None:
     arm = pp.Arm.from_template(template, 20, base_placement=PLACEMENT)
-    in_turn = pp.resolve_targets(arm, HELIX, roll=0.7, samples=20_000, method="sequential")
-    closest = pp.resolve_targets(arm, HELIX, roll=0.7, method="closest")
+    in_turn = pp.resolve_targets(arm, HELIX, placement="align", roll=0.7, samples=20_000, method="sequential")
+    closest = pp.resolve_targets(arm, HELIX, placement="align", roll=0.7, method="closest")
     assert closest.residual.max() < 1e-12
     np.testing.assert_allclose(closest.q, in_turn.q, atol=1e-5)
     np.testing.assert_allclose(closest.parameters, in_turn.parameters, atol=1e-6)
@@ -155,7 +155,7 @@ def test_failures_are_named() -> None:
         pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.2, 0, 0)))
     tight = pp.Arm.from_modules([AWKWARD["narrow"]] * 5)
     with pytest.raises(CurveBendsTooMuch, match="its end stays at least"):
-        pp.resolve_targets(tight, HELIX, method="closest")
+        pp.resolve_targets(tight, HELIX, placement="align", method="closest")
     partial = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.2, 0, 0)), incomplete="partial")
     assert partial.has_target.tolist() == [True, True, True, False, False]
     assert np.all(np.isfinite(partial.points))

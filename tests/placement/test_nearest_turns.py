@@ -12,6 +12,8 @@ from sampling import examples
 
 import pinposture as pp
 
+pytestmark = pytest.mark.filterwarnings("ignore:limits of joint.* are they in degrees")
+
 WIDE = 50.0
 ROLLING = ("x", "y"), (0.02, 0.03), 8
 OBLIQUE = ((1.0, 0.3, -0.2), (0.1, 1.0, 0.4), (-0.3, 0.2, 1.0)), (0.02, 0.02, 0.03), 6
@@ -47,7 +49,7 @@ def test_targets_on_curves_do_not_wind_up(kind, method) -> None:
     arm = arm_of(*kind)
     for radius, pitch in ((0.12, 0.1), (0.2, 0.4), (0.08, 0.2)):
         curve = pp.Curve.helix(radius=radius * arm.length, pitch=pitch * arm.length, turns=3)
-        target = pp.resolve_targets(arm, curve, method=method, incomplete="partial")
+        target = pp.resolve_targets(arm, curve, placement="align", method=method, incomplete="partial")
         away = arm.positions(target.q) - arm.positions(arm.straight())
         assert np.abs(away).max() <= np.pi + 1e-6
         np.testing.assert_allclose(arm.at(target.q).points, target.points, atol=1e-12)
@@ -57,12 +59,12 @@ def test_targets_on_curves_do_not_wind_up(kind, method) -> None:
 def test_targets_stay_near_the_one_before(method) -> None:
     arm = arm_of(*TORUS)
     curve = pp.Curve.helix(radius=0.2 * arm.length, pitch=0.5 * arm.length, turns=3)
-    first = pp.resolve_targets(arm, curve, method=method)
+    first = pp.resolve_targets(arm, curve, placement="align", method=method)
     wound = 2.0 * np.pi * np.random.default_rng(0).integers(-4, 5, arm.nv)
     near = pp.Target(
         first.points, first.weights, first.q + wound, first.curve, first.parameters, first.residual, method
     )
-    again = pp.resolve_targets(arm, curve, method=method, near=near)
+    again = pp.resolve_targets(arm, curve, placement="align", method=method, near=near)
     assert np.abs(again.q - near.q).max() <= np.pi + 1e-6
     np.testing.assert_allclose(arm.at(again.q).points, again.points, atol=1e-9 * arm.length)
 

@@ -59,7 +59,7 @@ def test_the_helix_is_taken_wherever_the_arm_stands(
     template: str, lengths: tuple[float, float], roll: float
 ) -> None:
     arm = pp.Arm.from_template(template, 20, lengths, base_placement=PLACEMENT)
-    target = pp.resolve_targets(arm, HELIX, roll=roll)
+    target = pp.resolve_targets(arm, HELIX, roll=roll, placement="align")
     assert_consistent(arm, target, 3e-6)
     np.testing.assert_allclose(target.curve.start, arm.chain.base, atol=1e-12)
     np.testing.assert_allclose(target.curve.tangent(0.0), PLACEMENT.rotation[:, 0], atol=1e-9)
@@ -115,7 +115,7 @@ def test_mixed_arms_resolve_through_the_same_walk() -> None:
     ] * 4
     arm = pp.Arm.from_modules(modules)
     curve = pp.Curve.helix(radius=0.1, pitch=0.3, turns=3)
-    assert_consistent(arm, pp.resolve_targets(arm, curve), 1e-5)
+    assert_consistent(arm, pp.resolve_targets(arm, curve, placement="align"), 1e-5)
 
 
 def test_a_module_longer_before_its_second_hinge_zigzags_and_is_placed_smoothly() -> None:
@@ -164,7 +164,7 @@ def test_curves_that_do_not_fit_are_named(arm: pp.Arm) -> None:
         pp.resolve_targets(limited, HELIX)
     planar = pp.Arm.from_template("Rz", 6)
     with pytest.raises(CurveBendsTooMuch, match="plane"):
-        pp.resolve_targets(planar, pp.Curve.helix(radius=0.4, pitch=0.5, turns=3))
+        pp.resolve_targets(planar, pp.Curve.helix(radius=0.4, pitch=0.5, turns=3), placement="align")
 
 
 @pytest.mark.parametrize("mixed", [False, True])

@@ -69,9 +69,9 @@ def test_it_is_an_optimum_within_the_limits():
 
 def test_algorithm_1_goes_first_and_needs_nothing_near():
     curve = pp.Curve.helix(0.3 * arm().length, 0.2 * arm().length, 1)
-    alone = pp.resolve_targets(arm(), curve)
+    alone = pp.resolve_targets(arm(), curve, placement="align")
     assert alone.method == "sequential"
-    near = pp.resolve_targets(arm(), curve, near=resolved(turned(3)))
+    near = pp.resolve_targets(arm(), curve, placement="align", near=resolved(turned(3)))
     assert np.array_equal(near.q, alone.q)
 
 

@@ -115,7 +115,7 @@ def test_a_tip_beside_the_plane_of_the_arm_is_measured_in_the_plane(curve, besid
         "line": pp.Curve.line((0, 0, 0), (1, 0, 0)),
         "bend": pp.Curve.spline([(0, 0, 0), (0.3, 0, 0), (0.6, 0.1, 0), (0.9, 0.3, 0)]),
     }[curve]
-    target = pp.resolve_targets(arm, asked)
+    target = pp.resolve_targets(arm, asked, placement="align")
     assert target.residual.max() < 1e-6
     assert target.points[-1][2] == pytest.approx(beside, abs=1e-9)
     places = level.at(target.q).points

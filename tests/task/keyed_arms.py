@@ -6,8 +6,14 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.task.keyframes import Keyframe
+from pinposture.task.reference import Reference
 
 S_CURVE = np.array([(0, 0, 0), (0.4, 0, 0), (0.6, 0.3, 0.1), (0.9, 0.3, 0.3), (1.3, 0.2, 0.3)])
+
+
+def positions(reference: Reference) -> np.ndarray:
+    """Joint positions of all rows, (N + 1, nv)."""
+    return reference.offsets + reference.arm.positions(reference.start)
 
 
 def straight(length: float) -> pp.Curve:

@@ -133,7 +133,7 @@ def test_curves_that_cannot_be_taken_keep_the_kind_of_their_error(
 ) -> None:
     arm, curve = make()
     with pytest.raises(kind) as alone:
-        pp.resolve_targets(arm, curve, samples=200_000)
+        pp.resolve_targets(arm, curve, samples=200_000, placement="align")
     keyframes = [Keyframe(straight(arm.length)), Keyframe(curve, duration=1.0, name="bad", trim=True)]
     with pytest.raises(kind) as found:
         keyframe_reference(arm, keyframes, 0.02)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from sampling import examples
 from scipy.spatial.distance import pdist, squareform
-from task.keyed_arms import S_CURVE, coil, five_postures, snake, straight
+from task.keyed_arms import S_CURVE, coil, five_postures, positions, snake, straight
 
 import pinposture as pp
 from pinposture.task.keyframes import Keyframe, keyframe_reference
@@ -30,10 +30,6 @@ def arm() -> pp.Arm:
 @pytest.fixture(scope="session")
 def small() -> pp.Arm:
     return template_arm("RyRz", 6, (0.1, 0.08))
-
-
-def positions(reference: Reference) -> np.ndarray:
-    return reference.offsets + reference.arm.positions(reference.start)
 
 
 def points(reference: Reference, rows: np.ndarray | range) -> np.ndarray:
@@ -97,7 +93,10 @@ def test_joints_move_as_continuously_as_the_curve(arm: pp.Arm, continuity: str) 
 
 def test_between_two_arcs_the_arm_lies_on_the_arc_of_the_mean_curvature(arm: pp.Arm) -> None:
     arcs = [pp.Curve.helix(radius, 0, 1, axis=(0, 0, 1)) for radius in (1.0, 0.25)]
-    keyframes = [Keyframe(arcs[0], trim=True), Keyframe(arcs[1], duration=1.0, trim=True)]
+    keyframes = [
+        Keyframe(arcs[0], trim=True, placement="align"),
+        Keyframe(arcs[1], duration=1.0, trim=True, placement="align"),
+    ]
     reference = keyframe_reference(arm, keyframes, 0.01)
     for share in (0.2, 0.5, 0.9):
         row = round(share * (reference.rows - 1))
@@ -115,7 +114,7 @@ def test_other_templates_follow_their_curves(name: str) -> None:
     hook = pp.Curve.spline(arm.length * S_CURVE * (1, 1, 0))
     keyframes = [
         Keyframe(straight(arm.length)),
-        Keyframe(ring, duration=1.0, trim=True),
+        Keyframe(ring, duration=1.0, trim=True, placement="align"),
         Keyframe(hook, duration=1.0, trim=True),
     ]
     reference = keyframe_reference(arm, keyframes, 0.05)

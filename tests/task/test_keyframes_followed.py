@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from task.keyed_arms import S_CURVE, coil, five_postures, snake, straight
+from task.keyed_arms import S_CURVE, coil, five_postures, positions, snake, straight
 
 import pinposture as pp
 from pinposture.task.keyframes import Keyframe, keyframe_reference
@@ -27,14 +27,10 @@ def gentle(length: float) -> list[Keyframe]:
     hook = pp.Curve.spline(1.2 * length * S_CURVE)
     return [
         Keyframe(straight(1.5 * length), trim=True, method="closest"),
-        Keyframe(bow, duration=1.0, trim=True, roll=0.5),
+        Keyframe(bow, duration=1.0, trim=True, roll=0.5, placement="align"),
         Keyframe(hook, duration=1.0, trim=True),
         Keyframe(straight(1.5 * length), duration=1.0, trim=True, method="closest"),
     ]
-
-
-def positions(reference: Reference) -> np.ndarray:
-    return reference.offsets + reference.arm.positions(reference.start)
 
 
 def promises(reference: Reference) -> None:
@@ -83,9 +79,9 @@ def test_an_arm_that_has_to_roll_while_it_is_straight_does_so_without_a_jump() -
     arc = pp.Curve.helix(length / 4, 0, 1, axis=(0, 0, 1))
     keyframes = [
         Keyframe(straight(length)),
-        Keyframe(arc, duration=1.0, hold=0.1, trim=True),
+        Keyframe(arc, duration=1.0, hold=0.1, trim=True, placement="align"),
         Keyframe(straight(length), duration=1.0),
-        Keyframe(arc, duration=1.0, roll=np.pi / 2, trim=True),
+        Keyframe(arc, duration=1.0, roll=np.pi / 2, trim=True, placement="align"),
     ]
     reference = keyframe_reference(arm, keyframes, 0.01)
     promises(reference)
@@ -108,8 +104,8 @@ def test_where_the_curve_bends_too_much_in_between_the_arm_comes_near_within_its
     ring = pp.Curve.helix(0.2, 0, 0.95, axis=(0, 0, 1))
     keyframes = [
         Keyframe(straight(1.0)),
-        Keyframe(ring, duration=1.0, trim=True),
-        Keyframe(ring, duration=1.0, trim=True),
+        Keyframe(ring, duration=1.0, trim=True, placement="align"),
+        Keyframe(ring, duration=1.0, trim=True, placement="align"),
         Keyframe(straight(1.0), duration=1.0),
     ]
     smooth = keyframe_reference(arm, keyframes, 0.05, "velocity")
@@ -129,7 +125,7 @@ def test_one_method_serves_the_whole_motion_unless_a_keyframe_asks_for_its_own()
     keyframes = [
         Keyframe(straight(arm.length), duration=None),
         Keyframe(slanted, duration=1.0, placement="translate", trim=True),
-        Keyframe(coil(2.5 * arm.length), duration=1.0, trim=True),
+        Keyframe(coil(2.5 * arm.length), duration=1.0, trim=True, placement="align"),
     ]
     reference = keyframe_reference(arm, keyframes, 0.02)
     promises(reference)
@@ -139,7 +135,7 @@ def test_one_method_serves_the_whole_motion_unless_a_keyframe_asks_for_its_own()
     promises(mixed)
     assert mixed.marks[2].target.method == "sequential"
     assert mixed.marks[2].target.residual.max() < 1e-8
-    alone = pp.resolve_targets(arm, keyframes[2].curve, 200_000, method="sequential")
+    alone = pp.resolve_targets(arm, keyframes[2].curve, 200_000, "align", method="sequential")
     assert np.abs(mixed.configuration(mixed.marks[2].row) - alone.q).max() < 1e-6
 
 

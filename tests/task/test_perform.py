@@ -85,6 +85,7 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
 
 @given(st.integers(0, 10_000))
 @examples(20)
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_limits_hold_for_any_reference_and_any_cycle(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = arm_named(list(ARMS)[rng.integers(len(ARMS))])
@@ -361,6 +362,7 @@ def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
 
 
 @pytest.mark.parametrize("seed", cases([2, 6, 21, *range(22, 40)], 2))
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_among_obstacles_limits_hold_from_one_part_of_a_motion_to_the_next(seed: int) -> None:
     # Obstacles are in the way of some, which then leave it and come to the next stop by another.
     course = drawn_course(seed, stops=3)

@@ -12,7 +12,6 @@ from pinposture.errors import PostureWarning
 from pinposture.task import Reference, perform
 
 KNOWN = ("geodesic", "selection", "projection", "switching", "joint", "lm", "dls")
-LOOKS_AHEAD = "geodesic"
 EXACT = ("geodesic", "joint", "lm", "switching", "projection")
 """Those that come to within rounding of a configuration that the target knows, or nearly so."""
 

@@ -235,6 +235,7 @@ def test_limits_of_each_joint_or_each_kind(tmp_path: Path) -> None:
         assert written(task, tmp_path / "task.toml")["limits"] == {"cycle": 0.05, **said}, number
 
 
+@pytest.mark.filterwarnings("ignore:.* contains no obstacles")
 def test_scenes_by_file_and_by_obstacle(tmp_path: Path) -> None:
     import trimesh
 

@@ -92,8 +92,9 @@ def test_an_arm_that_only_bears_the_name_of_a_template_is_not_taken_for_one(tmp_
         pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_3"),
         pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_0"),
         pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, modules=4),
-        pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, tip="m02_l1"),
     ]
+    with pytest.warns(PostureWarning, match="1 joint off the chain"):
+        arms.append(pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, tip="m02_l1"))
     for number, arm in enumerate(arms):
         again, written = saved(arm, tmp_path / f"{number}.toml")
         assert written["urdf"] == f"{number}.urdf"
@@ -154,7 +155,8 @@ def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
     (tmp_path / "robots").mkdir()
     file = tmp_path / "robots" / "~arm 1.urdf"
     file.write_text(arm_text(pairs(3)))
-    arm = pp.Arm.load(file, modules=3, locked={"j1": np.pi / 4}, tip="l4")
+    with pytest.warns(PostureWarning, match="2 joints off the chain"):
+        arm = pp.Arm.load(file, modules=3, locked={"j1": np.pi / 4}, tip="l4")
     table = {"urdf": file, "split": 3, "locked": {"j1": np.pi / 4}, "tip": "l4"}
     again, written = saved(arm, tmp_path / "tasks" / "task.toml")
     assert written == {**table, "urdf": "../robots/~arm 1.urdf"}

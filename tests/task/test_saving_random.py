@@ -195,6 +195,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("saved")
 
 
+@pytest.mark.filterwarnings("ignore:dt is .* long for a control cycle", "ignore:velocity .* is above")
 @examples(50, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(task=tasks(), suffix=st.sampled_from([".toml", ".json"]))
 def test_a_task_that_was_saved_loads_equal(folder: Path, task: pp.Task, suffix: str) -> None:

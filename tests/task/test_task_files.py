@@ -120,6 +120,7 @@ def test_what_is_not_said_has_the_usual_value(tmp_path: Path) -> None:
     assert task.formats == ("npz", "csv", "json", "png", "html")
 
 
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_an_arm_on_a_feed_and_limits_for_both_kinds_of_joints(tmp_path: Path) -> None:
     limits = 'velocity = { turning = "1 turns/s" }\nstep = { turning = 0.1 }\n'
     limits += 'acceleration = { sliding = "50 cm/s^2" }\njerk = { sliding = "5 m/s^3" }\n'

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from task.keyed_arms import snake, straight
+from task.keyed_arms import positions, snake, straight
 from task.performed import arm_named, check_motion
 from task.same_tasks import assert_same
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, MotionError, PostureWarning, TaskError
-from pinposture.task import Keyframe, Reference, keyframe_reference, perform
+from pinposture.task import Keyframe, keyframe_reference, perform
 
 LIMITS = pp.Limits(step=None, dt=0.02, velocity=1.5, acceleration=6.0)
 CONTINUITIES = ("velocity", "acceleration")
@@ -39,18 +39,14 @@ def taught(arm: pp.Arm, seed: int, size: float = 0.5) -> np.ndarray:
     return size * np.random.default_rng(seed).uniform(-1.0, 1.0, arm.nv)
 
 
-def positions(reference: Reference) -> np.ndarray:
-    return reference.offsets + reference.arm.positions(reference.start)
-
-
 def mixed(arm: pp.Arm) -> list[Keyframe]:
     """Two curves, two taught configurations, two curves."""
     return [
         Keyframe(line(arm)),
-        Keyframe(bow(arm), duration=1.0, trim=True),
+        Keyframe(bow(arm), duration=1.0, trim=True, placement="align"),
         Keyframe(joints=taught(arm, 1), duration=1.5, name="first"),
         Keyframe(joints=taught(arm, 2), duration=1.0, name="second", hold=0.4),
-        Keyframe(bow(arm), duration=1.5, trim=True),
+        Keyframe(bow(arm), duration=1.5, trim=True, placement="align"),
         Keyframe(line(arm), duration=1.0),
     ]
 
@@ -195,7 +191,7 @@ def test_an_open_tour_goes_back_between_its_repetitions(arm: pp.Arm) -> None:
     q = taught(arm, 1)
     tour = [
         Keyframe(line(arm), duration=0.8, name="home"),
-        Keyframe(bow(arm), duration=1.0, trim=True),
+        Keyframe(bow(arm), duration=1.0, trim=True, placement="align"),
         Keyframe(joints=q, duration=1.2, hold=0.4, name="there"),
     ]
     reference = keyframe_reference(arm, tour, 0.02, repeat=3)
@@ -221,7 +217,7 @@ def test_an_open_tour_goes_back_between_its_repetitions(arm: pp.Arm) -> None:
 def test_the_way_back_takes_the_longest_time_between_keyframes_by_default(arm: pp.Arm) -> None:
     tour = [
         Keyframe(line(arm)),
-        Keyframe(bow(arm), duration=1.5, trim=True),
+        Keyframe(bow(arm), duration=1.5, trim=True, placement="align"),
         Keyframe(joints=taught(arm, 1), time=2.0),
     ]
     assert keyframe_reference(arm, tour, 0.02, repeat=2).duration == pytest.approx(2.0 + 1.5 + 2.0)
@@ -254,7 +250,7 @@ def test_turns_of_continuous_joints_add_up() -> None:
 
 def test_arms_placed_by_least_squares_come_back_to_where_they_began() -> None:
     arm = snake(pp.JointSpec("x"), pp.JointSpec("y"), pp.JointSpec("z"), modules=5)
-    tour = [Keyframe(line(arm)), Keyframe(bow(arm), duration=1.5, trim=True)]
+    tour = [Keyframe(line(arm)), Keyframe(bow(arm), duration=1.5, trim=True, placement="align")]
     found = positions(keyframe_reference(arm, tour, 0.02, repeat=2))
     assert np.abs(np.diff(found, axis=0)).max() < 0.1
     rows = (len(found) - 1) // 3
@@ -287,7 +283,7 @@ def largest_shares(motion: pp.Motion, velocity: float) -> list[float]:
 def test_a_keyframe_limits_the_speed_of_the_motion_to_it(arm: pp.Arm, speed: float, continuity: str) -> None:
     tour = [
         Keyframe(line(arm)),
-        Keyframe(bow(arm), duration=0.6, trim=True),
+        Keyframe(bow(arm), duration=0.6, trim=True, placement="align"),
         Keyframe(line(arm), duration=0.6, speed=speed, name="careful"),
         Keyframe(joints=taught(arm, 6), duration=0.6),
     ]
@@ -341,6 +337,7 @@ def test_speeds_are_kept_with_a_motion(arm: pp.Arm, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ("velocity", "acceleration"))
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_the_joint_that_holds_a_motion_back_is_named(arm: pp.Arm, kind: str) -> None:
     weak = 5
     limit = np.full(arm.nv, 4.0 if kind == "velocity" else 60.0)

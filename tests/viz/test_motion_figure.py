@@ -74,6 +74,7 @@ def test_a_motion_as_planned_has_errors_and_rates_over_time_and_nothing_to_say_o
     draw(figure)
 
 
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_joint_rates_are_those_of_the_joint_nearest_to_its_limit():
     fast = np.linspace(1.0, 4.0, 10)
     motion = some_motion(limits=pp.Limits(step=None, dt=0.05, velocity=fast, acceleration=30.0))

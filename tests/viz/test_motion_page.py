@@ -49,6 +49,7 @@ def test_the_page_plays_as_long_as_the_motion_took(tmp_path):
             assert end == pytest.approx(REST_BEFORE + 3.0 + REST_AFTER, abs=1e-5)
 
 
+@pytest.mark.filterwarnings("ignore:dt is 4 s, long")
 def test_a_motion_of_minutes_is_played_faster_and_the_page_says_so(tmp_path):
     motion = some_motion(limits=pp.Limits(step=None, dt=4.0))
     page = page_of(motion, tmp_path)

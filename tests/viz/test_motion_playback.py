@@ -21,6 +21,8 @@ from pinposture.viz.drawing import REST_BEFORE, arm_tracks, hoop_turns, moving_t
 from pinposture.viz.meshcat import add_moving_targets
 from pinposture.viz.palette import MAX_PLACES, group_alike, shown_places
 
+pytestmark = pytest.mark.filterwarnings("ignore:dt is .* long for a control cycle")
+
 
 @cache
 def known_motion(steps: int = 60, dt: float = 0.05) -> Motion:

@@ -54,7 +54,7 @@ class Page(HTMLParser):
 
 def spatial_run(steps: int = 12) -> Trajectory:
     arm = Arm.from_template("RyRz", modules=6)
-    target = resolve_targets(arm, Curve.helix(0.1, 0.3, 1.0))
+    target = resolve_targets(arm, Curve.helix(0.1, 0.3, 1.0), placement="align")
     start = arm.configuration(np.random.default_rng(0).uniform(-0.3, 0.3, arm.nv))
     return track(arm, target, start, "selection", max_steps=steps)
 
@@ -152,7 +152,7 @@ def test_unusual_runs_are_written_too(tmp_path, case):
     goal = np.full(arm.nv, 0.3)
     target = Target.from_configuration(arm, goal)
     if case == "partial":
-        target = resolve_targets(arm, Curve.helix(0.1, 0.3, 0.3), incomplete="partial")
+        target = resolve_targets(arm, Curve.helix(0.1, 0.3, 0.3), placement="align", incomplete="partial")
         assert not target.has_target.all()
     elif case == "points only":
         target = Target.from_points(arm, arm.at(goal).points, [1, 1, 0, 0, 1, 1])

@@ -22,7 +22,7 @@ def arm() -> pp.Arm:
 
 @pytest.fixture(scope="session")
 def whole(arm) -> pp.Target:
-    return pp.resolve_targets(arm, pp.Curve.helix(0.1, 0.3, 1.0))
+    return pp.resolve_targets(arm, pp.Curve.helix(0.1, 0.3, 1.0), placement="align")
 
 
 @pytest.fixture(scope="session")

@@ -439,7 +439,7 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone_and_pyplot_asleep():
 
 def test_steps_that_were_left_to_projection_are_marked_on_the_axis():
     arm = six_modules()
-    target = pp.resolve_targets(arm, pp.Curve.helix(radius=0.06, pitch=0.15, turns=2))
+    target = pp.resolve_targets(arm, pp.Curve.helix(radius=0.06, pitch=0.15, turns=2), placement="align")
     run = pp.track(arm, target, arm.straight(), "switching")
     panel = next(ax for ax in pp.plot(run).axes if "Projection" in ax.get_xlabel())
     (marks,) = (line for line in panel.get_lines() if line.get_color() == palette.MARK)

@@ -30,7 +30,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_instance
 from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
 
@@ -252,8 +252,7 @@ def follow(
     Raises:
         InvalidValue: an argument of the wrong type, or of another arm.
     """
-    if not isinstance(path, TimedPath):
-        raise InvalidValue("path", path, "a TimedPath, as `retime` returns it")
+    require_instance("path", path, TimedPath, "a TimedPath, as `retime` returns it")
     require_step_arguments(state, path.path.objective.target, memory)
     if state.arm is not path.path.arm:
         raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")

@@ -16,7 +16,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
-from pinposture.errors import InvalidValue
+from pinposture.errors import require_instance
 
 Array = NDArray[np.float64]
 
@@ -324,8 +324,7 @@ def retime(
     Raises:
         InvalidValue: not a path, limits that do not fit the arm, or a rate that is not positive.
     """
-    if not isinstance(path, JointPath):
-        raise InvalidValue("path", path, "a JointPath, as `plan` returns it")
+    require_instance("path", path, JointPath, "a JointPath, as `plan` returns it")
     limits = require_limits(limits)
     if max_rate != inf:
         require_positive("max_rate", max_rate)

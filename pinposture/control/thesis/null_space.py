@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_positive
 from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Scene
-from pinposture.errors import InvalidValue
+from pinposture.errors import require_instance
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -91,8 +91,7 @@ class ObstaclePotential:
     largest: float = 0.1
 
     def __post_init__(self) -> None:
-        if not isinstance(self.scene, Scene):
-            raise InvalidValue("scene", self.scene, "a Scene")
+        require_instance("scene", self.scene, Scene, "a Scene")
         for name in ("within", "weight", "largest"):
             require_positive(name, getattr(self, name))
 

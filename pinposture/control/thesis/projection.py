@@ -24,7 +24,7 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import best_chain, checked_strides
-from pinposture.errors import UnknownName
+from pinposture.errors import require_known
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
 from pinposture.placement import Target
 
@@ -73,8 +73,7 @@ class Projection:
         require_positive("threshold", self.threshold)
         object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("null_gain", self.null_gain, zero=True)
-        if self.coupling not in COUPLINGS:
-            raise UnknownName("coupling", self.coupling, COUPLINGS)
+        require_known("coupling", self.coupling, COUPLINGS)
         if self.strides is not None:
             object.__setattr__(self, "strides", checked_strides(self.strides))
 

@@ -25,7 +25,7 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import SectionScore, best_branch, checked_strides, section_edges
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_known
 from pinposture.kernels.arrays import FULL, Rows, Screws
 from pinposture.placement import Target
 
@@ -188,8 +188,7 @@ class Selection:
         object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("conditioning", self.conditioning)
         require_positive("null_gain", self.null_gain, zero=True)
-        if self.score not in SCORES:
-            raise UnknownName("score", self.score, SCORES)
+        require_known("score", self.score, SCORES)
         object.__setattr__(self, "strides", checked_strides(self.strides))
 
     @classmethod

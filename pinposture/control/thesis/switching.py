@@ -14,7 +14,7 @@ from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_known
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -102,8 +102,7 @@ class Switching:
         require_share("progress", self.progress)
         for field_ in ("patience", "stay", "reach"):
             require_positive(field_, getattr(self, field_))
-        if self.hand_back not in get_args(HandBack):
-            raise UnknownName("hand_back", self.hand_back, get_args(HandBack))
+        require_known("hand_back", self.hand_back, get_args(HandBack))
 
     @classmethod
     def as_printed(cls, planar: bool = False) -> Switching:

@@ -300,14 +300,14 @@ def approach(run: MeasuredRun) -> bool | None:
 
 def _passes(method: str, expected: bool, reading: Reading) -> Finding:
     groups = reading.each((*NON_SINGULAR, *ACROSS), (method,))
-    told = {
+    left_again = {
         name: [left for run in runs if (left := approach(run)) is not None] for name, runs in groups.items()
     }
-    came = {name: Share(len(told[name]), len(runs)) for name, runs in groups.items()}
-    held = {name: share(each is expected for each in told[name]) for name in groups}
+    came = {name: Share(len(left_again[name]), len(runs)) for name, runs in groups.items()}
+    held = {name: share(each is expected for each in left_again[name]) for name in groups}
     shares = {name: each if came[name].value >= SEEN else Share(0, 0) for name, each in held.items()}
     summary = "; ".join(
-        f"{name}: {sum(told[name])} of {each.true}" for name, each in came.items() if each.true
+        f"{name}: {sum(left_again[name])} of {each.true}" for name, each in came.items() if each.true
     )
     return Finding(
         shares,

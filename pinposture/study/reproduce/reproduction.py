@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from joblib import delayed
 
-from pinposture._validation import require_known, require_positive, require_whole
+from pinposture._validation import require_positive, require_whole
 from pinposture.control import Controller
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_known
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress, check_jobs, in_order
 from pinposture.storage import check_writable, write_bytes, write_json, write_table, write_text
@@ -202,11 +202,11 @@ def figure_tables(figure: FigureRuns) -> dict[str, list[Sequence[object]]]:
         for name, run in every.items():
             used = run.active.sum(axis=1)
             for step, errors in enumerate(run.point_errors):
-                told: tuple[object, ...] = ("", "", "")  # there is no step before the first
+                values: tuple[object, ...] = ("", "", "")  # there is no step before the first
                 if step:
                     by_projection = int(run.method[step - 1] == "projection")
-                    told = (used[step - 1], run.index[step - 1], by_projection)
-                rows.append((name, step, run.posture_error[step], *told, *errors))
+                    values = (used[step - 1], run.index[step - 1], by_projection)
+                rows.append((name, step, run.posture_error[step], *values, *errors))
         found[f"{figure.stem}.csv"] = rows
     if figure.about.layout != "errors":
         rows = [("posture", "point", "x_m", "y_m", "z_m")]
@@ -393,8 +393,8 @@ def reproduce(
     if page is not None and not with_claims:
         raise InvalidValue("page", str(page), 'None, unless names have "claims" or "all"')
     if with_claims and (settings.methods or settings.step_limit != STEP_LIMIT):
-        told = f"the default methods and step limit where names have claims: {list(names)}"
-        raise InvalidValue("settings", settings, told)
+        allowed = f"the default methods and step limit where names have claims: {list(names)}"
+        raise InvalidValue("settings", settings, allowed)
     for path in (directory, None if page is None else Path(page).parent):
         if path is not None:
             check_writable(Path(path))  # early, before the long computation

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -15,12 +14,11 @@ from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_known
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
 from pinposture.control.thesis.sections import SectionEdges, best_branch
-from pinposture.errors import UnknownName
+from pinposture.errors import require_known
 from pinposture.kernels.arrays import Screws
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
@@ -88,12 +86,6 @@ def separation(run: Trajectory, twin: Trajectory) -> float:
     return float(np.linalg.norm(ours - theirs, axis=2).max()) / run.arm.length
 
 
-def displacements(run: Trajectory) -> Array:
-    """Return the joint displacement of each step, (steps, nv) [rad or m]."""
-    model = run.arm.model
-    return np.array([pin.difference(model, a, b) for a, b in pairwise(run.q)]).reshape(-1, run.arm.nv)
-
-
 def states_before_steps(run: Trajectory) -> list[ArmState]:
     """Return the state of the arm before each step."""
     return [run.arm.at(q) for q in run.q[:-1]]
@@ -101,7 +93,7 @@ def states_before_steps(run: Trajectory) -> list[ArmState]:
 
 def per_step(run: Trajectory, states: Sequence[ArmState]) -> Steps:
     """Measure each step of a run, given the states before them."""
-    dq = displacements(run)
+    dq = run.displacements
     return Steps(
         nearness=np.array([nearness(state) for state in states]),
         asked=asked_steps(run, dq),
@@ -148,7 +140,7 @@ def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
     """Count the steps on which errors rose, and those on which even a short step would have raised them."""
     slack = STEADY * run.arm.length
     rises = np.greater(np.diff(run.point_errors, axis=0), slack / run.arm.n_modules)  # (steps, m)
-    slopes, dq = np.zeros(rises.shape), displacements(run)
+    slopes, dq = np.zeros(rises.shape), run.displacements
     for i, state in enumerate(states):
         slopes[i] = error_slopes(state, run.target.points, run.target.has_target, dq[i])
     flat = STEADY * run.arm.length * np.abs(dq).max(axis=1, initial=0.0)
@@ -391,8 +383,8 @@ def run_one(
         UnknownName: no such scenario, variant or controller.
     """
     require_known("scenario", batch.scenario, SCENARIOS)
-    if batch.given is None and batch.variant not in VARIANTS:
-        raise UnknownName("variant", batch.variant, VARIANTS)
+    if batch.given is None:
+        require_known("variant", batch.variant, VARIANTS)
     scenario, variant = SCENARIOS[batch.scenario], batch.given or VARIANTS[batch.variant]
     arm = thesis_arm(scenario.arm, variant.free)
     start, target = case(arm, scenario, seed)

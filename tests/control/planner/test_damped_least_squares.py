@@ -13,6 +13,7 @@ from pinposture.control.planner.damped_least_squares import minimize
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
+from pinposture.errors import PostureWarning
 
 GOOD = 1e-9
 
@@ -92,7 +93,8 @@ def test_a_known_configuration_is_taken_as_it_is() -> None:
 def test_a_known_configuration_outside_the_limits_gives_the_nearest_inside() -> None:
     arm = arm_named("planar")
     goal = np.array([0.3, 1.6, -0.4, -1.5])
-    objective = Objective(arm, pp.Target.from_configuration(arm, goal))
+    with pytest.warns(PostureWarning, match="2 joints outside the limits"):
+        objective = Objective(arm, pp.Target.from_configuration(arm, goal))
     found = find_goal(objective, arm.at(arm.straight()), edges_of(arm), None, GOOD)
     assert arm.within_limits(found.state.q)
     assert found.cost <= 1.001 * best_of_many(objective, 4)

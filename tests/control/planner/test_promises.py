@@ -78,6 +78,7 @@ def drawn_arm(rng: np.random.Generator) -> pp.Arm:
 
 @given(seed=SEEDS, decades=st.sampled_from([0.0, 3.0, 4.0]))
 @examples(20)
+@pytest.mark.filterwarnings("ignore:limits of joint.* are they in degrees")
 def test_any_arm_arrives_with_joints_of_any_speed_from_any_winding(seed: int, decades: float) -> None:
     rng = np.random.default_rng(seed)
     arm = drawn_arm(rng)
@@ -92,6 +93,7 @@ def test_any_arm_arrives_with_joints_of_any_speed_from_any_winding(seed: int, de
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.filterwarnings("ignore:limits of joint.* are they in degrees")
 def test_an_arm_without_limits_unwinds(seed: int) -> None:
     arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-200.0, 200.0)] * 8)
     goal = np.random.default_rng(seed).uniform(-31.0, 31.0, arm.nv)

@@ -216,6 +216,7 @@ def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
     assert profile.steps <= 1.02 * shortest(path, profile, brake)
 
 
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_the_arm_does_not_stop_on_the_way_because_of_rounding() -> None:
     arm, rng = pp.Arm.from_template("RyRz", 8, (1 / 16, 1 / 16)), np.random.default_rng(15)
     limits = pp.Limits(step=None, velocity=1000.0, acceleration=5.0, dt=0.01)

@@ -94,6 +94,7 @@ def test_the_arm_keeps_to_the_curve_however_far_apart_rows_are(rows: int, accele
         assert ride.changes().max() <= 10.0 * 0.004**2 * (1.0 + 1e-9)
 
 
+@pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_time_is_kept_where_limits_allow_it() -> None:
     ride = Ride(
         smooth_path(arm(), 2, 80), pp.Limits(step=None, velocity=9.0, dt=0.02, acceleration=100.0), 0.5

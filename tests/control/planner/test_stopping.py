@@ -18,6 +18,8 @@ from pinposture.control.limits import full_braking, stopping_steps
 from pinposture.control.planner.path import JointPath, retime
 from pinposture.motion.track import ControlLoop
 
+pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
+
 
 @given(st.integers(0, 10**6))
 @examples(60)
