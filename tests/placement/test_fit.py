@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,7 +14,7 @@ from scipy.optimize import least_squares, minimize
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.curve import HELIX
-from pinposture.errors import CurveBendsTooMuch, CurveEndsEarly, InvalidValue
+from pinposture.errors import CurveBendsTooMuch, CurveEndsEarly, InvalidValue, PostureWarning
 
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 J = pp.JointSpec
@@ -167,7 +169,8 @@ def test_large_and_small_arms_resolve_alike() -> None:
         modules = [
             pp.ModuleTemplate("s", (J("y"), J("x"), J("z")), (0.02 * scale,) * 3, radius=0.005 * scale)
         ] * 5
-        arm = pp.Arm.from_modules(modules)
+        with pytest.warns(PostureWarning, match="millimetres") if scale > 1.0 else nullcontext():
+            arm = pp.Arm.from_modules(modules)
         target = pp.resolve_targets(arm, gentle(arm))
         results.append((target.q, target.parameters / scale))
     for q, parameters in results[1:]:
