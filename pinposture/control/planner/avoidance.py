@@ -327,8 +327,8 @@ class Avoidance:
         """Return the clear step closest to a wanted one, between it and braking.
 
         If even braking comes too close, because the arm was too close or too fast before, a step that comes
-        no closer than braking is accepted. Only if braking would cause contact does the arm stop harder than
-        its limits allow.
+        no closer than braking is accepted. If braking would cause contact, the arm stops harder than its
+        limits allow; but it evades a moving obstacle within them as long as it could still stop a cycle later.
 
         Args:
             state: the state of the arm.
@@ -350,33 +350,33 @@ class Avoidance:
         # A repeated check may differ from the one in the previous step by this tolerance.
         tolerance = MOTION_TOLERANCE * self._length
         relaxed = (close,) if lowest < min(self.margin, now) - tolerance else ()
-        # A moving obstacle may be evaded where braking does not help, unless it is then too late to stop.
         due = lowest < touching
         if due and self.moving:
             due = self._lowest(state, np.vstack([braking[:1], rest]), touching) < touching
-        least = min(self.margin, max(lowest, touching) if due or not self.moving else lowest) - self._rounding
-        seen = []
+        least = (
+            min(self.margin, lowest if self.moving and not due else max(lowest, touching)) - self._rounding
+        )
+        closer: list[tuple[float, ClearStep]] = []
         for number in range(MAX_HALVINGS):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
-            stopping = self._stopping(state, step)
-            seen.append(
-                (self._lowest(state, np.vstack([step, stopping]), least, until), step, share, stopping)
-            )
-            if seen[-1][0] >= least:
-                return ClearStep(step, share, stopping, relaxed)
+            found = ClearStep(step, share, self._stopping(state, step), relaxed)
+            distance = self._lowest(state, np.vstack([step, found.stopping]), least, until)
+            if distance >= least:
+                return found
+            closer.append((distance, found))
         harder = self._brake_harder(state, braking, touching, until) if due else None
         if harder is not None:
             return harder
-        for comes, step, share, stopping in seen if self.moving else ():
-            if comes >= lowest - self._rounding:
-                return ClearStep(step, share, stopping, relaxed)
+        for distance, found in closer if self.moving else ():
+            if distance >= lowest - self._rounding:
+                return found
         return ClearStep(braking[0], 0.0, braking[1:], relaxed)
 
     def _brake_harder(self, state: ArmState, braking: Array, touching: float, until: int) -> ClearStep | None:
         """Return the gentlest step beyond the acceleration limits that prevents contact.
 
-        None if a moving obstacle comes anyway.
+        None if a moving obstacle comes all the same.
         """
         for number in range(1, MAX_HALVINGS + 1):
             step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
