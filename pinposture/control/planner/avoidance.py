@@ -328,7 +328,7 @@ class Avoidance:
 
         If even braking comes too close, because the arm was too close or too fast before, a step that comes
         no closer than braking is accepted. If braking would cause contact, the arm stops harder than its
-        limits allow; but it evades a moving obstacle within them as long as it could still stop a cycle later.
+        limits allow; but it evades moving obstacles within them as long as it could still stop a cycle later.
 
         Args:
             state: the state of the arm.
