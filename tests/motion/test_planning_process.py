@@ -22,6 +22,12 @@ def arm() -> pp.Arm:
     return pp.Arm.from_template("RyRz", modules=6)
 
 
+@pytest.fixture(autouse=True)
+def plans_in_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paths of so short an arm would be found in the loop."""
+    monkeypatch.setattr(plan, "MAX_SHORT_MOTION", 6.0)
+
+
 def refuse(*_: object) -> None:
     raise AssertionError("a path was planned in the process of the loop")
 
@@ -130,6 +136,21 @@ def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
         loop.run("converged")
         reached.append(loop.passed[held:])
     np.testing.assert_allclose(*reached, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "scene", [None, pp.Scene({"far": pp.Sphere((0.0, 0.0, 0.6), 0.05)}, arm_radius=0.01)]
+)
+def test_short_clear_paths_are_found_in_the_loop_within_the_first_cycle(
+    arm: pp.Arm, scene: pp.Scene | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    goal = smooth_configuration(arm, np.random.default_rng(1), 1.0)
+    loop = Loop(pp.Tracker(arm, limits=LIMITS, scene=scene, deadline=0.002), arm.neutral())
+    loop.tracker.update(pp.Target.from_configuration(arm, goal))
+    assert loop.run("moving") == 0
+    loop.run("converged")
+    assert np.abs(loop.q - goal).max() < 1e-6
 
 
 def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:

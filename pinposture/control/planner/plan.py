@@ -80,8 +80,9 @@ MAX_BEND = 0.5
 MIN_PLANNED_MOTION = 0.1
 """Joint motion up to which no path around obstacles is planned, in `Arm.joint_units`."""
 
-MAX_SHORT_MOTION = 0.5
-"""Joint motion up to which the most direct path is found well within a cycle, in `Arm.joint_units`."""
+MAX_SHORT_MOTION = 40.0
+"""Joint motion times the number of joints up to which the most direct path is found within a cycle, in
+`Arm.joint_units`: in about a millisecond."""
 
 MAX_PATHS = 12
 """Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
@@ -204,7 +205,7 @@ def short_path(
         if goal is None or not (avoidance is None or avoidance.intrusion(goal) == 0.0):
             return None
     motion = _size(objective, objective.arm.difference(state.q, goal.q))
-    if motion > MAX_SHORT_MOTION:
+    if motion * len(objective.columns) > MAX_SHORT_MOTION:
         return None
     path = direct_path(objective, state.q, goal.q, bounds.edges)
     if avoidance is None:
