@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control.planner import geodesic, plan
-from pinposture.errors import UnknownName
+from pinposture.errors import PostureWarning, UnknownName
 from pinposture.motion.processes import BackgroundProcess, Interrupted
 
 LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.01)
@@ -176,6 +177,17 @@ def test_errors_and_results_come_back_in_order(process: BackgroundProcess) -> No
         process.result()
     process.submit(divmod, 9, 2)
     assert process.result() == (4, 1)
+
+
+def warn() -> None:
+    warnings.warn("given before", PostureWarning, stacklevel=1)
+
+
+def test_warnings_are_not_repeated(capfd: pytest.CaptureFixture[str]) -> None:
+    process = BackgroundProcess()
+    process.submit(warn)
+    process.result()
+    assert capfd.readouterr().err == ""
 
 
 def test_a_call_is_interrupted_and_the_next_one_answered(process: BackgroundProcess) -> None:
