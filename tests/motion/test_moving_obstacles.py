@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -119,6 +120,22 @@ def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_que
         queries.append(0)
     assert lowest >= 2 * MARGIN - 2e-4
     assert np.percentile(queries, 98) <= 20  # a whole search for a goal makes 70
+
+
+def test_an_arm_at_its_position_limits_evades_with_noisy_measurements() -> None:
+    rng, scene, q = np.random.default_rng(0), ball_scene(), np.zeros(40)
+    limits = replace(LIMITS, position_margin=3.0)
+    q[0:8:2], q[8:16:2] = np.pi - 3.0, 3.0 - np.pi
+    tracker = pp.Tracker(arm(), limits=limits, scene=scene, interface="velocity")
+    tracker.update(pp.Target.from_configuration(arm(), q))
+    aim, velocity, lowest = arm().at(q).points[14], np.array([0.0, 0.15, 0.0]), np.inf
+    for cycle in range(400):
+        center = aim + (cycle - 150) * DT * velocity
+        moment = scene.moved({"ball": center}, velocities={"ball": velocity})
+        dq = tracker.step(q + rng.normal(0.0, 1e-3, 40), scene=moment)
+        q = q + dq
+        lowest = min(lowest, gap(q, center + DT * velocity))
+    assert lowest >= 0.5 * MARGIN  # noise takes its share
 
 
 @pytest.mark.parametrize("jerk, deadline", [(None, np.inf), (40.0, np.inf), (None, 1e-9)])

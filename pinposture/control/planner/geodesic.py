@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
-from pinposture.control.limits import Limits, StepBox, require_limits
+from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
 from pinposture.control.planner.avoidance import Avoidance, ClearStep
 from pinposture.control.planner.damped_least_squares import StepBounds, solve_posture
 from pinposture.control.planner.follow import (
+    MAX_DEVIATION,
     GeodesicMemory,
     PathProgress,
     advance,
@@ -138,7 +139,7 @@ class Geodesic:
         bounds = limits.for_arm(state.arm)
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
-        if box.outside:
+        if box.outside and not (before is not None and _is_almost_inside(state, bounds)):
             return self._return(state, target, box, limits, previous)
         if before is None and self.scene is not None:
             step = self._back_out(state, target, box, limits, previous)
@@ -393,6 +394,12 @@ def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
     found = solve_posture(solver, solver.covered(rest), 1.0, rest, bounds).x
     x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
     return avoidance.clear_step(bounds.state, avoidance.objective.displacement(x))
+
+
+def _is_almost_inside(state: ArmState, bounds: JointBounds) -> bool:
+    """Whether joints are outside their limits at most as far as noise and disturbances take an arm."""
+    positions, most = state.forward.positions, MAX_DEVIATION * state.arm.joint_units
+    return bool(np.all((positions >= bounds.edges[0] - most) & (positions <= bounds.edges[1] + most)))
 
 
 def _within(progress: PathProgress, limits: Limits) -> PathProgress:
