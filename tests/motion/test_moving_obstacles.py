@@ -138,6 +138,24 @@ def test_an_arm_at_its_position_limits_evades_with_noisy_measurements() -> None:
     assert lowest >= 0.5 * MARGIN  # noise takes its share
 
 
+@pytest.mark.parametrize("hit, velocity, point", [(60, (0, 0, -0.1), 18), (100, (0, 0.1, 0), 10)])
+def test_an_arm_on_its_way_back_into_its_position_limits_evades(
+    hit: int, velocity: tuple[float, ...], point: int
+) -> None:
+    """A ball would hit it in a certain cycle; the way back takes 160."""
+    scene, q, lowest = ball_scene(), np.zeros(40), np.inf
+    q[0:8:2], q[8:16:2] = 0.3, -0.3
+    limits = replace(LIMITS, velocity=0.1, position_margin=3.0)  # within 0.14 rad
+    tracker = pp.Tracker(arm(), limits=limits, scene=scene)
+    tracker.update(pp.Target.from_configuration(arm(), np.zeros(40)))
+    aim, speed = arm().at((1.0 - hit / 300.0) * q).points[point], np.array(velocity)
+    for cycle in range(250):
+        center = aim + (cycle - hit) * DT * speed
+        q = q + tracker.step(q, scene=scene.moved({"ball": center}, velocities={"ball": velocity}))
+        lowest = min(lowest, gap(q, center + DT * speed))
+    assert lowest >= MARGIN - 2e-4
+
+
 @pytest.mark.parametrize("jerk, deadline", [(None, np.inf), (40.0, np.inf), (None, 1e-9)])
 def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None, deadline: float) -> None:
     """A ball appears just before an arm that moves at full speed."""

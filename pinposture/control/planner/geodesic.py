@@ -268,9 +268,13 @@ class Geodesic:
         target.check(arm)
         dq, violated = np.zeros(arm.nv), box.violated_constraints
         dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
-        avoidance = Avoidance.of(self.scene, self.objective(arm, target), limits.for_arm(arm), previous)
+        objective = self.objective(arm, target)
+        avoidance = Avoidance.of(self.scene, objective, limits.for_arm(arm), previous)
         share, stopping = 1.0, None
         if avoidance is not None:
+            if avoidance.moving:
+                evading = _smallest_motion(avoidance, StepBounds.of(objective, state, box, avoidance))
+                dq[objective.columns] = evading[objective.columns]
             dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
             if share < 1.0:
                 violated += ("position limits: a faster return would violate the margin to an obstacle",)
@@ -390,10 +394,15 @@ def adopt_plan(
 
 def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
     """Return the smallest step within bounds that keeps or makes the arm clear."""
+    return avoidance.clear_step(bounds.state, _smallest_motion(avoidance, bounds))
+
+
+def _smallest_motion(avoidance: Avoidance, bounds: StepBounds) -> Array:
+    """Return the smallest displacement within bounds, (nv,) [rad or m], by which the arm evades obstacles."""
     solver, rest = ChainSolver(avoidance.objective, bounds.state, weight=0.0), np.zeros(len(bounds.lower))
     found = solve_posture(solver, solver.covered(rest), 1.0, rest, bounds).x
     x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
-    return avoidance.clear_step(bounds.state, avoidance.objective.displacement(x))
+    return avoidance.objective.displacement(x)
 
 
 def _is_almost_inside(state: ArmState, bounds: JointBounds) -> bool:
