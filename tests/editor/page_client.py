@@ -97,7 +97,7 @@ def visiting(url: str, **named: Any) -> Iterator[Client]:
         client.close()
 
 
-def until(met: Callable[[], bool], what: str) -> None:
+def until(met: Callable[[], object], what: str = "so in time") -> None:
     """Wait until something is so; fail if it takes too long."""
     end = time.monotonic() + SOON
     while not met():

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from editor.edited_tasks import L, six_modules, task
+from editor.page_client import until
 
 import pinposture as pp
 from pinposture.collision.scan import Scan
@@ -18,16 +19,6 @@ from pinposture.editor.solver import Solver
 from pinposture.editor.surroundings import Surroundings
 
 THICK = 0.01
-
-
-def until(holds, seconds=20.0):
-    """Wait for something that a thread is to bring about."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if holds():
-            return True
-        time.sleep(0.01)
-    return False
 
 
 def beside(height: float, radius: float = 0.02) -> pp.Scene:
@@ -76,7 +67,7 @@ def test_the_last_that_was_asked_wins_and_no_thread_is_left():
     assert clearances.latest is None
     for height in (0.5, 0.4, 0.3, 0.2):
         clearances.ask(asked(beside(height)))
-    assert until(lambda: clearances.latest and abs(clearances.latest.distance - (0.18 - THICK)) < 1e-6)
+    until(lambda: clearances.latest and abs(clearances.latest.distance - (0.18 - THICK)) < 1e-6)
     thread = clearances._thread
     clearances.close()
     assert not thread.is_alive()
@@ -87,7 +78,7 @@ def test_what_cannot_be_told_ends_no_thread():
     arm = six_modules()
     clearances.ask(ClearanceQuery(arm, np.full(arm.nq, np.nan), beside(0.2), {}))
     clearances.ask(asked(beside(0.2)))
-    assert until(lambda: clearances.latest is not None)
+    until(lambda: clearances.latest is not None)
     clearances.close()
 
 
@@ -113,7 +104,7 @@ def test_a_dragged_obstacle_reaches_solver_and_clearance_before_the_drag_ends():
             shift = np.array([0.0, 0.0, -0.001 * step])
             change_obstacle("ball", partial(_shift, shift), "moved ball", False, session)
             turn()
-        assert until(told)
+        until(told)
         assert solver.live.number > 1
         assert session.task.scene.obstacles["ball"].center[2] == pytest.approx(0.3)
         assert session.problem.scene.obstacles["ball"].center[2] == pytest.approx(0.26)

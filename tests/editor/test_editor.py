@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from editor.edited_tasks import L, six_modules, task
-from editor.page_client import visiting
+from editor.page_client import SOON, until, visiting
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import pinposture as pp
@@ -31,17 +31,7 @@ from pinposture.editor import Editor
 from pinposture.editor import editor as editor_module
 from pinposture.editor.ui import curve, keyframes, player
 
-SOON = 60.0
-"""How long something that has to happen is waited for [s]."""
-
 PORT = 8265
-
-
-def until(met: Callable[[], bool]) -> None:
-    end = time.monotonic() + SOON
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def our_threads() -> set[str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from edited_tasks import six_modules, task
+from page_client import until
 
 import pinposture as pp
 from pinposture.editor import edits
@@ -29,9 +30,6 @@ from pinposture.editor.session import Session
 from pinposture.errors import FileError
 from pinposture.task import Task
 from pinposture.task.follow_leader import Leader
-
-SOON = 20.0
-"""How long something that has to happen is waited for [s]."""
 
 
 class Desk:
@@ -68,13 +66,6 @@ def of_no_template() -> pp.Arm:
 
 def name_in(task: Task) -> str:
     return edits.keyframes_of(task)[0].name
-
-
-def until(met: Callable[[], bool]) -> None:
-    end = time.monotonic() + SOON
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.fixture
