@@ -20,7 +20,7 @@ from joblib.parallel import get_active_backend
 
 from pinposture import kernels
 from pinposture._validation import is_whole
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, no_warnings
 
 Value = TypeVar("Value")
 
@@ -239,7 +239,7 @@ def _answer_calls(connection: Connection) -> None:
     if INTERRUPT is not None:
         signal.signal(INTERRUPT, interrupt)
     kernels.load()
-    with suppress(EOFError, OSError):
+    with suppress(EOFError, OSError), no_warnings():  # the caller has given them
         while True:
             function, arguments = pickle.loads(connection.recv_bytes())
             value: object = None

@@ -10,7 +10,7 @@ import pytest
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control.planner import geodesic, plan
-from pinposture.errors import UnknownName
+from pinposture.errors import UnknownName, warn_caller
 from pinposture.motion.processes import BackgroundProcess, Interrupted
 
 LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.01)
@@ -214,3 +214,10 @@ def test_a_plan_for_an_outdated_target_is_interrupted_but_not_the_one_after_it(a
 def test_where_to_plan_is_checked(arm: pp.Arm) -> None:
     with pytest.raises(UnknownName, match="planning"):
         pp.Tracker(arm, limits=LIMITS, deadline=0.002, planning="elsewhere")
+
+
+def test_warnings_that_the_loop_has_given_are_not_given_again(capfd: pytest.CaptureFixture[str]) -> None:
+    process = BackgroundProcess()
+    process.submit(warn_caller, "velocity 3 rad/s is above that of the description")
+    assert process.result() is None
+    assert "velocity 3" not in capfd.readouterr().err
