@@ -444,16 +444,17 @@ class Arm(ConfigurationSpace):
             distance = max(float(np.linalg.norm(reach)), 1e-12)
             return -distance, -(reach / distance) @ state.jacobians[-1] * units / length
 
-        low, high = np.array(self.usual_positions) / units
+        lower, upper = np.array(self.usual_positions)
         # Revolute joints need no finite bounds: they are periodic.
-        low[~self.slides], high[~self.slides] = (np.array(self.limits[:2]) / units)[:, ~self.slides]
-        fixed = np.clip(0.0, self.limits.lower, self.limits.upper) / units
-        low, high = np.where(self.roaming, fixed, low), np.where(self.roaming, fixed, high)
+        lower[~self.slides], upper[~self.slides] = np.array(self.limits[:2])[:, ~self.slides]
+        fixed = np.clip(0.0, self.limits.lower, self.limits.upper)
+        lower, upper = np.where(self.roaming, fixed, lower), np.where(self.roaming, fixed, upper)
         # Zero itself can be a stationary point, for instance if the arm is folded there.
-        start = np.clip(np.full(self.nv, 1e-3), low, high)
-        bounds = list(zip(low, high, strict=True))
+        start = np.where(self.slides | (not straight), 1e-3 * units, 0.0)
+        bounds = list(zip(lower / units, upper / units, strict=True))
+        start = np.clip(start, lower, upper) / units
         found = minimize(negative_reach, start, jac=True, bounds=bounds, method="L-BFGS-B").x
-        return np.asarray(np.clip(found, low, high) * units)
+        return np.asarray(np.clip(found * units, lower, upper))
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:

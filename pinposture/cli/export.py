@@ -19,6 +19,7 @@ from pinposture.cli.output import (
     print_warning,
 )
 from pinposture.errors import FileError, require_known
+from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -117,12 +118,12 @@ def run(
 
 def check_form(output: Path, form: str) -> None:
     """Raise an error for an unknown format or suffix."""
-    from pinposture.motion.joint_files import check_format
+    from pinposture.motion.joint_files import SUFFIXES
 
     if form:
         require_known("format", form, NAMED_FORMATS)
-    elif output.suffix.lower() != ".mcap":
-        check_format(output)
+    else:
+        require_suffix(output, *SUFFIXES, ".mcap")
 
 
 def _write(trajectory: JointTrajectory, output: Path, form: str, arm: Arm) -> None:

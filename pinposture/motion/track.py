@@ -290,7 +290,7 @@ class ControlLoop:
         if self.filter.moving:
             mean = max(mean, self.record.mean_error_at(self.ahead))
         if mean <= tolerance and not self._cannot_stop():
-            return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
+            return "converged", _describe_arrival(mean, tolerance)
         if self.record.steps >= max_steps:
             above = f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
             return "max_steps", f"{above}; raise max_steps to continue"
@@ -299,6 +299,10 @@ class ControlLoop:
             text = f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel"
             return "stalled", text
         return "", ""
+
+
+def _describe_arrival(mean: float, tolerance: float) -> str:
+    return f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
 
 
 def describe_binding_limits(arm: Arm, step: Step) -> str:
@@ -376,6 +380,8 @@ def track(
     loop = ControlLoop(arm, arm.checked_start(q0, "q0"), target, controller, limits, scene)
     status, reason = loop.run(target, tolerance, max_steps, callback)
     loop.brake_to_rest()
+    if status == "converged":  # at rest it may be nearer
+        reason = _describe_arrival(loop.record.mean_error, tolerance)
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
         reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
     if status in ("stalled", "max_steps"):

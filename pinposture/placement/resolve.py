@@ -330,7 +330,8 @@ def resolve_targets(
             module has no closed-form kinematics. The reason is then in `Target.fallback` and in the log.
         near: target on a slightly different curve, or of a configuration close to this one
             (`Target.from_configuration`). Least squares then only search near it, which is fast. If None,
-            they start from the straight arm and take tenths of a second for 20 modules, seconds for 100.
+            they start from the straight arm and take tenths of a second for 20 modules, seconds for 100; if
+            the curve is too short for that, with slides retracted.
 
     Returns:
         The target, with `q`, `parameters`, `residual`, `method` and `moved`. If the links are more than a
@@ -356,13 +357,14 @@ def resolve_targets(
     placed, moved = place_curve(arm, curve, placement, roll)
     if placement is None and moved.distance > FAR * arm.length:
         warn_caller(far_moved(arm, "the curve", moved))
-    used, fallback = str(method), ""
-    if method == "sequential":
-        result = place_in_turn(arm, placed, samples, near)
-    elif method == "auto":
-        result, used, fallback = _choose(arm, placed, samples, near)
-    else:
-        result = _place_together(arm, placed, method, near)
+    result, used, fallback = _place(arm, placed, method, samples, near)
+    if near is None and isinstance(result.failure, CurveEndsEarly) and np.any(arm.slides & ~arm.roaming):
+        shortest = np.clip(0.0, arm.limits.lower, arm.limits.upper)
+        retracted = np.where(arm.slides, shortest, arm.positions(arm.straight()))
+        shorter = Target.from_configuration(arm, arm.configuration(retracted))
+        placement_retracted = _place(arm, placed, method, samples, shorter)
+        if placement_retracted[0].failure is None:
+            result, used, fallback = placement_retracted
     if result.failure is not None and incomplete == "raise":
         raise result.failure
     if fallback:
@@ -409,12 +411,18 @@ def far_moved(arm: Arm, what: str, moved: Moved) -> str:
     return f"{what} was {moved} to the base of the arm ({share}); {advice}"
 
 
-def _choose(arm: Arm, curve: Curve, samples: int, near: Target | None) -> tuple[Placement, str, str]:
-    """Place modules one by one if that works, else all at once.
+def _place(
+    arm: Arm, curve: Curve, method: str, samples: int, near: Target | None
+) -> tuple[Placement, str, str]:
+    """Place the modules; "auto" does so one by one if that works, else all at once.
 
     Returns:
-        The placement, its method, and the reason for least squares; empty if sequential.
+        The placement, its method, and why "auto" chose least squares; else empty.
     """
+    if method == "sequential":
+        return place_in_turn(arm, curve, samples, near), method, ""
+    if method != "auto":
+        return _place_together(arm, curve, method, near), method, ""
     try:
         in_turn, compiled = place_in_turn(arm, curve, samples, near), is_compiled(arm)
     except UnsupportedModule as error:

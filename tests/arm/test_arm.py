@@ -247,6 +247,13 @@ def test_straight_is_the_farthest_stretch_even_if_neutral_is_bent() -> None:
     assert arm.length == pytest.approx(0.4)
 
 
+@pytest.mark.parametrize(("axis", "end"), [(X, 0.4), ("-1 0 0", -0.1)])
+def test_slides_extend_the_straight_arm_to_their_limits_and_its_joints_are_at_zero(axis, end):
+    arm = pp.Arm.load(arm_text([("prismatic", axis, HERE, limit(-0.1, 0.4)), *pairs(8)]))
+    np.testing.assert_allclose(arm.straight(), [end, *[0.0] * 16], rtol=0, atol=1e-15)
+    assert arm.within_limits(arm.straight(), tolerance=0.0)
+
+
 @pytest.mark.parametrize(
     ("q", "message"),
     [

@@ -56,6 +56,7 @@ def test_all_limits_hold_and_the_arm_arrives(
     assert run.excess is None
     if controller != "selection":  # which may stop on the way
         assert run.converged and run.posture_error[-1] <= arm.n_modules * 1.001e-6 * arm.length
+        assert f"mean point error {run.posture_error[-1] / arm.n_modules:.3g} m is within" in run.reason
 
 
 @pytest.mark.parametrize("jerk", [20.0, 50.0, 200.0])

@@ -12,7 +12,13 @@ from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
 from sampling import seeds
 
 import pinposture as pp
-from pinposture.errors import CurveBendsTooMuch, CurveLeavesTooSharply, CurveOutOfReach, PostureWarning
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    CurveEndsEarly,
+    CurveLeavesTooSharply,
+    CurveOutOfReach,
+    PostureWarning,
+)
 from pinposture.study import awkward_arms
 
 WIDE = limit(-1e6, 1e6)
@@ -132,6 +138,23 @@ def test_a_slide_that_ends_before_the_curve_is_named():
     with pytest.raises(CurveOutOfReach, match="prismatic joints are at their limits") as caught:
         pp.resolve_targets(arm, far, placement="as_is")
     assert "gentler" not in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["auto", "sequential", "closest"])
+@pytest.mark.parametrize("least", [0.0, 0.03])
+def test_a_slide_retracts_if_the_curve_is_too_short_for_the_extended_arm(method, least):
+    arm = load(arm_text([("prismatic", X, HERE, limit(least, 0.2)), *pairs(3)]))
+    q = np.array([least, *[0.1, -0.2] * 3])
+    nodes = np.vstack([arm.chain.base, arm.at(q).points])
+    nodes = np.vstack([nodes, 1.1 * nodes[-1] - 0.1 * nodes[-2]])  # 2 cm longer than the arm
+    straight = pp.Curve.line(arm.chain.base, arm.chain.base + [1.001 * (arm.length + least), 0, 0])
+    for curve in (straight, pp.Curve.spline(nodes, through=True)):
+        target = pp.resolve_targets(arm, curve, placement="as_is", method=method)
+        assert least <= target.q[0] < 0.1
+        assert curve.nearest(arm.at(target.q).points)[1].max() < 1e-5
+    short = pp.Curve.line(arm.chain.base, arm.chain.base + [0.98 * (arm.length + least), 0, 0])
+    with pytest.raises(CurveEndsEarly):
+        pp.resolve_targets(arm, short, placement="as_is", method=method)
 
 
 def test_a_curve_beside_the_base_is_said_to_be():
