@@ -182,6 +182,27 @@ def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None,
     assert beyond >= (1 if jerk is None else 3)
 
 
+def test_a_detour_is_cut_short_once_the_obstacle_has_left() -> None:
+    planar, start = template_arm("Rz", 8), np.full(8, 0.15)
+    length, rng = planar.length, np.random.default_rng(0)
+    ball = pp.Sphere((0.5 * length, 0, 0), 0.05 * length)
+    first = pp.Scene({"ball": ball}, margin=0.005 * length, arm_radius=0.01 * length)
+
+    def cycles_to_goal(leaves: int) -> int:
+        tracker, q = pp.Tracker(planar, limits=LIMITS, scene=first), start
+        tracker.update(pp.Target.from_configuration(planar, -start))
+        for cycle in range(1000):
+            moment = first.moved({"ball": (0.0, 0.0 if cycle < leaves else 9.0, 0.0)})
+            tracker.step(q + rng.normal(0.0, 1e-4, 8), scene=moment)
+            q = tracker.command
+            if np.abs(q + start).max() < 1e-3:
+                return cycle
+        raise AssertionError(tracker.report)
+
+    free, left, blocked = (cycles_to_goal(leaves) for leaves in (0, 20, 1000))
+    assert left < 0.5 * (free + blocked)
+
+
 def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:
     scene, q = ball_scene(), np.full(40, 0.05)
     tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)

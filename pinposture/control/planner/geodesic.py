@@ -26,7 +26,14 @@ from pinposture.control.planner.follow import (
 )
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
 from pinposture.control.planner.path import JointPath, TimedPath, retime
-from pinposture.control.planner.plan import PlanNeeded, find_path, is_small_change, replan, short_path
+from pinposture.control.planner.plan import (
+    PlanNeeded,
+    find_path,
+    is_small_change,
+    replan,
+    short_path,
+    shortcut,
+)
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -198,8 +205,18 @@ class Geodesic:
             objective = self._objective(state, target, progress)
             return _within(progress.along(progress.path.revised(objective=objective)), limits)
         if progress is not None and not scheduled and _are_alike(progress.objective.target, target):
-            return self._go_on(state, target, limits, progress)
-        return self._plan(state, target, limits, None if scheduled else progress)
+            updated = self._go_on(state, target, limits, progress)
+        else:
+            updated = self._plan(state, target, limits, None if scheduled else progress)
+        moving = self.scene is not None and self.scene.moving
+        if not moving or updated.arrived or updated.objective.has_tasks:
+            return updated
+        bounds = limits.for_arm(state.arm)
+        avoidance = Avoidance.of(self.scene, updated.objective, bounds)
+        if avoidance is None:
+            return updated
+        path = shortcut(updated.path, updated.place, state, bounds, avoidance, prompt=not self.plans)
+        return updated if path is None else PathProgress(retime(path, limits))
 
     def _go_on(self, state: ArmState, target: Target, limits: Limits, progress: PathProgress) -> PathProgress:
         """Return the progress to the same target, on another path if the arm makes none on this one."""

@@ -95,9 +95,14 @@ class JointPath:
         return float(len(self.offsets) - 1)
 
     @cached_property
+    def lengths(self) -> Array:
+        """Length up to each waypoint, (N + 1,) [m], in the metric of `Objective.measure_pieces`."""
+        return np.append(0.0, np.cumsum(self.objective.measure_pieces(self.positions, self.offsets)))
+
+    @property
     def length(self) -> float:
-        """Length in the metric of the planner [m]; see `Objective.measure_pieces`."""
-        return float(self.objective.measure_pieces(self.positions, self.offsets).sum())
+        """Length in the metric of the planner [m]."""
+        return float(self.lengths[-1])
 
     @cached_property
     def configurations(self) -> Array:

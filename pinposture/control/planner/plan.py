@@ -84,6 +84,9 @@ MAX_SHORT_MOTION = 40.0
 """Joint motion times the number of joints up to which the most direct path is found within a cycle, in
 `Arm.joint_units`: in about a millisecond."""
 
+MIN_SHORTENED = 1.2
+"""Length left on a path, relative to that of straight joint motion, above which a shortcut is sought."""
+
 MAX_PATHS = 12
 """Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
 
@@ -215,6 +218,41 @@ def short_path(
         if _closest_on(path, avoidance, possible).distance < possible:
             return None
     return replace(path, scene=avoidance.clearance.scene)
+
+
+def shortcut(
+    path: JointPath,
+    place: float,
+    state: ArmState,
+    bounds: JointBounds,
+    avoidance: Avoidance,
+    prompt: bool = False,
+) -> JointPath | None:
+    """Return the most direct path to the end of a path that is a detour, if it is clear by now.
+
+    Args:
+        path: the path, planned when the obstacles were elsewhere.
+        place: position of the arm on it, in waypoints.
+        state: the state of the arm.
+        bounds: the limits of the joints.
+        avoidance: the obstacles to avoid.
+        prompt: whether only a path that is found within a cycle is sought.
+    """
+    objective, goal, arm = path.objective, path.configuration(path.end), state.arm
+    change = objective.normalize(arm.difference(state.q, goal))
+    if prompt and np.abs(change).max(initial=0.0) * len(change) > MAX_SHORT_MOTION:
+        return None
+    straight = np.stack([np.zeros(arm.nv), objective.displacement(change)])
+    left = path.length - np.interp(place, np.arange(len(path.lengths)), path.lengths)
+    if left <= MIN_SHORTENED * objective.measure_pieces(state.positions, straight).sum():
+        return None
+    possible = _possible_clearance(avoidance, state, arm.at(goal).compiled)
+    if not avoidance.keeps(state.q, straight, possible):  # quicker than finding the path
+        return None
+    direct = direct_path(objective, state.q, goal, bounds.edges)
+    if _closest_on(direct, avoidance, possible).distance < possible:
+        return None
+    return replace(direct, scene=avoidance.clearance.scene)
 
 
 # The goal configuration.
