@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, float_array, require_positive
+from pinposture._validation import finite_vector, float_array, is_number, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
@@ -509,8 +509,8 @@ class Tracker:
             ("deadline", deadline),
             ("max_tracking_error", max_tracking_error),
         ):
-            if value != inf:
-                require_positive(name, value)
+            if not (is_number(value) and value > 0.0):
+                raise InvalidValue(name, value, "a number > 0, or inf")
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # refuse limits of another arm now
         controller, self.scene = in_scene(controller_named(controller), scene)

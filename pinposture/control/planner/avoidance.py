@@ -349,7 +349,10 @@ class Avoidance:
         close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
         # A repeated check may differ from the one in the previous step by this tolerance.
         tolerance = MOTION_TOLERANCE * self._length
-        relaxed = (close,) if lowest < min(self.margin, now) - tolerance else ()
+        loses = not self.moving and lowest < min(self.margin, now) - tolerance
+        relaxed = (
+            (close,) if loses else ()
+        )  # a moving obstacle can be evaded; `describe_violations` says if not
         due = lowest < touching
         if due and self.moving:
             due = self._lowest(state, np.vstack([braking[:1], rest]), touching) < touching
