@@ -228,7 +228,7 @@ def shortcut(
     avoidance: Avoidance,
     prompt: bool = False,
 ) -> JointPath | None:
-    """Return the most direct path to the end of a path that is a detour, if it is clear by now.
+    """Return the most direct path to the end of a path that is a detour, if the obstacles have left it.
 
     Args:
         path: the path, planned when the obstacles were elsewhere.
@@ -241,6 +241,8 @@ def shortcut(
     objective, goal, arm = path.objective, path.configuration(path.end), state.arm
     change = objective.normalize(arm.difference(state.q, goal))
     if prompt and np.abs(change).max(initial=0.0) * len(change) > MAX_SHORT_MOTION:
+        return None
+    if np.any(avoidance.near(state).rates < 0.0):  # an obstacle still approaches
         return None
     straight = np.stack([np.zeros(arm.nv), objective.displacement(change)])
     left = path.length - np.interp(place, np.arange(len(path.lengths)), path.lengths)
