@@ -242,11 +242,11 @@ def shortcut(
     change = objective.normalize(arm.difference(state.q, goal))
     if prompt and np.abs(change).max(initial=0.0) * len(change) > MAX_SHORT_MOTION:
         return None
-    if np.any(avoidance.near(state).rates < 0.0):  # an obstacle still approaches
-        return None
     straight = np.stack([np.zeros(arm.nv), objective.displacement(change)])
     left = path.length - np.interp(place, np.arange(len(path.lengths)), path.lengths)
     if left <= MIN_SHORTENED * objective.measure_pieces(state.positions, straight).sum():
+        return None
+    if np.any(avoidance.near(state).rates < 0.0):  # an obstacle still approaches
         return None
     possible = _possible_clearance(avoidance, state, arm.at(goal).compiled)
     if not avoidance.keeps(state.q, straight, possible):  # quicker than finding the path
