@@ -7,13 +7,17 @@ from types import CodeType
 from typing import Any, TypeVar
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 
 Case = TypeVar("Case")
 
-settings.register_profile("quick", deadline=None, derandomize=True, max_examples=8)
-settings.register_profile("full", deadline=None, print_blob=True, max_examples=100)
+_slow = [HealthCheck.too_slow]
+# The default profile by name: where the environment says CI, another is loaded, which ignores seeds.
+_plain = settings(settings.get_profile("default"), deadline=None, suppress_health_check=_slow)
+settings.register_profile("quick", _plain, derandomize=True, database=None, max_examples=8)
+settings.register_profile("full", _plain, print_blob=True, max_examples=100)
+settings.register_profile("seeded", settings.get_profile("full"), database=None)
 
 _full = False
 
@@ -26,7 +30,7 @@ def draw_fully(full: bool, repeatable: bool) -> None:
     """
     global _full  # noqa: PLW0603
     _full = full
-    settings.load_profile("full" if full else "quick")
+    settings.load_profile("quick" if not full else "seeded" if repeatable else "full")
     if repeatable and hasattr(providers, "_get_local_constants"):
         # Hypothesis also draws constants from the source of loaded modules, even with a seed. Cases would
         # depend on the text of the library, and on which tests ran before. It has no setting for this.

@@ -74,7 +74,23 @@ def test_the_quick_tests_and_the_rest_are_all_tests() -> None:
     assert drawn and len(rest - quick) > 20
 
 
+@pytest.mark.process
+def test_a_seed_draws_the_same_cases_wherever_the_tests_run(monkeypatch) -> None:
+    options = ("--full", "--hypothesis-verbosity=verbose", "--capture=no", "tests/kernels/test_bounded.py")
+    drawn = {}
+    for ci, seed in (("", 0), ("", 1), ("true", 1)):
+        monkeypatch.setenv("CI", ci) if ci else monkeypatch.delenv("CI", raising=False)
+        printed = output_of_pytest(*options, f"--hypothesis-seed={seed}")
+        drawn[ci, seed] = re.findall(r"\bseed=\d+", printed)
+    assert drawn["", 0] != drawn["", 1] == drawn["true", 1] and len(drawn["", 1]) > 25
+
+
 def collected(folder: Path, *options: str) -> set[str]:
-    command = [sys.executable, "-m", "pytest", "--collect-only", *options, str(folder)]
+    printed = output_of_pytest("--collect-only", *options, str(folder))
+    return {line for line in printed.splitlines() if "::" in line}
+
+
+def output_of_pytest(*options: str) -> str:
+    command = [sys.executable, "-m", "pytest", *options]
     done = subprocess.run(command, cwd=TESTS.parent, check=True, capture_output=True, text=True, timeout=120)
-    return {line for line in done.stdout.splitlines() if "::" in line}
+    return done.stdout
