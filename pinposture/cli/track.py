@@ -296,6 +296,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
             {"step": int(k), "what": str(motion.violated_constraints[k]).splitlines()}
             for k in np.flatnonzero(motion.violated_constraints != "")
         ],
+        "violated_steps": {name: steps.tolist() for name, steps in motion.violated_steps.items()},
         "clearance": closest(motion),
         "start_clearance": None if motion.scene is None else float(motion.clearance[0]),
         "incomplete": target.incomplete,
@@ -355,8 +356,8 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     if summary["violated_constraints"]:
         first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
-        count, first = len(summary["violated_constraints"]), first_relaxed["step"] + 1
-        words["violated"] = f"constraints in {count} steps; first in step {first}: {what}"
+        counts = [f"{name} in {len(steps)}" for name, steps in summary["violated_steps"].items()]
+        words["violated"] = f"{', '.join(counts)} steps; first in step {first_relaxed['step'] + 1}: {what}"
     if summary.get("tip") is not None:
         distance, turn = summary["tip"]["distance"], summary["tip"]["turn"]
         words["tip"] = f"{distance:.4g} m off" + ("" if turn is None else f", turned by {turn:.4g} rad")

@@ -17,7 +17,6 @@ from pinposture import kernels
 from pinposture._validation import finite_vector, float_array, is_number, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
-from pinposture.collision.model import describe_distance
 from pinposture.control import (
     Controller,
     Geodesic,
@@ -29,7 +28,7 @@ from pinposture.control import (
 )
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import JerkFilter, cycle_of
-from pinposture.control.planner.avoidance import BRAKING_HARDER
+from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
 from pinposture.control.planner.plan import PlanNeeded, is_small_change
 from pinposture.errors import InvalidValue, PostureError, require_instance, require_known
@@ -404,8 +403,9 @@ class Report(NamedTuple):
 
     Attributes:
         status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error)
-            or "holding" (braking or at rest, because an input is missing or invalid).
-        reason: why it is stalled or holding; else empty.
+            "holding" (braking or at rest, because an input is missing or invalid or a path is not planned yet)
+            or "evading" (the same, but it moves to keep clear of obstacles that approach).
+        reason: why it is stalled, holding or evading; else empty.
         mean_error: mean distance of the control points from their targets at the start of the cycle, from the
             last usable measurement [m]; None before the first target and measurement.
         tracking_error: largest difference between measured and expected joint positions, in
@@ -532,6 +532,9 @@ class Tracker:
         self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
 
+    def __repr__(self) -> str:
+        return f"Tracker({self.arm.name!r}, {self._steps.controller.name!r}, {self.report})"
+
     @property
     def command(self) -> Array:
         """The configuration to send to position-controlled drives, (nq,).
@@ -640,9 +643,10 @@ class Tracker:
                 reason = str(error)  # unusable input, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
+        evading = False
         if step is None or reason:
-            memory = self._hold(state, limits, memory)
-            memory = memory if step is None else step.memory.with_motion_of(memory)
+            held, evading = self._hold(state, limits, memory)
+            memory = held if step is None else step.memory.with_motion_of(held)
         else:
             memory = step.memory
         dq = self._filter.apply(memory.dq)
@@ -651,7 +655,9 @@ class Tracker:
         self._feedback.apply_step(dq)
         if step is not None and self._filter.moving:
             reason = ""  # the jerk filter has not settled yet
-        self.report = self._make_report(feedback, step, reason, compensated, dq, dq - before)
+        stopped = "evading" if evading else "stalled" if step is not None else "holding"
+        status = stopped if reason else "moving"
+        self.report = self._make_report(feedback, step, status, reason, compensated, dq, dq - before)
         return np.array(dq)
 
     def _ahead(self, state: ArmState | None) -> ArmState | None:
@@ -660,14 +666,16 @@ class Tracker:
             return state
         return self.arm.at(self.arm.integrate(state.q, self._filter.ahead))
 
-    def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> Memory:
-        """Brake and hold, but avoid approaching obstacles."""
+    def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> tuple[Memory, bool]:
+        """Brake and hold, or evade approaching obstacles; the second value tells whether the arm evades."""
+        memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
+        braked = memory.braked(limits, self._neutral_state)
         controller, target = self._steps.controller, self._target
         moving = self.scene is not None and self.scene.velocities
-        if moving and state is not None and target is not None and isinstance(controller, Geodesic):
-            return controller.keep_clear(state, target, limits, memory)
-        memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
-        return memory.braked(limits, self._neutral_state)
+        if not moving or state is None or target is None or not isinstance(controller, Geodesic):
+            return braked, False
+        kept = controller.keep_clear(state, target, limits, memory)
+        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > REST_TOLERANCE * self.arm.joint_units))
 
     def _rescaled_memory(self, dt: float) -> Memory | None:
         """Return the memory of the controller, its last step scaled to the duration of this cycle."""
@@ -693,12 +701,12 @@ class Tracker:
         self,
         feedback: FeedbackState,
         step: Step | None,
+        status: str,
         reason: str,
         compensated: Target | None,
         dq: Array,
         change: Array,
     ) -> Report:
-        status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
         if compensated is not None and feedback.state is not None and still:
             distance = _mean_distance(feedback.state.compiled.points, compensated)
@@ -723,7 +731,7 @@ class Tracker:
         closest = CollisionModel(self.arm, self.scene).minimum(command)
         if closest.distance >= (1.0 - MARGIN_ROUNDING) * self.scene.margin:
             return ()
-        return (f"margin from {describe_distance(closest.pair or (), closest.distance)}",)
+        return (describe_lost_margin(closest.pair or (), closest.distance, self.scene.margin),)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

@@ -103,10 +103,10 @@ def test_escape_steps_are_shaded_from_where_they_begin_to_where_they_lead():
 
 def test_steps_in_which_something_gave_way_are_marked_and_quoted():
     relaxed = np.full(free_run().steps, "", dtype="<U200")
-    relaxed[[1, 4]] = "margin of 20 mm, m1 to $ball: 3 mm; and much more that a legend has no room for"
+    relaxed[[1, 4]] = "margin: m1 and $ball are 3 mm apart; and much more that a legend has no room for"
     ax = pp.plot(in_scene(violated_constraints=relaxed)).axes[1]
     (words,) = entries(ax)
-    assert words.startswith("violated in 2 steps: margin of 20 mm, m1 to $ball: 3 mm")
+    assert words.startswith("violated in 2 steps: margin: m1 and $ball are 3 mm")
     assert len(words) < 70
     (marks,) = (line for line in ax.get_lines() if line.get_marker() == "|")
     np.testing.assert_array_equal(marks.get_xdata(), [2, 5])
