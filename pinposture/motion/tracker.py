@@ -402,9 +402,9 @@ class Report(NamedTuple):
     """The result of a cycle.
 
     Attributes:
-        status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error)
-            "holding" (braking or at rest, because an input is missing or invalid or a path is not planned yet)
-            or "evading" (the same, but it moves to keep clear of obstacles that approach).
+        status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error),
+            "holding" (braking or at rest, as an input is missing or invalid, or a path is not planned yet) or
+            "evading" (the same, but it moves to keep clear of obstacles that approach).
         reason: why it is stalled, holding or evading; else empty.
         mean_error: mean distance of the control points from their targets at the start of the cycle, from the
             last usable measurement [m]; None before the first target and measurement.

@@ -354,21 +354,16 @@ class Avoidance:
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin, until))
         touching = min(now, 0.0) - self._rounding
-        close = (
-            f"margin: braking comes as close as {1e3 * lowest:.3g} mm, less than {1e3 * self.margin:.3g} mm"
-        )
-        # A repeated check may differ from the one in the previous step by this tolerance.
-        tolerance = MOTION_TOLERANCE * self._length
-        loses = not self.moving and lowest < min(self.margin, now) - tolerance
-        relaxed = (
-            (close,) if loses else ()
-        )  # a moving obstacle can be evaded; `describe_violations` says if not
+        # A repeated check may differ from the one in the previous step by the tolerance. Whether a margin to
+        # moving obstacles is lost, which the arm may yet evade, is for `describe_violations` to say.
+        loses = not self.moving and lowest < min(self.margin, now) - MOTION_TOLERANCE * self._length
+        close = f"margin: braking comes as close as {1e3 * lowest:.3g} mm, not {1e3 * self.margin:.3g} mm"
+        relaxed = (close,) if loses else ()
         due = lowest < touching
         if due and self.moving:
             due = self._lowest(state, np.vstack([braking[:1], rest]), touching) < touching
-        least = (
-            min(self.margin, lowest if self.moving and not due else max(lowest, touching)) - self._rounding
-        )
+        possible = lowest if self.moving and not due else max(lowest, touching)
+        least = min(self.margin, possible) - self._rounding
         closer: list[tuple[float, ClearStep]] = []
         for number in range(MAX_HALVINGS):
             share = 0.5**number
