@@ -438,7 +438,8 @@ class Tracker:
         dq = tracker.step(q_measured)                # in every cycle
 
     It never extrapolates: without a target, with a target older than `timeout`, without a measurement, or
-    with an implausible one, it brakes within its limits and holds, and `report` gives the reason.
+    with an implausible one, it brakes within its limits and holds, but evades moving obstacles. `report` gives
+    the reason.
 
     The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
     would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
@@ -606,7 +607,8 @@ class Tracker:
                 farther; a short one moves less.
             points: measured positions of the control points, (m, 3) [m], world frame, which replace those
                 computed from the joint positions. Rows that are not finite are missing points.
-            scene: the current obstacles, from `Scene.moved`; None: unchanged.
+            scene: the current obstacles, from `Scene.moved`; None: those of the previous cycle, moved on by
+                their velocities.
 
         Returns:
             The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide it by the cycle
@@ -616,14 +618,16 @@ class Tracker:
             InvalidValue: an array of the wrong shape, a dt that is not positive, or a scene of the wrong
                 type. Sensor faults do not raise.
         """
+        if dt is not None:
+            require_positive("dt", dt)
+        passed = self._period if dt is None else float(dt)
+        if scene is None and self.scene is not None and self.scene.velocities:
+            scene = self.scene.after(passed)
         if scene is not None and scene is not self.scene:
             controller, self.scene = in_scene(self._steps.controller, scene)
             if self._filter.cycles > 1 and scene.velocities:  # obstacles where the filtered steps meet them
                 controller, _ = in_scene(controller, scene.after(self._filter.delay * self._period))
             self._steps.controller = controller
-        if dt is not None:
-            require_positive("dt", dt)
-        passed = self._period if dt is None else float(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
         feedback = self._feedback.update(q_measured, points, dt)
@@ -670,10 +674,11 @@ class Tracker:
         """Brake and hold, or evade approaching obstacles; the second value tells whether the arm evades."""
         memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
         braked = memory.braked(limits, self._neutral_state)
-        controller, target = self._steps.controller, self._target
+        controller = self._steps.controller
         moving = self.scene is not None and self.scene.velocities
-        if not moving or state is None or target is None or not isinstance(controller, Geodesic):
+        if not moving or state is None or not isinstance(controller, Geodesic):
             return braked, False
+        target = self._target or Target.from_configuration(self.arm, state.q)
         kept = controller.keep_clear(state, target, limits, memory)
         return kept, bool(np.any(np.abs(kept.dq - braked.dq) > REST_TOLERANCE * self.arm.joint_units))
 
