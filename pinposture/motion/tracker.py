@@ -437,9 +437,9 @@ class Tracker:
         tracker.update(target)                       # whenever there is a new one
         dq = tracker.step(q_measured)                # in every cycle
 
-    It never extrapolates: without a target, with a target older than `timeout`, without a measurement, or
-    with an implausible one, it brakes within its limits and holds, but evades moving obstacles. `report` gives
-    the reason.
+    It never extrapolates the target: without one, with one older than `timeout`, without a measurement, or
+    with an implausible one, it brakes within its limits and holds, but evades moving obstacles. The reason is
+    in `report`.
 
     The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
     would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
