@@ -412,8 +412,8 @@ def write_plot(motion: Trajectory | Motion, path: Path) -> None:
     write_figure(path, plot(motion))
 
 
-def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> Path:
+def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> None:
     """Write the animation of a run or motion, with ellipsoids of control points, as one HTML file."""
     from pinposture.viz import save_html
 
-    return save_html(motion.arm, motion, path, ellipsoids=ellipsoids)
+    save_html(motion.arm, motion, path, ellipsoids=ellipsoids)

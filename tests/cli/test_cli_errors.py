@@ -130,9 +130,10 @@ CASES = [
     Case("missing run", "view DIR/none.npz", ("DIR/none.npz", "no such file")),
     Case("directory without a run", "view DIR", ("DIR/run.npz", "no such file")),
     Case("not a run", "view DIR/matrix.npy", ("DIR/matrix.npy", "is not a saved run")),
-    Case("picture under a file", "view RUN --png ARM/x.png", ("ARM", "a directory")),
-    Case("picture is a directory", "view RUN --png DIR", ("DIR", "is a directory", "a file")),
-    Case("animation under a file", "view RUN --html ARM/x.html", ("ARM", "is a file")),
+    Case("picture under a file", "view RUN -o ARM/x.png", ("ARM", "a directory")),
+    Case("neither picture", "view RUN -o DIR/x.pdf", ("DIR/x.pdf", "'.pdf'", "allowed: .html, .png")),
+    Case("picture is a directory", "view RUN -o DIR/a.png", ("DIR/a.png", "is a directory", "a file")),
+    Case("animation under a file", "view RUN -o ARM/x.html", ("ARM", "is a file")),
 ]
 
 
@@ -164,6 +165,7 @@ def directory(command, tmp_path_factory):
     np.save(path / "pickled.npy", np.zeros(12).astype(object), allow_pickle=True)
     np.save(path / "matrix.npy", np.zeros((1, 12)))
     os.mkfifo(path / "pipe")
+    (path / "a.png").mkdir()
     with (path / "archive.npy").open("wb") as file:
         np.savez(file, q=np.zeros(12))
     return path
@@ -234,5 +236,5 @@ def test_an_interrupted_picture_leaves_nothing(command, run_directory, tmp_path,
         raise KeyboardInterrupt
 
     monkeypatch.setattr("pinposture.viz.plot", interrupted)
-    assert command("view", run_directory, "--png", tmp_path / "new" / "plot.png").code == 130
+    assert command("view", run_directory, "-o", tmp_path / "new" / "plot.png").code == 130
     assert list(tmp_path.iterdir()) == []
