@@ -23,10 +23,11 @@ CASES = [
     Case("unknown verb", "tracc", ("'tracc'", "pinposture --help")),
     Case("unknown option", "inspect ARM --depth 3", ("--depth", "pinposture inspect --help")),
     Case("missing option", "track ARM", ("'--curve'", "pinposture track --help")),
-    Case("missing argument", "generate --modules 3", ("TEMPLATE", "pinposture generate --help")),
+    Case("missing argument", "generate --modules 3", ("TEMPLATE is None", "pinposture generate --list")),
     Case("not a number", "track ARM --curve helix --steps many", ("--steps", "integer")),
     # generate
     Case("unknown template", "generate RyRx --modules 3", ("'RyRx'", "did you mean 'RyRz'", "RzRzRz")),
+    Case("modules not given", "generate RyRz", ("--modules is None", "1 to 10000")),
     Case("no modules", "generate RyRz --modules 0", ("--modules is 0", "1 to 10000")),
     Case("too many modules", "generate RyRz --modules 10001", ("--modules is 10001", "1 to 10000")),
     Case("a length too few", "generate RyRz -n 3 --link-lengths 0.1", ("link_lengths", "[0.1]", "2 lengths")),
