@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,7 +26,7 @@ from pinposture.cli.inputs import (
     numbers_in,
     read_start,
 )
-from pinposture.cli.output import BATCH, count_progress, end_with, examples, print_result
+from pinposture.cli.output import BATCH, count_progress, end_with, examples, print_result, write_files
 from pinposture.errors import InvalidValue, UnknownName
 
 if TYPE_CHECKING:
@@ -93,7 +94,8 @@ def run(
     track with this start and curve, for any number of processes. Runs are counted from 0.
 
     With -o all runs are saved in a directory, in batch.npz, which pp.load of the Python package and NumPy can
-    read. The exit code is 0 if every run converged without penetration, 1 if not, 2 if it could not start.
+    read. The exit code is 0 if every run converged without penetration, 1 if not, 2 if it could not start or
+    be saved.
     """
     from pinposture.motion import save, track_many
     from pinposture.storage import check_writable
@@ -124,7 +126,7 @@ def run(
             keep="ends" if ends_only or output is None else "motions",
             progress=progress,
         )
-    file = None if output is None else str(save(batch, output / BATCH))
+    files, failure = write_files([] if output is None else [("file", output / BATCH, partial(save, batch))])
     asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed, "scene": scene_options.file}
     words = {
         name: text.replace("raise max_steps", "raise --steps") for name, text in batch.in_words().items()
@@ -133,8 +135,8 @@ def run(
     if blocked:
         where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
         words["starts"] = f"{where}; choose others by --starts or --seed"
-    results = {**batch.to_dict(), "starts_in_collision": blocked, "file": file}
-    print_result(as_json, {**asked, **results}, words, filter(None, [file]))
+    results = {**batch.to_dict(), "starts_in_collision": blocked, "file": files.get("file")}
+    print_result(as_json, {**asked, **results}, words, files.values(), failure)
     end_with(batch.faults)
 
 

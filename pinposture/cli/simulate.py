@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from pinposture.cli.inputs import ARM, MOTION, ArmOptions, JsonOption, SceneOpti
 from pinposture.cli.output import (
     MOTION_FILE,
     RUN_FILE,
+    File,
     closest_in_words,
     count_progress,
     end_with,
@@ -23,6 +25,7 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
     verdict_in_colour,
+    write_files,
 )
 from pinposture.errors import InvalidValue
 
@@ -33,7 +36,6 @@ if TYPE_CHECKING:
     from pinposture.sim import Servos, Simulation
 
 SIMULATION, PICTURE = "simulation.npz", "simulation.png"
-SIMULATION_FILES = {"simulation": SIMULATION, "plot": PICTURE}
 
 
 @examples(
@@ -96,7 +98,7 @@ def run(
 
     There are no contacts; the clearance from the scene is reported. The effort limits of the description
     apply; those of templates are placeholders. The exit code is 0 if the arm arrived, stayed near its
-    path and was clear of the scene, 1 if not, 2 if it could not start.
+    path and was clear of the scene, 1 if not, 2 if it could not start or be saved.
     """
     from pinposture._validation import require_positive
     from pinposture.collision import Scene
@@ -114,25 +116,25 @@ def run(
     with count_progress("cycle") as progress:
         drive = _simulate_closed if closed else simulate
         simulation = drive(arm, motion, servos, not no_gravity, dt, hold, progress, surroundings, tolerance)
-    if output is not None:
-        keep(simulation, output)
-    files = {} if output is None else {kind: str(output / name) for kind, name in SIMULATION_FILES.items()}
+    files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
     if summary["saturated_joints"]:
         print_warning(_saturated(summary))
     data = {"run": str(path), **summary, "files": files}
-    print_result(as_json, data, in_words(summary), files.values())
+    print_result(as_json, data, in_words(summary), files.values(), failure)
     end_with(simulation.faults)
 
 
-def keep(simulation: Simulation, directory: Path) -> None:
-    """Write a simulation and its plot into a directory."""
+def simulation_files(simulation: Simulation, directory: Path) -> list[File]:
+    """Return the files of a simulation in a directory."""
     from pinposture.motion import save
     from pinposture.storage import write_figure
     from pinposture.viz.simulation import plot_simulation
 
-    write_figure(directory / PICTURE, plot_simulation(simulation))
-    save(simulation, directory / SIMULATION)  # last: if it exists, its picture does, too
+    return [
+        ("plot", directory / PICTURE, lambda path: write_figure(path, plot_simulation(simulation))),
+        ("simulation", directory / SIMULATION, partial(save, simulation)),  # last: if it exists, both do
+    ]
 
 
 def _read(

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -230,6 +232,67 @@ def test_arguments_in_a_message_are_written_as_options_of_the_verb(command, monk
 
 def test_brackets_in_a_message_are_text_and_no_markup(command):
     assert "'[red]x[/red]'" in command("generate", "[red]x[/red]", "--modules", 2).err
+
+
+TASK = """
+[arm]
+template = "RyRz"
+modules = 4
+[limits]
+cycle = "50 ms"
+[output]
+formats = ["npz", "csv", "json"]
+[[keyframes]]
+joints = [0, 0, 0, 0, 0, 0, 0, 0]
+[[keyframes]]
+time = "1 s"
+joints = [0.1, 0, 0, 0, 0, 0, 0, 0]
+"""
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)], ids=["words", "json"])
+@pytest.mark.parametrize(
+    ("line", "wrote", "lost", "others"),
+    [
+        ("track ARM --curve helix --steps 3", ["run.png"], "run.html", "; not written either: run.npz"),
+        ("run TASK", ["motion.json", "motion.csv"], "motion.npz", ""),
+        ("batch ARM --curve helix --count 1 --steps 3", [], "batch.npz", ""),
+        ("simulate RUN --dt 1 --hold 0 --no-gravity", ["simulation.png"], "simulation.npz", ""),
+        ("reach ARM --to 0.1,0,0.1", ["posture_1.json"], "postures.png", ""),
+    ],
+)
+@pytest.mark.usefixtures("no_pictures")
+def test_a_full_disk_costs_the_files_but_not_the_summary(
+    command, arm_file, run_directory, tmp_path, monkeypatch, options, line, wrote, lost, others
+):
+    (tmp_path / "task.toml").write_text(TASK)
+    places = {"ARM": str(arm_file), "RUN": str(run_directory), "TASK": str(tmp_path / "task.toml")}
+    words = [places.get(word, word) for word in line.split()]
+    out, replace = tmp_path / "out", Path.replace
+    alone = command(*words, *options)
+    assert alone.code in (0, 1)
+
+    def replace_while_there_is_space(draft: Path, final: Path) -> Path:
+        if final.name not in (*wrote, "status.json"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return replace(draft, final)
+
+    monkeypatch.setattr(Path, "replace", replace_while_there_is_space)
+    result = command(*words, *options, "-o", out)
+    assert result.code == 2
+    error = f"error: {out / lost}: cannot be written (No space left on device){others}"
+    notes = [f"wrote {out / name}" for name in wrote]
+    assert [each for each in result.err.splitlines() if "note: " not in each] == [*notes, error]
+    assert sorted(path.name for path in out.rglob("*") if path.name != "status.json") == sorted(wrote)
+    if options:
+        told, expected = json.loads(result.out), json.loads(alone.out)
+        files = told.pop("files", None) or []
+        assert [*(files.values() if isinstance(files, dict) else files)] == [
+            str(out / name) for name in wrote
+        ]
+        assert told.keys() == expected.keys() - {"files"}
+    else:
+        assert result.out == alone.out
 
 
 def test_an_interrupted_picture_leaves_nothing(command, run_directory, tmp_path, monkeypatch):

@@ -37,7 +37,7 @@ def test_a_run_is_simulated_kept_and_told(command, timed_run, tmp_path, loop):
     assert f"{loop} loop, gravity, {len(kept.time) - 1} cycles of 0.02 s" in result.out
     assert ("\ntarget " in result.out) == (loop == "closed")
     assert result.err.splitlines()[-2:] == [
-        f"wrote {out / name}" for name in ("simulation.npz", "simulation.png")
+        f"wrote {out / name}" for name in ("simulation.png", "simulation.npz")
     ]
     assert (out / "simulation.png").read_bytes().startswith(b"\x89PNG\r\n")
 
