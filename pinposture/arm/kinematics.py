@@ -57,10 +57,12 @@ def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, l
     any axis through the tip, because they do not move it.
     """
     n = len(axes)
-    while n > 1 and revolute[n - 1]:
+    while n and revolute[n - 1]:
         if np.linalg.norm(np.cross(axes[n - 1], tip - origins[n - 1])) > ON_AXIS * length:
             break
         n -= 1
+    if not n:  # nothing moves the tip
+        return None
     turns, slides = axes[:n][revolute[:n]], axes[:n][~revolute[:n]]
     if len(turns):
         signs = np.where(turns @ turns[0] < 0.0, -1.0, 1.0)

@@ -193,7 +193,7 @@ def test_the_tab_shows_what_the_selected_obstacle_has(arm, live, server, desk, t
     assert tuple(tab._chosen.options) == ("none", "ball", "box", "floor", "rod")
 
 
-@pytest.mark.parametrize(("length", "step"), [(0.002, 1e-6), (1.0, 1e-3), (80.0, 1e-3)])
+@pytest.mark.parametrize(("length", "step"), [(0.009, 1e-6), (1.0, 1e-3), (80.0, 1e-3)])
 def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
     _, post = desk
     module = pp.arm.template("RyRz").with_lengths([length / 12] * 2)
