@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_known
 from pinposture.kernels.arrays import ChainArrays, Screws
 
 Array = NDArray[np.float64]
@@ -355,8 +355,7 @@ def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
             preferred.add(frame.name)
             found[frame.name] = index
     for name in names:
-        if name not in found:
-            raise UnknownName("frame", name, list(found)[1:])
+        require_known("frame", name, found)
     return [found[name] for name in names]
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from pinposture.cli.output import print_note
-from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.errors import FileError, InvalidValue, UnknownName, require_known
 
 if TYPE_CHECKING:
     import numpy as np
@@ -213,14 +213,13 @@ def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
     """
     from pinposture.curve import CURVES, Curve
 
-    if name in CURVES:
-        if scale != 1.0:
-            raise InvalidValue("--scale", scale, "only with a file; presets are scaled to the arm")
-        preset, wider = CURVES[name], max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
-        return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
-    if not Path(name).suffix:  # all curve files have one
-        raise UnknownName("curve preset or file", name, CURVES)
-    return Curve.load(name, scale)
+    if Path(name).suffix:  # as all curve files have
+        return Curve.load(name, scale)
+    require_known("curve preset or file", name, CURVES)
+    if scale != 1.0:
+        raise InvalidValue("--scale", scale, "only with a file; presets are scaled to the arm")
+    preset, wider = CURVES[name], max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
+    return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
 
 
 def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.float64]:
