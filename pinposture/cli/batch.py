@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from pinposture.cli.inputs import (
     CURVE_HELP,
+    MOST_JOBS,
+    MOST_RUNS,
     MOTION,
     OUTPUT,
     STARTS,
@@ -24,10 +26,12 @@ from pinposture.cli.inputs import (
     UrdfArgument,
     as_configuration,
     numbers_in,
+    read_array,
     read_start,
 )
 from pinposture.cli.output import BATCH, count_progress, end_with, examples, print_result, write_files
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.storage import read_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,10 +39,6 @@ if TYPE_CHECKING:
 
     from pinposture.arm import Arm
     from pinposture.motion import Batch
-
-
-MOST_STARTS = 1_000_000
-"""Largest number of starts to draw."""
 
 
 @examples(
@@ -77,7 +77,9 @@ def run(
     scene_options: SceneOptions,
     jobs: Annotated[
         int | None,
-        MOTION("Number of processes; -1 for all cores. Default: all cores for a long batch.", "N"),
+        MOTION(
+            "Number of processes; -1 for all cores. Default: all cores for a long batch.", "N", most=MOST_JOBS
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -168,8 +170,8 @@ def _read_starts(
         InvalidValue: a count out of range, a count for a file, or a row that is invalid for the arm.
     """
     if text in STARTS:
-        if count is not None and not 1 <= count <= MOST_STARTS:
-            raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_STARTS}")
+        if count is not None and not 1 <= count <= MOST_RUNS:
+            raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_RUNS}")
         return [read_start(arm, text, seed + k, degrees) for k in range(10 if count is None else count)]
     if Path(text).suffix.lower() not in (".csv", ".npy"):
         raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))
@@ -185,11 +187,10 @@ def _read_rows(path: Path) -> list[list[float]]:
 
     with numbers_in(path, "table"):
         if path.suffix.lower() == ".npy":
-            stored = np.atleast_2d(np.load(path, allow_pickle=False))
-            rows = [[float(value) for value in row] for row in stored]
+            rows = [[float(value) for value in row] for row in np.atleast_2d(read_array(path))]
         else:
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                rows = [[float(field) for field in row] for row in csv.reader(file) if any(row)]
+            lines = csv.reader(read_text(path).splitlines())
+            rows = [[float(field) for field in row] for row in lines if any(row)]
         if not rows:
             raise ValueError("it is empty")
     return rows

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ import typer
 
 from pinposture.cli.output import print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName, require_known
+from pinposture.storage import parse_json, read_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,15 +43,25 @@ class Panel:
 
     heading: str
 
-    def __call__(self, help: str, metavar: str | None = None, flags: str = "") -> Any:
+    def __call__(
+        self,
+        help: str,
+        metavar: str | None = None,
+        flags: str = "",
+        least: float | None = None,
+        most: float | None = None,
+    ) -> Any:
         """Return an option for `Annotated`.
 
         Args:
             help: its help text.
             metavar: placeholder for its value in the help; None: the type.
             flags: its names, separated by blanks; by default that of the parameter.
+            least: smallest number allowed; None for any.
+            most: largest number allowed; None for any.
         """
-        return typer.Option(*flags.split(), metavar=metavar, help=help, rich_help_panel=self.heading)
+        shown: dict[str, Any] = {"metavar": metavar, "help": help, "rich_help_panel": self.heading}
+        return typer.Option(*flags.split(), min=least, max=most, **shown)
 
 
 ARM, TARGET, MOTION, OUTPUT = map(Panel, ("The arm", "The target", "The motion", "The output"))
@@ -148,7 +158,10 @@ ToleranceOption = Annotated[
     float | None, MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.")
 ]
 
-JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N")]
+MOST_JOBS, MOST_RUNS = 1000, 1_000_000
+"""Largest numbers of processes, and of runs of a batch or study."""
+
+JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N", most=MOST_JOBS)]
 
 
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:
@@ -317,6 +330,8 @@ def _read_file(path: Path) -> list[float]:
         values = _READERS[path.suffix.lower()](path)
         if not isinstance(values, list):
             raise ValueError("not a list")
+        if not values:
+            raise ValueError("it is empty")
         return [float(value) for value in values]
 
 
@@ -325,6 +340,8 @@ def numbers_in(path: Path, kind: str) -> Iterator[None]:
     """Convert exceptions while reading a list or table of numbers into a `FileError`."""
     try:
         yield
+    except FileError:
+        raise
     except FileNotFoundError:
         raise FileError(path, "no such file") from None
     except OSError as error:
@@ -333,22 +350,26 @@ def numbers_in(path: Path, kind: str) -> Iterator[None]:
         raise FileError(path, f"is not a {kind} of numbers ({error})") from error
 
 
-def _read_npy(path: Path) -> Any:
+def read_array(path: Path) -> Any:
+    """Read the array in a .npy file, as lists; raise ValueError if it holds none of numbers."""
     import numpy as np
 
-    values = np.load(path, allow_pickle=False)
+    try:
+        values = np.load(path, allow_pickle=False)
+    except ValueError:  # which advises to unpickle it
+        raise ValueError("it holds no array of plain numbers") from None
     return values.tolist() if isinstance(values, np.ndarray) else values
 
 
 def _read_csv(path: Path) -> Any:
-    return [float(field) for field in path.read_text(encoding="utf-8-sig").replace(",", " ").split()]
+    return [float(field) for field in read_text(path).replace(",", " ").split()]
 
 
 def _read_json(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8-sig"))
+    return parse_json(path, read_text(path))
 
 
-_READERS = {".npy": _read_npy, ".csv": _read_csv, ".json": _read_json}
+_READERS = {".npy": read_array, ".csv": _read_csv, ".json": _read_json}
 
 
 def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:

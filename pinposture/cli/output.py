@@ -187,11 +187,17 @@ def warnings_as_notes() -> Iterator[None]:
         yield
 
 
+LONGEST_LINE = 1000
+"""Most characters of a message; files of anything else than expected may be quoted in it."""
+
+
 def _print_line(label: str, style: str, text: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
     line = " ".join(part.strip() for part in text.splitlines())
+    line = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in line)
+    line = line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
     Console(stderr=True).print(Text.assemble((label, style), line), soft_wrap=True)
 
 

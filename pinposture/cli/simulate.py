@@ -148,14 +148,15 @@ def _read(
     if which:
         print_note(which)
     if kind_of(file) is not JointTrajectory:
+        kept = load_kept(file)
         refuse_given({"--urdf": urdf}, "nothing; a saved run contains its arm")
         arm_options.refuse("nothing; a saved run contains its arm")
-        kept = load_kept(file)
         return kept.arm, kept
+    motion = load(file, JointTrajectory)
     if urdf is None:
         raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not contain")
     arm = arm_options.read(urdf)
-    return arm, load(file, JointTrajectory).matched(arm)
+    return arm, motion.matched(arm)
 
 
 def _simulate_closed(

@@ -20,7 +20,7 @@ from pinposture.cli.output import (
     write_animation,
     write_plot,
 )
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, require_known
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
@@ -68,10 +68,13 @@ def run(
     written to a file instead. Ellipsoids are red and flat where the arm is singular, green far from that, and
     yellow in between.
     """
+    from pinposture.viz import VIEWERS
+
     file, chosen = find_kept(path)
     if chosen:
         print_note(f"taken: {chosen}")
     motion = load_kept(file)
+    require_known("viewer", viewer, VIEWERS)
     kind = "" if output is None else require_suffix(output, ".html", ".png")
     if ellipsoids is not None and kind == ".png":
         raise InvalidValue("--ellipsoids", ellipsoids, "nothing with a .png file; the plot shows none")
