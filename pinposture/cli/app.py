@@ -94,7 +94,14 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
     return Verb
 
 
-OPTIONS_OF_ARGUMENTS = {"max_steps": "steps", "step": "step_limit", "absolute": "index", "threshold": "kappa"}
+OPTIONS_OF_ARGUMENTS = {
+    "absolute": "index",
+    "first_seed": "seed0",
+    "max_steps": "steps",
+    "step": "step_limit",
+    "threshold": "kappa",
+    "weight": "tip_weight",
+}
 """Parameters of the verbs that are called otherwise in Python."""
 
 

@@ -64,7 +64,7 @@ def run(
     ] = False,
     no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False,
     frequency: Annotated[
-        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ")
+        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ", most=1e5)
     ] = 10.0,
     no_torque_limits: Annotated[
         bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
@@ -72,7 +72,7 @@ def run(
     dt: Annotated[
         float | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "S")
     ] = None,
-    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S")] = 2.0,
+    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S", most=3600.0)] = 2.0,
     tolerance: Annotated[
         float | None,
         MOTION("Final mean point error that counts as arrived, in metres; default: 1 % of the length."),

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 ArmsOption = Annotated[str | None, ARM("Built-in arms: ryrz20, planar45.", "NAME,...")]
 ControllersOption = Annotated[str | None, MOTION("Controllers to compare.", "NAME,...")]
-SeedOption = Annotated[int, MOTION("First seed.", "N", flags="--seed0", least=0)]
+SeedOption = Annotated[int, MOTION("First seed.", "N", flags="--seed0")]
 
 Columns = Mapping[str, Callable[[Any], Cell]]
 """The headings of a table, and functions of a row that return the cells below them."""

@@ -32,7 +32,9 @@ CASES = [
     Case("modules not given", "generate RyRz", ("--modules is None", "1 to 10000")),
     Case("no modules", "generate RyRz --modules 0", ("--modules is 0", "1 to 10000")),
     Case("too many modules", "generate RyRz --modules 10001", ("--modules is 10001", "1 to 10000")),
-    Case("a length too few", "generate RyRz -n 3 --link-lengths 0.1", ("link_lengths", "[0.1]", "2 lengths")),
+    Case(
+        "a length too few", "generate RyRz -n 3 --link-lengths 0.1", ("--link-lengths is [0.1]", "2 lengths")
+    ),
     Case("length NaN", "generate RyRz -n 3 --link-lengths 0.1,nan", ("link_lengths[1]", "nan", "0 to 1e6 m")),
     Case("length -1", "generate RyRz -n 3 --link-lengths=-1,1", ("link_lengths[0]", "-1", "0 to 1e6 m")),
     Case("no lengths", "generate RyRz -n 3 --link-lengths a,b", ("--link-lengths", "'a,b'", "numbers")),
@@ -89,12 +91,12 @@ CASES = [
     Case(
         "unknown method", "track ARM --curve helix --method best", ("'best'", "auto, sequential, smooth, cl")
     ),
-    Case("roll NaN", "track ARM --curve helix --roll nan", ("roll is nan", "finite")),
+    Case("roll NaN", "track ARM --curve helix --roll nan", ("--roll is nan", "finite")),
     # the motion
     Case("unknown controller", "track ARM --curve line --controller magic", ("'magic'", "selection, projec")),
-    Case("no steps", "track ARM --curve line --steps 0", ("max_steps is 0", "at least 1")),
-    Case("step limit 0", "track ARM --curve line --step-limit 0", ("step is 0", "positive")),
-    Case("step limit NaN", "track ARM --curve line --step-limit nan", ("step is nan", "positive")),
+    Case("no steps", "track ARM --curve line --steps 0", ("--steps is 0", "at least 1")),
+    Case("step limit 0", "track ARM --curve line --step-limit 0", ("--step-limit is 0", "positive")),
+    Case("step limit NaN", "track ARM --curve line --step-limit nan", ("--step-limit is nan", "positive")),
     Case("tolerance 0", "track ARM --curve line --tolerance 0", ("tolerance is 0", "> 0")),
     Case("tolerance inf", "track ARM --curve line --tolerance inf", ("tolerance is inf", "> 0")),
     Case("seed -1", "track ARM --curve line --seed -1", ("--seed is -1", "at least 0")),
@@ -116,9 +118,23 @@ CASES = [
     ),
     Case("start matrix", "track ARM --curve line --start DIR/matrix.npy", ("DIR/matrix.npy", "numbers")),
     Case("start in words", "track ARM --curve line --start DIR/text.csv", ("DIR/text.csv", "'hello'")),
+    Case("empty start", "track ARM --curve line --start DIR/empty.csv", ("DIR/empty.csv", "it is empty")),
+    Case(
+        "start of bytes", "track ARM --curve line --start DIR/bytes.csv", ("DIR/bytes.csv", "not UTF-8", "0")
+    ),
+    Case("array of bytes", "track ARM --curve line --start DIR/bytes.npy", ("DIR/bytes.npy", "no array")),
+    Case("starts of bytes", "batch ARM --curve line --starts DIR/bytes.csv", ("DIR/bytes.csv", "not UTF-8")),
+    Case("table of bytes", "batch ARM --curve line --starts DIR/bytes.npy", ("DIR/bytes.npy", "no array")),
     Case("start object", "track ARM --curve line --start DIR/far.json", ("DIR/far.json", "(not a list)")),
-    Case("deep start", "track ARM --curve line --start DIR/deep.json", ("DIR/deep.json", "not a list")),
+    Case("deep start", "track ARM --curve line --start DIR/deep.json", ("DIR/deep.json", "nested too deep")),
     Case("start NaN in a file", "track ARM --curve line --start DIR/nan.json", ("start[3] is nan", "finite")),
+    Case("nul bytes", "track ARM --curve DIR/nul.csv", ("DIR/nul.csv", "line 1", r"\x00\x1b[31m", " ...")),
+    # numbers without measure
+    Case("too many jobs", "batch ARM --curve line --jobs 100000000000", ("'--jobs'", "1000")),
+    Case("too many seeds", "study scenes --seeds 100000000000", ("'--seeds'", "1000000")),
+    Case("too wide", "reproduce 6.3 --width 1e300 -o DIR/rep", ("'--width'", "1000")),
+    Case("too narrow", "reproduce 6.3 --width 1e-300 -o DIR/rep", ("'--width'", "20")),
+    Case("negative seed", "study scenes --seed0 -1", ("--seed0 is -1", "at least 0")),
     # the output
     Case("output is a file", "track ARM --curve line -o ARM", ("ARM", "is a file", "a directory")),
     Case("output under a file ", "track ARM --curve line -o ARM/out", ("ARM", "is a file")),
@@ -134,6 +150,7 @@ CASES = [
     Case("directory without a run", "view DIR", ("DIR/run.npz", "no such file")),
     Case("not a run", "view DIR/matrix.npy", ("DIR/matrix.npy", "is not a saved run")),
     Case("picture under a file", "view RUN -o ARM/x.png", ("ARM", "a directory")),
+    Case("unknown viewer", "view RUN --viewer x -o DIR/x.html", ("'x'", "meshcat, foxglove")),
     Case("neither picture", "view RUN -o DIR/x.pdf", ("DIR/x.pdf", "'.pdf'", "allowed: .html, .png")),
     Case("picture is a directory", "view RUN -o DIR/a.png", ("DIR/a.png", "is a directory", "a file")),
     Case("animation under a file", "view RUN -o ARM/x.html", ("ARM", "is a file")),
@@ -150,6 +167,8 @@ def directory(command, tmp_path_factory):
         "orphan.urdf": '<robot name="r"><link name="a"/><joint name="j" type="revolute"><parent link="a"/>'
         '<child link="nowhere"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>'
         "</joint></robot>",
+        "empty.csv": "",
+        "nul.csv": "\0\x1b[31m" * 1000,
         "one.csv": "x,y,z\n0,0,0\n",
         "one.xyz": "0 0 0\n1 0 0\n",
         "twice.csv": "0,0,0\n1,0,0\n1,0,0\n2,0,0\n",
@@ -169,6 +188,8 @@ def directory(command, tmp_path_factory):
     np.save(path / "matrix.npy", np.zeros((1, 12)))
     os.mkfifo(path / "pipe")
     (path / "a.png").mkdir()
+    for name in ("bytes.csv", "bytes.npy"):
+        (path / name).write_bytes(bytes(range(255, 0, -1)))
     with (path / "archive.npy").open("wb") as file:
         np.savez(file, q=np.zeros(12))
     return path
@@ -192,6 +213,7 @@ def test_wrong_input_is_refused_in_one_line_that_names_it(
     assert result.err.startswith("error: ")
     assert result.err.count("\n") == 1
     assert result.err.endswith("\n")
+    assert result.err[:-1].isprintable() and len(result.err) < 1100
     for text in case.says:
         assert placed(text) in result.err
     assert list(tmp_path.iterdir()) == []
@@ -227,7 +249,7 @@ def test_arguments_in_a_message_are_written_as_options_of_the_verb(command, monk
 
     monkeypatch.setattr("pinposture.cli.inputs.ArmOptions.read", refuse)
     options = ("--curve", "line") if verb == "track" else ()
-    assert command(verb, "arm.urdf", *options) == (2, "", f"error: curve is 1; allowed: {says}\n")
+    assert command(verb, "arm.urdf", *options) == (2, "", f"error: --curve is 1; allowed: {says}\n")
 
 
 def test_brackets_in_a_message_are_text_and_no_markup(command):

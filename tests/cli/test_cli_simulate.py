@@ -85,6 +85,10 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
     ("arguments", "reason"),
     [
         (["nowhere"], "no such file"),
+        (["nowhere.csv"], "nowhere.csv: no such file"),
+        (["nowhere.npz", "--urdf", "ARM"], "nowhere.npz: no such file"),
+        (["RUN", "--frequency", "1e300"], "'--frequency'"),
+        (["RUN", "--hold", "1e300"], "'--hold'"),
         (["RUN", "--urdf", "ARM"], "--urdf is"),
         (["RUN", "--dt", "0.03"], "dt is 0.03"),
         (["UNTIMED"], "dt is None"),
