@@ -109,10 +109,6 @@ def _text_with_options(error: PostureError, options: Mapping[str | None, str]) -
     """Return the text of an error, with options of a verb in place of the arguments of Python functions.
 
     Replaced are the name of an invalid value, and advice such as placement="align" or scale=0.1.
-
-    Args:
-        error: the error.
-        options: the options of the verb by the names of their parameters.
     """
 
     def option(found: re.Match[str]) -> str:

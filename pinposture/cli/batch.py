@@ -78,7 +78,7 @@ def run(
     jobs: Annotated[
         int | None,
         MOTION(
-            "Number of processes; -1 for all cores. Default: all cores for a long batch.", "N", most=MOST_JOBS
+            "Number of processes; -1 for all cores. Default: all cores for a long batch.", "N", max=MOST_JOBS
         ),
     ] = None,
     output: Annotated[

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
-from pinposture.cli.output import print_note
+from pinposture.cli.output import MOTION_FILE, RUN_FILE, print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName, require_known
 from pinposture.storage import parse_json, read_text
 
@@ -43,25 +43,17 @@ class Panel:
 
     heading: str
 
-    def __call__(
-        self,
-        help: str,
-        metavar: str | None = None,
-        flags: str = "",
-        least: float | None = None,
-        most: float | None = None,
-    ) -> Any:
+    def __call__(self, help: str, metavar: str | None = None, flags: str = "", **bounds: float) -> Any:
         """Return an option for `Annotated`.
 
         Args:
             help: its help text.
             metavar: placeholder for its value in the help; None: the type.
             flags: its names, separated by blanks; by default that of the parameter.
-            least: smallest number allowed; None for any.
-            most: largest number allowed; None for any.
+            bounds: the smallest (`min`) and largest (`max`) number allowed, if any.
         """
-        shown: dict[str, Any] = {"metavar": metavar, "help": help, "rich_help_panel": self.heading}
-        return typer.Option(*flags.split(), min=least, max=most, **shown)
+        panel: dict[str, Any] = {"rich_help_panel": self.heading, **bounds}
+        return typer.Option(*flags.split(), metavar=metavar, help=help, **panel)
 
 
 ARM, TARGET, MOTION, OUTPUT = map(Panel, ("The arm", "The target", "The motion", "The output"))
@@ -72,6 +64,14 @@ UrdfArgument = Annotated[
     typer.Argument(
         metavar="URDF",
         help="URDF, xacro or MJCF file of the arm, a name of robot_descriptions, or - for stdin.",
+    ),
+]
+
+
+RunArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RUN", help=f"A saved run or motion, or the directory of its {MOTION_FILE} or {RUN_FILE}."
     ),
 ]
 
@@ -161,7 +161,7 @@ ToleranceOption = Annotated[
 MOST_JOBS, MOST_RUNS = 1000, 1_000_000
 """Largest numbers of processes, and of runs of a batch or study."""
 
-JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N", most=MOST_JOBS)]
+JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N", max=MOST_JOBS)]
 
 
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:

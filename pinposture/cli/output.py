@@ -93,9 +93,8 @@ def write_files(files: Sequence[File]) -> tuple[dict[str, str], FileError | None
             write(path)
         except FileError as error:
             others = ", ".join(other.name for _, other, _ in files[len(written) + 1 :])
-            return written, FileError(
-                path, error.reason + (f"; not written either: {others}" if others else "")
-            )
+            reason = f"{error.reason}; not written either: {others}" if others else error.reason
+            return written, FileError(path, reason)
         written[kind] = str(path)
     return written, None
 

@@ -37,7 +37,7 @@ def run(
         list[str] | None,
         MOTION("An additional controller to show: a name, or module:Class. Repeatable.", "NAME"),
     ] = None,
-    seeds: Annotated[int, MOTION("Number of seeds to judge claims over.", "N", most=MOST_RUNS)] = 100,
+    seeds: Annotated[int, MOTION("Number of seeds to judge claims over.", "N", max=MOST_RUNS)] = 100,
     seed: Annotated[
         int | None,
         MOTION(
@@ -62,8 +62,8 @@ def run(
         OUTPUT(
             "Width of printed pictures: 88 is a column, 180 a page. Default: for the screen.",
             "MM",
-            least=20.0,
-            most=1000.0,
+            min=20.0,
+            max=1000.0,
         ),
     ] = None,
     jobs: JobsOption = -1,

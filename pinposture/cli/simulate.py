@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import ARM, MOTION, ArmOptions, JsonOption, SceneOption, refuse_given
+from pinposture.cli.inputs import ARM, MOTION, OUTPUT, ArmOptions, JsonOption, SceneOption, refuse_given
 from pinposture.cli.output import (
     MOTION_FILE,
     RUN_FILE,
@@ -64,7 +64,7 @@ def run(
     ] = False,
     no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False,
     frequency: Annotated[
-        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ", most=1e5)
+        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ", max=1e5)
     ] = 10.0,
     no_torque_limits: Annotated[
         bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
@@ -72,7 +72,7 @@ def run(
     dt: Annotated[
         float | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "S")
     ] = None,
-    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S", most=3600.0)] = 2.0,
+    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S", max=3600.0)] = 2.0,
     tolerance: Annotated[
         float | None,
         MOTION("Final mean point error that counts as arrived, in metres; default: 1 % of the length."),
@@ -80,12 +80,7 @@ def run(
     scene: SceneOption = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help=f"Save {SIMULATION} and {PICTURE} here; otherwise nothing is saved.",
-        ),
+        OUTPUT(f"Save {SIMULATION} and {PICTURE} here; otherwise nothing is saved.", "DIR", "--output -o"),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -296,7 +296,7 @@ def run_methods(
     ] = None,
     arm_options: ArmOptions,
     controllers: Annotated[str | None, ARM("Methods to compare; default: all.", "NAME,...")] = None,
-    seeds: Annotated[int, MOTION("Number of cases for each method.", "N", most=MOST_RUNS)] = 20,
+    seeds: Annotated[int, MOTION("Number of cases for each method.", "N", max=MOST_RUNS)] = 20,
     steps: Annotated[int, MOTION("Steps of each way.", "N")] = 200,
     options: ShowOptions,
 ) -> None:
@@ -353,7 +353,7 @@ def run_postures(
     urdf: Annotated[str | None, ARM("URDF file of another arm, or -.", "FILE")] = None,
     arm_options: ArmOptions,
     controllers: ControllersOption = None,
-    cases: Annotated[int, MOTION("Number of cases for each arm.", "N", most=MOST_RUNS)] = 1000,
+    cases: Annotated[int, MOTION("Number of cases for each arm.", "N", max=MOST_RUNS)] = 1000,
     seed0: SeedOption = 0,
     families: Annotated[bool, OUTPUT("A row for each family.", flags="--families")] = False,
     options: KeepOptions,
@@ -413,7 +413,7 @@ def run_headings(
         str,
         MOTION("Definition of the target: its configuration, or the curve through its points.", "KIND"),
     ] = "configuration",
-    pairs: Annotated[int, MOTION("Number of pairs for each arm.", "N", most=MOST_RUNS)] = 300,
+    pairs: Annotated[int, MOTION("Number of pairs for each arm.", "N", max=MOST_RUNS)] = 300,
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
@@ -475,7 +475,7 @@ def run_scenes(
         str | None,
         MOTION("Some of: post, slot, narrow, wall, pipe, inside, coil, out; else all.", "NAME,..."),
     ] = None,
-    seeds: Annotated[int, MOTION("Number of runs in each scene.", "N", most=MOST_RUNS)] = 10,
+    seeds: Annotated[int, MOTION("Number of runs in each scene.", "N", max=MOST_RUNS)] = 10,
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
@@ -548,7 +548,7 @@ def run_clutter(
             "NAME,...",
         ),
     ] = None,
-    seeds: Annotated[int, MOTION("Number of problems of each kind.", "N", most=MOST_RUNS)] = 10,
+    seeds: Annotated[int, MOTION("Number of problems of each kind.", "N", max=MOST_RUNS)] = 10,
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
@@ -595,8 +595,8 @@ def run_cycles(
     *,
     arms: ArmsOption = None,
     controller: ControllerOption = "geodesic",
-    cycles: Annotated[int, MOTION("Number of cycles for each arm and knowledge.", "N", most=MOST_RUNS)] = 10,
-    rounds: Annotated[int, MOTION("Rounds of each cycle.", "N", most=MOST_RUNS)] = 5,
+    cycles: Annotated[int, MOTION("Number of cycles for each arm and knowledge.", "N", max=MOST_RUNS)] = 10,
+    rounds: Annotated[int, MOTION("Rounds of each cycle.", "N", max=MOST_RUNS)] = 5,
     seed0: SeedOption = 0,
     options: ShowOptions,
 ) -> None:

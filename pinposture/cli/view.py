@@ -9,17 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pinposture.cli.inputs import NoBrowserOption, read_points
-from pinposture.cli.output import (
-    MOTION_FILE,
-    RUN_FILE,
-    examples,
-    find_kept,
-    load_kept,
-    print_note,
-    write_animation,
-    write_plot,
-)
+from pinposture.cli.inputs import OUTPUT, NoBrowserOption, RunArgument, read_points
+from pinposture.cli.output import examples, find_kept, load_kept, print_note, write_animation, write_plot
 from pinposture.errors import InvalidValue, require_known
 from pinposture.storage import require_suffix
 
@@ -36,18 +27,10 @@ if TYPE_CHECKING:
 )
 def run(
     *,
-    path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN",
-            help=f"A saved run or motion, or the directory of its {RUN_FILE} or {MOTION_FILE}.",
-        ),
-    ],
+    path: RunArgument,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Write the animation (.html) or plot (.png); show nothing."
-        ),
+        OUTPUT("Write the animation (.html) or plot (.png); show nothing.", "FILE", "--output -o"),
     ] = None,
     no_browser: NoBrowserOption = False,
     viewer: Annotated[
@@ -55,9 +38,9 @@ def run(
     ] = "meshcat",
     ellipsoids: Annotated[
         str | None,
-        typer.Option(
-            metavar="N,...|all",
-            help="Show the manipulability ellipsoids of these control points, counted from 1 at the base.",
+        OUTPUT(
+            "Show the manipulability ellipsoids of these control points, counted from 1 at the base.",
+            "N,...|all",
         ),
     ] = None,
 ) -> None:
