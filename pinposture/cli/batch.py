@@ -29,7 +29,15 @@ from pinposture.cli.inputs import (
     read_array,
     read_start,
 )
-from pinposture.cli.output import BATCH, count_progress, end_with, examples, print_result, write_files
+from pinposture.cli.output import (
+    BATCH,
+    check_directory,
+    count_progress,
+    end_with,
+    examples,
+    print_result,
+    write_files,
+)
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.storage import read_text
 
@@ -100,7 +108,6 @@ def run(
     be saved.
     """
     from pinposture.motion import save, track_many
-    from pinposture.storage import check_writable
 
     controller_options.check()
     if ends_only and output is None:
@@ -110,10 +117,7 @@ def run(
     arm = arm_options.read(urdf)
     configurations = _read_starts(arm, starts, count, seed, degrees)
     targets = [placement_options.place(arm, each, surroundings) for each in curve]
-    if output is not None:
-        if output.suffix.lower() == ".npz":
-            raise InvalidValue("--output", str(output), f"a directory, in which {BATCH} is saved")
-        check_writable(output)
+    check_directory(output)
     with count_progress("run") as progress:
         batch = track_many(
             arm,

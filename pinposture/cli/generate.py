@@ -73,9 +73,7 @@ def _list(as_json: bool) -> None:
     from pinposture.arm import TEMPLATES
 
     if as_json:
-        print_json(
-            {"templates": [{**asdict(module), "length": module.length} for module in TEMPLATES.values()]}
-        )
+        print_json({"templates": [{**asdict(each), "length": each.length} for each in TEMPLATES.values()]})
         return
     rows = [
         (

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from pinposture.errors import FileError, PostureWarning
+from pinposture.errors import FileError, InvalidValue, PostureWarning
+from pinposture.storage import check_writable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -61,11 +62,7 @@ def print_result(
     files: Iterable[object] = (),
     failure: FileError | None = None,
 ) -> None:
-    """Print a result on stdout, as one JSON object or in words, and the names of its files on stderr.
-
-    Raises:
-        FileError: `failure`, if some of the files could not be written.
-    """
+    """Print a result on stdout, in words or JSON, and its files on stderr; then raise `failure`, if given."""
     if as_json:
         print_json(data)
     else:
@@ -74,6 +71,14 @@ def print_result(
         print_note(f"wrote {file}")
     if failure is not None:
         raise failure
+
+
+def check_directory(output: Path | None) -> None:
+    """Raise an error for a directory that is not writable, or a new one with the suffix of a file."""
+    if output is not None:
+        if output.suffix.lower()[1:] in FORMATS and not output.exists():
+            raise InvalidValue("--output", str(output), "a directory, in which files are saved")
+        check_writable(output)
 
 
 File = tuple[str, Path, Callable[[Path], object]]

@@ -22,6 +22,7 @@ from pinposture.cli.inputs import (
 )
 from pinposture.cli.output import (
     File,
+    check_directory,
     end_with,
     examples,
     print_json,
@@ -96,7 +97,7 @@ def run(
     """
     from pinposture.control.reach import reach
     from pinposture.motion import track
-    from pinposture.storage import check_writable, write_figure, write_text
+    from pinposture.storage import write_figure, write_text
 
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
@@ -105,8 +106,7 @@ def run(
     place = read_numbers("--to", to)
     pointing = None if direction is None else read_numbers("--direction", direction)
     first = None if start is None else read_start(arm, start, seed, degrees)
-    if output is not None:
-        check_writable(output)
+    check_directory(output)
     with search_progress():
         found = reach(
             arm,

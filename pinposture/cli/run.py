@@ -15,6 +15,7 @@ import typer
 from pinposture.cli.inputs import OUTPUT, JsonOption, ViewOption
 from pinposture.cli.output import (
     STATUS,
+    check_directory,
     closest_in_words,
     count_progress,
     end_with,
@@ -34,7 +35,7 @@ from pinposture.cli.output import (
 )
 from pinposture.cli.view import show
 from pinposture.errors import PostureError
-from pinposture.storage import check_writable, write_text
+from pinposture.storage import write_text
 
 if TYPE_CHECKING:
     from pinposture.motion import Motion
@@ -59,7 +60,7 @@ class Folder:
     """
 
     def __init__(self, path: Path, task: str) -> None:
-        check_writable(path)
+        check_directory(path)
         self.path, self.task = path, task
         self._begun, self._before = _now(), list[str]()
 

@@ -15,6 +15,7 @@ from pinposture.cli.output import (
     MOTION_FILE,
     RUN_FILE,
     File,
+    check_directory,
     closest_in_words,
     count_progress,
     end_with,
@@ -99,15 +100,13 @@ def run(
     from pinposture.collision import Scene
     from pinposture.sim import Servos, simulate
     from pinposture.sim.model import load_mujoco
-    from pinposture.storage import check_writable
 
     load_mujoco()  # fails early if it is not installed
     require_positive("hold", hold, zero=True)
     servos = Servos(frequency=frequency, torque_limits=not no_torque_limits)
     surroundings = None if scene is None else Scene.load(scene)
     arm, motion = _read(path, urdf, arm_options)
-    if output is not None:
-        check_writable(output)
+    check_directory(output)
     with count_progress("cycle") as progress:
         drive = _simulate_closed if closed else simulate
         simulation = drive(arm, motion, servos, not no_gravity, dt, hold, progress, surroundings, tolerance)

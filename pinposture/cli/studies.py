@@ -24,6 +24,7 @@ from pinposture.cli.inputs import (
 )
 from pinposture.cli.output import (
     Cell,
+    check_directory,
     count_progress,
     examples,
     print_json,
@@ -85,10 +86,7 @@ class KeepOptions(ShowOptions):
 
     def run(self, noun: str, study: Callable[..., Any], *given: Any) -> Any:
         """Check that the directory is writable, then run the study."""
-        from pinposture.storage import check_writable
-
-        if self.output is not None:
-            check_writable(self.output)
+        check_directory(self.output)
         return super().run(noun, study, *given)
 
     @contextmanager

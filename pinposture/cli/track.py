@@ -27,6 +27,7 @@ from pinposture.cli.inputs import (
     read_start,
 )
 from pinposture.cli.output import (
+    check_directory,
     closest_in_words,
     end_with,
     examples,
@@ -107,7 +108,6 @@ def run(
     1 if not, 2 if it could not start or be saved.
     """
     from pinposture.motion import track
-    from pinposture.storage import check_writable
 
     controller_options.check(**vars(tip_options))
     limits = limit_options.read()
@@ -117,8 +117,7 @@ def run(
     task = tip_options.read(arm.at(q0))
     chosen = controller_options.build(task)
     target = placement_options.place(arm, curve, surroundings)
-    if output is not None:
-        check_writable(output)  # before the run, which would be lost otherwise
+    check_directory(output)  # before the run, which would be lost otherwise
     with step_progress(target, steps) as callback:
         motion = track(
             arm,

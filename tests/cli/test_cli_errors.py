@@ -137,6 +137,20 @@ CASES = [
     Case("negative seed", "study scenes --seed0 -1", ("--seed0 is -1", "at least 0")),
     # the output
     Case("output is a file", "track ARM --curve line -o ARM", ("ARM", "is a file", "a directory")),
+    *(
+        Case(
+            f"{verb} into a file",
+            f"{verb} {line} -o DIR/new.npz",
+            ("--output is 'DIR/new.npz'", "a directory"),
+        )
+        for verb, line in {
+            "track": "ARM --curve line",
+            "batch": "ARM --curve line",
+            "reach": "ARM --to 0,0,0.1",
+            "run": "DIR/task.toml",
+            "study postures": "--cases 1",
+        }.items()
+    ),
     Case("output under a file ", "track ARM --curve line -o ARM/out", ("ARM", "is a file")),
     # study
     Case("unknown study", "study armz", ("'armz'", "arms", "pinposture study --help")),
@@ -157,6 +171,22 @@ CASES = [
 ]
 
 
+TASK = """
+[arm]
+template = "RyRz"
+modules = 4
+[limits]
+cycle = "50 ms"
+[output]
+formats = ["npz", "csv", "json"]
+[[keyframes]]
+joints = [0, 0, 0, 0, 0, 0, 0, 0]
+[[keyframes]]
+time = "1 s"
+joints = [0.1, 0, 0, 0, 0, 0, 0, 0]
+"""
+
+
 @pytest.fixture(scope="module")
 def directory(command, tmp_path_factory):
     """Files that hold what they should not, and a planar arm."""
@@ -167,6 +197,7 @@ def directory(command, tmp_path_factory):
         "orphan.urdf": '<robot name="r"><link name="a"/><joint name="j" type="revolute"><parent link="a"/>'
         '<child link="nowhere"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>'
         "</joint></robot>",
+        "task.toml": TASK,
         "empty.csv": "",
         "nul.csv": "\0\x1b[31m" * 1000,
         "one.csv": "x,y,z\n0,0,0\n",
@@ -254,22 +285,6 @@ def test_arguments_in_a_message_are_written_as_options_of_the_verb(command, monk
 
 def test_brackets_in_a_message_are_text_and_no_markup(command):
     assert "'[red]x[/red]'" in command("generate", "[red]x[/red]", "--modules", 2).err
-
-
-TASK = """
-[arm]
-template = "RyRz"
-modules = 4
-[limits]
-cycle = "50 ms"
-[output]
-formats = ["npz", "csv", "json"]
-[[keyframes]]
-joints = [0, 0, 0, 0, 0, 0, 0, 0]
-[[keyframes]]
-time = "1 s"
-joints = [0.1, 0, 0, 0, 0, 0, 0, 0]
-"""
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)], ids=["words", "json"])
