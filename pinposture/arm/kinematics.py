@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, require_known
 from pinposture.kernels.arrays import ChainArrays, Screws
 
 Array = NDArray[np.float64]
@@ -57,10 +57,12 @@ def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, l
     any axis through the tip, because they do not move it.
     """
     n = len(axes)
-    while n > 1 and revolute[n - 1]:
+    while n and revolute[n - 1]:
         if np.linalg.norm(np.cross(axes[n - 1], tip - origins[n - 1])) > ON_AXIS * length:
             break
         n -= 1
+    if not n:  # nothing moves the tip
+        return None
     turns, slides = axes[:n][revolute[:n]], axes[:n][~revolute[:n]]
     if len(turns):
         signs = np.where(turns @ turns[0] < 0.0, -1.0, 1.0)
@@ -353,8 +355,7 @@ def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
             preferred.add(frame.name)
             found[frame.name] = index
     for name in names:
-        if name not in found:
-            raise UnknownName("frame", name, list(found)[1:])
+        require_known("frame", name, found)
     return [found[name] for name in names]
 
 

@@ -189,7 +189,7 @@ def test_after_a_failed_run_no_command_uses_the_directory(command, task, tmp_pat
     for verb in (
         ("export", out, "-o", tmp_path / "joints.csv"),
         ("simulate", out),
-        ("view", out, "--png", tmp_path / "motion.png"),
+        ("view", out, "-o", tmp_path / "motion.png"),
     ):
         code, printed, said = command(*verb)
         assert (code, printed) == (2, "")
