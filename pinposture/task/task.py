@@ -21,7 +21,7 @@ from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.collision.pipe import pipe
-from pinposture.control import Controller, Geodesic, Limits, controller_named
+from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.limits import JerkFilter, JointBounds, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
@@ -289,8 +289,8 @@ STEP_BUDGET_RATIO, STEP_BUDGET_EXTRA = 10.0, 3000
 """Number of steps after which a motion is given up: a multiple of the expected number, plus an extra."""
 
 
-MAX_MARK_ERROR = 0.8 * MAX_MEAN_LAG
-"""Largest mean distance at which a jerk limit leads the control points past a mark, in module lengths."""
+MARK_SHARE = 0.6
+"""Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a mark."""
 
 MAX_SLOWDOWNS, SLOWDOWN_MARGIN = 10, 1.02
 """Number of attempts to pass all marks closely enough, and the factor by which each slows down more than the
@@ -379,7 +379,7 @@ class ReferencePath:
                 share = (middle - means[after - 1]) / (means[after] - means[after - 1])
                 averaged = places[after - 1 : after + cycles]
                 averaged = (1.0 - share) * averaged[:-1] + share * averaged[1:]
-                excess = self._distance(averaged, middle) / (MAX_MARK_ERROR * module)
+                excess = self._distance(averaged, middle) / (MARK_SHARE * MAX_MEAN_LAG * module)
                 if excess > 1.0:
                     ratio, slower = SLOWDOWN_MARGIN * np.sqrt(excess), True
                     first, last = middle + (averaged[[0, -1]] - middle) / ratio
@@ -691,7 +691,7 @@ class _Performance:
         loop, guide = self.loop, self.guide
         while self._place < guide.end:
             begun, progress = self._place, None
-            remaining = guide.remaining(begun, controller)
+            remaining, mark = guide.remaining(begun, controller), guide.next_mark(begun)
             loop.memory = controller.start(remaining, loop.ahead.compiled, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
@@ -702,6 +702,10 @@ class _Performance:
                     break
                 if step.diagnostics.reason and not ahead.arrived:
                     break
+                if begun + ahead.place >= mark.row:
+                    if self._leaves_path(step, begun + ahead.place):
+                        break
+                    mark = guide.next_mark(begun + ahead.place)
                 progress, place = ahead, self._advance(begun + ahead.place)
                 target = target if place == foreseen else guide.target(place)
                 loop.take_step(step, target)
@@ -720,6 +724,13 @@ class _Performance:
                 return status, f"on the way to {mark.name}: {reason}"
             self._note(left, f"the arm left the path, and reached {mark.name} by another")
         return None
+
+    def _leaves_path(self, step: Step, place: float) -> bool:
+        """Whether the arm is off the path after a step to a place, so that it would miss a mark there."""
+        arm, target = self.loop.arm, self.guide.target(place)
+        points = arm.at(arm.integrate(self.loop.ahead.q, step.dq)).compiled.points
+        apart = np.linalg.norm(points - target.points, axis=1)[target.has_target].mean()
+        return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.cycles > 1 else 1.0))
 
     def _catch_up(self) -> tuple[str, str] | None:
         """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""

@@ -461,6 +461,23 @@ def test_a_long_arm_passes_random_shapes_in_all_laps_under_jerk_limits(modules: 
     assert motion.steps < free.steps + 2 * 8 * 2.0 * LIMITS.acceleration / 20.0 / LIMITS.dt
 
 
+@pytest.mark.parametrize("jerk", [5.0, 20.0])
+@pytest.mark.parametrize("bend", [0.1, 0.12])
+def test_a_keyframe_is_passed_before_the_arm_evades_an_obstacle_behind_it(bend: float, jerk: float) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=12)
+    up, near, down = bends = np.zeros((3, arm.nv))
+    up[1], near[1], down[1] = 0.8, bend, -0.8
+    tour = [Keyframe(joints=q, duration=0.6 if k else None) for k, q in enumerate(bends)]
+    scene = pp.Scene({"post": pp.Sphere(arm.at(arm.straight()).points[-1], 0.03)})
+    limits = replace(LIMITS, jerk=jerk)
+    motion = pp.move_through(arm, tour, limits=limits, scene=scene)
+    check_motion(motion, limits)
+    assert motion.converged and not motion.faults and motion.deviations
+    reached = motion.waypoints[1].reached
+    assert nearest_miss(motion, near, (reached - 0.1, reached + 0.1)) < 0.1 * arm.length / 12
+    assert motion.run.clearance.min() > 0.999 * scene.margin
+
+
 def test_a_curve_is_missed_as_a_configuration_is(arm: pp.Arm) -> None:
     tour = [Keyframe(line(arm)), Keyframe(bow(arm), time=1.0, trim=True), Keyframe(line(arm), time=2.0)]
     limits = replace(LIMITS, position_margin=float(arm.limits.upper[0]) - 0.1)
