@@ -331,30 +331,35 @@ class ReferencePath:
         q = arm.integrate(reference.start, offsets[0])
         first = Target(arm.at(q).compiled.points, reference.weights[0], q)
         self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
-        self._rates = self._allowed_rates(bounds)
+        cycles = JerkFilter(arm, limits).cycles
+        self._rates = self._allowed_rates(bounds, cycles)
         self.timed = retime(self.path, limits, self._rates)
         if self.steps > MAX_PERFORMED_CYCLES:
             most = f"{MAX_PERFORMED_CYCLES:g}"
             allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
             raise InvalidValue("cycles of the motion", round(self.steps), allowed)
-        self._slow_down_at_marks(JerkFilter(arm, limits).cycles)
+        self._slow_down_at_marks(cycles)
 
     @property
     def _profile(self) -> SpeedProfile:
         return cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
 
-    def _allowed_rates(self, bounds: JointBounds) -> Array:
+    def _allowed_rates(self, bounds: JointBounds, cycles: int) -> Array:
         """Return the rows per cycle that the speeds of the marks allow from each row to the next, (N,)."""
         before, after = self.path.slopes[:-1], self.path.slopes[1:]
         middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
         slopes = np.abs([before, middle, after]).max(axis=0)  # the slope in between is in their hull
         full = (slopes / (SPEED_SHARE * bounds.bound)).max(axis=1)  # cycles per row at full speed
         rates, begin = np.full(len(full), self.most), 0
-        beside = ceil(self.most)  # a cycle may lie on both sides of a mark
+        both = 1.0 + 0.5 * cycles  # averaged steps may lie on both sides of a mark
+        most = ceil(both * self.most)
         for mark in self.reference.marks:
             if mark.speed < 1.0:
-                piece = slice(max(begin - beside, 0), mark.row + beside)
-                rates[piece] = np.minimum(rates[piece], mark.speed / np.maximum(full[piece], ROW_TOLERANCE))
+                slow = np.minimum(mark.speed / np.maximum(full, ROW_TOLERANCE), self.most)
+                before = ceil(both * slow[max(begin - most, 0) : begin].max(initial=0.0))
+                after = ceil(both * slow[mark.row : mark.row + most].max(initial=0.0))
+                piece = slice(max(begin - before, 0), mark.row + after)
+                rates[piece] = np.minimum(rates[piece], slow[piece])
             begin = mark.row
         return rates
 

@@ -304,6 +304,22 @@ def test_a_keyframe_limits_the_speed_of_the_motion_to_it(arm: pp.Arm, speed: flo
         assert place.speed == mark.speed
 
 
+@pytest.mark.parametrize("speeds", [(0.5, 1.0), (1.0, 0.5), (0.7, 0.2)])
+@pytest.mark.parametrize("jerk", [2.0, 5.0, 20.0])
+def test_speeds_hold_up_to_their_keyframes_under_jerk_limits(
+    arm: pp.Arm, speeds: tuple[float, float], jerk: float
+) -> None:
+    limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=6.0, jerk=jerk)
+    first, middle, last = (np.full(arm.nv, bend) for bend in (-0.9, 0.0, 0.9))
+    tour = [
+        Keyframe(joints=q, duration=1.2, speed=each) for q, each in zip((middle, last), speeds, strict=True)
+    ]
+    motion = pp.move_through(arm, [Keyframe(joints=first), *tour], limits=limits)
+    check_motion(motion, limits)
+    assert motion.converged
+    assert np.all(np.array(largest_shares(motion, 1.0)) <= speeds)
+
+
 def test_a_motion_that_is_slow_enough_is_not_changed_by_a_speed(arm: pp.Arm) -> None:
     tour = [Keyframe(line(arm)), Keyframe(bow(arm), duration=4.0, trim=True)]
     slow = [tour[0], Keyframe(bow(arm), duration=4.0, trim=True, speed=0.9)]
