@@ -135,9 +135,14 @@ class ConfigurationSpace:
         return self.difference(self.origin, self.checked(q))
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Return the configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
+        """Return the configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m].
+
+        For displacements (k, nv) it returns configurations (k, nq).
+        """
         if self._flat:
             return np.asarray(q + dq)
+        if dq.ndim == 2:
+            return np.array([pin.integrate(self.model, q, row) for row in dq]).reshape(-1, self.nq)
         return np.array(pin.integrate(self.model, q, dq))
 
     def difference(self, start: Array, end: Array) -> Array:
