@@ -365,7 +365,7 @@ class SlidingFit(FitProblem):
         self.upper[n:] = np.maximum(self.upper[n:], longest)
         self.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths / arm.length)
         self._straight = np.clip(self.joined(slid, start + np.cumsum(lengths)), self.lower, self.upper)
-        self._points_only, self._tip_weight = False, TIP_WEIGHT * to_end
+        self._only_points, self._tip_weight = False, TIP_WEIGHT * to_end
         self._end = min(length - END_MARGIN * arm.length, start + self.reach)
         self._sliding = np.flatnonzero(arm.slides[self.columns])
         # Stations are the base, the joints and the control points along the arm; each is moved by the joints
@@ -392,7 +392,8 @@ class SlidingFit(FitProblem):
         if self._bending > EXACT_FIT:  # bending does, too
             return unknowns
         points = copy(self)
-        points._points_only = True
+        points._only_points, points._tip_weight = True, 1.0
+        points._end = min(self.split(unknowns)[1][-1], curve.length - END_MARGIN * self._arm.length)
         return refined(points, curve, unknowns, weight=CLOSING_WEIGHT)
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
@@ -400,19 +401,16 @@ class SlidingFit(FitProblem):
         residual, jacobian = super().evaluate(curve, unknowns)
         n, m, sliding = self._joints, self.points, self._sliding
         residual[3 * m + sliding], jacobian[3 * m + sliding] = 0.0, 0.0
-        if self._points_only:
-            return residual, jacobian
-        s = self.split(unknowns)[1]
+        tip = self._tip_weight * (self.split(unknowns)[1][-1:] - self._end) / self._arm.length
+        row = self._tip_weight * np.repeat([0.0, 1.0], [n, m])
+        if self._only_points:
+            return np.append(residual, tip), np.vstack([jacobian, row])
         gaps, rows = self._link_rows(curve, unknowns)
-        more = np.zeros((len(rows) + 1 + len(sliding), n + m))
-        more[: len(rows), :n] = LINK_WEIGHT * np.sqrt(3 * m / len(rows)) * rows
-        more[len(rows), n:] = self._tip_weight
-        more *= self._units / self._arm.length
-        more[len(rows) + 1 + np.arange(len(sliding)), sliding] = SLIDE_WEIGHT
-        links = LINK_WEIGHT * np.sqrt(3 * m / len(rows)) * gaps / self._arm.length
-        tip = self._tip_weight * (s[-1] - self._end) / self._arm.length
-        slides = SLIDE_WEIGHT * (unknowns - self._straight)[sliding]
-        return np.concatenate([residual, links, [tip], slides]), np.vstack([jacobian, more])
+        weight = LINK_WEIGHT * np.sqrt(3 * m / len(rows)) / self._arm.length
+        links, slides = np.zeros((len(rows), n + m)), SLIDE_WEIGHT * np.eye(n + m)[sliding]
+        links[:, :n] = weight * self._units[:n] * rows
+        shifts = slides @ (unknowns - self._straight)
+        return np.concatenate([residual, tip, weight * gaps, shifts]), np.vstack([jacobian, row, links, slides])
 
     def _stations(self, positions: Array) -> tuple[Array, Array]:
         """Return the base, joints and control points along the arm, (k, 3) [m], and the joints' motions of them.
