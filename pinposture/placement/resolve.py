@@ -106,10 +106,21 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
         UnsupportedModule: no joint of a module moves its end.
         InvalidValue: custom kinematics are inconsistent.
     """
+    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
+    placed = _place_modules(arm, curve, samples, preferred)
+    if isinstance(placed.failure, CurveEndsEarly) and placed.failure.module == arm.n_modules:
+        # It may be as long as the arm, up to rounding.
+        longer = 1.0 + ON_CURVE
+        enlarged = curve.moved(longer * np.eye(3), (1.0 - longer) * arm.chain.base)
+        again = _place_modules(arm, enlarged, samples, preferred)
+        placed = placed if again.failure is not None else again
+    return placed._replace(parameters=np.minimum(placed.parameters, curve.length))
+
+
+def _place_modules(arm: Arm, curve: Curve, samples: int, preferred: Array) -> Placement:
     units, names = arm_units(arm), kinematics_names(arm)
     if is_compiled(arm):
         return _place_compiled(arm, curve, samples, units)._replace(placed_by=names)
-    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
     walk = Walk(arm, curve, samples, preferred)
     parameters, failure = np.full(arm.n_modules, curve.length), None
     for unit in units:
