@@ -99,6 +99,10 @@ class Arm(ConfigurationSpace):
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self.chain: Chain = read_chain(model, self.control_points)
+        lower, upper = self.limits.lower, self.limits.upper
+        for u in np.flatnonzero(lower > upper):
+            given = float(lower[u]), float(upper[u])
+            raise InvalidValue(f"limits of joint {self.joint_names[u]!r}", given, "lower <= upper")
         sizes = tuple(joints.stop - joints.start for joints in self.chain.module_slices)
         self.segmentation = report.segmentation if report else Segmentation(sizes, "control points as given")
         if characteristic_length is None:
@@ -281,7 +285,7 @@ class Arm(ConfigurationSpace):
 
         Raises:
             UnknownName: a frame does not exist.
-            InvalidValue: the frames are not in order along one chain.
+            InvalidValue: the frames are not in order along one chain, or a lower limit is above the upper.
         """
         require_instance("model", model, pin.Model, "a pin.Model")
         own = pin.Model(model)

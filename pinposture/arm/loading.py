@@ -336,6 +336,9 @@ def _lock_warnings(
     endless = [joint.name for joint in chain if joint.name in free and _lacks_limits(joint)]
     if endless:
         messages.append(f"no limits are given for {_quote_joints(endless)}; treated as unlimited")
+    unset = [joint.name for joint in chain if joint.name in free and joint.velocity == 0.0]
+    if unset:
+        messages.append(f"the velocity limit of {_quote_joints(unset)} is 0; treated as no limit")
     turns = {j.name: max(-j.lower, j.upper) for j in chain if j.type == "revolute" and j.name in free}
     wide = {name: turn for name, turn in turns.items() if SUSPECT_LIMITS[0] < turn <= SUSPECT_LIMITS[1]}
     if wide:

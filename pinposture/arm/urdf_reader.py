@@ -260,7 +260,7 @@ def load_text(source: str | Path) -> tuple[str, str]:
         URDFError: multi-line text (so not a path) that does not begin with "<".
     """
     if not isinstance(source, (str, os.PathLike)):
-        raise InvalidValue("source", source, "path of a URDF file, or URDF text")
+        raise InvalidValue("source", source, "path of a URDF file, URDF text, or a pin.Model")
     if is_urdf_text(source):
         return str(source), "URDF text"
     if isinstance(source, str) and "\n" in (text := source.lstrip(_BLANK)):

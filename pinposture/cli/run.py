@@ -210,14 +210,18 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
             "off its curve [m]",
             "tip off [m]",
             "clearance [m]",
+            "between",
             "its curve is",
         )
-        rows = [(*place[:-1], None if place.moved is None else str(place.moved)) for place in found]
+        pairs = [" to ".join(place.pair) if place.pair else None for place in found]
+        ways = [str(place.moved) if place.moved else None for place in found]
+        rows = [(*place[:-2], *words) for place, *words in zip(found, pairs, ways, strict=True)]
         print_table(headings, rows)
-    touching = [each for each in found if each.clearance is not None and each.clearance < 0.0]
-    for each in touching:
-        print_note(f"{each.name}: the arm is {-1e3 * (each.clearance or 0.0):.3g} mm inside something")
-    end_with([each.name for each in touching])
+    scene = task.surroundings(reference)
+    for each in found:
+        if scene is not None and (crowded := each.crowding(scene.margin)):
+            print_note(f"{each.name}: {crowded}")
+    end_with([each.name for each in found if each.clearance is not None and each.clearance < 0.0])
 
 
 @contextmanager
