@@ -18,6 +18,7 @@ from scipy.linalg import LinAlgError, solve, solveh_banded
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array, eye_array
 
+from pinposture import kernels
 from pinposture._validation import (
     LARGEST_COORDINATE,
     as_count,
@@ -269,7 +270,7 @@ class Curve(Geometry):
         places, knots = self.at(s), clamped_uniform_knots(n, k)
         # The curve's own parameter suits splines with more knots of this kind, the fraction of the length
         # curves whose parameter is unrelated to uniform knots.
-        own = self._arc.parameter(s)
+        own = kernels.parameters_at(self._arc, s)
         begin, end = self.knots[self.degree], self.knots[-self.degree - 1]
         fits = []
         for parameters in ((own - begin) / (end - begin), s / self.length):
@@ -352,7 +353,7 @@ class Curve(Geometry):
         high = as_number(
             "end", end, words.format(low, length), lambda s: low + span <= s <= length * (1 + 1e-9)
         )
-        begin, stop = self._arc.parameter(np.array([low, min(high, length)]))
+        begin, stop = kernels.parameters_at(self._arc, np.array([low, min(high, length)]))
         return type(self)(*trim(self._spline, float(begin), float(stop)))
 
     def insert_knot(self, u: float) -> Curve:
