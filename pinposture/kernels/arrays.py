@@ -24,6 +24,7 @@ Bytes1 = Annotated[NDArray[np.int8], 1]
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 
 class SplineArrays(NamedTuple):

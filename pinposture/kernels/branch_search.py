@@ -14,9 +14,15 @@ from pinposture.kernels.arrays import (
     ScrewChain,
     SearchSettings,
 )
-from pinposture.kernels.chain_solver import find_screws, measure_point_errors, minimise_in_box, stiffness
+from pinposture.kernels.chain_solver import (
+    find_screws,
+    measure_point_errors,
+    minimise_in_box,
+    solve_cholesky,
+    stiffness,
+)
 from pinposture.kernels.compiled import compiled, subkernel
-from pinposture.kernels.kinematics import placements
+from pinposture.kernels.kinematics import placements, rotation_about, turn_row
 
 # The chain is given as screws in its neutral posture (a product of exponentials): the point carried by joints
 # 0 to u is exp(q_0) exp(q_1) ... exp(q_u) c. In the frame of a module's base, its joints solve the same
@@ -50,21 +56,15 @@ def apply_joint(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array
         for i in range(3):
             place[i] += q * (turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z)
         return
-    c, s = np.cos(q), np.sin(q)
-    v = 1.0 - c
-    e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
-    e10, e11, e12 = v * x * y + s * z, c + v * y * y, v * y * z - s * x
-    e20, e21, e22 = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+    e = rotation_about(x, y, z, np.cos(q), np.sin(q))
     o0, o1, o2 = origin[0], origin[1], origin[2]
-    d0 = o0 - e00 * o0 - e01 * o1 - e02 * o2
-    d1 = o1 - e10 * o0 - e11 * o1 - e12 * o2
-    d2 = o2 - e20 * o0 - e21 * o1 - e22 * o2
+    d0 = o0 - e[0] * o0 - e[1] * o1 - e[2] * o2
+    d1 = o1 - e[3] * o0 - e[4] * o1 - e[5] * o2
+    d2 = o2 - e[6] * o0 - e[7] * o1 - e[8] * o2
     for i in range(3):
         t0, t1, t2 = turn[i, 0], turn[i, 1], turn[i, 2]
         place[i] += t0 * d0 + t1 * d1 + t2 * d2
-        turn[i, 0] = t0 * e00 + t1 * e10 + t2 * e20
-        turn[i, 1] = t0 * e01 + t1 * e11 + t2 * e21
-        turn[i, 2] = t0 * e02 + t1 * e12 + t2 * e22
+        turn[i, 0], turn[i, 1], turn[i, 2] = turn_row(t0, t1, t2, e)
 
 
 @subkernel
@@ -250,24 +250,6 @@ def fill_jacobian(
 
 
 @subkernel
-def solve_cholesky(matrix: Array2, x: Array1, r: int) -> None:
-    """Solve a symmetric positive definite system of r equations in place, by Cholesky factorisation."""
-    for i in range(r):
-        for j in range(i + 1):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = np.sqrt(value) if i == j else value / matrix[j, j]
-        for k in range(i):
-            x[i] -= matrix[i, k] * x[k]
-        x[i] /= matrix[i, i]
-    for i in range(r - 1, -1, -1):
-        for k in range(i + 1, r):
-            x[i] -= matrix[k, i] * x[k]
-        x[i] /= matrix[i, i]
-
-
-@subkernel
 def correct(
     chain: ScrewChain,
     first: int,
@@ -315,7 +297,7 @@ def correct(
                     for j in range(n):
                         inner += rows[i, j] * rows[k, j]
                     matrix[i, k] = inner
-            solve_cholesky(matrix, x, r)
+            solve_cholesky(matrix, x)
             for j in range(n):
                 u, step = begin + j, 0.0
                 for i in range(r):

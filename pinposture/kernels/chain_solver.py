@@ -767,6 +767,31 @@ def _interior_point(
 
 
 @subkernel
+def solve_cholesky(matrix: Array2, x: Array1) -> bool:
+    """Solve a small dense system in place, by Cholesky factorisation.
+
+    Returns:
+        False if the matrix is not positive definite; x is then not a number.
+    """
+    n, positive = len(x), True
+    for i in range(n):
+        for j in range(i + 1):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            positive = positive and (i != j or value > 0.0)
+            matrix[i, j] = np.sqrt(value) if i == j else value / matrix[j, j]
+        for k in range(i):
+            x[i] -= matrix[i, k] * x[k]
+        x[i] /= matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= matrix[k, i] * x[k]
+        x[i] /= matrix[i, i]
+    return positive
+
+
+@subkernel
 def _complementarity(multiplier: float, room: float) -> float:
     """Return the complementarity of one side; 0 without a bound."""
     return multiplier * room if np.isfinite(room) else 0.0

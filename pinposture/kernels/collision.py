@@ -39,6 +39,7 @@ from pinposture.kernels.bounding_volumes import (
     way_to_segment,
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
+from pinposture.kernels.kinematics import rotation_about, turn_row
 
 FLAT = 1e-13
 """Slope that counts as zero, relative to the numbers it is computed from."""
@@ -71,7 +72,6 @@ def place_joints_once(
     tree: JointTree, positions: Array1, others: Array2, rotations: Array3, origins: Array2
 ) -> None:
     """`place_joints` at one configuration."""
-    moved = np.empty((3, 3))
     rotations[0] = np.eye(3)
     origins[0] = 0.0
     number = 0
@@ -94,7 +94,7 @@ def place_joints_once(
             for i in range(3):
                 for k in range(3):
                     origin[i] += turned[i, k] * other[9 + k]
-            moved[:, :] = other[:9].reshape(3, 3)
+            moved = (other[0], other[1], other[2], other[3], other[4], other[5], other[6], other[7], other[8])
         else:
             position = tree.ratios[joint] * positions[tree.columns[joint]]
             if tree.kinds[joint] == 1:  # it slides
@@ -102,22 +102,10 @@ def place_joints_once(
                     for k in range(3):
                         origin[i] += turned[i, k] * axis[k] * position
                 continue
-            _rotate(axis, position, moved)
+            moved = rotation_about(axis[0], axis[1], axis[2], np.cos(position), np.sin(position))
         for i in range(3):
-            x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
-            for j in range(3):
-                turned[i, j] = x * moved[0, j] + y * moved[1, j] + z * moved[2, j]
-
-
-@subkernel
-def _rotate(axis: Array1, angle: float, rotation: Array2) -> None:
-    """Fill in the rotation about a unit axis, by Rodrigues' formula."""
-    x, y, z = axis[0], axis[1], axis[2]
-    c, s = np.cos(angle), np.sin(angle)
-    v = 1.0 - c
-    rotation[0, 0], rotation[0, 1], rotation[0, 2] = c + v * x * x, v * x * y - s * z, v * x * z + s * y
-    rotation[1, 0], rotation[1, 1], rotation[1, 2] = v * x * y + s * z, c + v * y * y, v * y * z - s * x
-    rotation[2, 0], rotation[2, 1], rotation[2, 2] = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+            row = turn_row(turned[i, 0], turned[i, 1], turned[i, 2], moved)
+            turned[i, 0], turned[i, 1], turned[i, 2] = row
 
 
 @compiled

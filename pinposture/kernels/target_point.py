@@ -14,7 +14,8 @@ from pinposture.kernels.arrays import (
     ModuleArrays,
     SplineArrays,
 )
-from pinposture.kernels.branch_search import apply_joint, solve_cholesky
+from pinposture.kernels.branch_search import apply_joint
+from pinposture.kernels.chain_solver import solve_cholesky
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import parameter_at, span_at, value
 
@@ -140,7 +141,7 @@ def least_solution(
         trace += matrix[i, i]
     for i in range(3):
         matrix[i, i] += max(share, 1e-14) * trace + 1e-300
-    solve_cholesky(matrix, right, 3)
+    solve_cholesky(matrix, right)
     for j in range(len(x)):
         if not held[j]:
             x[j] = (rows[0, j] * right[0] + rows[1, j] * right[1] + rows[2, j] * right[2]) / costs[j]
