@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.kinematics import constants_of
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
 from pinposture.control.thesis.sections import SectionEdges, best_branch
 from pinposture.errors import require_known
@@ -232,7 +231,7 @@ class PrintedSelection(Selection):
         region = np.flatnonzero(placed)
         indices = np.zeros((len(self.strides), arm.n_modules + 1))
         strides = np.array(self.strides, dtype=np.int64)
-        kernels.stride_indices(*screws, constants_of(arm).plane, strides, indices)
+        kernels.stride_indices(*screws, arm.kinematics.task_constants.plane, strides, indices)
         usable = (base > self.absolute) & placed
         edges = SectionEdges.of(indices, usable, self.relative, self.strides)
         points = best_branch(edges, int(region[0]), int(region[-1]), "thesis").points
