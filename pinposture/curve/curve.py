@@ -357,26 +357,23 @@ class Curve(Geometry):
         return type(self)(*trim(self._spline, float(begin), float(stop)))
 
     def insert_knot(self, u: float) -> Curve:
-        """Return the same curve with one more knot, and so with one more coefficient.
+        """Return the same curve with one more knot and one more coefficient.
 
-        Every place, direction and curvature stays. As many coefficients as the degree replace one less; the
-        new ones lie on the lines between the old (W. Boehm, "Inserting new knots into B-spline curves",
-        Computer-Aided Design 12 (4), 1980).
+        The shape is unchanged. The new coefficients lie on the lines between the old ones (W. Boehm,
+        "Inserting new knots into B-spline curves", Computer-Aided Design 12 (4), 1980).
 
         Args:
-            u: the knot, a parameter of the B-spline between the ends of the curve, `knots[degree]` and
-                `knots[-degree - 1]`; without a unit, in the scale of `knots`.
+            u: the knot, a parameter of the B-spline between `knots[degree]` and `knots[-degree - 1]`.
 
         Raises:
             InvalidValue: not a number between the ends.
-            CurveError: the knot would break the curve, being there as many times as the degree, or is too
-                close to another one.
+            CurveError: the knot already has a multiplicity of the degree, or is too close to another one.
         """
         t, k, n = self.knots, self.degree, len(self.coefficients)
         low, high = float(t[k]), float(t[n])
         knot = as_number("u", u, f"a parameter between {low:g} and {high:g}", lambda x: low < x < high)
         before, after = t[: n + 1], t[k:]
-        with np.errstate(divide="ignore"):  # repeated knots lie before u or behind it, never at it
+        with np.errstate(divide="ignore"):  # u is not a knot of full multiplicity
             share = np.clip((knot - before) / (after - before), 0.0, 1.0)[:, None]
         points = np.pad(self.coefficients, ((1, 1), (0, 0)), "edge")
         knots = np.insert(t, np.searchsorted(t, knot, side="right"), knot)
