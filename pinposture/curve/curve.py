@@ -527,7 +527,7 @@ def clamped_uniform_knots(n: int, degree: int) -> Array:
 def interpolate(points: Array, degree: int) -> Parts:
     """Interpolate points (n, 3) at chord-length parameters; for even degrees the knots are at midpoints."""
     spline = make_interp_spline(chord_parameters(points), points, k=degree)
-    return Parts(spline.t, spline.c, degree)
+    return spline.t, spline.c, degree
 
 
 def _frame(axis: Array, given: ArrayLike) -> tuple[Array, Array, Array]:
@@ -583,7 +583,7 @@ class _Fit:
         weight = self.most
         if self.rms(weight) > distance:
             weight = brentq(lambda w: self.rms(w) - distance, self.least, self.most, xtol=1e-6)
-        return Parts(self.knots, self.coefficients(weight), _FIT_DEGREE)
+        return self.knots, self.coefficients(weight), _FIT_DEGREE
 
 
 def _upper_bands(matrix: csr_array) -> Array:

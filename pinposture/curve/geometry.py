@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -26,12 +26,8 @@ LENGTH_TOLERANCE = 1e-12
 _MIN_SPAN = 1e-14  # smallest distance of knots above rounding errors, relative to the whole range
 
 
-class Parts(NamedTuple):
-    """The knots, coefficients and degree of a B-spline, unchecked."""
-
-    knots: Array  # shape (n + degree + 1,)
-    coefficients: Array  # shape (n, 3) [m]
-    degree: int  # 1 to 5
+Parts: TypeAlias = tuple[Array, Array, int]
+"""The knots, coefficients and degree of a B-spline, unchecked."""
 
 
 def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> SplineArrays:
@@ -117,7 +113,7 @@ def trim(whole: SplineArrays, begin: float, end: float) -> Parts:
         ends.append(knot)
     first = int(np.searchsorted(spline.t, ends[0], side="right")) - 1
     last = int(np.searchsorted(spline.t, ends[1], side="left"))
-    return Parts(spline.t[first - k : last + k + 1], spline.c[first - k : last], k)
+    return spline.t[first - k : last + k + 1], spline.c[first - k : last], k
 
 
 def _rule() -> Array:

@@ -377,13 +377,10 @@ def solve_module(
     first, stop, joint, end = chain.begins[k], chain.begins[k + 1], chain.joints[k], chain.joints[k + 1]
     n = stop - first
     c, local, pair = chain.points[k], np.empty(3), np.empty((4, 2))
-    closed = 0
-    if end - joint > n:  # coupled joints have no closed form
-        closed = 0
-    elif n >= 2 and not chain.slides[end - 2] and not chain.slides[end - 1]:
-        closed = 2
-    elif n >= 1:
-        closed = 1
+    closed = 0  # number of joints solved in closed form, which coupled joints do not have
+    if n > 0 and end - joint == n:
+        hinges = n > 1 and not chain.slides[end - 2] and not chain.slides[end - 1]
+        closed = 2 if hinges else 1
     turn, place, start, e = np.empty((3, 3)), np.empty(3), np.empty(n), np.empty((1, 3))
     count = 0
     if n > closed:  # solution nearest to the preferred positions

@@ -504,14 +504,8 @@ def minimise_points(
             g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7] = g0, g1, g2, g3, g4, g5, inverse, t
             s0, s1, s2 = s0 - g0 * t, s1 - g1 * t, s2 - g2 * t
             s3, s4, s5 = s3 - g3 * t, s4 - g4 * t, s5 - g5 * t
-            h0, h1, h2, h3, h4, h5 = (
-                inverse * g0,
-                inverse * g1,
-                inverse * g2,
-                inverse * g3,
-                inverse * g4,
-                inverse * g5,
-            )
+            h0, h1, h2 = inverse * g0, inverse * g1, inverse * g2
+            h3, h4, h5 = inverse * g3, inverse * g4, inverse * g5
             p00, p01, p02 = p00 - h0 * g0, p01 - h0 * g1, p02 - h0 * g2
             p11, p12, p22 = p11 - h1 * g1, p12 - h1 * g2, p22 - h2 * g2
             q00, q01, q02 = q00 - h0 * g3, q01 - h0 * g4, q02 - h0 * g5

@@ -152,7 +152,6 @@ class Outcome(NamedTuple):
         seed: seed of the case.
         start_error: posture error at the start [m].
         final_error: posture error at the end [m].
-        lowest_error: lowest posture error during the run [m].
         mean_share: mean point error at the end, relative to the arm length.
         steps: number of steps.
         status: how the run ended, as `Trajectory.status`.
@@ -166,7 +165,6 @@ class Outcome(NamedTuple):
     seed: int
     start_error: float
     final_error: float
-    lowest_error: float
     mean_share: float
     steps: int
     status: str
@@ -266,7 +264,6 @@ def outcome(run: Trajectory, scenario: str, controller: str, seed: int) -> Outco
         seed=seed,
         start_error=float(errors[0]),
         final_error=float(errors[-1]),
-        lowest_error=float(errors.min()),
         mean_share=float(errors[-1]) / int(run.target.has_target.sum()) / run.arm.length,
         steps=run.steps,
         status=run.status,

@@ -24,7 +24,7 @@ from pinposture.motion import Trajectory
 from pinposture.viz import palette
 from pinposture.viz.palette import MAX_DECADES, ending_text
 from pinposture.viz.panels import (
-    mark_method,
+    mark_projection,
     plot_point_count,
     plot_point_errors,
     plot_points_and_index,
@@ -205,7 +205,7 @@ def _draw_progress(
         error.set_xlabel("")
         error.tick_params(labelbottom=False)
     if (run.method == "projection").any():
-        mark_method(run, points)
+        mark_projection(run, points)
         points.set_xlabel("step (red: steps by Projection)", fontsize=9)
     _head(error, f"{name}: posture error, points, index", letter)
     return error

@@ -192,9 +192,10 @@ def plot_used_points(run: Trajectory, ax: Axes) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
-def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
-    """Mark the steps that a controller took with one of its methods, by red dots on the axis."""
-    _mark_on_axis(ax, np.flatnonzero(run.method == method) + 1, method, marker="o", ms=3.2, mew=0.0)
+def mark_projection(run: Trajectory, ax: Axes) -> None:
+    """Mark the steps that a switching controller left to Projection, by red dots on the axis."""
+    steps = np.flatnonzero(run.method == "projection") + 1
+    _mark_on_axis(ax, steps, "projection", marker="o", ms=3.2, mew=0.0)
 
 
 def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **style: Any) -> None:
@@ -527,7 +528,7 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
     add_legend(rows[0])
     share_axis(rows)
     if run.switches:
-        mark_method(run, rows[-1])
+        mark_projection(run, rows[-1])
         rows[-1].set_xlabel("step (red: steps by Projection)")
     add_title(figure, [f"{controller_name(run)} {ending_text(run)}: {run.reason}"])
     add_footnote(figure, controller_text(run), limits_text(run), placement_text(run))
