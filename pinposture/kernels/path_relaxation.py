@@ -350,10 +350,8 @@ def step_waypoints(
             _collect_contacts(contacts, i, wrenches, active, own_ends, bodies)
             objective = PointObjective(screws[i], own_ends, points[i], np.full(m, stiff[i]), no_chords)
             factor(objective, np.full(n, stiff[i] * weight + own), held[i], bodies, gains[i])
-        parts = rows, contacts, wrenches, active
-        total += _solve_by_conjugate_gradients(
-            (screws, own_ends, points), parts, held, own, weight, stiff, gains, downhill, steps
-        )
+        system = (screws, own_ends, points), (rows, contacts, wrenches, active), held, own, weight
+        total += _solve_by_conjugate_gradients(system, (stiff, gains), downhill, steps)
         changed = False
         for i in range(1, last):
             here = screws[i], own_ends, points[i]
@@ -378,6 +376,12 @@ Chains = tuple[Array3, Ints1, Array3]
 
 Parts = tuple[PathRows, PathContacts, Array3, Flags1]
 """Rows, contacts, their wrenches, and flags of the active contacts."""
+
+System = tuple[Chains, Parts, Flags2, float, float]
+"""The normal equations: chains, rows and contacts, joints held at each waypoint, damping, and weight."""
+
+Blocks = tuple[Array1, Array3]
+"""The preconditioner: multiple of M in the block of each waypoint, and gains of these."""
 
 
 @subkernel
@@ -471,39 +475,29 @@ def _collect_contacts(
 
 
 @subkernel
-def _solve_by_conjugate_gradients(
-    given: Chains,
-    parts: Parts,
-    held: Flags2,
-    own: float,
-    weight: float,
-    stiff: Array1,
-    gains: Array3,
-    right: Array2,
-    steps: Array2,
-) -> int:
+def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2, steps: Array2) -> int:
     """Improve the steps of waypoints, (N + 1, n), until they approximately solve H steps = right."""
     last, n = len(right) - 1, right.shape[1]
     residual, product, solved = np.zeros((last + 1, n)), np.zeros((last + 1, n)), np.zeros((last + 1, n))
-    motions, factors = np.zeros((last + 1, len(given[1]), 3)), np.empty(len(parts[3]))
-    _precondition(given, held, own, weight, stiff, gains, right, solved)
+    motions, factors = np.zeros((last + 1, len(system[0][1]), 3)), np.empty(len(system[1][3]))
+    _precondition(system, blocks, right, solved)
     aim = CONJUGATE_RESIDUAL**2 * _inner(right, solved)
-    _multiply(given, parts, held, own, weight, steps, motions, factors, product)
+    _multiply(system, steps, motions, factors, product)
     for i in range(1, last):
         for u in range(n):
             residual[i, u] = right[i, u] - product[i, u]
-    _precondition(given, held, own, weight, stiff, gains, residual, solved)
+    _precondition(system, blocks, residual, solved)
     direction, size = solved.copy(), _inner(residual, solved)
     for number in range(MAX_CONJUGATE_STEPS):
         if not size > aim:
             return number
-        _multiply(given, parts, held, own, weight, direction, motions, factors, product)
+        _multiply(system, direction, motions, factors, product)
         length = size / _inner(direction, product)
         for i in range(1, last):
             for u in range(n):
                 steps[i, u] += length * direction[i, u]
                 residual[i, u] -= length * product[i, u]
-        _precondition(given, held, own, weight, stiff, gains, residual, solved)
+        _precondition(system, blocks, residual, solved)
         before, size = size, _inner(residual, solved)
         for i in range(1, last):
             for u in range(n):
@@ -521,19 +515,9 @@ def _inner(one: Array2, other: Array2) -> float:
 
 
 @subkernel
-def _multiply(
-    given: Chains,
-    parts: Parts,
-    held: Flags2,
-    own: float,
-    weight: float,
-    steps: Array2,
-    motions: Array3,
-    factors: Array1,
-    product: Array2,
-) -> None:
+def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, product: Array2) -> None:
     """Compute H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
-    screws, ends, points = given
+    (screws, ends, points), (rows, contacts, wrenches, active), held, own, weight = system
     last, n, force = len(steps) - 1, steps.shape[1], np.empty((len(ends), 3))
     scratch = np.empty((n + 1, 6))
     for i in range(1, last):
@@ -547,7 +531,6 @@ def _multiply(
         for u in range(n):
             beside = steps[i - 1, u] + steps[i + 1, u]
             product[i, u] += (2.0 * weight + own) * steps[i, u] - weight * beside
-    rows, contacts, wrenches, active = parts
     for row in range(len(rows.errors)):
         i, moved = rows.waypoints[row], 0.0
         for u in range(n):
@@ -565,18 +548,10 @@ def _multiply(
 
 
 @subkernel
-def _precondition(
-    given: Chains,
-    held: Flags2,
-    own: float,
-    weight: float,
-    stiff: Array1,
-    gains: Array3,
-    right: Array2,
-    solved: Array2,
-) -> None:
+def _precondition(system: System, blocks: Blocks, right: Array2, solved: Array2) -> None:
     """Apply the preconditioner: solve with the factor for the waypoints in order, then in reverse."""
-    screws, ends, points = given
+    (screws, ends, points), _, held, own, weight = system
+    stiff, gains = blocks
     last, n, m = len(right) - 1, right.shape[1], len(ends)
     moved, errors, chords = np.zeros((m, 3)), np.empty((m, 3)), np.zeros(m)
     centre, change = np.empty(n), np.empty(n)
