@@ -47,6 +47,9 @@ MAX_WINDOW = 8  # maximum number of modules that are corrected together
 
 FULL_TURN = 2.0 * np.pi
 
+Bases = tuple[Array3, Array2]
+"""Orientations (m + 1, 3, 3) and origins (m + 1, 3) of the bases of all modules, and of the tip."""
+
 
 @subkernel
 def apply_joint(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, place: Array1) -> None:
@@ -186,20 +189,13 @@ def solve_last_two(
 
 @subkernel
 def measure_errors(
-    chain: ScrewChain,
-    first: int,
-    last: int,
-    turns: Array3,
-    places: Array2,
-    points: Array2,
-    q: Array1,
-    e: Array2,
+    chain: ScrewChain, first: int, last: int, bases: Bases, points: Array2, q: Array1, e: Array2
 ) -> float:
     """Fill e (W, 3) with the errors of the ends of modules first to last at q; return their sum of squares.
 
-    Orientations `turns` and origins `places` of the bases of the modules after the first are filled in.
+    The bases of the modules after the first are filled in.
     """
-    total = 0.0
+    (turns, places), total = bases, 0.0
     for k in range(first, last + 1):
         turn, place = turns[k + 1], places[k + 1]
         copy_frame(turns[k], places[k], turn, place)
@@ -215,10 +211,9 @@ def measure_errors(
 
 
 @subkernel
-def fill_jacobian(
-    chain: ScrewChain, first: int, last: int, turns: Array3, places: Array2, q: Array1, rows: Array2
-) -> None:
+def fill_jacobian(chain: ScrewChain, first: int, last: int, bases: Bases, q: Array1, rows: Array2) -> None:
     """Fill rows (3 W, n) with the Jacobian of the ends of modules first to last by their joints."""
+    turns, places = bases
     rows[:] = 0.0
     begin, modules = chain.begins[first], last - first + 1
     turn, place, ends = np.empty((3, 3)), np.empty(3), np.empty((modules, 3))
@@ -251,14 +246,7 @@ def fill_jacobian(
 
 @subkernel
 def correct(
-    chain: ScrewChain,
-    first: int,
-    last: int,
-    turns: Array3,
-    places: Array2,
-    points: Array2,
-    size: float,
-    q: Array1,
+    chain: ScrewChain, first: int, last: int, bases: Bases, points: Array2, size: float, q: Array1
 ) -> float:
     """Move the ends of modules first to last to their points, by Levenberg-Marquardt steps within limits.
 
@@ -269,12 +257,12 @@ def correct(
     e, trial_e = np.empty((r // 3, 3)), np.empty((r // 3, 3))
     rows, matrix, x = np.empty((r, n)), np.empty((r, r)), np.empty(r)
     tried, held = q.copy(), np.zeros(n, dtype=np.bool_)
-    cost = measure_errors(chain, first, last, turns, places, points, q, e)
+    cost = measure_errors(chain, first, last, bases, points, q, e)
     damping = 1e-3
     for _ in range(MAX_CORRECTIONS):
         if cost <= (NO_DISTANCE * size) ** 2 or n == 0:
             break
-        fill_jacobian(chain, first, last, turns, places, q, rows)
+        fill_jacobian(chain, first, last, bases, q, rows)
         trace = 0.0
         for j in range(n):
             u, slope = begin + j, 0.0
@@ -305,7 +293,7 @@ def correct(
                 if not chain.sliding[u]:
                     step = min(max(step, -0.5), 0.5)
                 tried[u] = min(max(q[u] + step, chain.lower[u]), chain.upper[u])
-            found = measure_errors(chain, first, last, turns, places, points, tried, trial_e)
+            found = measure_errors(chain, first, last, bases, points, tried, trial_e)
             better = found < cost
             if better:
                 damping = max(damping * 0.1, 1e-6)
@@ -321,7 +309,7 @@ def correct(
         cost = found
         if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # converged to a nonzero distance
             break
-    measure_errors(chain, first, last, turns, places, points, q, e)
+    measure_errors(chain, first, last, bases, points, q, e)
     worst = 0.0
     for i in range(r // 3):
         worst = max(worst, e[i, 0] ** 2 + e[i, 1] ** 2 + e[i, 2] ** 2)
@@ -359,8 +347,7 @@ def keep_solution(
 def solve_module(
     chain: ScrewChain,
     k: int,
-    turns: Array3,
-    places: Array2,
+    bases: Bases,
     points: Array2,
     size: float,
     accepted: float,
@@ -382,11 +369,11 @@ def solve_module(
         hinges = n > 1 and not chain.slides[end - 2] and not chain.slides[end - 1]
         closed = 2 if hinges else 1
     turn, place, start, e = np.empty((3, 3)), np.empty(3), np.empty(n), np.empty((1, 3))
-    count = 0
+    (turns, places), count = bases, 0
     if n > closed:  # solution nearest to the preferred positions
         for u in range(first, stop):
             q[u] = chain.near[u]
-        residual = correct(chain, k, k, turns, places, points, size, q)
+        residual = correct(chain, k, k, bases, points, size, q)
         count = keep_solution(residual, q, first, stop, residuals, found, count)
     for number in range(
         1 if n <= closed else min(len(samples), MAX_SAMPLES_OF_THREE) if n == 3 else len(samples)
@@ -417,7 +404,7 @@ def solve_module(
             for i in range(pairs):
                 for u in range(first, stop):
                     q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
-                residual = np.sqrt(measure_errors(chain, k, k, turns, places, points, q, e))
+                residual = np.sqrt(measure_errors(chain, k, k, bases, points, q, e))
                 if residual <= accepted:
                     count = keep_solution(residual, q, first, stop, residuals, found, count)
             if count:
@@ -429,7 +416,7 @@ def solve_module(
                 q[u] = start[u - first]
             for u in range(stop - closed, stop):
                 q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
-            residual = correct(chain, k, k, turns, places, points, size, q)
+            residual = correct(chain, k, k, bases, points, size, q)
             if residual <= accepted:
                 for u in range(first, stop):
                     q[u] = wrap_into_limits(chain, u, q[u])
@@ -485,8 +472,8 @@ def search_branches(
     widest = 0
     for k in range(m):
         widest = max(widest, chain.begins[k + 1] - chain.begins[first_corrected(chain, k, window)])
-    turns, places = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
-    turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
+    bases = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
+    bases[0][0] = np.eye(3)
     choices, order = np.empty((m, MAX_SOLUTIONS, widest)), np.zeros((m, MAX_SOLUTIONS), np.int64)
     number, next_choice, base = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
     residuals, found = np.empty(MAX_SOLUTIONS), np.empty((MAX_SOLUTIONS, widest))
@@ -498,7 +485,7 @@ def search_branches(
         if descending:
             visits -= 1
             first, stop = chain.begins[k], chain.begins[k + 1]
-            ends = solve_module(chain, k, turns, places, points, size, accepted, samples, q, residuals, found)
+            ends = solve_module(chain, k, bases, points, size, accepted, samples, q, residuals, found)
             sort_indices(residuals, ends, ranked)
             if k > deepest:
                 deepest = k
@@ -518,13 +505,13 @@ def search_branches(
                 for i in range(min(MAX_CORRECTED, ends)):
                     for u in range(low, stop):
                         q[u] = before[u] if u < first else found[ranked[i], u - first]
-                    if correct(chain, base[k], k, turns, places, points, size, q) <= accepted:
+                    if correct(chain, base[k], k, bases, points, size, q) <= accepted:
                         for u in range(low, stop):
                             choices[k, count, u - low] = q[u]
                         count += 1
                 for u in range(low, first):
                     q[u] = before[u]
-                measure_errors(chain, base[k], k, turns, places, points, q, e)
+                measure_errors(chain, base[k], k, bases, points, q, e)
             low = chain.begins[base[k]]
             for i in range(count):
                 scores[i] = 0.0
@@ -544,13 +531,13 @@ def search_branches(
                 for u in range(low, chain.begins[i + 1]):
                     q[u] = choices[i, order[i, next_choice[i] - 1], u - low]
             if k:
-                measure_errors(chain, 0, k - 1, turns, places, points, q, e)
+                measure_errors(chain, 0, k - 1, bases, points, q, e)
             continue
         low, stop = chain.begins[base[k]], chain.begins[k + 1]
         for u in range(low, stop):
             q[u] = choices[k, order[k, next_choice[k]], u - low]
         next_choice[k] += 1
-        measure_errors(chain, base[k], k, turns, places, points, q, e)
+        measure_errors(chain, base[k], k, bases, points, q, e)
         if k == m - 1:
             return m
         k += 1
@@ -563,14 +550,11 @@ def search_branches(
     for i in range(m):
         if i > deepest:
             first = chain.begins[i]
-            sort_indices(
-                residuals,
-                solve_module(chain, i, turns, places, points, size, accepted, samples, q, residuals, found),
-                ranked,
-            )
+            ends = solve_module(chain, i, bases, points, size, accepted, samples, q, residuals, found)
+            sort_indices(residuals, ends, ranked)
             for u in range(first, chain.begins[i + 1]):
                 q[u] = found[ranked[0], u - first]
-        measure_errors(chain, i, i, turns, places, points, q, e)
+        measure_errors(chain, i, i, bases, points, q, e)
     return deepest
 
 
