@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, PointObjective
+from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1
 from pinposture.kernels.chain_solver import (
+    ChainProblem,
     evaluate_gradient,
     factor,
     minimise_in_box,
@@ -32,9 +33,6 @@ GIVE = 1e-6
 
 ROW_ROUNDING = 1e-10
 """Violation of a row of length 1 that counts as rounding error, in units of a joint."""
-
-ChainProblem = tuple[PointObjective, Array2, Array1, Array1]
-"""Points and chords, their errors, damping and centre, as in `chain_solver.minimise_in_box`."""
 
 
 @compiled
@@ -131,7 +129,7 @@ def _minimise_given(
             for u in range(n):
                 pushed[u] += multipliers[row] * rows[row, u] / damping[u]
     minimise_in_box(objective, errors, damping, pushed, box[0], box[1], sides, x)
-    value = evaluate_gradient(objective, errors, damping, centre, x, pushed, np.empty((len(errors), 6)))
+    value = evaluate_gradient(problem, x, pushed, np.empty((len(errors), 6)))
     for row in range(len(rows)):
         missing[row] = least[row] - give * multipliers[row]
         for u in range(n):
@@ -181,7 +179,7 @@ def _find_schur(
             force[u] = 0.0 if held[u] else rows[which[k], u] / damping[u]
             yielding[k, u] = 0.0
             alone[k] += gains[u, 10] * rows[which[k], u] ** 2
-        solve_factored(objective, no_errors, damping, force, held, gains, yielding[k])
+        solve_factored((objective, no_errors, damping, force), held, gains, yielding[k])
         for i in range(k + 1):
             for u in range(n):
                 schur[i, k] += rows[which[i], u] * yielding[k, u]

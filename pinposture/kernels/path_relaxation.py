@@ -570,7 +570,7 @@ def _precondition(system: System, blocks: Blocks, right: Array2, solved: Array2)
                 for j in range(3):
                     errors[k, j] = moved[k, j] / stiff[i]
             if turn == 0 or place > 1:
-                solve_factored(objective, errors, damping, centre, held[i], gains[i], change)
+                solve_factored((objective, errors, damping, centre), held[i], gains[i], change)
             for u in range(n):
                 solved[i, u] = change[u] if turn == 0 else solved[i, u] + change[u]
             move_points(screws[i], ends, points[i], solved[i], moved)
