@@ -328,7 +328,7 @@ def step_waypoints(
         pivot = 2.0 + damping - 1.0 / pivot
     active, held = contacts.errors > 0.0, np.zeros((last + 1, n), dtype=np.bool_)
     wrenches, values = np.zeros((len(active), 2, 6)), np.empty(len(active))
-    scratch = np.empty((n + 1, 6))
+    parts, scratch = (rows, contacts, wrenches, active), np.empty((n + 1, 6))
     for i in range(1, last):
         _find_wrenches(contacts, i, own_ends, points[i], wrenches)
     gains, bodies = np.empty((last + 1, n, 11)), np.empty((n, 6, 6))
@@ -341,21 +341,21 @@ def step_waypoints(
                 downhill[rows.waypoints[row], u] += rows.errors[row] * rows.matrix[row, u]
         for i in range(1, last):
             here = screws[i], own_ends, points[i]
-            _pull_contacts(contacts, i, wrenches, active, contacts.errors, here, scratch, downhill[i])
+            _pull_contacts(parts, i, contacts.errors, here, scratch, downhill[i])
             for u in range(n):
                 above = x[i, u] >= upper[u] and downhill[i, u] > 0.0
                 held[i, u] = above or (x[i, u] <= lower[u] and downhill[i, u] < 0.0)
                 if held[i, u]:
                     downhill[i, u], steps[i, u] = 0.0, 0.0
-            _collect_contacts(contacts, i, wrenches, active, own_ends, bodies)
+            _collect_contacts(parts, i, own_ends, bodies)
             objective = PointObjective(screws[i], own_ends, points[i], np.full(m, stiff[i]), no_chords)
             factor(objective, np.full(n, stiff[i] * weight + own), held[i], bodies, gains[i])
-        system = (screws, own_ends, points), (rows, contacts, wrenches, active), held, own, weight
+        system = (screws, own_ends, points), parts, held, own, weight
         total += _solve_by_conjugate_gradients(system, (stiff, gains), downhill, steps)
         changed = False
         for i in range(1, last):
             here = screws[i], own_ends, points[i]
-            _move_contacts(contacts, i, wrenches, here, steps[i], scratch, values)
+            _move_contacts(parts, i, here, steps[i], scratch, values)
             for row in range(contacts.begins[i], contacts.begins[i + 1]):
                 counts = contacts.errors[row] > values[row]
                 changed = changed or counts != active[row]
@@ -408,16 +408,9 @@ def _find_wrenches(contacts: PathContacts, i: int, ends: Ints1, points: Array2, 
 
 
 @subkernel
-def _move_contacts(
-    contacts: PathContacts,
-    i: int,
-    wrenches: Array3,
-    here: Chain,
-    step: Array1,
-    twists: Array2,
-    values: Array1,
-) -> None:
+def _move_contacts(parts: Parts, i: int, here: Chain, step: Array1, twists: Array2, values: Array1) -> None:
     """Fill in by how much a step of a waypoint increases the distances of its contacts."""
+    _, contacts, wrenches, _ = parts
     begin, end = contacts.begins[i], contacts.begins[i + 1]
     if begin == end:
         return
@@ -432,20 +425,13 @@ def _move_contacts(
 
 @subkernel
 def _pull_contacts(
-    contacts: PathContacts,
-    i: int,
-    wrenches: Array3,
-    active: Flags1,
-    factors: Array1,
-    here: Chain,
-    forces: Array2,
-    filled: Array1,
+    parts: Parts, i: int, factors: Array1, here: Chain, forces: Array2, filled: Array1
 ) -> None:
     """Add the joint efforts of a waypoint's active contacts, as forces times factors."""
-    begin, end = contacts.begins[i], contacts.begins[i + 1]
+    _, contacts, wrenches, active = parts
     any_active = False
     forces[:] = 0.0
-    for row in range(begin, end):
+    for row in range(contacts.begins[i], contacts.begins[i + 1]):
         if active[row]:
             any_active = True
             for side in range(2):
@@ -457,11 +443,9 @@ def _pull_contacts(
 
 
 @subkernel
-def _collect_contacts(
-    contacts: PathContacts, i: int, wrenches: Array3, active: Flags1, ends: Ints1, bodies: Array3
-) -> None:
+def _collect_contacts(parts: Parts, i: int, ends: Ints1, bodies: Array3) -> None:
     """Fill in the cost of body motions due to the contacts of a waypoint, (n, 6, 6)."""
-    last = ends[len(ends) - 1]
+    (_, contacts, wrenches, active), last = parts, ends[len(ends) - 1]
     bodies[:] = 0.0
     for row in range(contacts.begins[i], contacts.begins[i + 1]):
         for side in range(2):
@@ -517,7 +501,8 @@ def _inner(one: Array2, other: Array2) -> float:
 @subkernel
 def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, product: Array2) -> None:
     """Compute H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
-    (screws, ends, points), (rows, contacts, wrenches, active), held, own, weight = system
+    (screws, ends, points), parts, held, own, weight = system
+    rows, contacts, _, _ = parts
     last, n, force = len(steps) - 1, steps.shape[1], np.empty((len(ends), 3))
     scratch = np.empty((n + 1, 6))
     for i in range(1, last):
@@ -540,8 +525,8 @@ def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, p
     for i in range(1, last):
         here = screws[i], ends, points[i]
         if contacts.begins[i + 1] > contacts.begins[i]:
-            _move_contacts(contacts, i, wrenches, here, steps[i], scratch, factors)
-            _pull_contacts(contacts, i, wrenches, active, factors, here, scratch, product[i])
+            _move_contacts(parts, i, here, steps[i], scratch, factors)
+            _pull_contacts(parts, i, factors, here, scratch, product[i])
         for u in range(n):
             if held[i, u]:
                 product[i, u] = 0.0
