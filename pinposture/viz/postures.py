@@ -35,7 +35,6 @@ from pinposture.viz.drawing import (
     shown_obstacles,
     view_axes,
 )
-from pinposture.viz.palette import add_grid
 
 Array = NDArray[np.float64]
 
@@ -154,7 +153,7 @@ class PosturePanel:
             labels.append(f"{'xyz'[main]} [m]" if direction[main] > 1.0 - 1e-9 else f"{name} the arm [m]")
         self.ax.set_xlabel(labels[0], fontsize=9)
         self.ax.set_ylabel(labels[1], fontsize=9)
-        add_grid(self.ax)
+        palette.add_grid(self.ax)
 
 
 def _join(lines: tuple[Array, ...]) -> Array:
