@@ -809,7 +809,7 @@ class ArmState:
     @cached_property
     def _manipulability(self) -> Array:
         indices = np.zeros((self.arm.n_modules + 1, self.arm.n_modules + 1))
-        kernels.all_indices(*self.screws, self.arm.kinematics.task_constants.plane, indices)
+        kernels.all_indices(self.screws, self.arm.kinematics.task_constants.plane, indices)
         return _read_only(indices)
 
     def ellipsoids(

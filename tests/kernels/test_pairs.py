@@ -84,7 +84,7 @@ def test_the_same_on_a_long_arm(amplitude: float) -> None:
             if expected:
                 plane, active = arm.kinematics.task_constants.plane, np.array(expected)
                 base = base_indices(arm, state.screws, 0.001)
-                weakest = kernels.weakest_index(*state.screws, plane, active, base)
+                weakest = kernels.weakest_index(state.screws, plane, active, base)
                 nodes = np.append(0, active + 1)
                 assert weakest == pytest.approx(
                     min(indices[0, nodes[1:]].min(), indices[nodes[:-1], nodes[1:]].min()), rel=1e-9

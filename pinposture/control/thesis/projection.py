@@ -189,7 +189,7 @@ class Projection:
         lengths = _differences(np.cumsum(arm.chain.module_lengths)[stations])
         directions, ranks = np.empty((len(stations), 3, 3)), np.zeros(len(stations), dtype=np.int64)
         given = arm.kinematics.task_constants.plane, stations, self.threshold * lengths
-        smallest = float(kernels.module_spaces(*screws, *given, directions, ranks))
+        smallest = float(kernels.module_spaces(screws, *given, directions, ranks))
         if not np.any(ranks):
             return None, 0.0
         return Rows(stations, ranks, directions, NUMBERS[self.coupling]), smallest

@@ -365,7 +365,7 @@ def section_edges(
     """
     indices = np.zeros((len(strides), arm.n_modules + 1))
     wanted = np.array(strides, dtype=np.int64)
-    kernels.stride_indices(*screws, arm.kinematics.task_constants.plane, wanted, indices)
+    kernels.stride_indices(screws, arm.kinematics.task_constants.plane, wanted, indices)
     return SectionEdges.of(
         np.minimum(indices / _best_indices(arm.chain, strides), 1.0), usable, threshold, strides
     )

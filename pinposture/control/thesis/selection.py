@@ -98,7 +98,7 @@ def active_set(
 def base_indices(arm: Arm, screws: Screws, threshold: float) -> Array:
     """Return the indices of all points relative to the base, (m,), accurate where near the threshold."""
     indices = np.empty(arm.n_modules)
-    kernels.base_indices(*screws, arm.kinematics.task_constants.plane, threshold, indices)
+    kernels.base_indices(screws, arm.kinematics.task_constants.plane, threshold, indices)
     return indices
 
 
@@ -116,7 +116,7 @@ def best_set(arm: Arm, screws: Screws, usable: NDArray[np.bool_], errors: Array,
         Increasing indices of control points, 0-based; empty if there is no candidate set.
     """
     path = np.empty(arm.n_modules, dtype=np.int64)
-    count = kernels.best_path(*screws, arm.kinematics.task_constants.plane, usable, errors, relative, path)
+    count = kernels.best_path(screws, arm.kinematics.task_constants.plane, usable, errors, relative, path)
     return path[:count]
 
 
@@ -223,7 +223,7 @@ class Selection:
         limited = limits.apply(state, asked, previous)
         diagnostics = Diagnostics(
             limited.clipped,
-            manipulability=kernels.weakest_index(*screws, arm.kinematics.task_constants.plane, active, base),
+            manipulability=kernels.weakest_index(screws, arm.kinematics.task_constants.plane, active, base),
             spectrum=matrix,
             rows=matrix.size,
             dropped=dropped,

@@ -229,7 +229,7 @@ class PrintedSelection(Selection):
         region = np.flatnonzero(placed)
         indices = np.zeros((len(self.strides), arm.n_modules + 1))
         strides = np.array(self.strides, dtype=np.int64)
-        kernels.stride_indices(*screws, arm.kinematics.task_constants.plane, strides, indices)
+        kernels.stride_indices(screws, arm.kinematics.task_constants.plane, strides, indices)
         usable = (base > self.absolute) & placed
         edges = SectionEdges.of(indices, usable, self.relative, self.strides)
         points = best_branch(edges, int(region[0]), int(region[-1]), "thesis").points
