@@ -487,7 +487,7 @@ def _motion_text(motion: Motion, row: int) -> str:
         text += f" ({motion.plan_time[row]:.2f} of {motion.planned:.2f} s of the plan)"
     count = sum(place.row is not None and place.row <= row for place in motion.waypoints)
     if row < motion.start_index:
-        text += ", coming to the first posture"
+        text += ", moving to the first posture"
     elif count:
         text += f", reached {motion.waypoints[count - 1].name} ({count} of {len(motion.waypoints)})"
     return f"{text}, {_errors(motion.mean_error[row], motion.run.point_errors[row])}"
@@ -508,7 +508,7 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
     """
     entries = [("target", palette.TARGET)] if target else []
     if shown.motion is not None:
-        entries = [("target of the moment", palette.TARGET)]
+        entries = [("current target", palette.TARGET)]
     if shown.run.steps:
         entries += [("active control point", palette.ACTIVE), ("idle", palette.IDLE)]
     else:
@@ -517,7 +517,7 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
         entries.append(("obstacle", palette.OBSTACLE))
     lines = [_color_key(entries)]
     if shown.motion is not None:
-        speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as it was"
+        speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as recorded"
         named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
         lines.append(f"shown {speed}; targets at {_color_key(named)}" if named else f"shown {speed}")
     moved = palette.placement_text(shown.run if shown.motion is None else shown.motion)

@@ -82,9 +82,9 @@ def _plot_errors(
     palette.scale_values(ax)
     for (run, label, _), color in zip(runs, colors, strict=True):
         if label is None:
-            palette.mark_value(ax, 0, float(errors(run)[0]), color, "m", "start")
+            palette.mark_value(ax, 0, float(errors(run)[0]), color, "start")
         if run.steps:
-            palette.mark_value(ax, run.steps, float(errors(run)[-1]), color, "m", "end")
+            palette.mark_value(ax, run.steps, float(errors(run)[-1]), color, "end")
 
 
 def plot_point_errors(run: Trajectory, ax: Axes) -> None:
@@ -221,7 +221,7 @@ def plot_clearance(
         ax.set_ylim(low - 0.1 * (high - low), high + 0.15 * (high - low) + 1e-12)
     if np.isfinite(values).any():
         least = int(np.nanargmin(values))
-        palette.mark_value(ax, float(places[least]), float(values[least]), color, "m", "least")
+        palette.mark_value(ax, float(places[least]), float(values[least]), color, "least")
     add_legend(ax)
 
 
@@ -292,14 +292,14 @@ def plot_error(motion: Motion, ax: Axes) -> None:
         low, high = ax.get_ylim()  # leave room below the names for the first value
         ax.set_ylim(low, high * (high / low) ** 0.12 if low > 0.0 else 1.1 * high)
         if values[0]:
-            palette.mark_value(ax, 0, float(values[0]), color, "m", "start")
+            palette.mark_value(ax, 0, float(values[0]), color, "start")
         if values[-1] and run.steps:
-            palette.mark_value(ax, float(motion.time[-1]), float(values[-1]), color, "m", "end")
+            palette.mark_value(ax, float(motion.time[-1]), float(values[-1]), color, "end")
     mark_rising_steps(run, ax, motion.time)
     mark_violations(run, ax, motion.time)
     if motion.start_index:
         style = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
-        ax.axvspan(0.0, motion.time[motion.start_index], label="coming to the first posture", **style)
+        ax.axvspan(0.0, motion.time[motion.start_index], label="moving to the first posture", **style)
     add_legend(ax)
 
 
@@ -326,9 +326,9 @@ def plot_plan_time(motion: Motion, ax: Axes) -> None:
     begin = float(motion.time[motion.start_index])
     plan = [0.0, begin, begin + motion.planned]
     ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
-    label = f"as it was, {motion.time_scale:.3g} times as long"
+    label = f"as executed, {motion.time_scale:.3g} times as long"
     ax.plot(motion.time, motion.plan_time, color=palette.SPARE[1], lw=1.6, label=label)
-    palette.format_time_axes(ax, "time of the plan [s]")
+    palette.format_time_axes(ax, "plan time [s]")
     ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
     add_legend(ax)
 

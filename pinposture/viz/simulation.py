@@ -60,7 +60,7 @@ def _plot_point_errors(simulation: Simulation, ax: Axes) -> None:
     palette.format_time_axes(ax, "mean point error [m]")
     palette.scale_values(ax)
     for values, color in lines.values():
-        palette.mark_value(ax, simulation.time[-1], float(values[-1]), color, "m", "end")
+        palette.mark_value(ax, simulation.time[-1], float(values[-1]), color, "end")
     add_legend(ax)
 
 
