@@ -141,7 +141,7 @@ def test_postures_on_the_way_are_drawn_and_named_where_there_is_something_to_get
 
     drawn, named = pale(in_scene())
     assert 1 < len(drawn) <= 8
-    assert named.count("postures on the way") == 1
+    assert named.count("intermediate postures") == 1
     drawn, named = pale(free_run())
     assert drawn == []
-    assert "postures on the way" not in named
+    assert "intermediate postures" not in named
