@@ -62,8 +62,9 @@ class Commands(TyperGroup):
             hint = f"; see {error.ctx.command_path} --help" if error.ctx else ""
             print_error(error.format_message().rstrip(".") + hint)
             code = REFUSED
-        except OSError as error:  # of standard output, such as on a full disk; others are FileErrors
-            print_error(f"the output cannot be written ({error.strerror or error})")
+        except OSError as error:  # of standard output, such as on a full disk, or of a name that cannot be
+            place = "the output cannot be written" if error.filename is None else error.filename
+            print_error(f"{place} ({error.strerror or error})")
             code = REFUSED
         except typer.Abort:  # Ctrl-C in older versions of Typer; newer ones return the code
             code = INTERRUPTED

@@ -130,7 +130,10 @@ class ArmOptions:
             advice = f"create an arm from the template: pinposture generate {urdf} --modules 20 -o arm.urdf"
             raise FileError(urdf, f"no such file; {advice}")
         if urdf == "-":
-            source = sys.stdin.read()
+            try:
+                source = "" if sys.stdin is None else sys.stdin.buffer.read().decode()
+            except UnicodeDecodeError as error:
+                raise FileError("stdin", f"is not UTF-8 text (byte {error.start})") from None
             if not source.lstrip("\ufeff \t\r\n").startswith("<"):
                 raise FileError("stdin", "contains no URDF; allowed: XML text, which starts with '<'")
         sizes = None if self.modules is None else read_modules(self.modules)

@@ -63,7 +63,8 @@ CASES = [
     Case("sizes and links", "inspect ARM --modules 2,tip", ("'2'", "link")),
     Case("links out of order", "inspect ARM --modules m03_l2,m02_l2,tip", ("'m02_l2'", "in order")),
     Case("plot under a file", "inspect ARM --plot ARM/x.png", ("ARM", "a directory")),
-    Case("plot is a directory", "inspect ARM --plot DIR", ("DIR", "is a directory", "a file")),
+    Case("name too long", f"view {'x' * 300}", ("x" * 300, "File name too long")),
+    Case("plot is a directory", "inspect ARM --plot DIR/a.png", ("DIR/a.png", "is a directory", "a file")),
     # the curve
     Case("unknown preset", "track ARM --curve helx", ("'helx'", "did you mean 'helix'", "line, helix")),
     Case("missing curve", "track ARM --curve DIR/none.csv", ("DIR/none.csv", "no such file")),
@@ -248,6 +249,11 @@ def test_wrong_input_is_refused_in_one_line_that_names_it(
     for text in case.says:
         assert placed(text) in result.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_bytes_on_stdin_are_no_robot(command):
+    error = "error: stdin: is not UTF-8 text (byte 5)\n"
+    assert command("inspect", "-", input=b"<robo\xff>") == (2, "", error)
 
 
 def test_a_refused_output_directory_costs_no_run(command, arm_file, monkeypatch):
