@@ -219,10 +219,10 @@ def check_joint_positions(
 
 
 def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return lowest and highest positions, (nv,) each, between which `check_joint_positions` says nothing."""
+    """Return the range of positions, (nv,) each, within which `check_joint_positions` finds no fault."""
     free = ~slides & ~np.isfinite(np.minimum(-limits.lower, limits.upper))
     widest = np.where(free, WOUND_POSITION, np.inf)
-    slack = 0.9 * SLACK  # no more than that, whatever the rounding
+    slack = 0.9 * SLACK  # allows for rounding
     return np.maximum(limits.lower - slack, -widest), np.minimum(limits.upper + slack, widest)
 
 

@@ -17,6 +17,7 @@ from pinposture._validation import make_read_only
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Limits
+from pinposture.control.controller import CONSTRAINTS
 from pinposture.control.limits import cycle_of
 from pinposture.errors import MotionError
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
@@ -116,8 +117,8 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     for step in steps:
         kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
         ratios.append(float(shares[kind][step, joint]))
-        what = f"{kinds[kind]} of joint {run.arm.joint_names[joint]!r}"
-        words.append(f"{what} is {ratios[-1]:.4g} times its limit")
+        name = run.arm.joint_names[joint]
+        words.append(f"{kinds[kind]} limit: joint {name!r} exceeds it by a factor of {ratios[-1]:.4g}")
     most = int(np.argmax(ratios))
     number, worst = len(steps), int(steps[most])
     count = f"{number} step" + ("s" if number > 1 else "")
@@ -318,7 +319,8 @@ class Trajectory:
         switched: why it switched to that method, (steps,) sentences; empty if it did not.
         error_increasing: whether the posture error may rise in the step, to leave a local minimum, (steps,).
         violated_constraints: messages on constraints that the step violates because not all can be met, and
-            on velocity and acceleration limits that the motion exceeds, (steps,) lines; usually empty.
+            on velocity and acceleration limits that the motion exceeds, (steps,) lines; usually empty. See
+            `violated_steps`.
         clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
             in penetration, infinite without a scene.
         scene: the obstacles; None: none.
@@ -405,6 +407,15 @@ class Trajectory:
     def excess(self) -> LimitViolation | None:
         """Violations of velocity, acceleration and jerk limits; None if there are none."""
         return find_limit_violation(self)
+
+    @cached_property
+    def violated_steps(self) -> dict[str, NDArray[np.intp]]:
+        """Steps in which each violated constraint is violated, 0-based, by its name in `CONSTRAINTS`."""
+        named = [
+            {line.partition(":")[0] for line in lines.splitlines()} for lines in self.violated_constraints
+        ]
+        steps = {name: np.flatnonzero([name in names for names in named]) for name in CONSTRAINTS}
+        return {name: found for name, found in steps.items() if len(found)}
 
     @cached_property
     def active_sets(self) -> tuple[tuple[int, ...], ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import lru_cache
 
 import numpy as np
@@ -44,6 +45,16 @@ REFINE_DAMPING, REFINE_DAMPING_DOWN, REFINE_DAMPING_UP = 1e-11, 0.1, 10.0
 LOOK_AHEAD, LOOK_AHEAD_SAMPLES = 2.0, 64
 """Search range for the next control point along the curve, in module lengths, and number of samples."""
 
+TIP_WEIGHT, LINK_WEIGHT, SLIDE_WEIGHT = 0.1, 1e-2, 1e-3
+"""Weights of the tip's distance from the end of the curve, of the links' distance from it, and of differences
+between slides, against the distance of control points from the curve."""
+
+END_MARGIN = 1e-5  # arc length left beyond the tip at the end of a curve, in arm lengths
+ROUGH_DISTANCE = 1e-3  # as `EXACT_FIT`, for arms with slides
+CLOSING_WEIGHT = 1e-6  # weight of changes to the fit while its control points move onto the curve
+ON_JOINT = 1e-9  # length of a link that counts as zero, in arm lengths
+SLIDE_STEPS = 17  # number of postures in the search for slides that fit a length
+
 
 class Samples:
     """A curve given by samples.
@@ -72,7 +83,7 @@ class Samples:
 
 
 def fit_curve(
-    arm: Arm, curve: Curve, start: float, bending: float, rough: bool = False
+    arm: Arm, curve: Curve, start: float, bending: float, rough: bool = False, to_end: bool = True
 ) -> tuple[Array, Array]:
     """Fit an arm to a curve in the world, starting from the straight arm.
 
@@ -82,18 +93,19 @@ def fit_curve(
         start: arc length of the curve point for the base of the arm [m].
         bending: weight of joint positions relative to the straight arm, against distances, above 0 [m/rad].
         rough: stop after a few evaluations, once the arm winds in the right direction.
+        to_end: extend slides so that the tip gets to the end of the curve.
 
     Returns:
         Joint positions, (nv,) [rad or m], and the arc length of each control point, (m,) [m], which may
         exceed the curve's length.
     """
     # Slightly more of the curve than the arm can cover.
-    end = min(curve.length, start + 1.2 * arm.length)
+    problem = _fit_problem(arm, curve, start, bending, to_end)
+    end = min(curve.length, start + 1.2 * problem.reach)
     s = np.linspace(start, end, SAMPLES_PER_MODULE * arm.n_modules + 1)
     tangents = curve.tangent(s)
     turns = transported_turns(tangents)
     stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / TURN_PER_STAGE))
-    problem = FitProblem(arm, start, bending, base_positions(arm, curve, start))
     unknowns = problem.first_guess()
     for share in np.arange(stages) / max(stages, 1):
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
@@ -101,14 +113,14 @@ def fit_curve(
     best = problem.solve(curve, unknowns, evaluations=ROUGH_EVALUATIONS if rough else 60)
     # If off the curve, this may be a local minimum: restart, with reproducible perturbations.
     rng = np.random.default_rng(0)
-    for _ in range(RESTARTS_OF_FIT if not rough and problem.distance(curve, best) > EXACT_FIT else 0):
+    for _ in range(RESTARTS_OF_FIT if not rough and problem.distance(curve, best) > problem.exact else 0):
         other = problem.solve(curve, problem.perturb(best, rng), evaluations=60)
         best = min(best, other, key=lambda x: problem.distance(curve, x))
-    return problem.split(best)
+    return problem.split(best if rough else problem.closed(curve, best))
 
 
 def fit_near(
-    arm: Arm, curve: Curve, start: float, bending: float, q: Array, parameters: Array | None
+    arm: Arm, curve: Curve, start: float, bending: float, q: Array, parameters: Array | None, to_end: bool = True
 ) -> tuple[Array, Array]:
     """Fit an arm to a curve as `fit_curve` does, starting from a configuration close to the curve.
 
@@ -119,12 +131,44 @@ def fit_near(
         bending: as in `fit_curve`.
         q: the configuration, (nq,).
         parameters: arc lengths of its control points, (m,) [m]; those of the nearest points if None.
+        to_end: as in `fit_curve`.
     """
-    problem = FitProblem(arm, start, bending, base_positions(arm, curve, start))
+    problem = _fit_problem(arm, curve, start, bending, to_end)
     if parameters is None:
         parameters = _nearest_parameters(arm, curve, start, q)
     guess = problem.joined(arm.positions(q), parameters)
-    return problem.split(refined(problem, curve, np.clip(guess, problem.lower, problem.upper)))
+    found = refined(problem, curve, np.clip(guess, problem.lower, problem.upper))
+    return problem.split(problem.closed(curve, found))
+
+
+def _fit_problem(arm: Arm, curve: Curve, start: float, bending: float, to_end: bool) -> FitProblem:
+    if not np.any(fitting_slides(arm)):
+        return FitProblem(arm, start, bending, base_positions(arm, curve, start))
+    return SlidingFit(arm, start, bending, base_positions(arm, curve, start), curve.length, to_end)
+
+
+def fitting_slides(arm: Arm) -> NDArray[np.bool_]:
+    """Return which degrees of freedom are slides that fit the length of the arm to a curve, (nv,)."""
+    return np.asarray(arm.slides & ~arm.roaming & (arm.limits.upper > arm.limits.lower))
+
+
+def slid_positions(arm: Arm, length: float) -> Array:
+    """Return the joint positions (nv,) of the straight arm whose slides fit it to a length [m].
+
+    All slides retract by the same share of their range. Without slides it is the straight arm.
+    """
+    extended, (low, high) = arm.positions(arm.straight()), arm.usual_positions
+    retracted = np.where(fitting_slides(arm), np.clip(low + high - extended, low, high), extended)
+    shares = np.linspace(0.0, 1.0, SLIDE_STEPS)[:, None]
+    postures = (1.0 - shares) * extended + shares * retracted
+    ends = [arm.kinematics.forward(posture).points[-1] for posture in postures]
+    reaches = np.linalg.norm(arm.chain.flattened(np.array(ends)) - arm.chain.base, axis=1)
+    reaches += END_MARGIN * arm.length
+    k = int(np.argmax(reaches <= length))
+    if k == 0:
+        return np.asarray(postures[0 if reaches[0] <= length else int(np.argmin(reaches))])
+    share = (reaches[k - 1] - length) / (reaches[k - 1] - reaches[k])
+    return np.asarray((1.0 - share) * postures[k - 1] + share * postures[k])
 
 
 def transported_turns(tangents: Array) -> Array:
@@ -193,9 +237,15 @@ class FitProblem:
         lower: smallest unknowns, (n + m,).
         upper: largest unknowns, (n + m,).
         columns: tangent space indices of the joints, (n,).
+        reach: length of the arm with its slides extended [m].
+        exact: distance below which the fit needs no restart, in arm lengths.
+        settled: relative decrease of the sum of squares below which the fit ends.
     """
 
+    exact, settled = EXACT_FIT, 1e-15
+
     def __init__(self, arm: Arm, start: float, bending: float, base: Array | None = None) -> None:
+        self.reach = arm.length
         self._arm, self._start, self._bending = arm, start, bending / arm.length
         movable = arm.limits.upper[arm.columns] - arm.limits.lower[arm.columns] > 0.0
         columns = self.columns = arm.columns[movable & ~arm.roaming[arm.columns]]
@@ -237,6 +287,10 @@ class FitProblem:
         residual, _ = self.evaluate(curve, unknowns)
         return float(np.sqrt(residual @ residual / self._arm.n_modules))
 
+    def closed(self, curve: Samples | Curve, unknowns: Array) -> Array:
+        """Move the control points of a fit onto the curve, if other residuals hold them off it."""
+        return unknowns
+
     def split(self, unknowns: Array) -> tuple[Array, Array]:
         """Return joint positions (nv,) [rad or m] and arc lengths of the control points (m,) [m]."""
         values = unknowns * self._units
@@ -261,7 +315,7 @@ class FitProblem:
             guess,
             jac=lambda x: evaluate(x.tobytes())[1],
             bounds=(self.lower, self.upper),
-            ftol=1e-15,
+            ftol=self.settled,
             xtol=1e-12,
             gtol=1e-15,
             max_nfev=evaluations,
@@ -285,6 +339,107 @@ class FitProblem:
         distances = (arm.chain.flattened(state.points) - goals).ravel() / arm.length
         bends = self._bending * (unknowns[:n] - self._straight[:n])
         return np.concatenate([distances, bends]), jacobian
+
+
+class SlidingFit(FitProblem):
+    """The fit of an arm with slides. The lower rows count only as far as the upper ones leave a choice.
+
+    1. Distances of the control points, as in `FitProblem`.
+    2. Distance of the tip from the end of the curve, or from where the extended arm would end on it.
+    3. Distances of the links from the curve, at joints and midpoints.
+    4. Differences of the slides from those of the straight arm that is as long as the curve.
+    """
+
+    exact, settled = ROUGH_DISTANCE, 1e-4
+
+    def __init__(
+        self, arm: Arm, start: float, bending: float, base: Array, length: float, to_end: bool
+    ) -> None:
+        super().__init__(arm, start, bending, base)
+        chain, n = arm.chain, self._joints
+        extended, slid = arm.positions(arm.straight()), slid_positions(arm, to_end * (length - start))
+        points = [chain.flattened(arm.kinematics.forward(each).points) for each in (extended, slid)]
+        longest, lengths = (np.linalg.norm(np.diff(p, axis=0, prepend=chain.base[None]), axis=1) for p in points)
+        self.reach = float(longest.sum())
+        longest = MAX_SPACING * np.maximum(longest, longest.mean()) / arm.length
+        self.upper[n:] = np.maximum(self.upper[n:], longest)
+        self.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths / arm.length)
+        self._straight = np.clip(self.joined(slid, start + np.cumsum(lengths)), self.lower, self.upper)
+        self._only_points, self._tip_weight = False, TIP_WEIGHT * to_end
+        self._end = min(length - END_MARGIN * arm.length, start + self.reach)
+        self._sliding = np.flatnonzero(arm.slides[self.columns])
+        # Stations are the base, the joints and the control points along the arm; each is moved by the joints
+        # before it.
+        ends = np.array([joints.stop for joints in chain.module_slices])
+        joints = np.arange(len(chain.columns))
+        self._points = ends + np.arange(1, len(ends) + 1)
+        self._origins = joints + 1 + np.searchsorted(ends, joints, side="right")
+        before = np.empty(len(joints) + len(ends) + 1, dtype=np.int64)
+        before[0], before[self._points], before[self._origins] = 0, ends, joints
+        self._carried = joints < before[:, None]
+        self._ratios = (chain.columns[:, None] == self.columns) * chain.ratios[:, None]
+        long = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1) > ON_JOINT * arm.length
+        self._sampled = np.concatenate([long, long])
+        self._sampled[len(long) + self._points - 1] = False  # they are in the rows of `FitProblem`
+
+    def distance(self, curve: Samples | Curve, unknowns: Array) -> float:
+        """Return the root mean square distance of the control points from the curve, in arm lengths."""
+        residual = self.evaluate(curve, unknowns)[0][: 3 * self.points]
+        return float(np.sqrt(residual @ residual / self.points))
+
+    def closed(self, curve: Samples | Curve, unknowns: Array) -> Array:
+        """Move the control points of a fit onto the curve, if other residuals hold them off it."""
+        if self._bending > EXACT_FIT:  # bending does, too
+            return unknowns
+        points = copy(self)
+        points._only_points, points._tip_weight = True, 1.0
+        points._end = min(self.split(unknowns)[1][-1], curve.length - END_MARGIN * self._arm.length)
+        return refined(points, curve, unknowns, weight=CLOSING_WEIGHT)
+
+    def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
+        """Return the residuals and their Jacobian as `FitProblem.evaluate`, and the additional rows."""
+        residual, jacobian = super().evaluate(curve, unknowns)
+        n, m, sliding = self._joints, self.points, self._sliding
+        residual[3 * m + sliding], jacobian[3 * m + sliding] = 0.0, 0.0
+        tip = self._tip_weight * (self.split(unknowns)[1][-1:] - self._end) / self._arm.length
+        row = self._tip_weight * np.repeat([0.0, 1.0], [n, m])
+        if self._only_points:
+            return np.append(residual, tip), np.vstack([jacobian, row])
+        gaps, rows = self._link_rows(curve, unknowns)
+        weight = LINK_WEIGHT * np.sqrt(3 * m / len(rows)) / self._arm.length
+        links, slides = np.zeros((len(rows), n + m)), SLIDE_WEIGHT * np.eye(n + m)[sliding]
+        links[:, :n] = weight * self._units[:n] * rows
+        shifts = slides @ (unknowns - self._straight)
+        return np.concatenate([residual, tip, weight * gaps, shifts]), np.vstack([jacobian, row, links, slides])
+
+    def _stations(self, positions: Array) -> tuple[Array, Array]:
+        """Return the base, joints and control points along the arm, (k, 3) [m], and the joints' motions of them.
+
+        The latter are velocities per unit of joint motion, (k, 3, n).
+        """
+        chain, forward = self._arm.chain, self._arm.kinematics.forward(positions)
+        stations = np.empty((len(self._carried), 3))
+        stations[0], stations[self._points], stations[self._origins] = chain.base, forward.points, forward.origins
+        levers = np.cross(forward.axes, stations[:, None] - forward.origins)
+        moved = np.where(chain.revolute[:, None], levers, forward.axes) * self._carried[:, :, None]
+        return chain.flattened(stations), moved.transpose(0, 2, 1) @ self._ratios
+
+    def _link_rows(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
+        """Return the vectors from the curve to points of the links (3 k,) [m] and their Jacobian (3 k, n)."""
+        positions, s = self.split(unknowns)
+        stations, jacobians = self._stations(positions)
+        along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(stations, axis=0), axis=1)))
+        points, jacobians, at = (
+            np.concatenate([(each[1:] + each[:-1]) / 2.0, each[1:]])[self._sampled]
+            for each in (stations, jacobians, along)
+        )
+        places = np.interp(at, np.append(0.0, along[self._points]), np.append(self._start, s))
+        places = np.clip(places, 0.0, curve.length)
+        steps = np.einsum("ij,ij->i", points - curve.at(places), curve.tangent(places))
+        places = np.clip(places + steps, 0.0, curve.length)
+        gaps, tangents = points - curve.at(places), curve.tangent(places)
+        across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
+        return np.einsum("pij,pj->pi", across, gaps).ravel(), (across @ jacobians).reshape(-1, self._joints)
 
 
 def refined(

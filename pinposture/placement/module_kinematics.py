@@ -530,6 +530,11 @@ def is_compiled(arm: Arm) -> bool:
     return _units(arm).arrays is not None
 
 
+def has_custom_kinematics(arm: Arm) -> bool:
+    """Return whether registered kinematics place a module."""
+    return any(_registered(arm, module) is not None for module in range(arm.n_modules))
+
+
 def _find_units(arm: Arm) -> tuple[Unit, ...]:
     chain, units = arm.chain, list[Unit]()
     own = [_registered(arm, k) for k in range(arm.n_modules)]

@@ -30,7 +30,7 @@ from pinposture.errors import (
     require_known,
     warn_caller,
 )
-from pinposture.placement.least_squares import base_positions, fit_curve, fit_near
+from pinposture.placement.least_squares import base_positions, fit_curve, fit_near, fitting_slides, slid_positions
 from pinposture.placement.module_kinematics import (
     Circle,
     ClosedForm,
@@ -38,6 +38,7 @@ from pinposture.placement.module_kinematics import (
     Torus,
     Unit,
     arm_units,
+    has_custom_kinematics,
     is_compiled,
     kinematics_names,
     unit_arrays,
@@ -105,10 +106,21 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
         UnsupportedModule: no joint of a module moves its end.
         InvalidValue: custom kinematics are inconsistent.
     """
+    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
+    placed = _place_modules(arm, curve, samples, preferred)
+    if isinstance(placed.failure, CurveEndsEarly) and placed.failure.module == arm.n_modules:
+        # It may be as long as the arm, up to rounding.
+        longer = 1.0 + ON_CURVE
+        enlarged = curve.moved(longer * np.eye(3), (1.0 - longer) * arm.chain.base)
+        again = _place_modules(arm, enlarged, samples, preferred)
+        placed = placed if again.failure is not None else again
+    return placed._replace(parameters=np.minimum(placed.parameters, curve.length))
+
+
+def _place_modules(arm: Arm, curve: Curve, samples: int, preferred: Array) -> Placement:
     units, names = arm_units(arm), kinematics_names(arm)
     if is_compiled(arm):
         return _place_compiled(arm, curve, samples, units)._replace(placed_by=names)
-    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
     walk = Walk(arm, curve, samples, preferred)
     parameters, failure = np.full(arm.n_modules, curve.length), None
     for unit in units:
@@ -358,13 +370,6 @@ def resolve_targets(
     if placement is None and moved.distance > FAR * arm.length:
         warn_caller(far_moved(arm, "the curve", moved))
     result, used, fallback = _place(arm, placed, method, samples, near)
-    if near is None and isinstance(result.failure, CurveEndsEarly) and np.any(arm.slides & ~arm.roaming):
-        shortest = np.clip(0.0, arm.limits.lower, arm.limits.upper)
-        retracted = np.where(arm.slides, shortest, arm.positions(arm.straight()))
-        shorter = Target.from_configuration(arm, arm.configuration(retracted))
-        placement_retracted = _place(arm, placed, method, samples, shorter)
-        if placement_retracted[0].failure is None:
-            result, used, fallback = placement_retracted
     if result.failure is not None and incomplete == "raise":
         raise result.failure
     if fallback:
@@ -419,14 +424,21 @@ def _place(
     Returns:
         The placement, its method, and why "auto" chose least squares; else empty.
     """
-    if method == "sequential":
-        return place_in_turn(arm, curve, samples, near), method, ""
-    if method != "auto":
+    if method in ("smooth", "closest"):
         return _place_together(arm, curve, method, near), method, ""
+    slides = bool(np.any(fitting_slides(arm)))
+    if method == "auto" and slides and not has_custom_kinematics(arm):
+        together = _place_together(arm, curve, "closest", near)
+        if together.failure is None:
+            return together, "closest", "slides fit the whole arm to the curve"
     try:
-        in_turn, compiled = place_in_turn(arm, curve, samples, near), is_compiled(arm)
+        in_turn, compiled = _place_in_turn(arm, curve, samples, near), is_compiled(arm)
     except UnsupportedModule as error:
+        if method == "sequential":
+            raise
         return _place_together(arm, curve, "closest", near), "closest", str(error)
+    if method == "sequential":
+        return in_turn, method, ""
     ends_early = compiled and isinstance(in_turn.failure, CurveEndsEarly)
     reason = "" if in_turn.failure is None else str(in_turn.failure)
     if in_turn.failure is None:
@@ -441,6 +453,18 @@ def _place(
     if together.failure is None or not compiled:
         return together, method, reason
     return in_turn, "sequential", ""
+
+
+def _place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None) -> Placement:
+    """Place the modules one by one; if `near` is None, near the straight arm, whose slides fit the curve."""
+    if near is not None or not np.any(fitting_slides(arm)):
+        return place_in_turn(arm, curve, samples, near)
+    for length in (curve.length - beginning(arm, curve)[0], 0.0):
+        slid = Target.from_configuration(arm, arm.configuration(slid_positions(arm, length)))
+        placed = place_in_turn(arm, curve, samples, slid)
+        if placed.failure is None:
+            break
+    return placed
 
 
 def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
@@ -479,15 +503,20 @@ def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
     return before, after
 
 
-def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) -> Placement:
-    """Fit the whole arm by least squares; fail if a control point ends up too far from the curve."""
+def _place_together(
+    arm: Arm, curve: Curve, method: str, near: Target | None, to_end: bool = True
+) -> Placement:
+    """Fit the whole arm by least squares; fail if a control point ends up too far from the curve.
+
+    Slides extend the arm to the end of the curve (`to_end`), or not that far if its control points would leave it.
+    """
     start, _ = beginning(arm, curve)
     lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
     bending = STIFFNESS[method] * float(np.median(lengths))
     if near is None or near.q is None:
-        positions, parameters = fit_curve(arm, curve, start, bending)
+        positions, parameters = fit_curve(arm, curve, start, bending, to_end=to_end)
     else:
-        positions, parameters = fit_near(arm, curve, start, bending, near.q, near.parameters)
+        positions, parameters = fit_near(arm, curve, start, bending, near.q, near.parameters, to_end)
     ends = np.minimum(parameters, curve.length)
     residual = _distances(arm, positions, curve, ends)
     failure: TargetError | None = None
@@ -504,6 +533,8 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
         text = f"its end stays at least {residual[k]:.4g} m off the curve"
         kind, why = _obstruction(arm, curve, positions, k, start)
         failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
+    if failure is not None and to_end and np.any(fitting_slides(arm)):
+        return _place_together(arm, curve, method, near, to_end=False)
     return Placement(positions, ends, failure)
 
 
@@ -567,8 +598,8 @@ def _obstruction(
     names = dict(zip(arm.columns.tolist(), arm.chain.input_names, strict=True))
     stuck = [int(u) for u in own if room[u] <= AT_LIMIT]
     slides = [u for u in stuck if arm.slides[u]]
-    if slides:
-        listed = ", ".join(f"{names[u]!r} at {positions[u]:.4g} m" for u in slides[:3])
+    if slides and slides == stuck:
+        listed = ", ".join(f"{names[u]!r} at {positions[u].round(6):.4g} m" for u in slides[:3])
         advice = "move the curve, or widen their limits"
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))

@@ -20,7 +20,7 @@ import pinposture as pp
 from pinposture.arm import continuum_section
 from pinposture.arm.configurations import JointLimits, check_joint_positions, plausible_positions
 from pinposture.control import controller_named
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, UnknownName, no_warnings
 
 L1, L2 = 0.03, 0.02
 SLIDE = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.05)
@@ -106,6 +106,15 @@ def test_indices_do_not_depend_on_where_the_arm_stands(arm: pp.Arm) -> None:
     )
     q = arm.random(np.random.default_rng(3))
     np.testing.assert_allclose(far.at(q).manipulability(), arm.at(q).manipulability(), atol=1e-7)
+
+
+def test_an_arm_whose_joints_do_not_move_its_tip_lies_along_a_line() -> None:
+    roll = pp.ModuleTemplate("Rx", (pp.JointSpec("x"),), (0.1,))
+    with no_warnings():  # it is one module
+        arm = pp.Arm.from_modules([roll] * 3)
+    target = pp.resolve_targets(arm, pp.Curve.line([0.0, 0.0, 0.0], [0.0, 1.0, 0.0]), placement="align")
+    np.testing.assert_allclose(target.points[-1], [0.3, 0.0, 0.0], atol=1e-9)
+    assert pp.track(arm, target, arm.straight()).converged
 
 
 def test_planar_indices_use_the_plane() -> None:
