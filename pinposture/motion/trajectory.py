@@ -43,18 +43,6 @@ HOLDING_SHARE = 0.85
 """Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
 
 
-class Shares(NamedTuple):
-    """Velocities and accelerations relative to their limits, the largest of all joints; 1 is at the limit.
-
-    Attributes:
-        speeds: in each step, (steps,); None if no joint has a limit.
-        accelerations: at each row, from and to rest, (steps + 1,); None if no joint has a limit.
-    """
-
-    speeds: Array | None
-    accelerations: Array | None
-
-
 class LimitViolation(NamedTuple):
     """Violations of velocity, acceleration and jerk limits in a motion.
 
@@ -73,15 +61,16 @@ class LimitViolation(NamedTuple):
     text: str
 
 
-def limit_shares(run: Trajectory) -> Shares:
-    """Return the velocities and accelerations of a run relative to its limits."""
+def limit_shares(run: Trajectory) -> tuple[Array | None, Array | None]:
+    """Return the largest velocities, (steps,), and accelerations, (steps + 1,), relative to their limits.
+
+    The arm is at rest before and after. None if no joint has a limit.
+    """
     speeds, accelerations, _ = _joint_shares(run)
     bounds = run.limits.for_arm(run.arm)
     limited = bool(np.any(np.isfinite(bounds.bound)))
-    return Shares(
-        speeds.max(axis=1) if limited else None,
-        None if bounds.acceleration is None else accelerations.max(axis=1),
-    )
+    largest = None if bounds.acceleration is None else accelerations.max(axis=1)
+    return speeds.max(axis=1) if limited else None, largest
 
 
 def largest_shares(run: Trajectory) -> dict[str, float | None]:

@@ -22,7 +22,7 @@ from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.collision.pipe import pipe
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
-from pinposture.control.limits import JerkFilter, JointBounds, cycle_of
+from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
@@ -331,37 +331,41 @@ class ReferencePath:
         q = arm.integrate(reference.start, offsets[0])
         first = Target(arm.at(q).compiled.points, reference.weights[0], q)
         self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
+        self._limits, self._rates = limits, np.full(reference.rows - 1, self.most)
+        self._retime()
         cycles = JerkFilter(arm, limits).cycles
-        self._rates = self._allowed_rates(bounds, cycles)
-        self.timed = retime(self.path, limits, self._rates)
-        if self.steps > MAX_PERFORMED_CYCLES:
-            most = f"{MAX_PERFORMED_CYCLES:g}"
-            allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
-            raise InvalidValue("cycles of the motion", round(self.steps), allowed)
+        if any(mark.speed < 1.0 for mark in reference.marks):
+            self._limit_speeds(0)
+            self._limit_speeds(1 + cycles // 2)  # averaged steps lie on both sides of a mark
         self._slow_down_at_marks(cycles)
 
     @property
     def _profile(self) -> SpeedProfile:
         return cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
 
-    def _allowed_rates(self, bounds: JointBounds, cycles: int) -> Array:
-        """Return the rows per cycle that the speeds of the marks allow from each row to the next, (N,)."""
+    def _retime(self) -> None:
+        self.timed = retime(self.path, self._limits, self._rates)
+        if self.steps > MAX_PERFORMED_CYCLES:
+            most = f"{MAX_PERFORMED_CYCLES:g}"
+            allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
+            raise InvalidValue("cycles of the motion", round(self.steps), allowed)
+
+    def _limit_speeds(self, beside: int) -> None:
+        """Lower the rates to the speeds of the marks, for so many cycles also before and after."""
         before, after = self.path.slopes[:-1], self.path.slopes[1:]
         middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
         slopes = np.abs([before, middle, after]).max(axis=0)  # the slope in between is in their hull
-        full = (slopes / (SPEED_SHARE * bounds.bound)).max(axis=1)  # cycles per row at full speed
-        rates, begin = np.full(len(full), self.most), 0
-        both = 1.0 + 0.5 * cycles  # averaged steps may lie on both sides of a mark
-        most = ceil(both * self.most)
+        bound = SPEED_SHARE * self.timed.bounds.bound
+        full = np.maximum((slopes / bound).max(axis=1), ROW_TOLERANCE)  # cycles per row at full speed
+        begin, places = 0, self.timed.places
         for mark in self.reference.marks:
             if mark.speed < 1.0:
-                slow = np.minimum(mark.speed / np.maximum(full, ROW_TOLERANCE), self.most)
-                before = ceil(both * slow[max(begin - most, 0) : begin].max(initial=0.0))
-                after = ceil(both * slow[mark.row : mark.row + most].max(initial=0.0))
-                piece = slice(max(begin - before, 0), mark.row + after)
-                rates[piece] = np.minimum(rates[piece], slow[piece])
+                cycles = np.searchsorted(places, (begin, mark.row)) + (-beside, beside)
+                first, last = places[np.clip(cycles, 0, len(places) - 1)]
+                piece = slice(min(int(first), begin), max(ceil(last), mark.row))
+                self._rates[piece] = np.minimum(self._rates[piece], mark.speed / full[piece])
             begin = mark.row
-        return rates
+        self._retime()
 
     def _slow_down_at_marks(self, cycles: int) -> None:
         """Lower the rates at marks that the arm would miss if its steps are averaged over so many cycles.
@@ -393,7 +397,7 @@ class ReferencePath:
                     self._rates[piece] = np.minimum(self._rates[piece], rate)
             if not slower:
                 break
-            self.timed = retime(self.path, self.timed.limits, self._rates)
+            self._retime()
 
     def _distance(self, averaged: Array, place: float) -> float:
         """Return the mean distance of the control points, at a mean of configurations, from a place [m]."""
