@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, make_read_only
+from pinposture._validation import finite_vector, float_array, make_read_only
 from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
@@ -160,6 +160,20 @@ class ConfigurationSpace:
                 displacement[dof] = atan2(a * d - b * c, a * c + b * d)
         return displacement
 
+    def of_right_size(self, q: ArrayLike, name: str = "q") -> Array:
+        """Return a configuration as a new float array (nq,), finite or not.
+
+        Raises:
+            InvalidValue: not numbers, or of another size, such as one number per joint.
+        """
+        try:
+            return float_array(name, q, (self.nq,))
+        except InvalidValue as error:
+            if self._flat or not isinstance(error.value, tuple) or error.value != (self.nv,):
+                raise
+            allowed = f"{error.allowed}: two numbers for each continuous joint; see Arm.configuration"
+            raise InvalidValue(error.name, error.value, allowed) from None
+
     def checked(self, q: ArrayLike, name: str = "q") -> Array:
         """Check a configuration and return it as a new float array.
 
@@ -173,7 +187,11 @@ class ConfigurationSpace:
         Raises:
             InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
         """
-        checked = finite_vector(name, q, self.nq)
+        try:
+            checked = finite_vector(name, q, self.nq)
+        except InvalidValue:
+            self.of_right_size(q, name)
+            raise
         if not self._flat and not pin.isNormalized(self.model, checked, 1e-6):
             allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
             raise InvalidValue(name, q, allowed)

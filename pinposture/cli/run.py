@@ -214,7 +214,7 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
             "its curve is",
         )
         pairs = [" to ".join(place.pair) if place.pair else None for place in found]
-        ways = [str(place.moved) if place.moved else None for place in found]
+        ways = [None if place.moved is None else str(place.moved) for place in found]
         rows = [(*place[:-2], *words) for place, *words in zip(found, pairs, ways, strict=True)]
         print_table(headings, rows)
     scene = task.surroundings(reference)

@@ -209,7 +209,7 @@ class Feedback:
         """Return a measured configuration; if it cannot be used, None and the reason."""
         if q is None:
             return None, "no measurement"
-        measured, arm = float_array("q_measured", q, (self.arm.nq,)), self.arm
+        measured, arm = self.arm.of_right_size(q, "q_measured"), self.arm
         if not np.all(np.isfinite(measured)):
             return None, f"q_measured[{int(np.argmin(np.isfinite(measured)))}] is not finite"
         try:

@@ -321,4 +321,5 @@ def test_a_check_names_postures_closer_than_the_margin(command, task):
         task.write_text(f"{text}[scene]\nmargin = {margin}\n{ball}")
         result = command("run", task, "--check")
         assert result.code == 0
+        assert re.search(r"straight .* m0\d_\w+ to ball +where it was drawn", result.out)
         assert ("and ball would be" in result.err and "the margin is 50 mm" in result.err) == said

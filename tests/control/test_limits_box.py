@@ -26,7 +26,7 @@ LOADED = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><lin
 <joint name="turn" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
 <origin xyz="0.1 0 0"/><limit effort="1" velocity="2.5" lower="-2.9" upper="0.1"/></joint>
 <joint name="endless" type="continuous"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
-<origin xyz="0.1 0 0"/><limit effort="1" velocity="0"/></joint>
+<origin xyz="0.1 0 0"/><limit effort="1" velocity="inf"/></joint>
 <joint name="slide" type="prismatic"><parent link="c"/><child link="d"/><axis xyz="1 0 0"/>
 <origin xyz="0.1 0 0"/><limit effort="1" velocity="0.3" lower="0.2" upper="0.7"/></joint>
 <joint name="wrist" type="revolute"><parent link="d"/><child link="e"/><axis xyz="0 1 0"/>
