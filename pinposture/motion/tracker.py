@@ -438,8 +438,8 @@ class Tracker:
         dq = tracker.step(q_measured)                # in every cycle
 
     It never extrapolates the target: without one, with one older than `timeout`, without a measurement, or
-    with an implausible one, it brakes within its limits and holds, but evades moving obstacles. The reason is
-    in `report`.
+    with an implausible one, it brakes within its limits and holds, and `report` gives the reason. If it has a
+    measurement, it evades moving obstacles meanwhile.
 
     The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
     would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
@@ -649,7 +649,7 @@ class Tracker:
                 step, reason = None, "the step of the controller is not finite"
         evading = False
         if step is None or reason:
-            held, evading = self._hold(state, limits, memory)
+            held, evading = self._hold(None if feedback.reason else state, limits, memory)
             memory = held if step is None else step.memory.with_motion_of(held)
         else:
             memory = step.memory
@@ -671,7 +671,11 @@ class Tracker:
         return self.arm.at(self.arm.integrate(state.q, self._filter.ahead))
 
     def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> tuple[Memory, bool]:
-        """Brake and hold, or evade approaching obstacles; the second value tells whether the arm evades."""
+        """Brake and hold, or evade approaching obstacles, which needs a measured state.
+
+        Returns:
+            The memory after that step, and whether the arm evades.
+        """
         memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
         braked = memory.braked(limits, self._neutral_state)
         controller = self._steps.controller

@@ -243,6 +243,18 @@ def test_velocities_need_the_duration_of_a_step() -> None:
         controller.step(arm().at(np.zeros(40)), target)
 
 
+def test_an_arm_without_a_measurement_does_not_move() -> None:
+    scene, q = ball_scene(), np.zeros(40)
+    tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)
+    tracker.update(pp.Target.from_configuration(arm(), q))
+    for cycle in range(250):
+        center = np.array([0.7 * arm().length, 0.5 - 0.2 * DT * cycle, 0.02])
+        moment = scene.moved({"ball": center}, velocities={"ball": (0.0, -0.2, 0.0)})
+        assert not np.any(tracker.step(None if cycle else q, scene=moment))
+        assert tracker.report.status == ("holding" if cycle else "converged")
+    assert gap(q, center) < 0.0 and tracker.report.reason == "no measurement"
+
+
 def test_obstacles_move_on_between_the_pictures_of_a_slow_camera() -> None:
     q, goal, origin, velocity = crossing(0)
     paths = []

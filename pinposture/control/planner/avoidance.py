@@ -140,8 +140,8 @@ GAIN_SHARE, RETREAT_GAIN_SHARE = 0.5, 0.9
 """Share of the largest possible gain of clearance in a step that is required of a pair that is too close: for
 a fixed obstacle, and for a moving one."""
 
-RETREAT_SHARE = 0.2
-"""Share of the largest acceleration away from an obstacle that a retreat relies on."""
+RETREAT_SHARE, RETREAT_SPEED_SHARE = 0.2, 0.5
+"""Share of the largest acceleration and speed away from an obstacle that a retreat relies on."""
 
 MAX_NAMED_PAIRS = 3
 """Largest number of pairs that a message lists."""
@@ -282,6 +282,11 @@ class Avoidance:
             brake = self._bounds.brake[self.objective.columns] / self.objective.units
             able = RETREAT_SHARE * (np.abs(matrix) @ np.minimum(brake, 1e9))
             approach = np.minimum(approach, able / np.maximum(closing, 1e-12))
+        # From an obstacle that is faster than the arm, it retreats the earlier, the faster the obstacle is.
+        bound = self._bounds.bound[self.objective.columns] / self.objective.units
+        speed = RETREAT_SPEED_SHARE * (np.abs(matrix) @ np.minimum(bound, 1e9))
+        behind = np.maximum(closing - speed, 1e-12)
+        approach = np.minimum(approach, closing**2 / (behind * CONSTRAINED_DISTANCE * self._length))
         share = np.where(near.rates == 0.0, GAIN_SHARE, RETREAT_GAIN_SHARE)
         return ConstraintRows(matrix, np.minimum(closing - approach * room, share * most))
 
