@@ -390,6 +390,9 @@ class SlidingFit(FitProblem):
         self._carried = joints < before[:, None]
         self._ratios = (chain.columns[:, None] == self.columns) * chain.ratios[:, None]
         long = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1) > ON_JOINT * arm.length
+        roaming = int(arm.roaming.sum())  # links begin after them, see `ArmState.links`
+        self._first = roaming + bool(roaming)
+        long[: self._first] = False
         self._sampled = np.concatenate([long, long])
         self._sampled[len(long) + self._points - 1] = False  # they are in the rows of `FitProblem`
 
@@ -405,11 +408,12 @@ class SlidingFit(FitProblem):
 
     def closed(self, curve: Samples | Curve, unknowns: Array) -> Array:
         """Move the control points of a fit onto the curve, if other residuals hold them off it."""
-        if self._bending > EXACT_FIT:  # bending does, too
+        tip, length = self.split(unknowns)[1][-1], self._arm.length
+        if self._bending > EXACT_FIT or tip > curve.length + NEAR_FIT * length:  # it cannot
             return unknowns
         points = copy(self)
         points._only_points, points._tip_weight = True, 1.0
-        points._end = min(self.split(unknowns)[1][-1], curve.length - END_MARGIN * self._arm.length)
+        points._end = min(tip, curve.length - END_MARGIN * length)
         return refined(points, curve, unknowns, weight=CLOSING_WEIGHT)
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
@@ -426,19 +430,15 @@ class SlidingFit(FitProblem):
         links, slides = np.zeros((len(rows), n + m)), SLIDE_WEIGHT * np.eye(n + m)[sliding]
         links[:, :n] = weight * self._units[:n] * rows
         shifts = slides @ (unknowns - self._straight)
-        return np.concatenate([residual, tip, weight * gaps, shifts]), np.vstack(
-            [jacobian, row, links, slides]
-        )
+        residual = np.concatenate([residual, tip, weight * gaps, shifts])
+        return residual, np.vstack([jacobian, row, links, slides])
 
     def _stations(self, positions: Array) -> tuple[Array, Array]:
         """Return the base, joints and control points along the arm, (k, 3) [m], and their Jacobians."""
         chain, forward = self._arm.chain, self._arm.kinematics.forward(positions)
         stations = np.empty((len(self._carried), 3))
-        stations[0], stations[self._points], stations[self._origins] = (
-            chain.base,
-            forward.points,
-            forward.origins,
-        )
+        stations[0], stations[self._points] = chain.base, forward.points
+        stations[self._origins] = forward.origins
         levers = np.cross(forward.axes, stations[:, None] - forward.origins)
         moved = np.where(chain.revolute[:, None], levers, forward.axes) * self._carried[:, :, None]
         return chain.flattened(stations), moved.transpose(0, 2, 1) @ self._ratios
@@ -447,15 +447,17 @@ class SlidingFit(FitProblem):
         """Return the vectors from the curve to points of the links (3 k,) [m] and their Jacobian (3 k, n)."""
         positions, s = self.split(unknowns)
         stations, jacobians = self._stations(positions)
-        along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(stations, axis=0), axis=1)))
+        steps = np.linalg.norm(np.diff(stations, axis=0), axis=1)
+        steps[: self._first] = 0.0
+        along = np.append(0.0, np.cumsum(steps))
         points, jacobians, at = (
             np.concatenate([(each[1:] + each[:-1]) / 2.0, each[1:]])[self._sampled]
             for each in (stations, jacobians, along)
         )
         places = np.interp(at, np.append(0.0, along[self._points]), np.append(self._start, s))
         places = np.clip(places, 0.0, curve.length)
-        steps = np.einsum("ij,ij->i", points - curve.at(places), curve.tangent(places))
-        places = np.clip(places + steps, 0.0, curve.length)
+        ahead = np.einsum("ij,ij->i", points - curve.at(places), curve.tangent(places))
+        places = np.clip(places + ahead, 0.0, curve.length)
         gaps, tangents = points - curve.at(places), curve.tangent(places)
         across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
         return np.einsum("pij,pj->pi", across, gaps).ravel(), (across @ jacobians).reshape(-1, self._joints)

@@ -544,7 +544,7 @@ def _place_together(
         failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
     if failure is not None and to_end and np.any(fitting_slides(arm)):
         retracted = _place_together(arm, curve, method, near, to_end=False)
-        if retracted.failure is None:
+        if retracted.failure is None or isinstance(retracted.failure, CurveEndsEarly):
             return retracted
     return Placement(positions, ends, failure)
 

@@ -292,6 +292,23 @@ def test_a_base_that_drives_goes_to_a_curve_that_is_used_as_it_is():
     assert there.distance_from_curve(arm) == pytest.approx(at_base.distance_from_curve(arm), abs=1e-6)
 
 
+def test_slides_on_a_base_that_drives_fit_the_arm_to_the_curve_wherever_it_is():
+    telescope = [*pairs(1), ("prismatic", X, LINK, limit(0, 0.1))]
+    arm = load(arm_text([("prismatic", X, HERE, WIDE), ("prismatic", Y, HERE, WIDE), *telescope * 4]))
+    curve = pp.Curve.spline([(0, 0, 0), (0.3, 0, 0), (0.6, 0.1, 0.05), (0.9, 0.4, 0.1), (0.9, 0.9, 0.1)])
+    shift = np.array([250.0, -31.0, 0.0])
+    here, there = (
+        pp.resolve_targets(arm, curve.moved(np.eye(3), arm.chain.base + by), placement="as_is")
+        for by in (np.zeros(3), shift)
+    )
+    np.testing.assert_allclose(arm.positions(there.q)[2:], arm.positions(here.q)[2:], atol=1e-5)
+    for target in (here, there):
+        assert target.parameters[-1] == pytest.approx(curve.length, abs=1e-3)
+        assert target.distance_from_curve(arm) < 0.03 * arm.length
+    with pytest.raises(CurveEndsEarly):
+        pp.resolve_targets(arm, curve.trimmed(0.0, 0.8 * arm.length), placement="translate")
+
+
 def test_points_that_a_base_has_to_drive_to_are_fitted():
     arm = driving()
     q = arm.configuration([40.0, -7.0, *np.linspace(-0.4, 0.5, 6)])
