@@ -440,14 +440,15 @@ def _place(
         else:
             placed = _place_together(arm, curve, method, near)
         return placed, method, ""
+    fitted: Placement | None = None
     if np.any(fitting_slides(arm)) and not has_custom_kinematics(arm):
-        together = _place_together(arm, curve, "closest", near)
-        if together.failure is None:
-            return together, "closest", "slides fit the whole arm to the curve"
+        fitted = _place_together(arm, curve, "closest", near)
+        if fitted.failure is None:
+            return fitted, "closest", "its slides fit its length to the curve"
     try:
         in_turn, compiled = _place_in_turn(arm, curve, samples, near), is_compiled(arm)
     except UnsupportedModule as error:
-        return _place_together(arm, curve, "closest", near), "closest", str(error)
+        return fitted or _place_together(arm, curve, "closest", near), "closest", str(error)
     ends_early = compiled and isinstance(in_turn.failure, CurveEndsEarly)
     reason = "" if in_turn.failure is None else str(in_turn.failure)
     if in_turn.failure is None:
@@ -458,7 +459,7 @@ def _place(
     if ends_early or not reason:
         return in_turn, "sequential", ""
     method = "smooth" if compiled else "closest"
-    together = _place_together(arm, curve, method, near)
+    together = fitted or _place_together(arm, curve, method, near)
     if together.failure is None or not compiled:
         return together, method, reason
     return in_turn, "sequential", ""
