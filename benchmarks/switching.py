@@ -3,7 +3,7 @@
     python benchmarks/switching.py                      # print the table
     python benchmarks/switching.py --save benchmarks/results/switching.json
 
-A family is an arm with a kind of start and a kind of target (`pinposture.study.scenarios.FAMILIES`); the
+A family is an arm with a kind of start and a kind of target; the
 seed draws what the family leaves open. Harsh starts, every joint uniform within 1.5 rad (spatial arm) or
 0.5 rad (planar arm), are added to the smooth ones. |dq| <= 0.1 rad per step, at most 400 steps. An arm has
 arrived if its mean point error is below 1e-3 of its length. Worse than the better one: by how much the mean
@@ -28,7 +28,17 @@ from rich.table import Table
 import pinposture as pp
 from pinposture.control.thesis.switching import HandBack
 from pinposture.study import case
-from pinposture.study.scenarios import ARMS, FAMILIES, Scenario
+from pinposture.study.scenarios import ARMS, Scenario, StartKind
+
+STARTS: tuple[StartKind, ...] = get_args(StartKind)
+FAMILIES = tuple(
+    Scenario(f"{arm}: {start} -> {target}", f"{start} -> {target}", "", start, target, arm)
+    for arm, targets in (("ryrz20", ("helix", "line", "random")), ("planar45", ("line", "random")))
+    for start in STARTS
+    for target in targets
+    if (start, target) != ("straight", "line")  # nothing to do
+)
+"""Every kind of start with every kind of target that the arm can take; a planar arm cannot take a helix."""
 
 CONTROLLERS = ("selection", "projection", "switching")
 STEPS = 400

@@ -67,7 +67,7 @@ def main() -> None:
     )
     console.print(f"pictures: {OUT}/*/comparison.png, {OUT}/*/geodesic/run.png and {folder}/motion.png")
     console.print(f"animations, to open in a browser: {OUT}/*/geodesic/run.html and {folder}/motion.html")
-    console.print(f"the other runs: pinposture view {OUT}/{scenarios[0].name}/selection --html run.html")
+    console.print(f"the other runs: pinposture view {OUT}/{scenarios[0].name}/selection -o run.html")
     console.print(f"took {time.perf_counter() - begun:.0f} s")
 
 

@@ -25,12 +25,10 @@ from pinposture.arm.kinematics import (
     FrameReader,
     Frames,
     Kinematics,
-    constants_of,
     find_base_slides,
     find_unlimited,
     frame_ids,
     read_chain,
-    screws_of,
 )
 from pinposture.arm.loading import LoadedModel, LoadReport, Modules, load_model, place_base
 from pinposture.arm.manipulability import (
@@ -47,6 +45,7 @@ from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, require_instance, warn_caller
+from pinposture.kernels.arrays import Screws
 from pinposture.storage import settled
 
 Array = NDArray[np.float64]
@@ -99,6 +98,10 @@ class Arm(ConfigurationSpace):
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self.chain: Chain = read_chain(model, self.control_points)
+        lower, upper = self.limits.lower, self.limits.upper
+        for u in np.flatnonzero(lower > upper):
+            given = float(lower[u]), float(upper[u])
+            raise InvalidValue(f"limits of joint {self.joint_names[u]!r}", given, "lower <= upper")
         sizes = tuple(joints.stop - joints.start for joints in self.chain.module_slices)
         self.segmentation = report.segmentation if report else Segmentation(sizes, "control points as given")
         if characteristic_length is None:
@@ -242,14 +245,18 @@ class Arm(ConfigurationSpace):
         embedded = is_urdf_text(source) or not Path(source).exists()  # a name does not identify the text
         if embedded:
             folders = loaded.report.package_dirs
+        split = (modules,) if isinstance(modules, str) else modules
         spec = ArmSpec(
             urdf=loaded.text if embedded else settled(source),
             base=base,
             tip=tip,
-            split=_plain_modules(modules),
+            split=None if split is None else np.asarray(split).tolist(),
             locked={name: float(position) for name, position in (locked or {}).items()},
             package_dirs=tuple(settled(folder) for folder in folders),
-            couplings={name: _plain_coupling(value) for name, value in (couplings or {}).items()},
+            couplings={
+                name: leader if isinstance(leader, str) else tuple(leader)
+                for name, leader in (couplings or {}).items()
+            },
         )
         return cls._from_loaded(loaded, spec)
 
@@ -281,7 +288,7 @@ class Arm(ConfigurationSpace):
 
         Raises:
             UnknownName: a frame does not exist.
-            InvalidValue: the frames are not in order along one chain.
+            InvalidValue: the frames are not in order along one chain, or a lower limit is above the upper.
         """
         require_instance("model", model, pin.Model, "a pin.Model")
         own = pin.Model(model)
@@ -636,18 +643,6 @@ class Arm(ConfigurationSpace):
         )
 
 
-def _plain_modules(modules: Modules) -> Any:
-    """Return the `modules` argument as plain data."""
-    if modules is None:
-        return None
-    return (modules,) if isinstance(modules, str) else np.asarray(modules).tolist()
-
-
-def _plain_coupling(value: Any) -> Any:
-    """Return a value of the `couplings` argument as plain data."""
-    return value if isinstance(value, str) else tuple(value)
-
-
 class ArmState:
     """The arm at one configuration; everything in it is read-only and computed on first use.
 
@@ -754,6 +749,20 @@ class ArmState:
         """
         return _read_only(self.axes * self.arm.support[:, None, :])
 
+    @cached_property
+    def screws(self) -> Screws:
+        """The joint screws, for kernels; do not write to them."""
+        chain, forward, frames = self.arm.kinematics, self.forward, self.frames
+        constants, points = chain.task_constants, (frames or forward).points
+        found = Screws(np.empty((len(constants.joints), 6)), chain.ends, points)
+        if frames is not None:
+            given = frames.motions, chain.columns, constants.units
+            kernels.carry_screws(*given, chain.ends, points, found.screws)
+        else:
+            joints = chain.constants, constants.joints, constants.units
+            kernels.find_screws(*joints, forward.axes, forward.origins, chain.ends, points, found.screws)
+        return found
+
     def jacobian(self, frame: str) -> Array:
         """Return the Jacobian of any frame: a control point, a link or a joint.
 
@@ -804,7 +813,7 @@ class ArmState:
     @cached_property
     def _manipulability(self) -> Array:
         indices = np.zeros((self.arm.n_modules + 1, self.arm.n_modules + 1))
-        kernels.all_indices(*screws_of(self), constants_of(self.arm).plane, indices)
+        kernels.all_indices(self.screws, self.arm.kinematics.task_constants.plane, indices)
         return _read_only(indices)
 
     def ellipsoids(

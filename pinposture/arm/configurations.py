@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, make_read_only
+from pinposture._validation import finite_vector, float_array, make_read_only
 from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
@@ -135,9 +135,14 @@ class ConfigurationSpace:
         return self.difference(self.origin, self.checked(q))
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Return the configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
+        """Return the configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m].
+
+        For displacements (k, nv) it returns configurations (k, nq).
+        """
         if self._flat:
             return np.asarray(q + dq)
+        if dq.ndim == 2:
+            return np.array([pin.integrate(self.model, q, row) for row in dq]).reshape(-1, self.nq)
         return np.array(pin.integrate(self.model, q, dq))
 
     def difference(self, start: Array, end: Array) -> Array:
@@ -155,6 +160,20 @@ class ConfigurationSpace:
                 displacement[dof] = atan2(a * d - b * c, a * c + b * d)
         return displacement
 
+    def of_right_size(self, q: ArrayLike, name: str = "q") -> Array:
+        """Return a configuration as a new float array (nq,), finite or not.
+
+        Raises:
+            InvalidValue: not numbers, or of another size, such as one number per joint.
+        """
+        try:
+            return float_array(name, q, (self.nq,))
+        except InvalidValue as error:
+            if self._flat or not isinstance(error.value, tuple) or error.value != (self.nv,):
+                raise
+            allowed = f"{error.allowed}: two numbers for each continuous joint; see Arm.configuration"
+            raise InvalidValue(error.name, error.value, allowed) from None
+
     def checked(self, q: ArrayLike, name: str = "q") -> Array:
         """Check a configuration and return it as a new float array.
 
@@ -168,7 +187,11 @@ class ConfigurationSpace:
         Raises:
             InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
         """
-        checked = finite_vector(name, q, self.nq)
+        try:
+            checked = finite_vector(name, q, self.nq)
+        except InvalidValue:
+            self.of_right_size(q, name)
+            raise
         if not self._flat and not pin.isNormalized(self.model, checked, 1e-6):
             allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
             raise InvalidValue(name, q, allowed)
@@ -214,10 +237,10 @@ def check_joint_positions(
 
 
 def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return lowest and highest positions, (nv,) each, between which `check_joint_positions` says nothing."""
+    """Return the range of positions, (nv,) each, within which `check_joint_positions` finds no fault."""
     free = ~slides & ~np.isfinite(np.minimum(-limits.lower, limits.upper))
     widest = np.where(free, WOUND_POSITION, np.inf)
-    slack = 0.9 * SLACK  # no more than that, whatever the rounding
+    slack = 0.9 * SLACK  # allows for rounding
     return np.maximum(limits.lower - slack, -widest), np.minimum(limits.upper + slack, widest)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, Follows, JointDescription
-from pinposture.errors import InvalidValue, UnknownName, URDFError
+from pinposture.errors import InvalidValue, URDFError, require_known
 
 Array = NDArray[np.float64]
 
@@ -75,9 +75,7 @@ def with_couplings(description: Description, given: Mapping[str, object] | None)
     """
     joints = {joint.name: joint for joint in description.joints}
     for name, value in (given or {}).items():
-        if name not in joints or joints[name].type not in CHAIN_JOINTS:
-            known = [joint.name for joint in description.joints if joint.type in CHAIN_JOINTS]
-            raise UnknownName("moving joint", name, known)
+        require_known("moving joint", name, [each for each in joints if joints[each].type in CHAIN_JOINTS])
         joints[name] = replace(joints[name], follows=_read_follows(name, value))
     return replace(description, joints=tuple(joints.values()))
 

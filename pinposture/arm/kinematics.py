@@ -12,7 +12,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
-from pinposture.errors import InvalidValue, UnknownName
-from pinposture.kernels.arrays import ChainArrays, Screws
+from pinposture.errors import InvalidValue, require_known
+from pinposture.kernels.arrays import ChainArrays
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -57,10 +57,12 @@ def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, l
     any axis through the tip, because they do not move it.
     """
     n = len(axes)
-    while n > 1 and revolute[n - 1]:
+    while n and revolute[n - 1]:
         if np.linalg.norm(np.cross(axes[n - 1], tip - origins[n - 1])) > ON_AXIS * length:
             break
         n -= 1
+    if not n:  # nothing moves the tip
+        return None
     turns, slides = axes[:n][revolute[:n]], axes[:n][~revolute[:n]]
     if len(turns):
         signs = np.where(turns @ turns[0] < 0.0, -1.0, 1.0)
@@ -353,8 +355,7 @@ def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
             preferred.add(frame.name)
             found[frame.name] = index
     for name in names:
-        if name not in found:
-            raise UnknownName("frame", name, list(found)[1:])
+        require_known("frame", name, found)
     return [found[name] for name in names]
 
 
@@ -466,11 +467,13 @@ class Kinematics:
             InvalidValue: a joint neither turns about one axis nor slides along one.
         """
         joints = [model.getJointId(name) for name in chain.joints]
-        for joint in joints:
-            _require_simple(model, joint)
         self.endless = np.zeros(model.nv, dtype=np.bool_)
-        for joint in joints:
-            self.endless[model.joints[joint].idx_v] |= model.joints[joint].nq == 2
+        for joint in (model.joints[joint] for joint in joints):
+            kind = joint.shortname().removeprefix("JointModel")
+            if kind[0] not in "PR" and not is_coupled(joint):
+                allowed = "a joint that turns about one axis, or slides along one"
+                raise InvalidValue(f"joint {model.names[joint.id]!r}", kind, allowed)
+            self.endless[joint.idx_v] |= joint.nq == 2
         self.columns, self.ends = chain.inputs.astype(np.int64), chain.input_ends.astype(np.int64)
         every = joint_placements(model)
         placements = [every[joint] for joint in joints]
@@ -517,7 +520,7 @@ class Kinematics:
 
     @cached_property
     def task_constants(self) -> TaskConstants:
-        """The constants of `screws_of` and of task rows."""
+        """The constants of joint screws and of task rows."""
         n, m, plane = len(self.columns), len(self.ends), np.array(self._chain.plane)
         frame = plane if len(plane) == 3 else np.vstack([plane, np.cross(plane[0], plane[1])])
         return TaskConstants(
@@ -528,52 +531,3 @@ class Kinematics:
             dimensions=np.full(m, len(plane), dtype=np.int64),
             frames=np.repeat(frame[None], m, axis=0),
         )
-
-
-def _require_simple(model: pin.Model, joint: int) -> None:
-    kind = model.joints[joint].shortname().removeprefix("JointModel")
-    if kind[0] not in "PR" and not is_coupled(model.joints[joint]):
-        allowed = "a joint that turns about one axis, or slides along one"
-        raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)
-
-
-class HasKinematics(Protocol):
-    """The part of an arm that this module uses."""
-
-    kinematics: Kinematics
-
-
-class HasPlacements(Protocol):
-    """The part of an arm's state that this module uses."""
-
-    @property
-    def arm(self) -> HasKinematics:
-        """The arm."""
-
-    @property
-    def forward(self) -> ForwardKinematics:
-        """The result of the compiled pass along the chain."""
-
-    @property
-    def frames(self) -> Frames | None:
-        """The control points by Pinocchio, or None."""
-
-
-def constants_of(arm: HasKinematics) -> TaskConstants:
-    """Return the arm's constant arguments for the task row kernels."""
-    return arm.kinematics.task_constants
-
-
-def screws_of(state: HasPlacements) -> Screws:
-    """Compute the screws of the joints of an arm at one configuration."""
-    chain, constants, frames = state.arm.kinematics, constants_of(state.arm), state.frames
-    points = state.forward.points if frames is None else frames.points
-    found = Screws(np.empty((len(constants.joints), 6)), chain.ends, points)
-    if frames is not None:
-        motions, units = frames.motions, constants.units
-        kernels.carry_screws(motions, chain.columns, units, chain.ends, points, found.screws)
-    else:
-        joints = chain.constants, constants.joints, constants.units
-        lines = state.forward.axes, state.forward.origins
-        kernels.find_screws(*joints, *lines, chain.ends, points, found.screws)
-    return found

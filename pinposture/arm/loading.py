@@ -333,9 +333,13 @@ def _lock_warnings(
     stuck = [j.name for j in chain if j.type != "fixed" and not j.moves and j.name not in locked]
     if stuck:
         messages.append(f"limits that allow a single position lock {_quote_joints(stuck)} on the chain")
-    endless = [joint.name for joint in chain if joint.name in free and _lacks_limits(joint)]
+    limited = [joint for joint in chain if joint.name in free and joint.type in ("revolute", "prismatic")]
+    endless = [joint.name for joint in limited if joint.lower == -np.inf and joint.upper == np.inf]
     if endless:
         messages.append(f"no limits are given for {_quote_joints(endless)}; treated as unlimited")
+    unset = [joint.name for joint in chain if joint.name in free and joint.velocity == 0.0]
+    if unset:
+        messages.append(f"the velocity limit of {_quote_joints(unset)} is 0; treated as no limit")
     turns = {j.name: max(-j.lower, j.upper) for j in chain if j.type == "revolute" and j.name in free}
     wide = {name: turn for name, turn in turns.items() if SUSPECT_LIMITS[0] < turn <= SUSPECT_LIMITS[1]}
     if wide:
@@ -360,10 +364,6 @@ def _lock_warnings(
     if lost:
         messages.append(f"{_quote_joints(lost)} off the chain mimic joints that do not exist")
     return messages
-
-
-def _lacks_limits(joint: JointDescription) -> bool:
-    return joint.type in ("revolute", "prismatic") and joint.lower == -np.inf and joint.upper == np.inf
 
 
 def _off_chain(description: Description, base: str, tip: str, still: list[JointDescription]) -> str:

@@ -230,9 +230,10 @@ def _add_motion(element: ET.Element, model: pin.Model, part: pin.JointModel, q: 
     limits = {"lower": _text(edges[:1]), "upper": _text(edges[1:])} if limited else {}
     if limited or not revolute[0]:
         element.set("type", "revolute" if revolute[0] else "prismatic")
-    most = float(model.effortLimit[v]), float(model.velocityLimit[v])
-    effort, velocity = (repr(each if 0.0 < each < NO_LIMIT else NO_LIMIT) for each in most)
-    ET.SubElement(element, "limit", limits, effort=effort, velocity=velocity)
+    effort, velocity = float(model.effortLimit[v]), float(model.velocityLimit[v])
+    limits["effort"] = repr(effort if 0.0 < effort < NO_LIMIT else NO_LIMIT)
+    limits["velocity"] = repr(velocity if 0.0 <= velocity < NO_LIMIT else NO_LIMIT)
+    ET.SubElement(element, "limit", limits)
 
 
 def _add_joint(

@@ -49,6 +49,7 @@ class JointSpec:
         ratio: its motion relative to that of the joint it follows.
 
     Raises:
+        UnknownName: there is no such type.
         InvalidValue: an invalid value, or a prismatic joint without explicit limits.
     """
 
@@ -62,8 +63,7 @@ class JointSpec:
     ratio: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.type not in JOINT_TYPES:
-            raise InvalidValue("joint type", self.type, ", ".join(JOINT_TYPES))
+        require_known("type of joint", self.type, JOINT_TYPES)
         if not isinstance(self.axis, str):
             object.__setattr__(self, "axis", _axis_vector(self.axis))
         elif self.axis not in _UNIT_VECTORS:

@@ -101,6 +101,14 @@ class Description:
         return {joint.child: joint for joint in self.joints}
 
     @cached_property
+    def joints_after(self) -> dict[str, list[JointDescription]]:
+        """The child joints of each link that has any."""
+        after = defaultdict[str, list[JointDescription]](list)
+        for joint in self.joints:
+            after[joint.parent].append(joint)
+        return dict(after)
+
+    @cached_property
     def depths(self) -> dict[str, int]:
         """Number of joints between the root and each link."""
         depths = {self.root: 0}
@@ -155,11 +163,8 @@ class Description:
         Raises:
             URDFError: several chains have equally many moving joints; names their ends.
         """
-        below = defaultdict[str, list[JointDescription]](list)
-        for joint in self.joints:
-            below[joint.parent].append(joint)
-        excluded = _gripper_joints(self, below)
-        places = _place_links(below, self.root, excluded)
+        excluded = _gripper_joints(self)
+        places = _place_links(self, excluded)
         inner = {joint.parent for joint in self.joints if joint.name not in excluded}
         most = max(place.joints for place in places)
         ends: dict[str | None, list[_Place]] = {}
@@ -183,18 +188,15 @@ class Description:
         A hand has at least `fingers` moving branches, including the chain's own. The chain has at least as
         many moving joints before the hand as within it.
         """
-        below = defaultdict[str, list[JointDescription]](list)
-        for joint in self.joints:
-            below[joint.parent].append(joint)
         named = {joint.name: joint for joint in self.joints}
         path = self.chain(base, tip)
         before, all_moving = 0, sum(joint.moves for joint in path)
 
         def moves(branch: JointDescription) -> bool:
-            return branch.moves or any(named[name].moves for name in _joints_below(below, branch.child))
+            return branch.moves or any(named[name].moves for name in _joints_below(self, branch.child))
 
         for joint in path:
-            branches = below[joint.parent]
+            branches = self.joints_after[joint.parent]
             if len(branches) >= fingers and 2 * before >= all_moving > before:
                 others = sum(branch is not joint and moves(branch) for branch in branches)
                 if others >= fingers - 1:
@@ -260,7 +262,7 @@ def load_text(source: str | Path) -> tuple[str, str]:
         URDFError: multi-line text (so not a path) that does not begin with "<".
     """
     if not isinstance(source, (str, os.PathLike)):
-        raise InvalidValue("source", source, "path of a URDF file, or URDF text")
+        raise InvalidValue("source", source, "path of a URDF file, URDF text, or a pin.Model")
     if is_urdf_text(source):
         return str(source), "URDF text"
     if isinstance(source, str) and "\n" in (text := source.lstrip(_BLANK)):
@@ -514,13 +516,11 @@ class _Place(NamedTuple):
         return float(np.linalg.norm(self.position))
 
 
-def _place_links(
-    below: Mapping[str, list[JointDescription]], root: str, excluded: frozenset[str]
-) -> list[_Place]:
+def _place_links(description: Description, excluded: frozenset[str]) -> list[_Place]:
     origin, identity = np.zeros(3), np.eye(3)
-    places = [_Place(root, None, 0, origin, identity, 0)]
+    places = [_Place(description.root, None, 0, origin, identity, 0)]
     for place in places:  # grows while iterating: every link after its parent
-        for joint in below.get(place.link, []):
+        for joint in description.joints_after.get(place.link, []):
             if joint.name in excluded:
                 continue
             depth = place.depth + 1
@@ -539,7 +539,7 @@ def _farthest(group: list[_Place], order: Mapping[str, int]) -> str:
     return max(far, key=lambda place: (place.depth, -order[place.link])).link
 
 
-def _gripper_joints(description: Description, below: Mapping[str, list[JointDescription]]) -> frozenset[str]:
+def _gripper_joints(description: Description) -> frozenset[str]:
     """Find joints coupled by <mimic> across branches, with no independently moving joint after them."""
     named = {joint.name: joint for joint in description.joints if joint.moves}
     groups = defaultdict[str, set[str]](set)
@@ -551,7 +551,7 @@ def _gripper_joints(description: Description, below: Mapping[str, list[JointDesc
     for group in groups.values():
         if _one_behind_the_other(description, group):
             continue
-        after = set().union(*(_joints_below(below, named[name].child) for name in group)) - group
+        after = set().union(*(_joints_below(description, named[name].child) for name in group)) - group
         if all(name not in named or named[name].mimic for name in after):
             found |= group
     moving = {name for name, joint in named.items() if not joint.mimic}
@@ -579,10 +579,10 @@ def leading_joint(joint: JointDescription, named: Mapping[str, JointDescription]
     return joint
 
 
-def _joints_below(below: Mapping[str, list[JointDescription]], link: str) -> set[str]:
+def _joints_below(description: Description, link: str) -> set[str]:
     links, names = [link], set[str]()
     for at in links:
-        for joint in below.get(at, []):
+        for joint in description.joints_after.get(at, []):
             names.add(joint.name)
             links.append(joint.child)
     return names

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, signature
@@ -30,7 +30,7 @@ from pinposture.cli import (
     view,
 )
 from pinposture.cli.output import print_error, verb_examples, warnings_as_notes
-from pinposture.errors import PostureError
+from pinposture.errors import InvalidValue, PostureError
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
@@ -62,8 +62,9 @@ class Commands(TyperGroup):
             hint = f"; see {error.ctx.command_path} --help" if error.ctx else ""
             print_error(error.format_message().rstrip(".") + hint)
             code = REFUSED
-        except OSError as error:  # of standard output, such as on a full disk; others are FileErrors
-            print_error(f"the output cannot be written ({error.strerror or error})")
+        except OSError as error:  # of standard output, such as on a full disk, or of a name that cannot be
+            place = "the output cannot be written" if error.filename is None else error.filename
+            print_error(f"{place} ({error.strerror or error})")
             code = REFUSED
         except typer.Abort:  # Ctrl-C in older versions of Typer; newer ones return the code
             code = INTERRUPTED
@@ -83,7 +84,7 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
             try:
                 return super().invoke(ctx)
             except PostureError as error:
-                print_error(_arguments_as_options(str(error), [each.name for each in self.params]))
+                print_error(_text_with_options(error, {each.name: each.opts[0] for each in self.params}))
                 raise typer.Exit(REFUSED) from error
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -94,13 +95,31 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
     return Verb
 
 
-def _arguments_as_options(text: str, known: Sequence[str | None]) -> str:
-    """Replace advice such as placement="align" or scale=0.1 by options, for known parameters only."""
+OPTIONS_OF_ARGUMENTS = {
+    "absolute": "index",
+    "first_seed": "seed0",
+    "max_steps": "steps",
+    "step": "step_limit",
+    "threshold": "kappa",
+    "weight": "tip_weight",
+}
+"""Parameters of the verbs that are called otherwise in Python."""
+
+
+def _text_with_options(error: PostureError, options: Mapping[str | None, str]) -> str:
+    """Return the text of an error, with options of a verb in place of the arguments of Python functions.
+
+    Replaced are the name of an invalid value, and advice such as placement="align" or scale=0.1.
+    """
 
     def option(found: re.Match[str]) -> str:
         name, values = found["name"], found["values"].replace('"', "")
-        return f"--{name.replace('_', '-')} {values}" if name in known else found[0]
+        return f"{options[name]} {values}" if name in options else found[0]
 
+    text = str(error)
+    if isinstance(error, InvalidValue):
+        named = options.get(OPTIONS_OF_ARGUMENTS.get(error.name, error.name), error.name)
+        text = named + text.removeprefix(error.name)
     return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*|[\d.]*\d)', option, text)
 
 

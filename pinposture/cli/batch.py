@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pinposture.cli.inputs import (
     CURVE_HELP,
+    MOST_JOBS,
+    MOST_RUNS,
     MOTION,
     OUTPUT,
     STARTS,
@@ -23,10 +26,20 @@ from pinposture.cli.inputs import (
     UrdfArgument,
     as_configuration,
     numbers_in,
+    read_array,
     read_start,
 )
-from pinposture.cli.output import BATCH, count_progress, end_with, examples, print_result
+from pinposture.cli.output import (
+    BATCH,
+    check_directory,
+    count_progress,
+    end_with,
+    examples,
+    print_result,
+    write_files,
+)
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.storage import read_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,10 +47,6 @@ if TYPE_CHECKING:
 
     from pinposture.arm import Arm
     from pinposture.motion import Batch
-
-
-MOST_STARTS = 1_000_000
-"""Largest number of starts to draw."""
 
 
 @examples(
@@ -76,7 +85,9 @@ def run(
     scene_options: SceneOptions,
     jobs: Annotated[
         int | None,
-        MOTION("Number of processes; -1 for all cores. Default: all cores for a long batch.", "N"),
+        MOTION(
+            "Number of processes; -1 for all cores. Default: all cores for a long batch.", "N", max=MOST_JOBS
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -93,10 +104,10 @@ def run(
     track with this start and curve, for any number of processes. Runs are counted from 0.
 
     With -o all runs are saved in a directory, in batch.npz, which pp.load of the Python package and NumPy can
-    read. The exit code is 0 if every run converged without penetration, 1 if not, 2 if it could not start.
+    read. The exit code is 0 if every run converged without penetration, 1 if not, 2 if it could not start or
+    be saved.
     """
     from pinposture.motion import save, track_many
-    from pinposture.storage import check_writable
 
     controller_options.check()
     if ends_only and output is None:
@@ -106,10 +117,7 @@ def run(
     arm = arm_options.read(urdf)
     configurations = _read_starts(arm, starts, count, seed, degrees)
     targets = [placement_options.place(arm, each, surroundings) for each in curve]
-    if output is not None:
-        if output.suffix.lower() == ".npz":
-            raise InvalidValue("--output", str(output), f"a directory, in which {BATCH} is saved")
-        check_writable(output)
+    check_directory(output)
     with count_progress("run") as progress:
         batch = track_many(
             arm,
@@ -124,7 +132,7 @@ def run(
             keep="ends" if ends_only or output is None else "motions",
             progress=progress,
         )
-    file = None if output is None else str(save(batch, output / BATCH))
+    files, failure = write_files([] if output is None else [("file", output / BATCH, partial(save, batch))])
     asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed, "scene": scene_options.file}
     words = {
         name: text.replace("raise max_steps", "raise --steps") for name, text in batch.in_words().items()
@@ -133,8 +141,8 @@ def run(
     if blocked:
         where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
         words["starts"] = f"{where}; choose others by --starts or --seed"
-    results = {**batch.to_dict(), "starts_in_collision": blocked, "file": file}
-    print_result(as_json, {**asked, **results}, words, filter(None, [file]))
+    results = {**batch.to_dict(), "starts_in_collision": blocked, "file": files.get("file")}
+    print_result(as_json, {**asked, **results}, words, files.values(), failure)
     end_with(batch.faults)
 
 
@@ -166,8 +174,8 @@ def _read_starts(
         InvalidValue: a count out of range, a count for a file, or a row that is invalid for the arm.
     """
     if text in STARTS:
-        if count is not None and not 1 <= count <= MOST_STARTS:
-            raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_STARTS}")
+        if count is not None and not 1 <= count <= MOST_RUNS:
+            raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_RUNS}")
         return [read_start(arm, text, seed + k, degrees) for k in range(10 if count is None else count)]
     if Path(text).suffix.lower() not in (".csv", ".npy"):
         raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))
@@ -183,11 +191,10 @@ def _read_rows(path: Path) -> list[list[float]]:
 
     with numbers_in(path, "table"):
         if path.suffix.lower() == ".npy":
-            stored = np.atleast_2d(np.load(path, allow_pickle=False))
-            rows = [[float(value) for value in row] for row in stored]
+            rows = [[float(value) for value in row] for row in np.atleast_2d(read_array(path))]
         else:
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                rows = [[float(field) for field in row] for row in csv.reader(file) if any(row)]
+            lines = csv.reader(read_text(path).splitlines())
+            rows = [[float(field) for field in row] for row in lines if any(row)]
         if not rows:
             raise ValueError("it is empty")
     return rows

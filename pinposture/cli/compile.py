@@ -7,16 +7,17 @@ import logging
 import os
 import time
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
+from pinposture.cli.inputs import JsonOption
 from pinposture.cli.output import count_progress, examples, print_facts, print_json, print_warning
 
 
 @examples("pinposture compile", "pinposture compile --json")
 def run(
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Compile all kernels for this machine now, and cache the result beside the library.
 

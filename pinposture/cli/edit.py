@@ -15,6 +15,7 @@ from pinposture.cli.compile import compile_missing
 from pinposture.cli.inputs import ArmOptions, NoBrowserOption, refuse_given
 from pinposture.cli.output import examples, print_note
 from pinposture.errors import FileError, InvalidValue, require_known
+from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -146,8 +147,7 @@ def read_task(
     else:
         arm, name = _templated(source, arm_options)
     path = ((folder or Path()) / f"{name}.toml" if save_as is None else save_as).absolute()
-    if path.suffix.lower() not in SUFFIXES:
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
+    require_suffix(path, *SUFFIXES)
     if version_of(path):
         raise FileError(
             path, f"exists already; edit it (pinposture edit {path.name}), or give another --save-as"

@@ -5,12 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from pinposture.cli.inputs import JsonOption
+from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument
 from pinposture.cli.output import (
-    MOTION_FILE,
-    RUN_FILE,
     examples,
     find_kept,
     load_kept,
@@ -39,41 +35,31 @@ GOAL, BAG = NAMED_FORMATS = ("follow-joint-trajectory", "rosbag")
 )
 def run(
     *,
-    path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN",
-            help=f"A saved run or motion, or the directory of its {MOTION_FILE} or {RUN_FILE}.",
-        ),
-    ],
+    path: RunArgument,
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help=".json for ROS 2, .csv for a table, .npz for NumPy, .mcap for a ROS 2 bag.",
+        OUTPUT(
+            ".json for ROS 2, .csv for a table, .npz for NumPy, .mcap for a ROS 2 bag.", "FILE", "--output -o"
         ),
     ],
     form: Annotated[
         str,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help="follow-joint-trajectory: a goal of this action, as JSON. rosbag: a ROS 2 bag, a folder. "
+        OUTPUT(
+            "follow-joint-trajectory: a goal of this action, as JSON. rosbag: a ROS 2 bag, a folder. "
             "Default: by the suffix.",
+            "NAME",
+            "--format",
         ),
     ] = "",
     dt: Annotated[
-        float | None,
-        typer.Option(help="Duration of a step in seconds; required if the run has none."),
+        float | None, OUTPUT("Duration of a step in seconds; required if the run has none.", "S")
     ] = None,
     force: Annotated[
         bool,
-        typer.Option("--force", help="Write it despite faults: not converged, limits exceeded, penetration."),
+        OUTPUT("Write it despite faults: not converged, limits exceeded, penetration.", flags="--force"),
     ] = False,
     coupled: Annotated[
-        bool, typer.Option("--coupled", help="Also write the joints that follow others (<mimic>).")
+        bool, OUTPUT("Also write the joints that follow others (<mimic>).", flags="--coupled")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

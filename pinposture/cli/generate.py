@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -14,26 +15,6 @@ from pinposture.errors import InvalidValue
 MOST_MODULES = 10_000
 
 
-def _print_templates(wanted: bool) -> None:
-    if not wanted:
-        return
-    from pinposture.arm import TEMPLATES
-
-    rows = [
-        (
-            module.name,
-            ", ".join(f"{joint.type} {joint.axis}" for joint in module.joints if joint.follows is None)
-            + (f" for {len(module.joints)} joints" if module.dof < len(module.joints) else ""),
-            ", ".join(f"{length:g}" for length in module.link_lengths[:3])
-            + (", ..." if len(module.link_lengths) > 3 else ""),
-            module.length,
-        )
-        for module in TEMPLATES.values()
-    ]
-    print_table(("template", "joints and axes", "link lengths [m]", "length [m]"), rows)
-    raise typer.Exit
-
-
 @examples(
     "pinposture generate --list",
     "pinposture generate RyRz --modules 20 -o arm.urdf",
@@ -43,19 +24,17 @@ def _print_templates(wanted: bool) -> None:
 def run(
     *,
     template: Annotated[
-        str, typer.Argument(metavar="TEMPLATE", help="Kind of module, such as RyRz; --list shows them.")
-    ],
-    modules: Annotated[int, ARM("Number of modules.", "N", flags="--modules -n")],
+        str | None,
+        typer.Argument(metavar="TEMPLATE", help="Kind of module, such as RyRz; --list shows them."),
+    ] = None,
+    modules: Annotated[int | None, ARM("Number of modules.", "N", flags="--modules -n")] = None,
     link_lengths: Annotated[
         str | None,
         ARM("Length of the link after each joint of a module, in metres. Default: the template's.", "L,..."),
     ] = None,
     output: Annotated[Path | None, OUTPUT("Output file, else stdout.", "FILE", flags="--output -o")] = None,
     as_json: JsonOption = False,
-    _: Annotated[
-        bool,
-        typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and stop."),
-    ] = False,
+    list_templates: Annotated[bool, typer.Option("--list", help="List the templates and stop.")] = False,
 ) -> None:
     """Write the URDF of an arm of equal modules.
 
@@ -66,8 +45,13 @@ def run(
     from pinposture.arm.template import modules_to_urdf
     from pinposture.storage import write_text
 
+    if list_templates:
+        _list(as_json)
+        return
+    if template is None:
+        raise InvalidValue("TEMPLATE", template, "a kind of module; pinposture generate --list shows them")
     module = template_named(template)
-    if not 1 <= modules <= MOST_MODULES:
+    if modules is None or not 1 <= modules <= MOST_MODULES:
         raise InvalidValue("--modules", modules, f"a whole number from 1 to {MOST_MODULES}")
     if link_lengths is not None:
         module = module.with_lengths(read_numbers("--link-lengths", link_lengths))
@@ -82,3 +66,24 @@ def run(
         typer.echo(text, nl=False)
     else:
         print_note(f"wrote {output}: {modules} modules, {dof} DOF, {length:.4g} m")
+
+
+def _list(as_json: bool) -> None:
+    """List the templates."""
+    from pinposture.arm import TEMPLATES
+
+    if as_json:
+        print_json({"templates": [{**asdict(each), "length": each.length} for each in TEMPLATES.values()]})
+        return
+    rows = [
+        (
+            module.name,
+            ", ".join(f"{joint.type} {joint.axis}" for joint in module.joints if joint.follows is None)
+            + (f" for {len(module.joints)} joints" if module.dof < len(module.joints) else ""),
+            ", ".join(f"{length:g}" for length in module.link_lengths[:3])
+            + (", ..." if len(module.link_lengths) > 3 else ""),
+            module.length,
+        )
+        for module in TEMPLATES.values()
+    ]
+    print_table(("template", "joints and axes", "link lengths [m]", "length [m]"), rows)

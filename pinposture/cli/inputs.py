@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
-from pinposture.cli.output import print_note
-from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.cli.output import MOTION_FILE, RUN_FILE, print_note
+from pinposture.errors import FileError, InvalidValue, UnknownName, require_known
+from pinposture.storage import parse_json, read_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,15 +43,17 @@ class Panel:
 
     heading: str
 
-    def __call__(self, help: str, metavar: str | None = None, flags: str = "") -> Any:
+    def __call__(self, help: str, metavar: str | None = None, flags: str = "", **bounds: float) -> Any:
         """Return an option for `Annotated`.
 
         Args:
             help: its help text.
             metavar: placeholder for its value in the help; None: the type.
             flags: its names, separated by blanks; by default that of the parameter.
+            bounds: the smallest (`min`) and largest (`max`) number allowed, if any.
         """
-        return typer.Option(*flags.split(), metavar=metavar, help=help, rich_help_panel=self.heading)
+        panel: dict[str, Any] = {"rich_help_panel": self.heading, **bounds}
+        return typer.Option(*flags.split(), metavar=metavar, help=help, **panel)
 
 
 ARM, TARGET, MOTION, OUTPUT = map(Panel, ("The arm", "The target", "The motion", "The output"))
@@ -62,6 +64,14 @@ UrdfArgument = Annotated[
     typer.Argument(
         metavar="URDF",
         help="URDF, xacro or MJCF file of the arm, a name of robot_descriptions, or - for stdin.",
+    ),
+]
+
+
+RunArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RUN", help=f"A saved run or motion, or the directory of its {MOTION_FILE} or {RUN_FILE}."
     ),
 ]
 
@@ -120,7 +130,10 @@ class ArmOptions:
             advice = f"create an arm from the template: pinposture generate {urdf} --modules 20 -o arm.urdf"
             raise FileError(urdf, f"no such file; {advice}")
         if urdf == "-":
-            source = sys.stdin.read()
+            try:
+                source = "" if sys.stdin is None else sys.stdin.buffer.read().decode()
+            except UnicodeDecodeError as error:
+                raise FileError("stdin", f"is not UTF-8 text (byte {error.start})") from None
             if not source.lstrip("\ufeff \t\r\n").startswith("<"):
                 raise FileError("stdin", "contains no URDF; allowed: XML text, which starts with '<'")
         sizes = None if self.modules is None else read_modules(self.modules)
@@ -148,7 +161,10 @@ ToleranceOption = Annotated[
     float | None, MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.")
 ]
 
-JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N")]
+MOST_JOBS, MOST_RUNS = 1000, 1_000_000
+"""Largest numbers of processes, and of runs of a batch or study."""
+
+JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N", max=MOST_JOBS)]
 
 
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:
@@ -213,14 +229,13 @@ def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
     """
     from pinposture.curve import CURVES, Curve
 
-    if name in CURVES:
-        if scale != 1.0:
-            raise InvalidValue("--scale", scale, "only with a file; presets are scaled to the arm")
-        preset, wider = CURVES[name], max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
-        return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
-    if not Path(name).suffix:  # all curve files have one
-        raise UnknownName("curve preset or file", name, CURVES)
-    return Curve.load(name, scale)
+    if Path(name).suffix:  # as all curve files have
+        return Curve.load(name, scale)
+    require_known("curve preset or file", name, CURVES)
+    if scale != 1.0:
+        raise InvalidValue("--scale", scale, "only with a file; presets are scaled to the arm")
+    preset, wider = CURVES[name], max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
+    return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
 
 
 def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.float64]:
@@ -318,6 +333,8 @@ def _read_file(path: Path) -> list[float]:
         values = _READERS[path.suffix.lower()](path)
         if not isinstance(values, list):
             raise ValueError("not a list")
+        if not values:
+            raise ValueError("it is empty")
         return [float(value) for value in values]
 
 
@@ -326,6 +343,8 @@ def numbers_in(path: Path, kind: str) -> Iterator[None]:
     """Convert exceptions while reading a list or table of numbers into a `FileError`."""
     try:
         yield
+    except FileError:
+        raise
     except FileNotFoundError:
         raise FileError(path, "no such file") from None
     except OSError as error:
@@ -334,22 +353,26 @@ def numbers_in(path: Path, kind: str) -> Iterator[None]:
         raise FileError(path, f"is not a {kind} of numbers ({error})") from error
 
 
-def _read_npy(path: Path) -> Any:
+def read_array(path: Path) -> Any:
+    """Read the array in a .npy file, as lists; raise ValueError if it holds none of numbers."""
     import numpy as np
 
-    values = np.load(path, allow_pickle=False)
+    try:
+        values = np.load(path, allow_pickle=False)
+    except ValueError:  # which advises to unpickle it
+        raise ValueError("it holds no array of plain numbers") from None
     return values.tolist() if isinstance(values, np.ndarray) else values
 
 
 def _read_csv(path: Path) -> Any:
-    return [float(field) for field in path.read_text(encoding="utf-8-sig").replace(",", " ").split()]
+    return [float(field) for field in read_text(path).replace(",", " ").split()]
 
 
 def _read_json(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8-sig"))
+    return parse_json(path, read_text(path))
 
 
-_READERS = {".npy": _read_npy, ".csv": _read_csv, ".json": _read_json}
+_READERS = {".npy": read_array, ".csv": _read_csv, ".json": _read_json}
 
 
 def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:

@@ -20,6 +20,7 @@ from pinposture.cli.inputs import (
 )
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
 from pinposture.errors import InvalidValue, UnsupportedModule
+from pinposture.storage import write_figure
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -85,7 +86,6 @@ def run(
     followed = None if curve is None else _describe_following(arm, curve, scale)
     around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
-        from pinposture.storage import write_figure
         from pinposture.viz import plot_arm
 
         write_figure(plot, plot_arm(arm, ellipsoids=points, scene=surroundings))

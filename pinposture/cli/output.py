@@ -8,12 +8,14 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from pinposture.errors import FileError, PostureWarning
+from pinposture.errors import FileError, InvalidValue, PostureWarning
+from pinposture.storage import check_writable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -58,14 +60,48 @@ def print_result(
     data: Mapping[str, Any],
     words: Mapping[str, str | tuple[str, str]],
     files: Iterable[object] = (),
+    failure: FileError | None = None,
 ) -> None:
-    """Print a result on stdout, as one JSON object or in words, and the names of its files on stderr."""
+    """Print a result on stdout, in words or JSON, and its files on stderr; then raise `failure`, if given."""
     if as_json:
         print_json(data)
     else:
         print_facts(words)
     for file in files:
         print_note(f"wrote {file}")
+    if failure is not None:
+        raise failure
+
+
+def check_directory(output: Path | None) -> None:
+    """Raise an error for a directory that is not writable, or a new one with the suffix of a file."""
+    if output is not None:
+        if output.suffix.lower()[1:] in FORMATS and not output.exists():
+            raise InvalidValue("--output", str(output), "a directory, in which files are saved")
+        check_writable(output)
+
+
+File = tuple[str, Path, Callable[[Path], object]]
+"""A kind of file, its path, and the function that writes it."""
+
+
+def write_files(files: Sequence[File]) -> tuple[dict[str, str], FileError | None]:
+    """Write the files of a result in order, up to the first that cannot be written.
+
+    Returns:
+        The path of each file written, by kind; and the error, if any, with the names of the other files that
+        were not written, for `print_result` to raise: the result must not be lost with its files.
+    """
+    written: dict[str, str] = {}
+    for kind, path, write in files:
+        try:
+            write(path)
+        except FileError as error:
+            others = ", ".join(other.name for _, other, _ in files[len(written) + 1 :])
+            reason = f"{error.reason}; not written either: {others}" if others else error.reason
+            return written, FileError(path, reason)
+        written[kind] = str(path)
+    return written, None
 
 
 def print_facts(facts: Mapping[str, str | tuple[str, str]]) -> None:
@@ -155,11 +191,17 @@ def warnings_as_notes() -> Iterator[None]:
         yield
 
 
+LONGEST_LINE = 1000
+"""Most characters of a message; files of anything else than expected may be quoted in it."""
+
+
 def _print_line(label: str, style: str, text: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
     line = " ".join(part.strip() for part in text.splitlines())
+    line = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in line)
+    line = line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
     Console(stderr=True).print(Text.assemble((label, style), line), soft_wrap=True)
 
 
@@ -283,7 +325,6 @@ def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
 
 
 RUN_FILE, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
-FILES = {"run": RUN_FILE, "plot": PLOT, "animation": ANIMATION}
 
 STATUS = "status.json"
 """File with the state of the last `pinposture run` in a directory."""
@@ -299,25 +340,21 @@ FOR_ROBOTS = ("csv", "json")
 """The formats that are intended for robots."""
 
 
-def keep(motion: Trajectory, directory: Path) -> None:
-    """Write a run, its plot and its animation into a directory."""
+def run_files(motion: Trajectory, directory: Path) -> list[File]:
+    """Return the files of a run in a directory."""
     from pinposture.motion import save
 
-    write_plot(motion, directory / PLOT)
-    write_animation(motion, directory / ANIMATION)
-    save(motion, directory / RUN_FILE)  # last: if it exists, its pictures do, too
+    return [
+        ("plot", directory / PLOT, partial(write_plot, motion)),
+        ("animation", directory / ANIMATION, partial(write_animation, motion)),
+        ("run", directory / RUN_FILE, partial(save, motion)),  # last: if it exists, its pictures do, too
+    ]
 
 
-def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> dict[str, str]:
-    """Write a motion in time into a directory, in some of `FORMATS`.
+def motion_files(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> list[File]:
+    """Return the files of a motion in time in a directory, in some of `FORMATS`.
 
     If the motion has faults, formats for robots are omitted, with a note on stderr.
-
-    Returns:
-        The path of the file of each format, in the order of writing.
-
-    Raises:
-        FileError: a file cannot be written.
     """
     from pinposture.motion import save
 
@@ -326,19 +363,19 @@ def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMAT
         named = " and ".join(f"motion.{kind}" for kind in held_back)
         advice = f"pinposture export {directory} --force writes one anyway"
         print_warning(f"no {named} for a robot: {'; '.join(motion.faults)}; {advice}")
-        formats = [kind for kind in formats if kind not in held_back]
+    writers: dict[str, Callable[[Path], object]] = {
+        "html": partial(write_animation, motion),
+        "png": partial(write_plot, motion),
+        "json": lambda path: save(motion.joint_trajectory(), path),
+        "csv": lambda path: save(motion.joint_trajectory(), path),
+        "npz": partial(save, motion),  # last: if it exists, the others do, too
+    }
     stem = directory / MOTION_FILE
-    files = {kind: stem.with_suffix(f".{kind}") for kind in reversed(FORMATS) if kind in formats}
-    for kind, path in files.items():  # the complete one last: if it exists, the others do, too
-        if kind == "html":
-            write_animation(motion, path)
-        elif kind == "png":
-            write_plot(motion, path)
-        elif kind == "npz":
-            save(motion, path)
-        else:
-            save(motion.joint_trajectory(), path)
-    return {kind: str(path) for kind, path in files.items()}
+    return [
+        (kind, stem.with_suffix(f".{kind}"), write)
+        for kind, write in writers.items()
+        if kind in formats and kind not in held_back
+    ]
 
 
 def find_kept(path: Path) -> tuple[Path, str]:
@@ -412,8 +449,8 @@ def write_plot(motion: Trajectory | Motion, path: Path) -> None:
     write_figure(path, plot(motion))
 
 
-def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> Path:
+def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> None:
     """Write the animation of a run or motion, with ellipsoids of control points, as one HTML file."""
     from pinposture.viz import save_html
 
-    return save_html(motion.arm, motion, path, ellipsoids=ellipsoids)
+    save_html(motion.arm, motion, path, ellipsoids=ellipsoids)

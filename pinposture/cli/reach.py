@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,14 +21,16 @@ from pinposture.cli.inputs import (
     read_start,
 )
 from pinposture.cli.output import (
-    FILES,
+    File,
+    check_directory,
     end_with,
     examples,
-    keep,
     print_json,
     print_note,
     print_table,
+    run_files,
     search_progress,
+    write_files,
 )
 from pinposture.errors import InvalidValue
 
@@ -94,7 +97,7 @@ def run(
     """
     from pinposture.control.reach import reach
     from pinposture.motion import track
-    from pinposture.storage import check_writable, write_figure, write_text
+    from pinposture.storage import write_figure, write_text
 
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
@@ -103,8 +106,7 @@ def run(
     place = read_numbers("--to", to)
     pointing = None if direction is None else read_numbers("--direction", direction)
     first = None if start is None else read_start(arm, start, seed, degrees)
-    if output is not None:
-        check_writable(output)
+    check_directory(output)
     with search_progress():
         found = reach(
             arm,
@@ -118,27 +120,29 @@ def run(
             tolerance=tolerance,
         )
     hindrance = found[0].path.hindrance if found[0].path else ""
-    files = []
+    files: list[File] = []
     if output is not None:
         for number, each in enumerate(found, start=1):
-            files.append(output / f"posture_{number}.json")
-            write_text(files[-1], json.dumps(each.q.tolist()) + "\n")
-        files.append(output / PICTURE)
-        write_figure(files[-1], _draw(arm, found, surroundings))
+            text = json.dumps(each.q.tolist()) + "\n"
+            files.append((f"{number}", output / f"posture_{number}.json", partial(write_text, text=text)))
+        picture = _draw(arm, found, surroundings)
+        files.append(("picture", output / PICTURE, partial(write_figure, figure=picture)))
         if first is not None and not hindrance:
-            keep(track(arm, found[0].target, first, scene=surroundings), output)
-            files += [output / name for name in FILES.values()]
+            files += run_files(track(arm, found[0].target, first, scene=surroundings), output)
+    written, failure = write_files(files)
     if as_json:
         asked = {"urdf": urdf, "to": place, "direction": pointing, "start": start, "seed": seed}
         postures = [_described(each) for each in found]
-        kept = [str(each) for each in files]
-        print_json({**asked, "scene": scene_options.file, "postures": postures, "files": kept})
+        kept = {"scene": scene_options.file, "postures": postures, "files": list(written.values())}
+        print_json({**asked, **kept})
     else:
         _print_postures(found)
         if output is None:
             print_note("--output DIR (-o) writes the postures, and --json prints them")
-    for written in files:
-        print_note(f"wrote {written}")
+    for file in written.values():
+        print_note(f"wrote {file}")
+    if failure is not None:
+        raise failure
     end_with([hindrance] if hindrance else [])
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import MOTION, OUTPUT, JobsOption, JsonOption, Panel
+from pinposture.cli.inputs import MOST_RUNS, MOTION, OUTPUT, JobsOption, JsonOption, Panel
 from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
 
@@ -37,7 +37,7 @@ def run(
         list[str] | None,
         MOTION("An additional controller to show: a name, or module:Class. Repeatable.", "NAME"),
     ] = None,
-    seeds: Annotated[int, MOTION("Number of seeds to judge claims over.", "N")] = 100,
+    seeds: Annotated[int, MOTION("Number of seeds to judge claims over.", "N", max=MOST_RUNS)] = 100,
     seed: Annotated[
         int | None,
         MOTION(
@@ -59,7 +59,12 @@ def run(
     ] = None,
     width: Annotated[
         float | None,
-        OUTPUT("Width of printed pictures: 88 is a column, 180 a page. Default: for the screen.", "MM"),
+        OUTPUT(
+            "Width of printed pictures: 88 is a column, 180 a page. Default: for the screen.",
+            "MM",
+            min=20.0,
+            max=1000.0,
+        ),
     ] = None,
     jobs: JobsOption = -1,
     output: Annotated[Path, OUTPUT("Directory of the files.", "DIR", flags="--output -o")] = Path(

@@ -15,12 +15,13 @@ import typer
 from pinposture.cli.inputs import OUTPUT, JsonOption, ViewOption
 from pinposture.cli.output import (
     STATUS,
+    check_directory,
     closest_in_words,
     count_progress,
     end_with,
     examples,
-    keep_motion,
     modification_time,
+    motion_files,
     print_facts,
     print_json,
     print_note,
@@ -30,10 +31,11 @@ from pinposture.cli.output import (
     shares_in_words,
     time_progress,
     verdict_in_colour,
+    write_files,
 )
 from pinposture.cli.view import show
 from pinposture.errors import PostureError
-from pinposture.storage import check_writable, write_text
+from pinposture.storage import write_text
 
 if TYPE_CHECKING:
     from pinposture.motion import Motion
@@ -58,7 +60,7 @@ class Folder:
     """
 
     def __init__(self, path: Path, task: str) -> None:
-        check_writable(path)
+        check_directory(path)
         self.path, self.task = path, task
         self._begun, self._before = _now(), list[str]()
 
@@ -165,7 +167,7 @@ def run(
 
     With -o the motion is saved in a directory. Each file is written atomically, and status.json says whether
     all are complete. The exit code is 0 if the arm converged within its limits without penetration, 1 if not,
-    2 if it could not start; files for a robot (.csv, .json) are written only if it is 0.
+    2 if it could not start or be saved; files for a robot (.csv, .json) are written only if it is 0.
     """
     from pinposture.task import Task
 
@@ -181,12 +183,12 @@ def run(
             reference = task.reference(placing)
         with time_progress() as moving:
             motion = task.perform(reference, moving)
-        files = {} if output is None else keep_motion(motion, output, task.formats)
-        if folder is not None:
+        files, failure = write_files([] if output is None else motion_files(motion, output, task.formats))
+        if folder is not None and failure is None:
             folder.finish([Path(each).name for each in files.values()])
-    summary = summarize_motion(motion)
-    data = {"task": str(file), **summary, "files": files}
-    print_result(as_json, data, motion_in_words(summary), files.values())
+        summary = summarize_motion(motion)
+        data = {"task": str(file), **summary, "files": files}
+        print_result(as_json, data, motion_in_words(summary), files.values(), failure)
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)
@@ -208,14 +210,18 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
             "off its curve [m]",
             "tip off [m]",
             "clearance [m]",
+            "between",
             "its curve is",
         )
-        rows = [(*place[:-1], None if place.moved is None else str(place.moved)) for place in found]
+        pairs = [" to ".join(place.pair) if place.pair else None for place in found]
+        ways = [None if place.moved is None else str(place.moved) for place in found]
+        rows = [(*place[:-2], *words) for place, *words in zip(found, pairs, ways, strict=True)]
         print_table(headings, rows)
-    touching = [each for each in found if each.clearance is not None and each.clearance < 0.0]
-    for each in touching:
-        print_note(f"{each.name}: the arm is {-1e3 * (each.clearance or 0.0):.3g} mm inside something")
-    end_with([each.name for each in touching])
+    scene = task.surroundings(reference)
+    for each in found:
+        if scene is not None and (crowded := each.crowding(scene.margin)):
+            print_note(f"{each.name}: {crowded}")
+    end_with([each.name for each in found if each.clearance is not None and each.clearance < 0.0])
 
 
 @contextmanager

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import ARM, MOTION, ArmOptions, JsonOption, SceneOption, refuse_given
+from pinposture.cli.inputs import ARM, MOTION, OUTPUT, ArmOptions, JsonOption, SceneOption, refuse_given
 from pinposture.cli.output import (
     MOTION_FILE,
     RUN_FILE,
+    File,
+    check_directory,
     closest_in_words,
     count_progress,
     end_with,
@@ -23,6 +26,7 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
     verdict_in_colour,
+    write_files,
 )
 from pinposture.errors import InvalidValue
 
@@ -33,7 +37,6 @@ if TYPE_CHECKING:
     from pinposture.sim import Servos, Simulation
 
 SIMULATION, PICTURE = "simulation.npz", "simulation.png"
-SIMULATION_FILES = {"simulation": SIMULATION, "plot": PICTURE}
 
 
 @examples(
@@ -62,7 +65,7 @@ def run(
     ] = False,
     no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False,
     frequency: Annotated[
-        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ")
+        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ", max=1e5)
     ] = 10.0,
     no_torque_limits: Annotated[
         bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
@@ -70,7 +73,7 @@ def run(
     dt: Annotated[
         float | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "S")
     ] = None,
-    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S")] = 2.0,
+    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S", max=3600.0)] = 2.0,
     tolerance: Annotated[
         float | None,
         MOTION("Final mean point error that counts as arrived, in metres; default: 1 % of the length."),
@@ -78,12 +81,7 @@ def run(
     scene: SceneOption = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help=f"Save {SIMULATION} and {PICTURE} here; otherwise nothing is saved.",
-        ),
+        OUTPUT(f"Save {SIMULATION} and {PICTURE} here; otherwise nothing is saved.", "DIR", "--output -o"),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -96,43 +94,41 @@ def run(
 
     There are no contacts; the clearance from the scene is reported. The effort limits of the description
     apply; those of templates are placeholders. The exit code is 0 if the arm arrived, stayed near its
-    path and was clear of the scene, 1 if not, 2 if it could not start.
+    path and was clear of the scene, 1 if not, 2 if it could not start or be saved.
     """
     from pinposture._validation import require_positive
     from pinposture.collision import Scene
     from pinposture.sim import Servos, simulate
     from pinposture.sim.model import load_mujoco
-    from pinposture.storage import check_writable
 
     load_mujoco()  # fails early if it is not installed
     require_positive("hold", hold, zero=True)
     servos = Servos(frequency=frequency, torque_limits=not no_torque_limits)
     surroundings = None if scene is None else Scene.load(scene)
     arm, motion = _read(path, urdf, arm_options)
-    if output is not None:
-        check_writable(output)
+    check_directory(output)
     with count_progress("cycle") as progress:
         drive = _simulate_closed if closed else simulate
         simulation = drive(arm, motion, servos, not no_gravity, dt, hold, progress, surroundings, tolerance)
-    if output is not None:
-        keep(simulation, output)
-    files = {} if output is None else {kind: str(output / name) for kind, name in SIMULATION_FILES.items()}
+    files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
     if summary["saturated_joints"]:
         print_warning(_saturated(summary))
     data = {"run": str(path), **summary, "files": files}
-    print_result(as_json, data, in_words(summary), files.values())
+    print_result(as_json, data, in_words(summary), files.values(), failure)
     end_with(simulation.faults)
 
 
-def keep(simulation: Simulation, directory: Path) -> None:
-    """Write a simulation and its plot into a directory."""
+def simulation_files(simulation: Simulation, directory: Path) -> list[File]:
+    """Return the files of a simulation in a directory."""
     from pinposture.motion import save
     from pinposture.storage import write_figure
     from pinposture.viz.simulation import plot_simulation
 
-    write_figure(directory / PICTURE, plot_simulation(simulation))
-    save(simulation, directory / SIMULATION)  # last: if it exists, its picture does, too
+    return [
+        ("plot", directory / PICTURE, lambda path: write_figure(path, plot_simulation(simulation))),
+        ("simulation", directory / SIMULATION, partial(save, simulation)),  # last: if it exists, both do
+    ]
 
 
 def _read(
@@ -146,14 +142,15 @@ def _read(
     if which:
         print_note(which)
     if kind_of(file) is not JointTrajectory:
+        kept = load_kept(file)
         refuse_given({"--urdf": urdf}, "nothing; a saved run contains its arm")
         arm_options.refuse("nothing; a saved run contains its arm")
-        kept = load_kept(file)
         return kept.arm, kept
+    motion = load(file, JointTrajectory)
     if urdf is None:
         raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not contain")
     arm = arm_options.read(urdf)
-    return arm, load(file, JointTrajectory).matched(arm)
+    return arm, motion.matched(arm)
 
 
 def _simulate_closed(

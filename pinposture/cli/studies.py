@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -12,6 +13,7 @@ import typer
 
 from pinposture.cli.inputs import (
     ARM,
+    MOST_RUNS,
     MOTION,
     OUTPUT,
     ArmOptions,
@@ -22,6 +24,7 @@ from pinposture.cli.inputs import (
 )
 from pinposture.cli.output import (
     Cell,
+    check_directory,
     count_progress,
     examples,
     print_json,
@@ -83,22 +86,23 @@ class KeepOptions(ShowOptions):
 
     def run(self, noun: str, study: Callable[..., Any], *given: Any) -> Any:
         """Check that the directory is writable, then run the study."""
-        from pinposture.storage import check_writable
-
-        if self.output is not None:
-            check_writable(self.output)
+        check_directory(self.output)
         return super().run(noun, study, *given)
 
-    def keep(
+    @contextmanager
+    def keeping(
         self, runs: Sequence[Any], found: Mapping[str, Any], **pictures: Callable[[Any], Figure]
-    ) -> None:
-        """Save the runs, the results, and pictures of the runs in the directory."""
+    ) -> Iterator[None]:
+        """Save the runs, the results, and pictures of the runs in the directory, even if printing fails."""
         from pinposture.study import keep_study
 
-        if self.output is not None:
-            figures = {f"{name}.png": draw(runs) for name, draw in pictures.items()}
-            for file in keep_study(self.output, runs, found, figures, type(runs[0])._fields):
-                print_note(f"wrote {file}")
+        try:
+            yield
+        finally:
+            if self.output is not None:
+                figures = {f"{name}.png": draw(runs) for name, draw in pictures.items()}
+                for file in keep_study(self.output, runs, found, figures, type(runs[0])._fields):
+                    print_note(f"wrote {file}")
 
 
 def _table(columns: Columns, rows: Iterable[Any]) -> Table:
@@ -290,7 +294,7 @@ def run_methods(
     ] = None,
     arm_options: ArmOptions,
     controllers: Annotated[str | None, ARM("Methods to compare; default: all.", "NAME,...")] = None,
-    seeds: Annotated[int, MOTION("Number of cases for each method.", "N")] = 20,
+    seeds: Annotated[int, MOTION("Number of cases for each method.", "N", max=MOST_RUNS)] = 20,
     steps: Annotated[int, MOTION("Steps of each way.", "N")] = 200,
     options: ShowOptions,
 ) -> None:
@@ -347,7 +351,7 @@ def run_postures(
     urdf: Annotated[str | None, ARM("URDF file of another arm, or -.", "FILE")] = None,
     arm_options: ArmOptions,
     controllers: ControllersOption = None,
-    cases: Annotated[int, MOTION("Number of cases for each arm.", "N")] = 1000,
+    cases: Annotated[int, MOTION("Number of cases for each arm.", "N", max=MOST_RUNS)] = 1000,
     seed0: SeedOption = 0,
     families: Annotated[bool, OUTPUT("A row for each family.", flags="--families")] = False,
     options: KeepOptions,
@@ -388,9 +392,9 @@ def run_postures(
         before = ["", *(row.group for row in own)]
         named = ["" if row.group == last else row.group for row, last in zip(own, before, strict=False)]
         tables.append(((subject.name, *headings), [(n, *line) for n, line in zip(named, lines, strict=True)]))
-    options.show(found, tables)
-    _warn_of_refusals(records)
-    options.keep(records, found, postures=draw_postures)
+    with options.keeping(records, found, postures=draw_postures):
+        options.show(found, tables)
+        _warn_of_refusals(records)
 
 
 @examples(
@@ -407,7 +411,7 @@ def run_headings(
         str,
         MOTION("Definition of the target: its configuration, or the curve through its points.", "KIND"),
     ] = "configuration",
-    pairs: Annotated[int, MOTION("Number of pairs for each arm.", "N")] = 300,
+    pairs: Annotated[int, MOTION("Number of pairs for each arm.", "N", max=MOST_RUNS)] = 300,
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
@@ -440,9 +444,9 @@ def run_headings(
         lines = grouped(own, lambda each: each.controller).items()
         rows = [(controller, *map(cell, those)) for controller, those in lines]
         tables.append(((arm, *(f"{name} rad" for name in BINS)), rows))
-    options.show(found, tables)
-    _warn_of_refusals(records)
-    options.keep(records, found, headings=draw_headings)
+    with options.keeping(records, found, headings=draw_headings):
+        options.show(found, tables)
+        _warn_of_refusals(records)
 
 
 _SCENE_COLUMNS: Columns = {
@@ -469,7 +473,7 @@ def run_scenes(
         str | None,
         MOTION("Some of: post, slot, narrow, wall, pipe, inside, coil, out; else all.", "NAME,..."),
     ] = None,
-    seeds: Annotated[int, MOTION("Number of runs in each scene.", "N")] = 10,
+    seeds: Annotated[int, MOTION("Number of runs in each scene.", "N", max=MOST_RUNS)] = 10,
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
@@ -494,14 +498,14 @@ def run_scenes(
     runs = options.run("run", study_scenes, names, seeds, seed0)
     rows = by_scene(runs)
     found = {"study": "scenes", "scenes": names, "seeds": seeds, "seed0": seed0, "rows": _json_rows(rows)}
-    options.show(found, [_table(_SCENE_COLUMNS, rows)])
     refused = [f"{row.scene} {row.refused}" for row in rows if row.refused]
-    if refused:
-        print_note(f"starts and targets drawn and rejected: {', '.join(refused)}")
-    for each in runs:
-        if not each.as_it_should:
-            print_warning(f"{each.scene}, seed {each.seed}: {_fault(each)}")
-    options.keep(runs, found)
+    with options.keeping(runs, found):
+        options.show(found, [_table(_SCENE_COLUMNS, rows)])
+        if refused:
+            print_note(f"starts and targets drawn and rejected: {', '.join(refused)}")
+        for each in runs:
+            if not each.as_it_should:
+                print_warning(f"{each.scene}, seed {each.seed}: {_fault(each)}")
 
 
 def _fault(run: SceneRun) -> str:
@@ -542,7 +546,7 @@ def run_clutter(
             "NAME,...",
         ),
     ] = None,
-    seeds: Annotated[int, MOTION("Number of problems of each kind.", "N")] = 10,
+    seeds: Annotated[int, MOTION("Number of problems of each kind.", "N", max=MOST_RUNS)] = 10,
     seed0: SeedOption = 0,
     options: KeepOptions,
 ) -> None:
@@ -567,16 +571,17 @@ def run_clutter(
     rows = by_kind(runs)
     asked = {"study": "clutter", "kinds": names, "seeds": seeds, "seed0": seed0}
     found = {**asked, "rows": [row._asdict() for row in rows]}
-    options.show(found, [_table(_CLUTTER_COLUMNS, rows)])
-    for each in runs:
-        if not each.reached:
-            print_warning(f"{each.kind}, seed {each.seed}: {each.hindrance or each.reason}")
-    if options.output is not None:
-        arm = situation_arm()
-        shown = {name: run_problem(arm, draw_problem(arm, name, seed0)) for name in names}
-        options.keep(runs, found, clutter=lambda _: draw_clutter(shown))
-        for name, run in shown.items():
-            print_note(f"wrote {save_html(arm, run, options.output / f'{name}.html')}")
+    arm, folder = situation_arm(), options.output
+    shown = (
+        {} if folder is None else {each: run_problem(arm, draw_problem(arm, each, seed0)) for each in names}
+    )
+    with options.keeping(runs, found, clutter=lambda _: draw_clutter(shown)):
+        options.show(found, [_table(_CLUTTER_COLUMNS, rows)])
+        for each in runs:
+            if not each.reached:
+                print_warning(f"{each.kind}, seed {each.seed}: {each.hindrance or each.reason}")
+    for name, run in shown.items():
+        print_note(f"wrote {save_html(arm, run, (folder or Path()) / f'{name}.html')}")
 
 
 @examples(
@@ -588,8 +593,8 @@ def run_cycles(
     *,
     arms: ArmsOption = None,
     controller: ControllerOption = "geodesic",
-    cycles: Annotated[int, MOTION("Number of cycles for each arm and knowledge.", "N")] = 10,
-    rounds: Annotated[int, MOTION("Rounds of each cycle.", "N")] = 5,
+    cycles: Annotated[int, MOTION("Number of cycles for each arm and knowledge.", "N", max=MOST_RUNS)] = 10,
+    rounds: Annotated[int, MOTION("Rounds of each cycle.", "N", max=MOST_RUNS)] = 5,
     seed0: SeedOption = 0,
     options: ShowOptions,
 ) -> None:
@@ -656,11 +661,13 @@ def run_leader(
     sagitta = {each.bending: f"{each.sagitta:.3f}" for each in runs}
     rows = [(*line, *map(cell, own)) for line, own in lines.items()]
     rows.append(("", "", "sagitta", *sagitta.values()))
-    options.show(found, [(("arm", "path", "placed", *(f"{bending:g} rad" for bending in bent)), rows)])
-    for each in runs:
-        if each.refused:
-            print_warning(f"{each.arm}, {each.shape}, {each.method}, {each.bending:g} rad: {each.refused}")
-    options.keep(runs, found, leader=draw_leader)
+    with options.keeping(runs, found, leader=draw_leader):
+        options.show(found, [(("arm", "path", "placed", *(f"{bending:g} rad" for bending in bent)), rows)])
+        for each in runs:
+            if each.refused:
+                print_warning(
+                    f"{each.arm}, {each.shape}, {each.method}, {each.bending:g} rad: {each.refused}"
+                )
 
 
 STUDIES: dict[str, Callable[..., None]] = {

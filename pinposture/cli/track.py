@@ -27,16 +27,17 @@ from pinposture.cli.inputs import (
     read_start,
 )
 from pinposture.cli.output import (
-    FILES,
+    check_directory,
     closest_in_words,
     end_with,
     examples,
-    keep,
     print_note,
     print_result,
+    run_files,
     shares_in_words,
     step_progress,
     verdict_in_colour,
+    write_files,
 )
 from pinposture.cli.view import show
 from pinposture.errors import InvalidValue
@@ -104,10 +105,9 @@ def run(
 
     With -o the run is saved in a directory: run.npz contains everything, run.png is a plot, run.html is an
     animation for any browser. The exit code is 0 if the arm converged within its limits without penetration,
-    1 if not, 2 if it could not start.
+    1 if not, 2 if it could not start or be saved.
     """
     from pinposture.motion import track
-    from pinposture.storage import check_writable
 
     controller_options.check(**vars(tip_options))
     limits = limit_options.read()
@@ -117,8 +117,7 @@ def run(
     task = tip_options.read(arm.at(q0))
     chosen = controller_options.build(task)
     target = placement_options.place(arm, curve, surroundings)
-    if output is not None:
-        check_writable(output)  # before the run, which would be lost otherwise
+    check_directory(output)  # before the run, which would be lost otherwise
     with step_progress(target, steps) as callback:
         motion = track(
             arm,
@@ -131,13 +130,11 @@ def run(
             tolerance=tolerance,
             callback=callback,
         )
-    if output is not None:
-        keep(motion, output)
-    files = {} if output is None else {kind: str(output / name) for kind, name in FILES.items()}
+    files, failure = write_files([] if output is None else run_files(motion, output))
     summary = {**summarize(motion), "tip": None if task is None else tip_off(task, motion)}
     asked: dict[str, object] = {"urdf": urdf, "curve": curve, "start": start, "seed": seed}
     asked |= {"controller": controller_options.controller, "scene": scene_options.file}
-    print_result(as_json, {**asked, **summary, "files": files}, in_words(summary), files.values())
+    print_result(as_json, {**asked, **summary, "files": files}, in_words(summary), files.values(), failure)
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)
@@ -296,6 +293,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
             {"step": int(k), "what": str(motion.violated_constraints[k]).splitlines()}
             for k in np.flatnonzero(motion.violated_constraints != "")
         ],
+        "violated_steps": {name: steps.tolist() for name, steps in motion.violated_steps.items()},
         "clearance": closest(motion),
         "start_clearance": None if motion.scene is None else float(motion.clearance[0]),
         "incomplete": target.incomplete,
@@ -355,8 +353,8 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     if summary["violated_constraints"]:
         first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
-        count, first = len(summary["violated_constraints"]), first_relaxed["step"] + 1
-        words["violated"] = f"constraints in {count} steps; first in step {first}: {what}"
+        counts = [f"{name} in {len(steps)}" for name, steps in summary["violated_steps"].items()]
+        words["violated"] = f"{', '.join(counts)} steps; first in step {first_relaxed['step'] + 1}: {what}"
     if summary.get("tip") is not None:
         distance, turn = summary["tip"]["distance"], summary["tip"]["turn"]
         words["tip"] = f"{distance:.4g} m off" + ("" if turn is None else f", turned by {turn:.4g} rad")

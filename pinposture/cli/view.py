@@ -9,18 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pinposture.cli.inputs import NoBrowserOption, read_points
-from pinposture.cli.output import (
-    MOTION_FILE,
-    RUN_FILE,
-    examples,
-    find_kept,
-    load_kept,
-    print_note,
-    write_animation,
-    write_plot,
-)
-from pinposture.errors import InvalidValue
+from pinposture.cli.inputs import OUTPUT, NoBrowserOption, RunArgument, read_points
+from pinposture.cli.output import examples, find_kept, load_kept, print_note, write_animation, write_plot
+from pinposture.errors import InvalidValue, require_known
+from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
     from pinposture.motion import Motion, Trajectory
@@ -31,22 +23,14 @@ if TYPE_CHECKING:
     "pinposture view out/run.npz --no-browser",
     "pinposture view out --ellipsoids 5,10,20",
     "pinposture view out --viewer foxglove",
-    "pinposture view out --html motion.html --png motion.png",
+    "pinposture view out -o motion.html",
 )
 def run(
     *,
-    path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN",
-            help=f"A saved run or motion, or the directory of its {RUN_FILE} or {MOTION_FILE}.",
-        ),
-    ],
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the animation to a file; show nothing.")
-    ] = None,
-    png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the plot to a file; show nothing.")
+    path: RunArgument,
+    output: Annotated[
+        Path | None,
+        OUTPUT("Write the animation (.html) or plot (.png); show nothing.", "FILE", "--output -o"),
     ] = None,
     no_browser: NoBrowserOption = False,
     viewer: Annotated[
@@ -54,33 +38,38 @@ def run(
     ] = "meshcat",
     ellipsoids: Annotated[
         str | None,
-        typer.Option(
-            metavar="N,...|all",
-            help="Show the manipulability ellipsoids of these control points, counted from 1 at the base.",
+        OUTPUT(
+            "Show the manipulability ellipsoids of these control points, counted from 1 at the base.",
+            "N,...|all",
         ),
     ] = None,
 ) -> None:
     """Show a saved run or motion.
 
     From a directory with both, the newer one is shown. It plays in the browser until Ctrl-C, a motion in real
-    time; the address is printed, so that other browsers can watch, too. With --html or --png, the animation
-    or the plot is written to a file instead. Ellipsoids are red and flat where the arm is singular, green far
-    from that, and yellow in between.
+    time; the address is printed, so that other browsers can watch, too. With -o, the animation or the plot is
+    written to a file instead. Ellipsoids are red and flat where the arm is singular, green far from that, and
+    yellow in between.
     """
+    from pinposture.viz import VIEWERS
+
     file, chosen = find_kept(path)
     if chosen:
         print_note(f"taken: {chosen}")
     motion = load_kept(file)
-    if ellipsoids is not None and html is None and png is not None:
-        raise InvalidValue("--ellipsoids", ellipsoids, "with --html or without --png; the plot shows none")
+    require_known("viewer", viewer, VIEWERS)
+    kind = "" if output is None else require_suffix(output, ".html", ".png")
+    if ellipsoids is not None and kind == ".png":
+        raise InvalidValue("--ellipsoids", ellipsoids, "nothing with a .png file; the plot shows none")
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, motion.arm)
-    if html is not None:
-        print_note(f"wrote {write_animation(motion, html, points)}")
-    if png is not None:
-        write_plot(motion, png)
-        print_note(f"wrote {png}")
-    if html is None and png is None:
+    if output is None:
         show(motion, not no_browser, typer.echo, points, viewer)
+        return
+    if kind == ".html":
+        write_animation(motion, output, points)
+    else:
+        write_plot(motion, output)
+    print_note(f"wrote {output}")
 
 
 def show(

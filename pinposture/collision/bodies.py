@@ -24,6 +24,7 @@ Fault: TypeAlias = tuple[str, int, str]
 """Name of a link with unusable geometry, index of the joint that carries it, and the reason."""
 
 STAND_IN_RADIUS = 0.1  # radius of the stand-in capsules, relative to the mean length of a module
+IMPLAUSIBLE_WIDTH = 10.0  # width above which a mesh is probably in millimetres, in arm lengths
 
 _MAX_LISTED_FAULTS = 12
 _SAME = 1e-9  # tolerance for equal points and equal radii, relative to the radius
@@ -65,6 +66,15 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
         lacking = list(stand_ins)
     for joint in lacking:
         bodies.extend(stand_ins.get(joint, ()))
+    wide = [
+        (float(np.ptp(body.shape.vertices, axis=0).max()), body.name)
+        for body in described
+        if body.joint and isinstance(body.shape, Mesh)
+    ]
+    if wide and (widest := max(wide))[0] > IMPLAUSIBLE_WIDTH * arm.length:
+        size = f"{widest[0]:.4g} m wide, {widest[0] / arm.length:.3g} times as long as the arm"
+        advice = 'if it is in millimetres, the description needs <mesh scale="0.001 0.001 0.001">'
+        warn_caller(f"the collision mesh of link {widest[1]!r} is {size}; {advice}")
     if faults:
         named = enumerated([f"link {link!r}: {why}" for link, _, why in faults], _MAX_LISTED_FAULTS, "; ")
         warn_caller(f"capsules stand in for unusable collision geometry: {named}")

@@ -23,13 +23,12 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.collision.files import read_scan, scale_factor
-from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path
-from pinposture.errors import FileError, InvalidValue, no_warnings, warn_caller
+from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, warn_of_width
+from pinposture.errors import FileError, InvalidValue, no_warnings
 
 Array = NDArray[np.float64]
 
 MAX_SCAN_SIZE = 5_000_000  # maximum number of points, and of triangles, of a scan
-MAX_PLAUSIBLE_WIDTH = 30.0  # width of a scan above which its unit is probably not metres [m]
 _MIN_FILL = 0.8  # fraction of the requested points below which smaller cubes are tried
 _MAX_TRIALS = 12
 _MAX_CUBES = 2**20  # maximum number of cubes along an axis, so that three indices fit into one integer
@@ -186,10 +185,7 @@ class Scan(Surface):
         if farthest > LARGEST_LENGTH:
             allowed = f"at most {LARGEST_LENGTH:g} m; scale 0.001 converts millimetres to metres"
             raise InvalidValue("points (largest coordinate)", farthest, allowed)
-        width = float(np.ptp(points, axis=0).max())
-        if width > MAX_PLAUSIBLE_WIDTH:
-            text = f"{self.name} is {width:.4g} m wide; if it is in millimetres, load it with scale=0.001"
-            warn_caller(text)
+        warn_of_width(self.name, points)
         make_read_only(points, faces, colors)
         set_fields(self, points=points, faces=faces, colors=colors, dropped=dropped, point_radius=radius)
         set_fields(

@@ -30,12 +30,13 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.collision.files import Triangles, merge_corners, read_mesh, scale_factor
-from pinposture.errors import InvalidValue, require_instance
+from pinposture.errors import InvalidValue, require_instance, warn_caller
 from pinposture.kernels.arrays import Trees
 
 Array = NDArray[np.float64]
 
 MAX_PIECES = 64  # maximum number of pieces, a power of two; a body has one contact with each
+MAX_PLAUSIBLE_WIDTH = 30.0  # width of a surface above which its unit is probably not metres [m]
 LEAF_SIZE = 4  # maximum number of points or triangles in a node of the last level
 
 
@@ -450,6 +451,7 @@ class Mesh(Surface):
         factor = scale_factor(path, scale)
         vertices, faces = read_mesh(Path(path))
         mesh = cls(vertices * factor, faces=faces.astype(np.int32), path=Path(path), scale=factor)
+        warn_of_width(Path(path).name, mesh.vertices)
         return mesh.placed(center, rotation)
 
     @classmethod
@@ -472,6 +474,13 @@ class Mesh(Surface):
     def closed(self) -> bool:
         """Whether the mesh encloses a volume."""
         return is_closed(self.faces)
+
+
+def warn_of_width(name: str, points: Array) -> None:
+    """Warn of a surface that is so wide that it is probably in millimetres; points (n, 3) [m]."""
+    width = float(np.ptp(points, axis=0).max())
+    if width > MAX_PLAUSIBLE_WIDTH:
+        warn_caller(f"{name} is {width:.4g} m wide; if it is in millimetres, load it with scale=0.001")
 
 
 def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folder: str) -> Any:

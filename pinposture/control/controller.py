@@ -40,6 +40,10 @@ class SingularValues(NamedTuple):
     largest: float
 
 
+CONSTRAINTS = ("position limit", "velocity limit", "acceleration limit", "jerk limit", "margin")
+"""Names of the constraints that a step can violate."""
+
+
 class Diagnostics(NamedTuple):
     """Diagnostics of a step.
 
@@ -59,8 +63,8 @@ class Diagnostics(NamedTuple):
         switched: why the controller switched to that method in this step; empty if it did not.
         error_increasing: whether the posture error rises in this step, or may rise because the step leaves a
             local minimum.
-        violated_constraints: messages naming the constraints that this step violates because not all could
-            be met, in the order in which they were relaxed.
+        violated_constraints: messages on the constraints that this step violates because not all could be
+            met, in the order in which they were relaxed. Each begins with a name of `CONSTRAINTS`.
         near: messages naming the distances to obstacles that limit the step.
         following_path: whether the step makes progress along a path to the target, on which the posture
             error may rise.

@@ -224,16 +224,16 @@ def violated_limits(
         step = taken[joint]
         if not low - rounding <= at <= high + rounding:
             allowed = f"{low:.4g} to {high:.4g} {unit}"
-            words.append(f"position limits of joint {name!r}: it is at {at:.4g}, outside {allowed}")
+            words.append(f"position limit: joint {name!r} is at {at:.4g}, outside {allowed}")
         elif max(step - sides[1, joint], sides[0, joint] - step) > rounding:
             edge, most = (high, sides[1, joint]) if step > 0.0 else (low, -sides[0, joint])
             words.append(
-                f"position limit {edge:.4g} {unit} of joint {name!r}: at {at:.4g} it is too fast to stop; "
+                f"position limit: joint {name!r} at {at:.4g} is too fast to stop before {edge:.4g} {unit}; "
                 f"its smallest step is {abs(step):.4g}, and it can stop from at most {most:.4g}"
             )
         if abs(slowest[joint]) > bound[joint] + rounding:
             words.append(
-                f"acceleration limit of joint {name!r}: braking leaves a step of {abs(slowest[joint]):.4g}, "
+                f"acceleration limit: braking leaves joint {name!r} a step of {abs(slowest[joint]):.4g}, "
                 f"and at most {bound[joint]:.4g} {unit} is allowed"
             )
     return tuple(words)

@@ -55,8 +55,10 @@ def controller_named(controller: str | Controller) -> Controller:
 
 
 def _checked(made: object, told: object) -> Controller:
-    if isinstance(made, type) or not callable(getattr(made, "step", None)):
-        allowed = "a name, package.module:Class, or an object with a method `step`"
+    allowed = "a name, package.module:Class, or an object with a `name` and a method `step`"
+    if isinstance(made, type):
+        raise InvalidValue("controller", told, f"{allowed}, such as {made.__name__}()")
+    if not (isinstance(getattr(made, "name", None), str) and callable(getattr(made, "step", None))):
         raise InvalidValue("controller", told, allowed)
     return cast(Controller, made)
 
@@ -68,7 +70,7 @@ def _found(name: str) -> Callable[[], object]:
         return cast(Callable[[], object], offered[name].load())
     home, _, attribute = name.partition(":")
     if not (home and attribute):
-        raise UnknownName("controller", name, (*CONTROLLERS, *offered))
+        raise UnknownName("controller", name, (*CONTROLLERS, *offered, "package.module:Class"))
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)
@@ -77,6 +79,6 @@ def _found(name: str) -> Callable[[], object]:
     except ImportError as error:
         raise InvalidValue("controller", name, f"a module that can be imported ({error})") from error
     if not callable(getattr(module, attribute, None)):
-        public = [each for each in vars(module) if each[0] != "_"]
-        raise UnknownName(f"controller of {home}", attribute, public)
+        own = [key for key, each in vars(module).items() if getattr(each, "__module__", None) == home]
+        raise UnknownName(f"controller of {home}", attribute, [key for key in own if key[0] != "_"])
     return cast(Callable[[], object], getattr(module, attribute))

@@ -58,7 +58,14 @@ class Curve(Geometry):
             CurveError: the points are too few, malformed, not finite or repeated, or give a cusp.
             InvalidValue: invalid `degree` or `through`.
         """
-        return cls(*_spline(control_points, degree, through))
+        k = as_count("degree", degree, 1, MAX_DEGREE)
+        points = as_points(control_points, least=2)
+        if len(points) <= k:
+            raise CurveError("points", f"{len(points)} given; a spline of degree {k} needs at least {k + 1}")
+        check_distinct(points)
+        if as_flag("through", through):
+            return cls(*interpolate(points, k))
+        return cls(clamped_uniform_knots(len(points), k), points, k)
 
     @classmethod
     def line(cls, a: ArrayLike, b: ArrayLike) -> Curve:
@@ -68,7 +75,9 @@ class Curve(Geometry):
             CurveError: `a` and `b` coincide.
             InvalidValue: one of them is not 2 or 3 finite numbers.
         """
-        return cls(*_line(a, b))
+        ends = np.stack([as_vector("a", a), as_vector("b", b)])
+        check_distinct(ends, ("a", "b").__getitem__)
+        return cls(clamped_uniform_knots(2, 1), ends, 1)
 
     @classmethod
     def helix(
@@ -102,7 +111,27 @@ class Curve(Geometry):
         Raises:
             InvalidValue: an invalid argument, which is named.
         """
-        return cls(*_helix(radius, pitch, turns, axis, center=center, phase=phase, handedness=handedness))
+        r = as_number("radius", radius, "a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9)
+        rise = as_number("pitch", pitch, "0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6)
+        n_turns = as_number("turns", turns, f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)
+        begin = as_number("phase", phase, "a finite angle [rad]", lambda x: True)
+        if handedness not in ("right", "left"):
+            raise InvalidValue("handedness", handedness, "'right' or 'left'")
+        along, zero, quarter = _frame(as_vector("axis", axis), axis)
+        if handedness == "left":
+            quarter = -quarter
+        spans = math.ceil(_SPANS_PER_TURN * n_turns)
+        step = 2 * math.pi * n_turns / spans
+        # The coefficients of a quintic spline with uniform knots lie on a helix, too. It is wider by a factor
+        # that follows from the values 1, 26, 66, 26, 1 (of 120) of the basis at the knots. The knots extend
+        # beyond the ends, because clamping would break the symmetry.
+        wider = r * 60 / (33 + 26 * math.cos(step) + math.cos(2 * step))
+        knots = np.arange(-5, spans + 6) / spans
+        fraction = np.arange(-2, spans + 3) / spans  # of the length, at each coefficient
+        angle = (begin + 2 * math.pi * n_turns * fraction)[:, None]
+        around = np.cos(angle) * zero + np.sin(angle) * quarter
+        rising = (rise * n_turns * fraction)[:, None] * along
+        return cls(knots, as_vector("center", center) + wider * around + rising, 5)
 
     @classmethod
     def points(cls, xyz: ArrayLike, smoothing: float = 0.0) -> Curve:
@@ -118,7 +147,20 @@ class Curve(Geometry):
             CurveError: the points are too few, malformed, not finite or repeated, or give a cusp.
             InvalidValue: invalid smoothing.
         """
-        return cls(*_points(xyz, smoothing))
+        data = as_points(xyz)
+        allowed = "an RMS distance of 0 m (through the points) up to 1e9 m"
+        distance = as_number("smoothing", smoothing, allowed, lambda x: 0 <= x <= 1e9)
+        check_distinct(data)
+        n = len(data)
+        if distance > 0 and n > _FIT_DEGREE:
+            spans = 4
+            while spans < n:
+                fit = _Fit(data, spans)
+                if fit.rms(fit.least) <= distance:
+                    return cls(*fit.smoothest(distance))
+                spans *= 2
+        # Too few points to smooth, or no smoother curve is close enough.
+        return cls(*interpolate(data, min(_FIT_DEGREE, n - 1)))
 
     @classmethod
     def from_dict(cls, description: Mapping[str, Any]) -> Curve:
@@ -192,12 +234,15 @@ class Curve(Geometry):
         Raises:
             FileError: the name does not end in .json, or the file cannot be written.
         """
-        write_json(Path(path), self.to_dict())
+        require_suffix(Path(path), ".json")
+        write_text(Path(path), json.dumps(self.to_dict(), allow_nan=False) + "\n")
 
     @property
     def control_points(self) -> NDArray[np.float64] | None:
         """The control points, (n, 3) [m], if the curve has the form of `spline`; else None."""
-        return _control_points(self)
+        knots = self.knots - self.knots[0]
+        even = clamped_uniform_knots(len(self.coefficients), self.degree)
+        return self.coefficients if np.abs(knots / knots[-1] - even).max() <= _KNOT_TOLERANCE else None
 
     def controlled(self, count: int, degree: int = 3) -> Curve:
         """Approximate this curve by one controlled by a few points, as in `spline`.
@@ -217,7 +262,26 @@ class Curve(Geometry):
             InvalidValue: invalid count or degree.
             CurveError: the points are too few: the curve's velocity would vanish somewhere.
         """
-        return type(self)(*_controlled(self, count, degree))
+        k = as_count("degree", degree, 1, MAX_DEGREE)
+        n = as_count("count", count, k + 1, MAX_CONTROL_POINTS)
+        if self.degree == k and len(self.coefficients) == n and self.control_points is not None:
+            return self
+        s = np.linspace(0.0, self.length, _samples(self, n))
+        places, knots = self.at(s), clamped_uniform_knots(n, k)
+        # The curve's own parameter suits splines with more knots of this kind, the fraction of the length
+        # curves whose parameter is unrelated to uniform knots.
+        own = kernels.parameters_at(self._arc, s)
+        begin, end = self.knots[self.degree], self.knots[-self.degree - 1]
+        fits = []
+        for parameters in ((own - begin) / (end - begin), s / self.length):
+            basis = csr_array(BSpline.design_matrix(np.clip(parameters, 0.0, 1.0), knots, k))
+            try:
+                fits.append(_fit(basis, places))
+            except LinAlgError:  # no sample is near some control point
+                continue
+        coefficients, _ = min(fits, key=lambda fit: fit[1])
+        check_distinct(coefficients, "control point {} of the nearest".format)
+        return type(self)(knots, coefficients, k)
 
     def controlled_within(self, tolerance: float, degree: int = 3, most: int = 50) -> Curve:
         """Approximate this curve as in `controlled` with the fewest points within a tolerance.
@@ -230,7 +294,26 @@ class Curve(Geometry):
         Raises:
             InvalidValue: an invalid argument, or a tolerance that `most` points cannot meet.
         """
-        return type(self)(*_controlled_within(self, tolerance, degree, most))
+        k = as_count("degree", degree, 1, MAX_DEGREE)
+        last = as_count("most", most, k + 1, MAX_CONTROL_POINTS)
+        near = as_number(
+            "tolerance", tolerance, f"a distance above 0, up to {LARGEST_COORDINATE:g} m", lambda x: x > 0.0
+        )
+        nearest = np.inf
+        for n in range(k + 1, last + 1):
+            try:
+                found = self.controlled(n, k)
+            except CurveError:  # its velocity vanishes, as for a closed curve with few points
+                continue
+            # Few samples suffice to reject it, which is the most frequent case.
+            apart = float(found.nearest(self.resample(MIN_SAMPLES)).distance.max())
+            if apart <= near:
+                apart = deviation(self, found)
+                if apart <= near:
+                    return found
+            nearest = min(nearest, apart)
+        allowed = f"{nearest:.4g} m or more with {last} control points at most, of degree {k}"
+        raise InvalidValue("tolerance", tolerance, allowed if nearest < np.inf else "more control points")
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0)) -> Curve:
         """Return the curve rotated about the origin, then translated.
@@ -270,30 +353,27 @@ class Curve(Geometry):
         high = as_number(
             "end", end, words.format(low, length), lambda s: low + span <= s <= length * (1 + 1e-9)
         )
-        begin, stop = self._arc.parameter(np.array([low, min(high, length)]))
+        begin, stop = kernels.parameters_at(self._arc, np.array([low, min(high, length)]))
         return type(self)(*trim(self._spline, float(begin), float(stop)))
 
     def insert_knot(self, u: float) -> Curve:
-        """Return the same curve with one more knot, and so with one more coefficient.
+        """Return the same curve with one more knot and one more coefficient.
 
-        Every place, direction and curvature stays. As many coefficients as the degree replace one less; the
-        new ones lie on the lines between the old (W. Boehm, "Inserting new knots into B-spline curves",
-        Computer-Aided Design 12 (4), 1980).
+        The shape is unchanged. The new coefficients lie on the lines between the old ones (W. Boehm,
+        "Inserting new knots into B-spline curves", Computer-Aided Design 12 (4), 1980).
 
         Args:
-            u: the knot, a parameter of the B-spline between the ends of the curve, `knots[degree]` and
-                `knots[-degree - 1]`; without a unit, in the scale of `knots`.
+            u: the knot, a parameter of the B-spline between `knots[degree]` and `knots[-degree - 1]`.
 
         Raises:
             InvalidValue: not a number between the ends.
-            CurveError: the knot would break the curve, being there as many times as the degree, or is too
-                close to another one.
+            CurveError: the knot already has a multiplicity of the degree, or is too close to another one.
         """
         t, k, n = self.knots, self.degree, len(self.coefficients)
         low, high = float(t[k]), float(t[n])
         knot = as_number("u", u, f"a parameter between {low:g} and {high:g}", lambda x: low < x < high)
         before, after = t[: n + 1], t[k:]
-        with np.errstate(divide="ignore"):  # repeated knots lie before u or behind it, never at it
+        with np.errstate(divide="ignore"):  # u is not a knot of full multiplicity
             share = np.clip((knot - before) / (after - before), 0.0, 1.0)[:, None]
         points = np.pad(self.coefficients, ((1, 1), (0, 0)), "edge")
         knots = np.insert(t, np.searchsorted(t, knot, side="right"), knot)
@@ -380,16 +460,6 @@ def _number(field: str) -> float | None:
         return None
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON file atomically.
-
-    Raises:
-        FileError: the name does not end in .json, or the file cannot be written.
-    """
-    require_suffix(path, ".json")
-    write_text(path, json.dumps(content, allow_nan=False) + "\n")
-
-
 def read_call(
     description: object, constructors: Mapping[str, Callable[..., object]]
 ) -> tuple[str, dict[str, Any]]:
@@ -457,60 +527,7 @@ def clamped_uniform_knots(n: int, degree: int) -> Array:
 def interpolate(points: Array, degree: int) -> Parts:
     """Interpolate points (n, 3) at chord-length parameters; for even degrees the knots are at midpoints."""
     spline = make_interp_spline(chord_parameters(points), points, k=degree)
-    return Parts(spline.t, spline.c, degree)
-
-
-def _spline(control_points: ArrayLike, degree: int, through: bool) -> Parts:
-    """Make the B-spline of `Curve.spline`."""
-    k = as_count("degree", degree, 1, MAX_DEGREE)
-    points = as_points(control_points, least=2)
-    if len(points) <= k:
-        raise CurveError("points", f"{len(points)} given; a spline of degree {k} needs at least {k + 1}")
-    check_distinct(points)
-    if as_flag("through", through):
-        return interpolate(points, k)
-    return Parts(clamped_uniform_knots(len(points), k), points, k)
-
-
-def _line(a: ArrayLike, b: ArrayLike) -> Parts:
-    """Make the B-spline of `Curve.line`."""
-    ends = np.stack([as_vector("a", a), as_vector("b", b)])
-    check_distinct(ends, ("a", "b").__getitem__)
-    return Parts(clamped_uniform_knots(2, 1), ends, 1)
-
-
-def _helix(
-    radius: float,
-    pitch: float,
-    turns: float,
-    axis: ArrayLike,
-    *,
-    center: ArrayLike,
-    phase: float,
-    handedness: Literal["right", "left"],
-) -> Parts:
-    """Make the B-spline of `Curve.helix`."""
-    r = as_number("radius", radius, "a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9)
-    rise = as_number("pitch", pitch, "0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6)
-    n_turns = as_number("turns", turns, f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)
-    begin = as_number("phase", phase, "a finite angle [rad]", lambda x: True)
-    if handedness not in ("right", "left"):
-        raise InvalidValue("handedness", handedness, "'right' or 'left'")
-    along, zero, quarter = _frame(as_vector("axis", axis), axis)
-    if handedness == "left":
-        quarter = -quarter
-    spans = math.ceil(_SPANS_PER_TURN * n_turns)
-    step = 2 * math.pi * n_turns / spans
-    # The quintic spline with knots and coefficients evenly spaced in the angle has the symmetry of the helix,
-    # so its coefficients lie on a helix, too, wider by a factor that follows from the values 1, 26, 66, 26, 1
-    # (of 120) of the basis at the knots. The knots extend beyond the ends; clamping would break the symmetry.
-    wider = r * 60 / (33 + 26 * math.cos(step) + math.cos(2 * step))
-    knots = np.arange(-5, spans + 6) / spans
-    fraction = np.arange(-2, spans + 3) / spans  # of the length, at each coefficient
-    angle = (begin + 2 * math.pi * n_turns * fraction)[:, None]
-    around = np.cos(angle) * zero + np.sin(angle) * quarter
-    rising = (rise * n_turns * fraction)[:, None] * along
-    return Parts(knots, as_vector("center", center) + wider * around + rising, 5)
+    return spline.t, spline.c, degree
 
 
 def _frame(axis: Array, given: ArrayLike) -> tuple[Array, Array, Array]:
@@ -525,24 +542,6 @@ def _frame(axis: Array, given: ArrayLike) -> tuple[Array, Array, Array]:
     zero = up - (up @ along) * along
     zero /= np.linalg.norm(zero)
     return along, zero, np.cross(along, zero)
-
-
-def _points(xyz: ArrayLike, smoothing: float) -> Parts:
-    """Make the B-spline of `Curve.points`."""
-    data = as_points(xyz)
-    allowed = "an RMS distance of 0 m (through the points) up to 1e9 m"
-    distance = as_number("smoothing", smoothing, allowed, lambda x: 0 <= x <= 1e9)
-    check_distinct(data)
-    n = len(data)
-    if distance > 0 and n > _FIT_DEGREE:
-        spans = 4
-        while spans < n:
-            fit = _Fit(data, spans)
-            if fit.rms(fit.least) <= distance:
-                return fit.smoothest(distance)
-            spans *= 2
-    # Too few points to smooth, or no smoother curve is close enough.
-    return interpolate(data, min(_FIT_DEGREE, n - 1))
 
 
 class _Fit:
@@ -584,70 +583,13 @@ class _Fit:
         weight = self.most
         if self.rms(weight) > distance:
             weight = brentq(lambda w: self.rms(w) - distance, self.least, self.most, xtol=1e-6)
-        return Parts(self.knots, self.coefficients(weight), _FIT_DEGREE)
+        return self.knots, self.coefficients(weight), _FIT_DEGREE
 
 
 def _upper_bands(matrix: csr_array) -> Array:
     """Return the diagonals of a symmetric matrix in LAPACK's order, from the uppermost to the main one."""
     bands = range(max(_FIT_DEGREE, _PENALTY_ORDER), -1, -1)
     return np.stack([np.append(np.zeros(i), matrix.diagonal(i)) for i in bands])
-
-
-def _control_points(curve: Geometry) -> Array | None:
-    """Return `Curve.control_points`."""
-    knots = curve.knots - curve.knots[0]
-    even = clamped_uniform_knots(len(curve.coefficients), curve.degree)
-    return curve.coefficients if np.abs(knots / knots[-1] - even).max() <= _KNOT_TOLERANCE else None
-
-
-def _controlled(curve: Geometry, count: int, degree: int) -> Parts:
-    """Make the B-spline of `Curve.controlled`."""
-    k = as_count("degree", degree, 1, MAX_DEGREE)
-    n = as_count("count", count, k + 1, MAX_CONTROL_POINTS)
-    if curve.degree == k and len(curve.coefficients) == n and _control_points(curve) is not None:
-        return Parts(curve.knots, curve.coefficients, k)
-    s = np.linspace(0.0, curve.length, _samples(curve, n))
-    places, knots = curve.at(s), clamped_uniform_knots(n, k)
-    # The curve's own parameter suits splines with more knots of this kind, the fraction of the length suits
-    # curves whose parameter is unrelated to uniform knots.
-    _, _, _, edges, lengths, series = curve.measured
-    own = kernels.parameters_at(edges, lengths, series, s)
-    begin, end = curve.knots[curve.degree], curve.knots[-curve.degree - 1]
-    fits = []
-    for parameters in ((own - begin) / (end - begin), s / curve.length):
-        basis = csr_array(BSpline.design_matrix(np.clip(parameters, 0.0, 1.0), knots, k))
-        try:
-            fits.append(_fit(basis, places))
-        except LinAlgError:  # no sample is near some control point
-            continue
-    coefficients, _ = min(fits, key=lambda fit: fit[1])
-    check_distinct(coefficients, "control point {} of the nearest".format)
-    return Parts(knots, coefficients, k)
-
-
-def _controlled_within(curve: Geometry, tolerance: float, degree: int, most: int) -> Parts:
-    """Make the B-spline of `Curve.controlled_within`."""
-    k = as_count("degree", degree, 1, MAX_DEGREE)
-    last = as_count("most", most, k + 1, MAX_CONTROL_POINTS)
-    near = as_number(
-        "tolerance", tolerance, f"a distance above 0, up to {LARGEST_COORDINATE:g} m", lambda x: x > 0.0
-    )
-    nearest = np.inf
-    for n in range(k + 1, last + 1):
-        try:
-            parts = _controlled(curve, n, k)
-            found = Geometry(*parts)
-        except CurveError:  # its velocity vanishes, as for a closed curve with few points
-            continue
-        # Few samples suffice to reject it, which is the most frequent case.
-        apart = float(found.nearest(curve.resample(MIN_SAMPLES)).distance.max())
-        if apart <= near:
-            apart = deviation(curve, found)
-            if apart <= near:
-                return parts
-        nearest = min(nearest, apart)
-    allowed = f"{nearest:.4g} m or more with {last} control points at most, of degree {k}"
-    raise InvalidValue("tolerance", tolerance, allowed if nearest < np.inf else "more control points")
 
 
 def deviation(curve: Geometry, other: Geometry) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 from pinposture import kernels
 from pinposture._validation import LARGEST_COORDINATE, SMALLEST_DISTANCE, as_count, as_points
 from pinposture.errors import CurveError, InvalidValue
+from pinposture.kernels.arrays import LengthArrays, SplineArrays
 
 Array = NDArray[np.float64]
 
@@ -25,37 +26,12 @@ LENGTH_TOLERANCE = 1e-12
 _MIN_SPAN = 1e-14  # smallest distance of knots above rounding errors, relative to the whole range
 
 
-class Parts(NamedTuple):
-    """The knots, coefficients and degree of a B-spline, unchecked."""
-
-    knots: Array  # shape (n + degree + 1,)
-    coefficients: Array  # shape (n, 3) [m]
-    degree: int  # 1 to 5
+Parts: TypeAlias = tuple[Array, Array, int]
+"""The knots, coefficients and degree of a B-spline, unchecked."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spline:
-    """A B-spline as arrays for kernels; they are writeable for numba, but do not write to them."""
-
-    knots: Array  # shape (n + degree + 1,), not decreasing
-    # coefficients of the spline (n, 3) [m], of its first derivative, and so on (see
-    # `kernels.spline_coefficients`), shape (degree + 1, n, 3)
-    table: Array
-    degree: int  # 1 to 5
-    breaks: Array  # ends of the knot spans of the curve, increasing
-
-    def values(self, u: Array, order: int = 0) -> Array:
-        """Evaluate the spline or a parameter derivative, shape (n, 3), at the parameters u (n,)."""
-        return kernels.spline_values(self.knots, self.table, self.degree, order, u)
-
-    def with_coefficients(self, coefficients: Array) -> Spline:
-        """Return another spline on the same knots."""
-        table = kernels.spline_coefficients(self.knots, coefficients, self.degree)
-        return Spline(self.knots, table, self.degree, self.breaks)
-
-
-def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> Spline:
-    """Create a B-spline from checked knots, coefficients and degree.
+def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> SplineArrays:
+    """Create a B-spline from checked knots, coefficients and degree; do not write to its arrays.
 
     Args:
         knots: not decreasing, shape (n + degree + 1,).
@@ -78,7 +54,7 @@ def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> Sp
             f"shape {t.shape}; {len(c)} coefficients of degree {k} need a list of {len(c) + k + 1} numbers",
         )
     breaks = _checked_breaks(t, k)
-    return Spline(t, kernels.spline_coefficients(t, c, k), k, breaks)
+    return SplineArrays(t, kernels.spline_coefficients(t, c, k), k, breaks)
 
 
 def _checked_breaks(t: Array, k: int) -> Array:
@@ -109,11 +85,11 @@ def _checked_breaks(t: Array, k: int) -> Array:
     return np.append(begin, inner[1:][gaps[k : len(gaps) - k] > 0])
 
 
-def refuse_standstill(spline: Spline, taylors: Array) -> None:
+def refuse_standstill(spline: SplineArrays, taylors: Array) -> None:
     """Raise CurveError if the velocity, from `kernels.expand_spans`, vanishes somewhere; names the point."""
     u = kernels.find_stationary_point(taylors, spline.breaks)
     if not np.isnan(u):
-        x, y, z = spline.values(np.array([u]))[0]
+        x, y, z = kernels.spline_values(spline, 0, np.array([u]))[0]
         raise CurveError(
             f"curve at ({x:.6g}, {y:.6g}, {z:.6g})",
             "its speed vanishes there (a cusp or a reversal), so it has no tangent; "
@@ -121,7 +97,7 @@ def refuse_standstill(spline: Spline, taylors: Array) -> None:
         )
 
 
-def trim(whole: Spline, begin: float, end: float) -> Parts:
+def trim(whole: SplineArrays, begin: float, end: float) -> Parts:
     """Return the part of a spline between two of its parameters.
 
     A knot is inserted at each end, and knots beyond it are kept. Clamping the ends would divide coefficients
@@ -137,7 +113,7 @@ def trim(whole: Spline, begin: float, end: float) -> Parts:
         ends.append(knot)
     first = int(np.searchsorted(spline.t, ends[0], side="right")) - 1
     last = int(np.searchsorted(spline.t, ends[1], side="left"))
-    return Parts(spline.t[first - k : last + k + 1], spline.c[first - k : last], k)
+    return spline.t[first - k : last + k + 1], spline.c[first - k : last], k
 
 
 def _rule() -> Array:
@@ -157,33 +133,15 @@ def _rule() -> Array:
 _RULE = _rule()
 
 
-@dataclass(frozen=True, eq=False)
-class ArcLength:
-    """Arc length s as a function of the parameter u: a polynomial on each of many short pieces.
+def measure(spline: SplineArrays) -> LengthArrays:
+    """Measure the arc length of a spline; raises CurveError if its velocity vanishes somewhere.
 
     The speed is sampled at Gauss nodes on pieces of the knot spans; pieces are halved until the Legendre
     series of the speed has converged. Its integral is the arc length, which is inverted by Newton's method.
     """
-
-    edges: Array  # parameters where the pieces meet, shape (k + 1,)
-    lengths: Array  # arc length at the edges, shape (k + 1,) [m]
-    # power coefficients, highest first, of each piece's length in x from -1 to 1, (k, GAUSS_NODES + 1) [m]
-    series: Array
-    total: float  # total length [m]
-
-    @classmethod
-    def of(cls, spline: Spline) -> ArcLength:
-        """Measure a spline; raises CurveError if its velocity vanishes somewhere."""
-        parts = (spline.knots, spline.table, spline.degree, spline.breaks)
-        taylors = kernels.expand_spans(*parts)
-        refuse_standstill(spline, taylors)
-        error = rounding(spline.table[0])
-        edges, lengths, series = kernels.measure_length(*parts, taylors, _RULE, LENGTH_TOLERANCE, error)
-        return cls(edges, lengths, series, float(lengths[-1]))
-
-    def parameter(self, s: Array) -> Array:
-        """Return the parameters (n,) at arc lengths (n,) [m] within [0, total]."""
-        return kernels.parameters_at(self.edges, self.lengths, self.series, s)
+    taylors = kernels.expand_spans(spline)
+    refuse_standstill(spline, taylors)
+    return kernels.measure_length(spline, taylors, _RULE, LENGTH_TOLERANCE, rounding(spline.table[0]))
 
 
 def rounding(coefficients: Array) -> float:
@@ -234,14 +192,14 @@ class Geometry:
     knots: Array
     coefficients: Array
     degree: int
-    _spline: Spline = field(init=False)
-    _arc: ArcLength = field(init=False)
+    _spline: SplineArrays = field(init=False)
+    _arc: LengthArrays = field(init=False)
 
     def __post_init__(self) -> None:
         spline = make_spline(self.knots, self.coefficients, self.degree)
-        self._set(spline, ArcLength.of(spline))
+        self._set(spline, measure(spline))
 
-    def _set(self, spline: Spline, arc: ArcLength) -> None:
+    def _set(self, spline: SplineArrays, arc: LengthArrays) -> None:
         knots, coefficients = spline.knots.view(), spline.table[0].view()
         knots.flags.writeable = coefficients.flags.writeable = False
         self.__dict__.update(knots=knots, coefficients=coefficients, degree=spline.degree)
@@ -258,7 +216,8 @@ class Geometry:
         ):
             return type(self)(self.knots, coefficients, self.degree)
         moved = object.__new__(type(self))
-        moved._set(self._spline.with_coefficients(coefficients), self._arc)
+        table = kernels.spline_coefficients(self._spline.knots, coefficients, self.degree)
+        moved._set(self._spline._replace(table=table), self._arc)
         return moved
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -292,16 +251,12 @@ class Geometry:
     @property
     def length(self) -> float:
         """Arc length from start to end [m]."""
-        return self._arc.total
+        return float(self._arc.lengths[-1])
 
     @property
-    def measured(self) -> tuple[Array, Array, int, Array, Array, Array]:
-        """Arguments for kernels: knots, table, degree; edges, lengths, series. Do not write to them.
-
-        See `kernels.spline_coefficients` and `kernels.measure_length`.
-        """
-        spline, arc = self._spline, self._arc
-        return spline.knots, spline.table, spline.degree, arc.edges, arc.lengths, arc.series
+    def measured(self) -> tuple[SplineArrays, LengthArrays]:
+        """The spline and its arc length as arguments for kernels; do not write to their arrays."""
+        return self._spline, self._arc
 
     @property
     def start(self) -> Array:
@@ -324,12 +279,12 @@ class Geometry:
     def at(self, s: float | Lengths) -> Array:
         """Return points, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
-        return _shaped(self._spline.values(u), shape)
+        return _shaped(self._values(u), shape)
 
     def tangent(self, s: float | Lengths) -> Array:
         """Return unit tangents, shape (n, 3) or (3,), towards the end, at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
-        velocity = self._spline.values(u, 1)
+        velocity = self._values(u, 1)
         return _shaped(velocity / np.linalg.norm(velocity, axis=1)[:, None], shape)
 
     @overload
@@ -356,7 +311,7 @@ class Geometry:
         bending, v = self._bending(u)
         square = np.einsum("ni,ni->n", bending, bending)
         bent = np.sqrt(square) * self.length > _MIN_CURVATURE * v**3
-        volume = np.einsum("ni,ni->n", bending, self._spline.values(u, 3))
+        volume = np.einsum("ni,ni->n", bending, self._values(u, 3))
         torsion = np.divide(volume, square, out=np.zeros_like(v), where=bent & (self.dimension == 3))
         return _scalar(torsion, shape)
 
@@ -385,11 +340,15 @@ class Geometry:
         parameter, distance = found[:, 0].copy(), found[:, 1].copy()
         return Nearest(parameter[0], distance[0]) if one else Nearest(parameter, distance)
 
+    def _values(self, u: Array, order: int = 0) -> Array:
+        """Evaluate the spline or a derivative by its parameter, (n, 3), at the parameters u (n,)."""
+        return kernels.spline_values(self._spline, order, u)
+
     def _parameter(self, s: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         """Return the spline parameters (n,) at arc lengths, and the shape of the latter."""
         slack = _END_TOLERANCE * self.length
         if type(s) is float and -slack <= s <= self.length + slack:
-            return self._arc.parameter(np.array([min(max(s, 0.0), self.length)])), ()
+            return kernels.parameters_at(self._arc, np.array([min(max(s, 0.0), self.length)])), ()
         try:
             values = np.asarray(s)
         except ValueError:
@@ -401,7 +360,7 @@ class Geometry:
             i = int(np.flatnonzero(~inside)[0])
             raise self._out_of_range("s" if values.ndim == 0 else f"s[{i}]", float(values.flat[i]))
         clipped = np.minimum(np.maximum(np.atleast_1d(values), 0.0), self.length)
-        return self._arc.parameter(clipped.astype(float)), values.shape
+        return kernels.parameters_at(self._arc, clipped.astype(float)), values.shape
 
     def _out_of_range(self, name: str, value: object) -> InvalidValue:
         allowed = f"arc lengths from 0 to {self.length:.10g} m, one or an array of shape (n,)"
@@ -409,8 +368,8 @@ class Geometry:
 
     def _bending(self, u: Array) -> tuple[Array, Array]:
         """Return the cross product of first and second derivative (n, 3), and the speed (n,)."""
-        velocity = self._spline.values(u, 1)
-        return np.cross(velocity, self._spline.values(u, 2)), np.linalg.norm(velocity, axis=1)
+        velocity = self._values(u, 1)
+        return np.cross(velocity, self._values(u, 2)), np.linalg.norm(velocity, axis=1)
 
 
 def _shaped(places: Array, shape: tuple[int, ...]) -> Array:

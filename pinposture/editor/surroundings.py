@@ -14,7 +14,8 @@ from typing import TypeAlias
 
 from pinposture.collision import Mesh
 from pinposture.collision.files import MESH_FORMATS
-from pinposture.collision.scan import MAX_PLAUSIBLE_WIDTH, Scan
+from pinposture.collision.scan import Scan
+from pinposture.collision.shapes import MAX_PLAUSIBLE_WIDTH
 from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
 from pinposture.editor.edits import Edit, keyframes_of
 from pinposture.editor.obstacles import free_name, insert_obstacle, obstacles_of

@@ -24,6 +24,38 @@ Bytes1 = Annotated[NDArray[np.int8], 1]
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
+
+
+class SplineArrays(NamedTuple):
+    """A B-spline in space with n coefficients, on k knot spans.
+
+    Attributes:
+        knots: the knots, not decreasing, (n + degree + 1,).
+        table: coefficients of the spline, of its first derivative, and so on, (degree + 1, n, 3), from
+            `spline_coefficients`.
+        degree: 1 to 5.
+        breaks: ends of the knot spans of the curve, increasing, (k + 1,).
+    """
+
+    knots: Array1
+    table: Array3
+    degree: int
+    breaks: Array1
+
+
+class LengthArrays(NamedTuple):
+    """Arc length as a function of the parameter: a polynomial on each of n short pieces.
+
+    Attributes:
+        edges: parameters where the pieces meet, (n + 1,).
+        lengths: arc lengths there, (n + 1,) [m].
+        series: power coefficients of the length of each piece in x from -1 to 1, highest first, (n, N + 1).
+    """
+
+    edges: Array1
+    lengths: Array1
+    series: Array2
 
 
 class ChainArrays(NamedTuple):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Trees
+from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Three, Trees
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 TINY = 1e-300
@@ -90,17 +90,7 @@ def _split(order: Ints1, middles: Array2, axis: int, begin: int, middle: int, en
 
 
 @subkernel
-def nearest_in_tree(
-    ax: float,
-    ay: float,
-    az: float,
-    bx: float,
-    by: float,
-    bz: float,
-    trees: Trees,
-    obstacle: int,
-    below: float,
-) -> Nearest:
+def nearest_in_tree(a: Three, b: Three, trees: Trees, obstacle: int, below: float) -> Nearest:
     """Find the item of a piece of a tree nearest to a line from a to b, in the frame of the tree.
 
     If the line crosses triangles, the deepest crossing counts. The distance is infinite unless smaller than
@@ -108,6 +98,7 @@ def nearest_in_tree(
     """
     boxes, root, levels, items, count = _piece(trees, obstacle)
     is_cloud = trees.pieces[obstacle, 5] == 1
+    (ax, ay, az), (bx, by, bz) = a, b
     ux, uy, uz = bx - ax, by - ay, bz - az
     squares = ux * ux + uy * uy + uz * uz
     line = (ax, ay, az, ux, uy, uz, squares)

@@ -14,9 +14,15 @@ from pinposture.kernels.arrays import (
     ScrewChain,
     SearchSettings,
 )
-from pinposture.kernels.chain_solver import find_screws, measure_point_errors, minimise_in_box, stiffness
+from pinposture.kernels.chain_solver import (
+    find_screws,
+    measure_point_errors,
+    minimise_in_box,
+    solve_cholesky,
+    stiffness,
+)
 from pinposture.kernels.compiled import compiled, subkernel
-from pinposture.kernels.kinematics import placements
+from pinposture.kernels.kinematics import placements, rotation_about, turn_row
 
 # The chain is given as screws in its neutral posture (a product of exponentials): the point carried by joints
 # 0 to u is exp(q_0) exp(q_1) ... exp(q_u) c. In the frame of a module's base, its joints solve the same
@@ -41,6 +47,9 @@ MAX_WINDOW = 8  # maximum number of modules that are corrected together
 
 FULL_TURN = 2.0 * np.pi
 
+Bases = tuple[Array3, Array2]
+"""Orientations (m + 1, 3, 3) and origins (m + 1, 3) of the bases of all modules, and of the tip."""
+
 
 @subkernel
 def apply_joint(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, place: Array1) -> None:
@@ -50,21 +59,15 @@ def apply_joint(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array
         for i in range(3):
             place[i] += q * (turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z)
         return
-    c, s = np.cos(q), np.sin(q)
-    v = 1.0 - c
-    e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
-    e10, e11, e12 = v * x * y + s * z, c + v * y * y, v * y * z - s * x
-    e20, e21, e22 = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+    e = rotation_about(x, y, z, np.cos(q), np.sin(q))
     o0, o1, o2 = origin[0], origin[1], origin[2]
-    d0 = o0 - e00 * o0 - e01 * o1 - e02 * o2
-    d1 = o1 - e10 * o0 - e11 * o1 - e12 * o2
-    d2 = o2 - e20 * o0 - e21 * o1 - e22 * o2
+    d0 = o0 - e[0] * o0 - e[1] * o1 - e[2] * o2
+    d1 = o1 - e[3] * o0 - e[4] * o1 - e[5] * o2
+    d2 = o2 - e[6] * o0 - e[7] * o1 - e[8] * o2
     for i in range(3):
         t0, t1, t2 = turn[i, 0], turn[i, 1], turn[i, 2]
         place[i] += t0 * d0 + t1 * d1 + t2 * d2
-        turn[i, 0] = t0 * e00 + t1 * e10 + t2 * e20
-        turn[i, 1] = t0 * e01 + t1 * e11 + t2 * e21
-        turn[i, 2] = t0 * e02 + t1 * e12 + t2 * e22
+        turn[i, 0], turn[i, 1], turn[i, 2] = turn_row(t0, t1, t2, e)
 
 
 @subkernel
@@ -186,20 +189,13 @@ def solve_last_two(
 
 @subkernel
 def measure_errors(
-    chain: ScrewChain,
-    first: int,
-    last: int,
-    turns: Array3,
-    places: Array2,
-    points: Array2,
-    q: Array1,
-    e: Array2,
+    chain: ScrewChain, first: int, last: int, bases: Bases, points: Array2, q: Array1, e: Array2
 ) -> float:
     """Fill e (W, 3) with the errors of the ends of modules first to last at q; return their sum of squares.
 
-    Orientations `turns` and origins `places` of the bases of the modules after the first are filled in.
+    The bases of the modules after the first are filled in.
     """
-    total = 0.0
+    (turns, places), total = bases, 0.0
     for k in range(first, last + 1):
         turn, place = turns[k + 1], places[k + 1]
         copy_frame(turns[k], places[k], turn, place)
@@ -215,10 +211,9 @@ def measure_errors(
 
 
 @subkernel
-def fill_jacobian(
-    chain: ScrewChain, first: int, last: int, turns: Array3, places: Array2, q: Array1, rows: Array2
-) -> None:
+def fill_jacobian(chain: ScrewChain, first: int, last: int, bases: Bases, q: Array1, rows: Array2) -> None:
     """Fill rows (3 W, n) with the Jacobian of the ends of modules first to last by their joints."""
+    turns, places = bases
     rows[:] = 0.0
     begin, modules = chain.begins[first], last - first + 1
     turn, place, ends = np.empty((3, 3)), np.empty(3), np.empty((modules, 3))
@@ -250,33 +245,8 @@ def fill_jacobian(
 
 
 @subkernel
-def solve_cholesky(matrix: Array2, x: Array1, r: int) -> None:
-    """Solve a symmetric positive definite system of r equations in place, by Cholesky factorisation."""
-    for i in range(r):
-        for j in range(i + 1):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = np.sqrt(value) if i == j else value / matrix[j, j]
-        for k in range(i):
-            x[i] -= matrix[i, k] * x[k]
-        x[i] /= matrix[i, i]
-    for i in range(r - 1, -1, -1):
-        for k in range(i + 1, r):
-            x[i] -= matrix[k, i] * x[k]
-        x[i] /= matrix[i, i]
-
-
-@subkernel
 def correct(
-    chain: ScrewChain,
-    first: int,
-    last: int,
-    turns: Array3,
-    places: Array2,
-    points: Array2,
-    size: float,
-    q: Array1,
+    chain: ScrewChain, first: int, last: int, bases: Bases, points: Array2, size: float, q: Array1
 ) -> float:
     """Move the ends of modules first to last to their points, by Levenberg-Marquardt steps within limits.
 
@@ -287,12 +257,12 @@ def correct(
     e, trial_e = np.empty((r // 3, 3)), np.empty((r // 3, 3))
     rows, matrix, x = np.empty((r, n)), np.empty((r, r)), np.empty(r)
     tried, held = q.copy(), np.zeros(n, dtype=np.bool_)
-    cost = measure_errors(chain, first, last, turns, places, points, q, e)
+    cost = measure_errors(chain, first, last, bases, points, q, e)
     damping = 1e-3
     for _ in range(MAX_CORRECTIONS):
         if cost <= (NO_DISTANCE * size) ** 2 or n == 0:
             break
-        fill_jacobian(chain, first, last, turns, places, q, rows)
+        fill_jacobian(chain, first, last, bases, q, rows)
         trace = 0.0
         for j in range(n):
             u, slope = begin + j, 0.0
@@ -315,7 +285,7 @@ def correct(
                     for j in range(n):
                         inner += rows[i, j] * rows[k, j]
                     matrix[i, k] = inner
-            solve_cholesky(matrix, x, r)
+            solve_cholesky(matrix, x)
             for j in range(n):
                 u, step = begin + j, 0.0
                 for i in range(r):
@@ -323,7 +293,7 @@ def correct(
                 if not chain.sliding[u]:
                     step = min(max(step, -0.5), 0.5)
                 tried[u] = min(max(q[u] + step, chain.lower[u]), chain.upper[u])
-            found = measure_errors(chain, first, last, turns, places, points, tried, trial_e)
+            found = measure_errors(chain, first, last, bases, points, tried, trial_e)
             better = found < cost
             if better:
                 damping = max(damping * 0.1, 1e-6)
@@ -339,7 +309,7 @@ def correct(
         cost = found
         if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # converged to a nonzero distance
             break
-    measure_errors(chain, first, last, turns, places, points, q, e)
+    measure_errors(chain, first, last, bases, points, q, e)
     worst = 0.0
     for i in range(r // 3):
         worst = max(worst, e[i, 0] ** 2 + e[i, 1] ** 2 + e[i, 2] ** 2)
@@ -377,8 +347,7 @@ def keep_solution(
 def solve_module(
     chain: ScrewChain,
     k: int,
-    turns: Array3,
-    places: Array2,
+    bases: Bases,
     points: Array2,
     size: float,
     accepted: float,
@@ -395,19 +364,16 @@ def solve_module(
     first, stop, joint, end = chain.begins[k], chain.begins[k + 1], chain.joints[k], chain.joints[k + 1]
     n = stop - first
     c, local, pair = chain.points[k], np.empty(3), np.empty((4, 2))
-    closed = 0
-    if end - joint > n:  # coupled joints have no closed form
-        closed = 0
-    elif n >= 2 and not chain.slides[end - 2] and not chain.slides[end - 1]:
-        closed = 2
-    elif n >= 1:
-        closed = 1
+    closed = 0  # number of joints solved in closed form, which coupled joints do not have
+    if n > 0 and end - joint == n:
+        hinges = n > 1 and not chain.slides[end - 2] and not chain.slides[end - 1]
+        closed = 2 if hinges else 1
     turn, place, start, e = np.empty((3, 3)), np.empty(3), np.empty(n), np.empty((1, 3))
-    count = 0
+    (turns, places), count = bases, 0
     if n > closed:  # solution nearest to the preferred positions
         for u in range(first, stop):
             q[u] = chain.near[u]
-        residual = correct(chain, k, k, turns, places, points, size, q)
+        residual = correct(chain, k, k, bases, points, size, q)
         count = keep_solution(residual, q, first, stop, residuals, found, count)
     for number in range(
         1 if n <= closed else min(len(samples), MAX_SAMPLES_OF_THREE) if n == 3 else len(samples)
@@ -438,7 +404,7 @@ def solve_module(
             for i in range(pairs):
                 for u in range(first, stop):
                     q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
-                residual = np.sqrt(measure_errors(chain, k, k, turns, places, points, q, e))
+                residual = np.sqrt(measure_errors(chain, k, k, bases, points, q, e))
                 if residual <= accepted:
                     count = keep_solution(residual, q, first, stop, residuals, found, count)
             if count:
@@ -450,7 +416,7 @@ def solve_module(
                 q[u] = start[u - first]
             for u in range(stop - closed, stop):
                 q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
-            residual = correct(chain, k, k, turns, places, points, size, q)
+            residual = correct(chain, k, k, bases, points, size, q)
             if residual <= accepted:
                 for u in range(first, stop):
                     q[u] = wrap_into_limits(chain, u, q[u])
@@ -506,8 +472,8 @@ def search_branches(
     widest = 0
     for k in range(m):
         widest = max(widest, chain.begins[k + 1] - chain.begins[first_corrected(chain, k, window)])
-    turns, places = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
-    turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
+    bases = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
+    bases[0][0] = np.eye(3)
     choices, order = np.empty((m, MAX_SOLUTIONS, widest)), np.zeros((m, MAX_SOLUTIONS), np.int64)
     number, next_choice, base = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
     residuals, found = np.empty(MAX_SOLUTIONS), np.empty((MAX_SOLUTIONS, widest))
@@ -519,7 +485,7 @@ def search_branches(
         if descending:
             visits -= 1
             first, stop = chain.begins[k], chain.begins[k + 1]
-            ends = solve_module(chain, k, turns, places, points, size, accepted, samples, q, residuals, found)
+            ends = solve_module(chain, k, bases, points, size, accepted, samples, q, residuals, found)
             sort_indices(residuals, ends, ranked)
             if k > deepest:
                 deepest = k
@@ -539,13 +505,13 @@ def search_branches(
                 for i in range(min(MAX_CORRECTED, ends)):
                     for u in range(low, stop):
                         q[u] = before[u] if u < first else found[ranked[i], u - first]
-                    if correct(chain, base[k], k, turns, places, points, size, q) <= accepted:
+                    if correct(chain, base[k], k, bases, points, size, q) <= accepted:
                         for u in range(low, stop):
                             choices[k, count, u - low] = q[u]
                         count += 1
                 for u in range(low, first):
                     q[u] = before[u]
-                measure_errors(chain, base[k], k, turns, places, points, q, e)
+                measure_errors(chain, base[k], k, bases, points, q, e)
             low = chain.begins[base[k]]
             for i in range(count):
                 scores[i] = 0.0
@@ -565,13 +531,13 @@ def search_branches(
                 for u in range(low, chain.begins[i + 1]):
                     q[u] = choices[i, order[i, next_choice[i] - 1], u - low]
             if k:
-                measure_errors(chain, 0, k - 1, turns, places, points, q, e)
+                measure_errors(chain, 0, k - 1, bases, points, q, e)
             continue
         low, stop = chain.begins[base[k]], chain.begins[k + 1]
         for u in range(low, stop):
             q[u] = choices[k, order[k, next_choice[k]], u - low]
         next_choice[k] += 1
-        measure_errors(chain, base[k], k, turns, places, points, q, e)
+        measure_errors(chain, base[k], k, bases, points, q, e)
         if k == m - 1:
             return m
         k += 1
@@ -584,14 +550,11 @@ def search_branches(
     for i in range(m):
         if i > deepest:
             first = chain.begins[i]
-            sort_indices(
-                residuals,
-                solve_module(chain, i, turns, places, points, size, accepted, samples, q, residuals, found),
-                ranked,
-            )
+            ends = solve_module(chain, i, bases, points, size, accepted, samples, q, residuals, found)
+            sort_indices(residuals, ends, ranked)
             for u in range(first, chain.begins[i + 1]):
                 q[u] = found[ranked[0], u - first]
-        measure_errors(chain, i, i, turns, places, points, q, e)
+        measure_errors(chain, i, i, bases, points, q, e)
     return deepest
 
 

@@ -37,6 +37,9 @@ RELATIVE_GAP = 1e-11
 NEGLIGIBLE_MOTION = 1e-12  # joint motion that counts as rounding error, in units of a joint
 STEP_TO_BOUNDARY = 0.995  # fraction of the distance to the boundary taken by one iteration
 
+ChainProblem = tuple[PointObjective, Array2, Array1, Array1]
+"""Points and chords, their errors e, (m, 3), damping D, (n,), positive, and centre z, (n,)."""
+
 
 @subkernel
 def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Array3, gains: Array2) -> None:
@@ -149,27 +152,16 @@ def _shift_to_previous(P: Array2, turned: Array2, point: Array1, previous: Array
 
 
 @subkernel
-def solve_factored(
-    objective: PointObjective,
-    errors: Array2,
-    damping: Array1,
-    centre: Array1,
-    held: Flags1,
-    gains: Array2,
-    x: Array1,
-) -> None:
+def solve_factored(problem: ChainProblem, held: Flags1, gains: Array2, x: Array1) -> None:
     """Solve for one right-hand side after `factor`: the pass back to the base, then that to the tip.
 
     Args:
-        objective: points and chords.
-        errors: e, (m, 3).
-        damping: D, (n,).
-        centre: z, (n,).
+        problem: the problem.
         held: True for joints that are held, (n,).
         gains: from `factor`; its column 9 is scratch.
         x: motions of the held joints; filled with those of the others, (n,).
     """
-    b, ends, points, weights, chords = objective
+    (b, ends, points, weights, chords), errors, damping, centre = problem
     n, m = len(b), len(ends)
     for i in range(ends[m - 1], n):  # joints beyond the last point move no point
         if not held[i]:
@@ -221,17 +213,9 @@ def solve_factored(
 
 
 @subkernel
-def evaluate_gradient(
-    objective: PointObjective,
-    errors: Array2,
-    damping: Array1,
-    centre: Array1,
-    x: Array1,
-    slope: Array1,
-    missed: Array2,
-) -> float:
+def evaluate_gradient(problem: ChainProblem, x: Array1, slope: Array1, missed: Array2) -> float:
     """Return half the objective at x and fill `slope` with half its gradient; `missed` (m, 6) is scratch."""
-    b, ends, points, weights, chords = objective
+    (b, ends, points, weights, chords), errors, damping, centre = problem
     n, m = len(b), len(ends)
     total = 0.0
     for u in range(n):
@@ -504,14 +488,8 @@ def minimise_points(
             g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7] = g0, g1, g2, g3, g4, g5, inverse, t
             s0, s1, s2 = s0 - g0 * t, s1 - g1 * t, s2 - g2 * t
             s3, s4, s5 = s3 - g3 * t, s4 - g4 * t, s5 - g5 * t
-            h0, h1, h2, h3, h4, h5 = (
-                inverse * g0,
-                inverse * g1,
-                inverse * g2,
-                inverse * g3,
-                inverse * g4,
-                inverse * g5,
-            )
+            h0, h1, h2 = inverse * g0, inverse * g1, inverse * g2
+            h3, h4, h5 = inverse * g3, inverse * g4, inverse * g5
             p00, p01, p02 = p00 - h0 * g0, p01 - h0 * g1, p02 - h0 * g2
             p11, p12, p22 = p11 - h1 * g1, p12 - h1 * g2, p22 - h2 * g2
             q00, q01, q02 = q00 - h0 * g3, q01 - h0 * g4, q02 - h0 * g5
@@ -585,6 +563,7 @@ def minimise_in_box(
     Returns:
         Number of systems solved.
     """
+    problem = objective, errors, damping, centre
     n, m = len(objective.screws), len(objective.ends)
     gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
     no_bodies = np.empty((0, 6, 6))
@@ -599,10 +578,10 @@ def minimise_in_box(
                 if held[u]:
                     x[u] = upper[u] if sides[u] > 0 else lower[u]
             factor(objective, damping, held, no_bodies, gains)
-            solve_factored(objective, errors, damping, centre, held, gains, x)
+            solve_factored(problem, held, gains, x)
             solved += 1
             if any_held:
-                evaluate_gradient(objective, errors, damping, centre, x, slope, missed)
+                evaluate_gradient(problem, x, slope, missed)
             converged = True
             for u in range(n):
                 if _is_fixed(lower[u], upper[u]):
@@ -621,14 +600,14 @@ def minimise_in_box(
                 _clip(x, lower, upper)
                 return solved
         if attempt == 0:
-            solved += _interior_point(objective, errors, damping, centre, lower, upper, sides, x, gains)
+            solved += _interior_point(problem, lower, upper, sides, x, gains)
             for u in range(n):
                 interior[u] = x[u]
     # It cycled again: take the better result.
     _clip(x, lower, upper)
     _clip(interior, lower, upper)
-    last = evaluate_gradient(objective, errors, damping, centre, x, slope, missed)
-    inner = evaluate_gradient(objective, errors, damping, centre, interior, slope, missed)
+    last = evaluate_gradient(problem, x, slope, missed)
+    inner = evaluate_gradient(problem, interior, slope, missed)
     if not last <= inner:
         for u in range(n):
             x[u] = interior[u]
@@ -652,17 +631,10 @@ def _clip(x: Array1, lower: Array1, upper: Array1) -> None:
 
 @subkernel
 def _interior_point(
-    objective: PointObjective,
-    errors: Array2,
-    damping: Array1,
-    centre: Array1,
-    lower: Array1,
-    upper: Array1,
-    sides: Bytes1,
-    x: Array1,
-    gains: Array2,
+    problem: ChainProblem, lower: Array1, upper: Array1, sides: Bytes1, x: Array1, gains: Array2
 ) -> int:
     """Fill x with a point near the minimum by an interior point method, and `sides` with an active set."""
+    objective, errors, damping, centre = problem
     n, m = len(objective.screws), len(objective.ends)
     slope, missed, held = np.empty(n), np.empty((m, 6)), np.zeros(n, dtype=np.bool_)
     no_bodies = np.empty((0, 6, 6))
@@ -684,7 +656,7 @@ def _interior_point(
         else:
             x[u] = centre[u]
         bounds += 0 if held[u] else int(below) + int(above)
-    evaluate_gradient(objective, errors, damping, centre, x, slope, missed)
+    evaluate_gradient(problem, x, slope, missed)
     start = 0.0
     for u in range(n):
         if not held[u]:
@@ -721,7 +693,7 @@ def _interior_point(
                 pulled[u] = (damping[u] * centre[u] + (p + r) * x[u] + push) / stiff[u]
             if not corrector:
                 factor(objective, stiff, held, no_bodies, gains)
-            solve_factored(objective, errors, stiff, pulled, held, gains, trial)
+            solve_factored((objective, errors, stiff, pulled), held, gains, trial)
             # The longest step that keeps x within the bounds and the multipliers positive.
             reach = 1.0
             for u in range(n):
@@ -764,6 +736,31 @@ def _interior_point(
         elif not held[u] and gains[u, 10] * high[u] > 0.5 * (upper[u] - x[u]):
             sides[u] = 1
     return iterations
+
+
+@subkernel
+def solve_cholesky(matrix: Array2, x: Array1) -> bool:
+    """Solve a small dense system in place, by Cholesky factorisation.
+
+    Returns:
+        False if the matrix is not positive definite; x is then not a number.
+    """
+    n, positive = len(x), True
+    for i in range(n):
+        for j in range(i + 1):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            positive = positive and (i != j or value > 0.0)
+            matrix[i, j] = np.sqrt(value) if i == j else value / matrix[j, j]
+        for k in range(i):
+            x[i] -= matrix[i, k] * x[k]
+        x[i] /= matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= matrix[k, i] * x[k]
+        x[i] /= matrix[i, i]
+    return positive
 
 
 @subkernel

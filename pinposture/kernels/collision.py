@@ -39,6 +39,7 @@ from pinposture.kernels.bounding_volumes import (
     way_to_segment,
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
+from pinposture.kernels.kinematics import rotation_about, turn_row
 
 FLAT = 1e-13
 """Slope that counts as zero, relative to the numbers it is computed from."""
@@ -71,7 +72,6 @@ def place_joints_once(
     tree: JointTree, positions: Array1, others: Array2, rotations: Array3, origins: Array2
 ) -> None:
     """`place_joints` at one configuration."""
-    moved = np.empty((3, 3))
     rotations[0] = np.eye(3)
     origins[0] = 0.0
     number = 0
@@ -94,7 +94,7 @@ def place_joints_once(
             for i in range(3):
                 for k in range(3):
                     origin[i] += turned[i, k] * other[9 + k]
-            moved[:, :] = other[:9].reshape(3, 3)
+            moved = (other[0], other[1], other[2], other[3], other[4], other[5], other[6], other[7], other[8])
         else:
             position = tree.ratios[joint] * positions[tree.columns[joint]]
             if tree.kinds[joint] == 1:  # it slides
@@ -102,22 +102,10 @@ def place_joints_once(
                     for k in range(3):
                         origin[i] += turned[i, k] * axis[k] * position
                 continue
-            _rotate(axis, position, moved)
+            moved = rotation_about(axis[0], axis[1], axis[2], np.cos(position), np.sin(position))
         for i in range(3):
-            x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
-            for j in range(3):
-                turned[i, j] = x * moved[0, j] + y * moved[1, j] + z * moved[2, j]
-
-
-@subkernel
-def _rotate(axis: Array1, angle: float, rotation: Array2) -> None:
-    """Fill in the rotation about a unit axis, by Rodrigues' formula."""
-    x, y, z = axis[0], axis[1], axis[2]
-    c, s = np.cos(angle), np.sin(angle)
-    v = 1.0 - c
-    rotation[0, 0], rotation[0, 1], rotation[0, 2] = c + v * x * x, v * x * y - s * z, v * x * z + s * y
-    rotation[1, 0], rotation[1, 1], rotation[1, 2] = v * x * y + s * z, c + v * y * y, v * y * z - s * x
-    rotation[2, 0], rotation[2, 1], rotation[2, 2] = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+            row = turn_row(turned[i, 0], turned[i, 1], turned[i, 2], moved)
+            turned[i, 0], turned[i, 1], turned[i, 2] = row
 
 
 @compiled
@@ -242,11 +230,18 @@ def _segment_contact(line: Array2, other: Array2) -> Contact:
 
 
 @subkernel
-def _turned(frame: Array2, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _contact_at(
+    line: Array2, t: float, frame: Array2, distance: float, nx: float, ny: float, nz: float
+) -> Contact:
+    """Return the contact at a place on a line, from 0 to 1, with a normal given in a frame."""
     return (
-        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z,
-        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z,
-        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z,
+        distance,
+        line[0, 0] + t * (line[1, 0] - line[0, 0]),
+        line[0, 1] + t * (line[1, 1] - line[0, 1]),
+        line[0, 2] + t * (line[1, 2] - line[0, 2]),
+        frame[0, 0] * nx + frame[0, 1] * ny + frame[0, 2] * nz,
+        frame[1, 0] * nx + frame[1, 1] * ny + frame[1, 2] * nz,
+        frame[2, 0] * nx + frame[2, 1] * ny + frame[2, 2] * nz,
     )
 
 
@@ -323,12 +318,7 @@ def _box_contact(line: Array2, center: Array1, frame: Array2, half: Array1) -> C
             normal[axis] /= distance
     else:
         distance, t = _leave_box(start, way, half, t, normal)
-    px, py, pz = line[0, 0], line[0, 1], line[0, 2]
-    px += t * (line[1, 0] - px)
-    py += t * (line[1, 1] - py)
-    pz += t * (line[1, 2] - pz)
-    nx, ny, nz = _turned(frame, normal[0], normal[1], normal[2])
-    return distance, px, py, pz, nx, ny, nz
+    return _contact_at(line, t, frame, distance, normal[0], normal[1], normal[2])
 
 
 @subkernel
@@ -383,14 +373,13 @@ def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below
     if inside:
         if not is_inside(ax, ay, az, trees, obstacle):
             return np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        distance, t, nx, ny, nz = nearest_in_tree(ax, ay, az, bx, by, bz, trees, obstacle, np.inf)
+        distance, t, nx, ny, nz = nearest_in_tree((ax, ay, az), (bx, by, bz), trees, obstacle, np.inf)
         if distance <= 0.0:  # it crosses the surface, so pieces of the surface report the contact
             return np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         distance, nx, ny, nz = -distance, -nx, -ny, -nz
     else:
-        distance, t, nx, ny, nz = nearest_in_tree(ax, ay, az, bx, by, bz, trees, obstacle, below)
-    wx, wy, wz = _turned(frame, nx, ny, nz)
-    return distance, line[0, 0] + t * x, line[0, 1] + t * y, line[0, 2] + t * z, wx, wy, wz
+        distance, t, nx, ny, nz = nearest_in_tree((ax, ay, az), (bx, by, bz), trees, obstacle, below)
+    return _contact_at(line, t, frame, distance, nx, ny, nz)
 
 
 @subkernel
@@ -437,12 +426,7 @@ def _cylinder_contact(line: Array2, center: Array1, frame: Array2, half: Array1)
         nz = above / distance * (1.0 if z > 0.0 else -1.0)
     else:
         distance, t, nx, ny, nz = _leave_cylinder(start, way, half, t)
-    px, py, pz = line[0, 0], line[0, 1], line[0, 2]
-    px += t * (line[1, 0] - px)
-    py += t * (line[1, 1] - py)
-    pz += t * (line[1, 2] - pz)
-    wx, wy, wz = _turned(frame, nx, ny, nz)
-    return distance, px, py, pz, wx, wy, wz
+    return _contact_at(line, t, frame, distance, nx, ny, nz)
 
 
 @subkernel

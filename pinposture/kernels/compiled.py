@@ -97,9 +97,7 @@ def _type_of(hint: Any) -> types.Type:
         return _SCALARS[hint]
     if get_origin(hint) is Annotated:  # an array of `kernels.arrays`
         array, dimensions = get_args(hint)
-        entries = get_args(array)[
-            -1
-        ]  # of NDArray: its dtype, or the type itself where it is an alias of its own
+        entries = get_args(array)[-1]  # dtype[...], or the type itself, depending on the version of numpy
         element = (get_args(entries) or (entries,))[0]
         return types.Array(numba.from_dtype(np.dtype(element)), dimensions, "C")
     named = hint if hasattr(hint, "_fields") else None

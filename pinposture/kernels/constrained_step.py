@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, PointObjective
-from pinposture.kernels.chain_solver import evaluate_gradient, factor, minimise_in_box, solve_factored
+from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1
+from pinposture.kernels.chain_solver import (
+    ChainProblem,
+    evaluate_gradient,
+    factor,
+    minimise_in_box,
+    solve_cholesky,
+    solve_factored,
+)
 from pinposture.kernels.compiled import compiled, subkernel
 
 # Each row has a Lagrange multiplier, a force that enforces it. For given multipliers, the objective is
@@ -26,9 +33,6 @@ GIVE = 1e-6
 
 ROW_ROUNDING = 1e-10
 """Violation of a row of length 1 that counts as rounding error, in units of a joint."""
-
-ChainProblem = tuple[PointObjective, Array2, Array1, Array1]
-"""Points and chords, their errors, damping and centre, as in `chain_solver.minimise_in_box`."""
 
 
 @compiled
@@ -125,7 +129,7 @@ def _minimise_given(
             for u in range(n):
                 pushed[u] += multipliers[row] * rows[row, u] / damping[u]
     minimise_in_box(objective, errors, damping, pushed, box[0], box[1], sides, x)
-    value = evaluate_gradient(objective, errors, damping, centre, x, pushed, np.empty((len(errors), 6)))
+    value = evaluate_gradient(problem, x, pushed, np.empty((len(errors), 6)))
     for row in range(len(rows)):
         missing[row] = least[row] - give * multipliers[row]
         for u in range(n):
@@ -175,7 +179,7 @@ def _find_schur(
             force[u] = 0.0 if held[u] else rows[which[k], u] / damping[u]
             yielding[k, u] = 0.0
             alone[k] += gains[u, 10] * rows[which[k], u] ** 2
-        solve_factored(objective, no_errors, damping, force, held, gains, yielding[k])
+        solve_factored((objective, no_errors, damping, force), held, gains, yielding[k])
         for i in range(k + 1):
             for u in range(n):
                 schur[i, k] += rows[which[i], u] * yielding[k, u]
@@ -205,7 +209,7 @@ def _step_multipliers(
                 if released[j] and not released[i]:
                     right[i] += schur[i, j] * multipliers[which[j]]
             factored[i, i] = 1.0 if released[i] else schur[i, i] + soft[i]
-        if not _solve_positive(factored, right):
+        if not solve_cholesky(factored, right):
             return -1.0
         again = False
         for i in range(count):
@@ -217,28 +221,3 @@ def _step_multipliers(
         change[which[i]] = right[i]
         gain += right[i] * missing[which[i]]
     return gain
-
-
-@subkernel
-def _solve_positive(matrix: Array2, right: Array1) -> bool:
-    """Solve in place by Cholesky factorisation; return False if the matrix is not positive definite."""
-    count = len(right)
-    for j in range(count):
-        for k in range(j):
-            matrix[j, j] -= matrix[j, k] ** 2
-        if not matrix[j, j] > 0.0:
-            return False
-        matrix[j, j] = np.sqrt(matrix[j, j])
-        for i in range(j + 1, count):
-            for k in range(j):
-                matrix[i, j] -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] /= matrix[j, j]
-    for i in range(count):
-        for k in range(i):
-            right[i] -= matrix[i, k] * right[k]
-        right[i] /= matrix[i, i]
-    for i in range(count - 1, -1, -1):
-        for k in range(i + 1, count):
-            right[i] -= matrix[k, i] * right[k]
-        right[i] /= matrix[i, i]
-    return True

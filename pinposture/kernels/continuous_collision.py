@@ -27,8 +27,14 @@ from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 MAX_DEPTH = 60  # maximum number of halvings of a motion
 
-Frames = tuple[Array3, Array2]
-"""Orientations and origins of joint frames."""
+Arm = tuple[JointTree, Ints1, Array3]
+"""The joints, the joint that carries each body, and the ends of the axes of the bodies in its frame."""
+
+Placed = tuple[Array3, Array2, Array3]
+"""Orientations and origins of joint frames, and ends of the axes of bodies, world frame."""
+
+Sample = tuple[int, float, float, int, float, float]
+"""A row of `open_samples` of `smallest_distance_on_motions`."""
 
 
 @compiled
@@ -68,8 +74,8 @@ def smallest_distance_on_motions(
         number of open samples, of which those beyond k were not stored.
     """
     count, bodies = len(tree.parents), len(carriers)
-    frames = np.empty((count, 3, 3)), np.empty((count, 3))
-    ends, blocks = np.empty(local.shape), np.empty(((bodies + BLOCK - 1) // BLOCK, 4))
+    arm, ends, blocks = (tree, carriers, local), np.empty(local.shape), np.empty((-(-bodies // BLOCK), 4))
+    placed = np.empty((count, 3, 3)), np.empty((count, 3)), ends
     move, at = np.empty(positions.shape[1]), np.empty(positions.shape[1])
     drift, here = np.empty(3), np.empty(3)
     bounds = np.empty((count, 9)), np.empty(bodies), np.empty(len(blocks))
@@ -90,8 +96,8 @@ def smallest_distance_on_motions(
                 at[u] = positions[piece, u] + middle * move[u]
             for i in range(3):
                 here[i] = drifts[piece, i] + middle * drift[i]
-            _place_bodies(tree, carriers, local, at, others, here, frames, ends)
-            _bound_motions(tree, carriers, frames, ends, move, drift, half, bounds)
+            _place_bodies(arm, at, others, here, placed)
+            _bound_motions(arm, placed, move, drift, half, bounds)
             if depth == 0:
                 bound_blocks(ends, pairs, blocks)
                 _bound_block_motions(bounds[1], bounds[2])
@@ -119,7 +125,7 @@ def smallest_distance_on_motions(
                             near, far = pairs.first[pair], other
                             if carriers[near] > carriers[far]:
                                 near, far = far, near
-                            apart = _relative_motion(tree, carriers, frames, ends, move, half, far, near)
+                            apart = _relative_motion(arm, placed, move, half, far, near)
                             moved = min(moved, apart)
                     if pair_bound(ends, pairs, pair) - moved >= aim:
                         continue
@@ -131,13 +137,11 @@ def smallest_distance_on_motions(
                                 return best, best_pair, opened
                             aim = best - (tolerance if depth > 0 else 0.0)
                     elif distance - moved < aim and moved <= open_motion:
-                        opened = _leave_open(
-                            open_samples, opened, piece, middle, half, pair, moved, distance - moved
-                        )
+                        bound = distance - moved
+                        sample = piece, middle, half, pair, moved, bound
+                        opened = _leave_open(open_samples, opened, sample)
                         if depth == 0:
-                            opened = _leave_open(
-                                open_samples, opened, piece, 1.0, 0.0, pair, 0.0, distance - moved
-                            )
+                            opened = _leave_open(open_samples, opened, (piece, 1.0, 0.0, pair, 0.0, bound))
                         continue
                     if distance - moved < aim and moved > 0.0:
                         if last == len(stack):
@@ -148,7 +152,7 @@ def smallest_distance_on_motions(
                         last += 1
             if depth == 0 and last > 0:
                 end = positions[piece + 1], drifts[piece + 1]
-                _place_bodies(tree, carriers, local, end[0], others, end[1], frames, ends)
+                _place_bodies(arm, end[0], others, end[1], placed)
                 for entry in range(last):
                     pair = stack[entry]
                     distance = pair_contact(ends, pairs, pair, min(below, best))[0]
@@ -159,7 +163,7 @@ def smallest_distance_on_motions(
                         if best < enough:
                             return best, best_pair, opened
                     else:
-                        opened = _leave_open(open_samples, opened, piece, 1.0, 0.0, pair, 0.0, distance)
+                        opened = _leave_open(open_samples, opened, (piece, 1.0, 0.0, pair, 0.0, distance))
             if last > first and depth < MAX_DEPTH:  # the first half, for the remaining pairs
                 depth += 1
                 begins[depth], right[depth], width = last, False, half
@@ -174,40 +178,23 @@ def smallest_distance_on_motions(
 
 
 @subkernel
-def _leave_open(
-    samples: Array2,
-    count: int,
-    piece: int,
-    share: float,
-    half: float,
-    pair: int,
-    moved: float,
-    bound: float,
-) -> int:
+def _leave_open(samples: Array2, count: int, sample: Sample) -> int:
     """Store a sample if there is room for it; return the number of samples."""
     if count < len(samples):
         own = samples[count]
-        own[0], own[1], own[2], own[3], own[4], own[5] = piece, share, half, pair, moved, bound
+        own[0], own[1], own[2], own[3], own[4], own[5] = sample
     return count + 1
 
 
 @subkernel
-def _place_bodies(
-    tree: JointTree,
-    carriers: Ints1,
-    local: Array3,
-    positions: Array1,
-    others: Array2,
-    drift: Array1,
-    frames: Frames,
-    ends: Array3,
-) -> None:
+def _place_bodies(arm: Arm, positions: Array1, others: Array2, drift: Array1, placed: Placed) -> None:
     """Place joints and bodies at a configuration of an arm with an additional translation."""
-    place_joints_once(tree, positions, others, frames[0], frames[1])
+    (tree, carriers, local), (rotations, origins, ends) = arm, placed
+    place_joints_once(tree, positions, others, rotations, origins)
     for joint in range(len(tree.parents)):
         for i in range(3):
-            frames[1][joint, i] += drift[i]
-    place_axes_once(carriers, local, frames[0], frames[1], ends)
+            origins[joint, i] += drift[i]
+    place_axes_once(carriers, local, rotations, origins, ends)
 
 
 @subkernel
@@ -230,23 +217,17 @@ angular speed and acceleration; and bounds of the motion of bodies and of blocks
 
 @subkernel
 def _bound_motions(
-    tree: JointTree,
-    carriers: Ints1,
-    frames: Frames,
-    ends: Array3,
-    move: Array1,
-    drift: Array1,
-    half: float,
-    bounds: Motions,
+    arm: Arm, placed: Placed, move: Array1, drift: Array1, half: float, bounds: Motions
 ) -> None:
     """Fill in the motion of joints, and bounds of how far bodies move until either end."""
+    (tree, carriers, _), (rotations, origins, ends) = arm, placed
     joints, turned = bounds[0], np.empty(len(tree.parents))  # sums of |dq|
     for i in range(9):
         joints[0, i] = drift[i] if i < 3 else 0.0
     turned[0] = 0.0
     for joint in range(1, len(tree.parents)):
         p, own = tree.parents[joint], joints[joint]
-        v, origin, before = joints[p], frames[1][joint], frames[1][p]
+        v, origin, before = joints[p], origins[joint], origins[p]
         x, y, z = _difference(origin, before)
         own[0] = v[0] + v[4] * z - v[5] * y
         own[1] = v[1] + v[5] * x - v[3] * z
@@ -257,7 +238,7 @@ def _bound_motions(
         size, slides = 0.0, tree.kinds[joint] == 1
         if tree.kinds[joint] < 2:
             dq = tree.ratios[joint] * move[tree.columns[joint]]
-            turn, axis = frames[0][joint], tree.axes[joint]
+            turn, axis = rotations[joint], tree.axes[joint]
             size = abs(dq)
             for i in range(3):
                 along = turn[i, 0] * axis[0] + turn[i, 1] * axis[1] + turn[i, 2] * axis[2]
@@ -274,7 +255,7 @@ def _bound_motions(
         own[7] = min(turned[joint], now + half * min(own[8], 0.5 * turned[joint] ** 2))
     for body in range(len(carriers)):
         joint, most = carriers[body], 0.0
-        own, origin = joints[joint], frames[1][joint]
+        own, origin = joints[joint], origins[joint]
         for end in range(2):
             x, y, z = _difference(ends[body, end], origin)
             vx = own[0] + own[4] * z - own[5] * y
@@ -296,30 +277,22 @@ def _bound_block_motions(bodies: Array1, blocks: Array1) -> None:
 
 
 @subkernel
-def _relative_motion(
-    tree: JointTree,
-    carriers: Ints1,
-    frames: Frames,
-    ends: Array3,
-    move: Array1,
-    half: float,
-    one: int,
-    other: int,
-) -> float:
+def _relative_motion(arm: Arm, placed: Placed, move: Array1, half: float, one: int, other: int) -> float:
     """Bound the motion of a body relative to another one nearer to the base until either end of a motion.
 
     Infinite if the other does not carry it, or if joints slide between them.
     """
+    (tree, carriers, _), (rotations, origins, ends) = arm, placed
     base, joint = carriers[other], carriers[one]
-    far = frames[1][joint]
+    far = origins[joint]
     velocity, turned, length = np.zeros((2, 3)), 0.0, 0.0
     while joint > base:
-        origin = frames[1][joint]
+        origin = origins[joint]
         length += np.sqrt((far[0] - origin[0]) ** 2 + (far[1] - origin[1]) ** 2 + (far[2] - origin[2]) ** 2)
         far = origin
         if tree.kinds[joint] < 2:
             dq = tree.ratios[joint] * move[tree.columns[joint]]
-            turn, axis = frames[0][joint], tree.axes[joint]
+            turn, axis = rotations[joint], tree.axes[joint]
             if tree.kinds[joint] == 1 and dq != 0.0:
                 return np.inf
             turned += abs(dq)
@@ -334,7 +307,7 @@ def _relative_motion(
         joint = tree.parents[joint]
     if joint != base:
         return np.inf
-    most, origin = 0.0, frames[1][carriers[one]]
+    most, origin = 0.0, origins[carriers[one]]
     for end in range(2):
         x, y, z = _difference(ends[one, end], origin)
         acceleration = 1.5 * turned * turned * (length + np.sqrt(x * x + y * y + z * z))

@@ -12,17 +12,38 @@ from pinposture.kernels.arrays import (
     Array3,
     ChainArrays,
     Ints1,
+    Nine,
     Rows,
     Screws,
     Three,
 )
-from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 
 @subkernel
 def difference(points: Array2, i: int, j: int) -> Three:
     """Return the vector to point i from point j."""
     return points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+
+
+@inlined
+def rotation_about(x: float, y: float, z: float, c: float, s: float) -> Nine:
+    """Return the rotation about a unit axis by an angle of cosine c and sine s, row by row (Rodrigues)."""
+    v = 1.0 - c
+    e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
+    e10, e11, e12 = v * x * y + s * z, c + v * y * y, v * y * z - s * x
+    e20, e21, e22 = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+    return e00, e01, e02, e10, e11, e12, e20, e21, e22
+
+
+@inlined
+def turn_row(a: float, b: float, c: float, turn: Nine) -> Three:
+    """Return a row (3,) times a matrix that is given row by row."""
+    return (
+        a * turn[0] + b * turn[3] + c * turn[6],
+        a * turn[1] + b * turn[4] + c * turn[7],
+        a * turn[2] + b * turn[5] + c * turn[8],
+    )
 
 
 @compiled
@@ -64,47 +85,20 @@ def placements(
             py + r10 * f[9] + r11 * f[10] + r12 * f[11],
             pz + r20 * f[9] + r21 * f[10] + r22 * f[11],
         )
-        r00, r01, r02 = (
-            r00 * f[0] + r01 * f[3] + r02 * f[6],
-            r00 * f[1] + r01 * f[4] + r02 * f[7],
-            r00 * f[2] + r01 * f[5] + r02 * f[8],
-        )
-        r10, r11, r12 = (
-            r10 * f[0] + r11 * f[3] + r12 * f[6],
-            r10 * f[1] + r11 * f[4] + r12 * f[7],
-            r10 * f[2] + r11 * f[5] + r12 * f[8],
-        )
-        r20, r21, r22 = (
-            r20 * f[0] + r21 * f[3] + r22 * f[6],
-            r20 * f[1] + r21 * f[4] + r22 * f[7],
-            r20 * f[2] + r21 * f[5] + r22 * f[8],
-        )
+        turn = (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
+        r00, r01, r02 = turn_row(r00, r01, r02, turn)
+        r10, r11, r12 = turn_row(r10, r11, r12, turn)
+        r20, r21, r22 = turn_row(r20, r21, r22, turn)
         x, y, z = axes[u, 0], axes[u, 1], axes[u, 2]
         ax, ay, az = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
         joint_axes[u, 0], joint_axes[u, 1], joint_axes[u, 2] = ax, ay, az
         if slides[u]:
             px, py, pz = px + c * ax, py + c * ay, pz + c * az
         else:
-            # Rodrigues' formula, in the frame of the joint.
-            v = 1.0 - c
-            e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
-            e10, e11, e12 = v * x * y + s * z, c + v * y * y, v * y * z - s * x
-            e20, e21, e22 = v * x * z - s * y, v * y * z + s * x, c + v * z * z
-            r00, r01, r02 = (
-                r00 * e00 + r01 * e10 + r02 * e20,
-                r00 * e01 + r01 * e11 + r02 * e21,
-                r00 * e02 + r01 * e12 + r02 * e22,
-            )
-            r10, r11, r12 = (
-                r10 * e00 + r11 * e10 + r12 * e20,
-                r10 * e01 + r11 * e11 + r12 * e21,
-                r10 * e02 + r11 * e12 + r12 * e22,
-            )
-            r20, r21, r22 = (
-                r20 * e00 + r21 * e10 + r22 * e20,
-                r20 * e01 + r21 * e11 + r22 * e21,
-                r20 * e02 + r21 * e12 + r22 * e22,
-            )
+            turn = rotation_about(x, y, z, c, s)
+            r00, r01, r02 = turn_row(r00, r01, r02, turn)
+            r10, r11, r12 = turn_row(r10, r11, r12, turn)
+            r20, r21, r22 = turn_row(r20, r21, r22, turn)
         joint_origins[u, 0], joint_origins[u, 1], joint_origins[u, 2] = px, py, pz
         while k < len(ends) and ends[k] == u + 1:
             o, t = offsets[k], turns[k]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Flags2, Ints1
+from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Flags2, Ints1, Screws
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import difference
 
@@ -23,10 +23,9 @@ ORTHOGONAL = 1e-15  # cosine of the angle between two vectors at which they coun
 
 
 @subkernel
-def _with_module(
-    gram: Gram, b: Array2, ends: Ints1, points: Array2, plane: Array2, module: int, point: int
-) -> Gram:
+def _with_module(gram: Gram, screws: Screws, plane: Array2, module: int, point: int) -> Gram:
     """Add the joints of a module to the Gram matrix (xx, xy, xz, yy, yz, zz) of the motion of a point."""
+    b, ends, points = screws
     xx, xy, xz, yy, yz, zz = gram
     dx, dy, dz = difference(points, point, module)
     for u in range(ends[module] - 1, (ends[module - 1] if module else 0) - 1, -1):
@@ -86,42 +85,39 @@ def _exceeds(gram: Gram, dimension: int, threshold: float) -> bool:
 
 
 @subkernel
-def _section_index(b: Array2, ends: Ints1, points: Array2, plane: Array2, start: int, end: int) -> float:
+def _section_index(screws: Screws, plane: Array2, start: int, end: int) -> float:
     """Return the index of point `end` - 1 relative to `start` - 1; 0 is the base."""
     gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for module in range(end - 1, start - 1, -1):
-        gram = _with_module(gram, b, ends, points, plane, module, end - 1)
+        gram = _with_module(gram, screws, plane, module, end - 1)
     return _index(gram, len(plane))
 
 
 @compiled
-def all_indices(b: Array2, ends: Ints1, points: Array2, plane: Array2, filled: Array2) -> None:
+def all_indices(screws: Screws, plane: Array2, filled: Array2) -> None:
     """Compute the indices of all sections.
 
     Args:
-        b: linear and angular velocity of the first point that each joint carries, (n, 6), from `find_screws`.
-        ends: number of joints that carry each point, (m,); increasing.
-        points: the points, (m, 3).
+        screws: the screws of the joints, with the points.
         plane: directions in which the points can move, (2, 3), or (3, 3) for any.
         filled: zeros; filled with the index of point i relative to point s < i, (m + 1, m + 1); 0 is the
             base.
     """
-    for i in range(len(ends)):
+    for i in range(len(screws.ends)):
         gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for s in range(i, -1, -1):
-            gram = _with_module(gram, b, ends, points, plane, s, i)
+            gram = _with_module(gram, screws, plane, s, i)
             filled[s, i + 1] = _index(gram, len(plane))
 
 
 @compiled
-def base_indices(
-    b: Array2, ends: Ints1, points: Array2, plane: Array2, threshold: float, filled: Array1
-) -> None:
+def base_indices(screws: Screws, plane: Array2, threshold: float, filled: Array1) -> None:
     """Compute the indices of all points relative to the base, in one pass, into `filled` (m,).
 
     The Gram matrix of linear and angular velocity is updated from point to point. An index is recomputed if
     rounding errors could decide whether it exceeds the threshold. Other arguments are as in `all_indices`.
     """
+    b, ends, points = screws
     vv, vw, ww = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     X, P = np.zeros((3, 3)), plane
     d = len(plane)
@@ -156,28 +152,24 @@ def base_indices(
             gram = (xx, xy, 0.0, yy, 0.0, 0.0)
         filled[i] = _index(gram, d)
         if abs(filled[i] * filled[i] - threshold * threshold) < RECOMPUTED_DIFFERENCE:
-            filled[i] = _section_index(b, ends, points, plane, 0, i + 1)
+            filled[i] = _section_index(screws, plane, 0, i + 1)
 
 
 @compiled
-def stride_indices(
-    b: Array2, ends: Ints1, points: Array2, plane: Array2, strides: Ints1, filled: Array2
-) -> None:
+def stride_indices(screws: Screws, plane: Array2, strides: Ints1, filled: Array2) -> None:
     """Compute the indices of the sections with given numbers of modules, `strides` (S,).
 
     `filled` (S, m + 1), initially zeros, is filled with the index of the section that ends at each node; node
     k + 1 is point k. Other arguments are as in `all_indices`.
     """
     for j in range(len(strides)):
-        for end in range(strides[j], len(ends) + 1):
-            filled[j, end] = _section_index(b, ends, points, plane, end - strides[j], end)
+        for end in range(strides[j], len(screws.ends) + 1):
+            filled[j, end] = _section_index(screws, plane, end - strides[j], end)
 
 
 @compiled
 def best_path(
-    b: Array2,
-    ends: Ints1,
-    points: Array2,
+    screws: Screws,
     plane: Array2,
     usable: Flags1,
     errors: Array1,
@@ -197,7 +189,7 @@ def best_path(
     Returns:
         Number of points in the set.
     """
-    m, d, known = len(ends), len(plane), 0
+    m, d, known = len(screws.ends), len(plane), 0
     score, before = np.zeros(m), np.full(m, -1)
     order = np.empty(m, np.int64)  # points so far, from the worst to the best
     grams = np.empty((m, 6))  # of the sections from each point to this one
@@ -211,7 +203,7 @@ def best_path(
             if score[s] <= 0.0:
                 break
             while reached > s:
-                gram = _with_module(gram, b, ends, points, plane, reached, i)
+                gram = _with_module(gram, screws, plane, reached, i)
                 reached -= 1
                 g = grams[reached]
                 g[0], g[1], g[2], g[3], g[4], g[5] = gram
@@ -236,9 +228,7 @@ def best_path(
 
 
 @compiled
-def weakest_index(
-    b: Array2, ends: Ints1, points: Array2, plane: Array2, active: Ints1, base: Array1
-) -> float:
+def weakest_index(screws: Screws, plane: Array2, active: Ints1, base: Array1) -> float:
     """Return the smallest index of the points of a control set, relative to the base or the previous point.
 
     `active` holds the points of the set, increasing, `base` (m,) the indices of all points relative to the
@@ -248,17 +238,15 @@ def weakest_index(
     for i in active:
         if base[i] < base[last]:
             last = i
-    weakest = _section_index(b, ends, points, plane, 0, last + 1)
+    weakest = _section_index(screws, plane, 0, last + 1)
     for k in range(1, len(active)):
-        weakest = min(weakest, _section_index(b, ends, points, plane, active[k - 1] + 1, active[k] + 1))
+        weakest = min(weakest, _section_index(screws, plane, active[k - 1] + 1, active[k] + 1))
     return weakest
 
 
 @compiled
 def module_spaces(
-    b: Array2,
-    ends: Ints1,
-    points: Array2,
+    screws: Screws,
     plane: Array2,
     stations: Ints1,
     thresholds: Array1,
@@ -271,9 +259,7 @@ def module_spaces(
     as accurate as large ones, and two joints take a single rotation.
 
     Args:
-        b: as in `all_indices`.
-        ends: as in `all_indices`.
-        points: as in `all_indices`.
+        screws: as in `all_indices`.
         plane: as in `all_indices`.
         stations: the points at which the sections end, (p,); increasing.
         thresholds: threshold of the singular values of each section, (p,).
@@ -283,6 +269,7 @@ def module_spaces(
     Returns:
         The smallest ratio of a retained singular value to the largest of its section; 1 if there is none.
     """
+    b, ends, points = screws
     widest, u = 0, 0
     for station in stations:
         widest, u = max(widest, ends[station] - u), ends[station]

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Four, Ints1, Ints2, Three
+from pinposture.kernels.arrays import (
+    Array1,
+    Array2,
+    Four,
+    Ints1,
+    Ints2,
+    LengthArrays,
+    SplineArrays,
+    Three,
+)
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import parameter_at, span_at, value
 
@@ -396,12 +405,8 @@ def search_segment(
 
 @compiled
 def place_modules(
-    t: Array1,
-    table: Array3,
-    degree: int,
-    edges: Array1,
-    lengths: Array1,
-    series: Array2,
+    spline: SplineArrays,
+    length: LengthArrays,
     samples: int,
     units: Ints2,
     shapes: Array2,
@@ -417,12 +422,8 @@ def place_modules(
     set of the module's end, the samples less than d ahead along the curve are skipped.
 
     Args:
-        t: knots of the curve.
-        table: from `spline_coefficients`.
-        degree: degree of the spline.
-        edges: from `measure_length`.
-        lengths: from `measure_length`.
-        series: from `measure_length`.
+        spline: the curve.
+        length: its arc length.
         samples: number of samples, at least 2.
         units: closed form (`CIRCLE`, `TORUS` or `ROLL_PITCH`), first joint and module of each unit, (n, 3).
         shapes: l1, l2 and sense of each unit (the link of a circle as l1), and the axes of its base frame in
@@ -439,7 +440,7 @@ def place_modules(
     Returns:
         Index of the unit that cannot be placed; -1 if all are placed.
     """
-    total = lengths[-1]
+    total = length.lengths[-1]
     step = total / (samples - 1)
     work, roots, qs, choice = np.empty((6, 3)), np.empty(4), np.empty((2, 2)), np.empty(6)
     turn, frame = np.zeros((3, 3)), np.empty((3, 3))
@@ -468,8 +469,8 @@ def place_modules(
             jump = ahead >= following
             following = max(ahead, following)
             s_next = following * step if following < samples - 1 else total
-            u = parameter_at(edges, lengths, series, s_next)
-            x, y, z = value(t, table, degree, 0, span_at(t, degree, u), u, work)
+            u = parameter_at(length, s_next)
+            x, y, z = value(spline, 0, span_at(spline, u), u, work)
             b = in_frame(frame, x - px, y - py, z - pz)
             if not jump:
                 beyond = np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) > reach * (1.0 + REACH_TOLERANCE)

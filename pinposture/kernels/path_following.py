@@ -142,7 +142,7 @@ def find_speed_profile(
     bound: Array1,
     brake: Array1,
     start_speed: float,
-    most: float,
+    most: Array1,
     small: float,
     a: Array3,
     b: Array3,
@@ -156,7 +156,7 @@ def find_speed_profile(
         bound: largest step of each joint, (nv,); may be infinite.
         brake: largest change between steps, (nv,), > 0; may be infinite.
         start_speed: number of waypoints in the step before the first one.
-        most: largest number of waypoints of one step; may be infinite.
+        most: largest number of waypoints of one step between two of them, (N,); may be infinite.
         small: slope that counts as zero, relative to the largest.
         a: filled with rows of the parts into which the waypoints are divided, (N parts, 3, nv).
         b: likewise.
@@ -170,8 +170,10 @@ def find_speed_profile(
     for i in range(count):
         for j in range(joints):
             tiny = max(tiny, small * steepest[i, j])
-    top[:] = min(most, float(len(offsets))) ** 2
+    top[:] = float(len(offsets)) ** 2
     for i in range(count):
+        fastest = most[i // parts] ** 2
+        top[i], top[i + 1] = min(top[i], fastest), min(top[i + 1], fastest)
         for j in range(joints):
             if steepest[i, j] > tiny:
                 fastest = (bound[j] / steepest[i, j]) ** 2
@@ -231,8 +233,8 @@ def next_path_speed(
 ) -> float:
     """Return the number of waypoints to advance in a step from a place, in waypoints from the start.
 
-    `rate` is that number in the previous step. Other arguments are as for `find_speed_profile`; `waypoints`
-    is N.
+    `rate` is that number in the previous step, and `most` the largest one. Other arguments are as for
+    `find_speed_profile`; `waypoints` is N.
     """
     count = len(a)
     parts = count // waypoints

@@ -328,7 +328,7 @@ def step_waypoints(
         pivot = 2.0 + damping - 1.0 / pivot
     active, held = contacts.errors > 0.0, np.zeros((last + 1, n), dtype=np.bool_)
     wrenches, values = np.zeros((len(active), 2, 6)), np.empty(len(active))
-    scratch = np.empty((n + 1, 6))
+    parts, scratch = (rows, contacts, wrenches, active), np.empty((n + 1, 6))
     for i in range(1, last):
         _find_wrenches(contacts, i, own_ends, points[i], wrenches)
     gains, bodies = np.empty((last + 1, n, 11)), np.empty((n, 6, 6))
@@ -341,23 +341,21 @@ def step_waypoints(
                 downhill[rows.waypoints[row], u] += rows.errors[row] * rows.matrix[row, u]
         for i in range(1, last):
             here = screws[i], own_ends, points[i]
-            _pull_contacts(contacts, i, wrenches, active, contacts.errors, here, scratch, downhill[i])
+            _pull_contacts(parts, i, contacts.errors, here, scratch, downhill[i])
             for u in range(n):
                 above = x[i, u] >= upper[u] and downhill[i, u] > 0.0
                 held[i, u] = above or (x[i, u] <= lower[u] and downhill[i, u] < 0.0)
                 if held[i, u]:
                     downhill[i, u], steps[i, u] = 0.0, 0.0
-            _collect_contacts(contacts, i, wrenches, active, own_ends, bodies)
+            _collect_contacts(parts, i, own_ends, bodies)
             objective = PointObjective(screws[i], own_ends, points[i], np.full(m, stiff[i]), no_chords)
             factor(objective, np.full(n, stiff[i] * weight + own), held[i], bodies, gains[i])
-        parts = rows, contacts, wrenches, active
-        total += _solve_by_conjugate_gradients(
-            (screws, own_ends, points), parts, held, own, weight, stiff, gains, downhill, steps
-        )
+        system = (screws, own_ends, points), parts, held, own, weight
+        total += _solve_by_conjugate_gradients(system, (stiff, gains), downhill, steps)
         changed = False
         for i in range(1, last):
             here = screws[i], own_ends, points[i]
-            _move_contacts(contacts, i, wrenches, here, steps[i], scratch, values)
+            _move_contacts(parts, i, here, steps[i], scratch, values)
             for row in range(contacts.begins[i], contacts.begins[i + 1]):
                 counts = contacts.errors[row] > values[row]
                 changed = changed or counts != active[row]
@@ -378,6 +376,12 @@ Chains = tuple[Array3, Ints1, Array3]
 
 Parts = tuple[PathRows, PathContacts, Array3, Flags1]
 """Rows, contacts, their wrenches, and flags of the active contacts."""
+
+System = tuple[Chains, Parts, Flags2, float, float]
+"""The normal equations: chains, rows and contacts, joints held at each waypoint, damping, and weight."""
+
+Blocks = tuple[Array1, Array3]
+"""The preconditioner: multiple of M in the block of each waypoint, and gains of these."""
 
 
 @subkernel
@@ -404,16 +408,9 @@ def _find_wrenches(contacts: PathContacts, i: int, ends: Ints1, points: Array2, 
 
 
 @subkernel
-def _move_contacts(
-    contacts: PathContacts,
-    i: int,
-    wrenches: Array3,
-    here: Chain,
-    step: Array1,
-    twists: Array2,
-    values: Array1,
-) -> None:
+def _move_contacts(parts: Parts, i: int, here: Chain, step: Array1, twists: Array2, values: Array1) -> None:
     """Fill in by how much a step of a waypoint increases the distances of its contacts."""
+    _, contacts, wrenches, _ = parts
     begin, end = contacts.begins[i], contacts.begins[i + 1]
     if begin == end:
         return
@@ -428,20 +425,13 @@ def _move_contacts(
 
 @subkernel
 def _pull_contacts(
-    contacts: PathContacts,
-    i: int,
-    wrenches: Array3,
-    active: Flags1,
-    factors: Array1,
-    here: Chain,
-    forces: Array2,
-    filled: Array1,
+    parts: Parts, i: int, factors: Array1, here: Chain, forces: Array2, filled: Array1
 ) -> None:
     """Add the joint efforts of a waypoint's active contacts, as forces times factors."""
-    begin, end = contacts.begins[i], contacts.begins[i + 1]
+    _, contacts, wrenches, active = parts
     any_active = False
     forces[:] = 0.0
-    for row in range(begin, end):
+    for row in range(contacts.begins[i], contacts.begins[i + 1]):
         if active[row]:
             any_active = True
             for side in range(2):
@@ -453,11 +443,9 @@ def _pull_contacts(
 
 
 @subkernel
-def _collect_contacts(
-    contacts: PathContacts, i: int, wrenches: Array3, active: Flags1, ends: Ints1, bodies: Array3
-) -> None:
+def _collect_contacts(parts: Parts, i: int, ends: Ints1, bodies: Array3) -> None:
     """Fill in the cost of body motions due to the contacts of a waypoint, (n, 6, 6)."""
-    last = ends[len(ends) - 1]
+    (_, contacts, wrenches, active), last = parts, ends[len(ends) - 1]
     bodies[:] = 0.0
     for row in range(contacts.begins[i], contacts.begins[i + 1]):
         for side in range(2):
@@ -471,39 +459,29 @@ def _collect_contacts(
 
 
 @subkernel
-def _solve_by_conjugate_gradients(
-    given: Chains,
-    parts: Parts,
-    held: Flags2,
-    own: float,
-    weight: float,
-    stiff: Array1,
-    gains: Array3,
-    right: Array2,
-    steps: Array2,
-) -> int:
+def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2, steps: Array2) -> int:
     """Improve the steps of waypoints, (N + 1, n), until they approximately solve H steps = right."""
     last, n = len(right) - 1, right.shape[1]
     residual, product, solved = np.zeros((last + 1, n)), np.zeros((last + 1, n)), np.zeros((last + 1, n))
-    motions, factors = np.zeros((last + 1, len(given[1]), 3)), np.empty(len(parts[3]))
-    _precondition(given, held, own, weight, stiff, gains, right, solved)
+    motions, factors = np.zeros((last + 1, len(system[0][1]), 3)), np.empty(len(system[1][3]))
+    _precondition(system, blocks, right, solved)
     aim = CONJUGATE_RESIDUAL**2 * _inner(right, solved)
-    _multiply(given, parts, held, own, weight, steps, motions, factors, product)
+    _multiply(system, steps, motions, factors, product)
     for i in range(1, last):
         for u in range(n):
             residual[i, u] = right[i, u] - product[i, u]
-    _precondition(given, held, own, weight, stiff, gains, residual, solved)
+    _precondition(system, blocks, residual, solved)
     direction, size = solved.copy(), _inner(residual, solved)
     for number in range(MAX_CONJUGATE_STEPS):
         if not size > aim:
             return number
-        _multiply(given, parts, held, own, weight, direction, motions, factors, product)
+        _multiply(system, direction, motions, factors, product)
         length = size / _inner(direction, product)
         for i in range(1, last):
             for u in range(n):
                 steps[i, u] += length * direction[i, u]
                 residual[i, u] -= length * product[i, u]
-        _precondition(given, held, own, weight, stiff, gains, residual, solved)
+        _precondition(system, blocks, residual, solved)
         before, size = size, _inner(residual, solved)
         for i in range(1, last):
             for u in range(n):
@@ -521,19 +499,10 @@ def _inner(one: Array2, other: Array2) -> float:
 
 
 @subkernel
-def _multiply(
-    given: Chains,
-    parts: Parts,
-    held: Flags2,
-    own: float,
-    weight: float,
-    steps: Array2,
-    motions: Array3,
-    factors: Array1,
-    product: Array2,
-) -> None:
+def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, product: Array2) -> None:
     """Compute H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
-    screws, ends, points = given
+    (screws, ends, points), parts, held, own, weight = system
+    rows, contacts, _, _ = parts
     last, n, force = len(steps) - 1, steps.shape[1], np.empty((len(ends), 3))
     scratch = np.empty((n + 1, 6))
     for i in range(1, last):
@@ -547,7 +516,6 @@ def _multiply(
         for u in range(n):
             beside = steps[i - 1, u] + steps[i + 1, u]
             product[i, u] += (2.0 * weight + own) * steps[i, u] - weight * beside
-    rows, contacts, wrenches, active = parts
     for row in range(len(rows.errors)):
         i, moved = rows.waypoints[row], 0.0
         for u in range(n):
@@ -557,26 +525,18 @@ def _multiply(
     for i in range(1, last):
         here = screws[i], ends, points[i]
         if contacts.begins[i + 1] > contacts.begins[i]:
-            _move_contacts(contacts, i, wrenches, here, steps[i], scratch, factors)
-            _pull_contacts(contacts, i, wrenches, active, factors, here, scratch, product[i])
+            _move_contacts(parts, i, here, steps[i], scratch, factors)
+            _pull_contacts(parts, i, factors, here, scratch, product[i])
         for u in range(n):
             if held[i, u]:
                 product[i, u] = 0.0
 
 
 @subkernel
-def _precondition(
-    given: Chains,
-    held: Flags2,
-    own: float,
-    weight: float,
-    stiff: Array1,
-    gains: Array3,
-    right: Array2,
-    solved: Array2,
-) -> None:
+def _precondition(system: System, blocks: Blocks, right: Array2, solved: Array2) -> None:
     """Apply the preconditioner: solve with the factor for the waypoints in order, then in reverse."""
-    screws, ends, points = given
+    (screws, ends, points), _, held, own, weight = system
+    stiff, gains = blocks
     last, n, m = len(right) - 1, right.shape[1], len(ends)
     moved, errors, chords = np.zeros((m, 3)), np.empty((m, 3)), np.zeros(m)
     centre, change = np.empty(n), np.empty(n)
@@ -595,7 +555,7 @@ def _precondition(
                 for j in range(3):
                     errors[k, j] = moved[k, j] / stiff[i]
             if turn == 0 or place > 1:
-                solve_factored(objective, errors, damping, centre, held[i], gains[i], change)
+                solve_factored((objective, errors, damping, centre), held[i], gains[i], change)
             for u in range(n):
                 solved[i, u] = change[u] if turn == 0 else solved[i, u] + change[u]
             move_points(screws[i], ends, points[i], solved[i], moved)

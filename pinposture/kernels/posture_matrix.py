@@ -26,6 +26,9 @@ ZERO_PIVOT = 1e-60
 LARGEST_BASIS = 400  # number of Lanczos vectors after which the search restarts from the best result
 MAX_RESTARTS, BISECTIONS = 20, 60  # maximum number of restarts, and number of bisections of an eigenvalue
 
+Twist = tuple[float, float, float, float, float, float]
+"""Linear and angular velocity."""
+
 
 @compiled
 def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
@@ -47,15 +50,15 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
     for k in range(len(stations)):
         E, rank, station = directions[k], ranks[k], stations[k]
         for c in range(free):
-            w0, w1, w2 = left[3, c], left[4, c], left[5, c]
-            _write(A, c, E, left[0, c], left[1, c], left[2, c], w0, w1, w2, points[station], points[at])
+            twist = left[0, c], left[1, c], left[2, c], left[3, c], left[4, c], left[5, c]
+            _write(A, c, E, twist, points[station], points[at])
         width, last = free, station
         if k:
             at += 1
         for point in range(at, last + 1):
             while u < ends[point]:
-                s = b[u]
-                _write(A, width, E, s[0], s[1], s[2], s[3], s[4], s[5], points[last], points[point])
+                twist = b[u, 0], b[u, 1], b[u, 2], b[u, 3], b[u, 4], b[u, 5]
+                _write(A, width, E, twist, points[last], points[point])
                 width += 1
                 u += 1
         at = last
@@ -88,20 +91,9 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
 
 
 @subkernel
-def _write(
-    A: Array2,
-    column: int,
-    E: Array2,
-    v0: float,
-    v1: float,
-    v2: float,
-    w0: float,
-    w1: float,
-    w2: float,
-    to: Array1,
-    since: Array1,
-) -> None:
+def _write(A: Array2, column: int, E: Array2, twist: Twist, to: Array1, since: Array1) -> None:
     """Write (v, w), moved to another point and projected onto the directions, to a column."""
+    v0, v1, v2, w0, w1, w2 = twist
     r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
     v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
     for i in range(3):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3
+from pinposture.kernels.arrays import Array1, Array2, Array3, LengthArrays, SplineArrays, Three
 from pinposture.kernels.compiled import compiled, subkernel
 
 MAX_HALVINGS = 48  # maximum number of halvings of a span, enough for a speed that nearly vanishes
@@ -46,36 +46,40 @@ def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
 
 
 @subkernel
-def span_at(t: Array1, degree: int, u: float) -> int:
-    """Return the knot span that contains u; the following one at a knot, the last one at the end."""
-    low, high = degree, len(t) - degree - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if t[middle] <= u:
-            low = middle
+def interval_at(table: Array1, x: float, first: int, last: int) -> int:
+    """Return the interval between `first` and `last` of an increasing table that contains x.
+
+    Outside, it is the first or the last one; at an entry, the following one.
+    """
+    while last - first > 1:
+        middle = (first + last) // 2
+        if table[middle] <= x:
+            first = middle
         else:
-            high = middle
-    while t[low + 1] <= t[low] and low > degree:
-        low -= 1
-    return low
+            last = middle
+    return first
 
 
 @subkernel
-def value(
-    t: Array1, table: Array3, degree: int, order: int, span: int, u: float, work: Array2
-) -> tuple[float, float, float]:
+def span_at(spline: SplineArrays, u: float) -> int:
+    """Return the knot span that contains u; the following one at a knot, the last one at the end."""
+    t, degree = spline.knots, spline.degree
+    span = interval_at(t, u, degree, len(t) - degree - 1)
+    while t[span + 1] <= t[span] and span > degree:
+        span -= 1
+    return span
+
+
+@subkernel
+def value(spline: SplineArrays, order: int, span: int, u: float, work: Array2) -> Three:
     """Return x, y and z of a derivative of the spline at u in a span, by de Boor's recursion.
 
-    `table` is from `spline_coefficients`; `order` is 0 to `degree`; `work` (6, 3) is scratch.
+    `order` is 0 to the degree; `work` (6, 3) is scratch.
     """
-    d = degree - order
-    c = table[order]
+    t, degree = spline.knots, spline.degree
+    d, first, c = degree - order, span - degree, spline.table[order]
     for i in range(d + 1):
-        work[i, 0], work[i, 1], work[i, 2] = (
-            c[span - degree + i, 0],
-            c[span - degree + i, 1],
-            c[span - degree + i, 2],
-        )
+        work[i, 0], work[i, 1], work[i, 2] = c[first + i, 0], c[first + i, 1], c[first + i, 2]
     for r in range(1, d + 1):
         for i in range(d, r - 1, -1):
             left = t[span - d + i]
@@ -88,22 +92,18 @@ def value(
 
 
 @compiled
-def spline_values(t: Array1, table: Array3, degree: int, order: int, u: Array1) -> Array2:
+def spline_values(spline: SplineArrays, order: int, u: Array1) -> Array2:
     """Return a derivative of the spline, (n, 3), at parameters u (n,); zero for orders above the degree."""
     out = np.zeros((len(u), 3))
-    if order <= degree:
+    if order <= spline.degree:
         work = np.empty((6, 3))
         for i in range(len(u)):
-            out[i, 0], out[i, 1], out[i, 2] = value(
-                t, table, degree, order, span_at(t, degree, u[i]), u[i], work
-            )
+            out[i, 0], out[i, 1], out[i, 2] = value(spline, order, span_at(spline, u[i]), u[i], work)
     return out
 
 
 @subkernel
-def expand(
-    t: Array1, table: Array3, degree: int, low: float, high: float, work: Array2, taylor: Array2
-) -> None:
+def expand(spline: SplineArrays, low: float, high: float, work: Array2, taylor: Array2) -> None:
     """Expand the velocity about the midpoint of the piece from low to high of one knot span.
 
     Fills `taylor` (degree, 3) with the coefficients of 1, x, x^2 ... on x from -1 to 1; `work` (6, 3) is
@@ -111,10 +111,10 @@ def expand(
     """
     half = 0.5 * (high - low)
     middle = low + half
-    span = span_at(t, degree, middle)
+    span = span_at(spline, middle)
     scale = 1.0
-    for p in range(degree):
-        x, y, z = value(t, table, degree, p + 1, span, middle, work)
+    for p in range(spline.degree):
+        x, y, z = value(spline, p + 1, span, middle, work)
         taylor[p, 0], taylor[p, 1], taylor[p, 2] = scale * x, scale * y, scale * z
         scale *= half / (p + 1)
 
@@ -129,11 +129,12 @@ def speed(taylor: Array2, degree: int, x: float) -> float:
 
 
 @compiled
-def expand_spans(t: Array1, table: Array3, degree: int, breaks: Array1) -> Array3:
+def expand_spans(spline: SplineArrays) -> Array3:
     """Expand the velocity about the midpoint of each knot span, see `expand`, (k, degree, 3)."""
-    work, taylors = np.empty((6, 3)), np.empty((len(breaks) - 1, degree, 3))
+    breaks = spline.breaks
+    work, taylors = np.empty((6, 3)), np.empty((len(breaks) - 1, spline.degree, 3))
     for i in range(len(taylors)):
-        expand(t, table, degree, breaks[i], breaks[i + 1], work, taylors[i])
+        expand(spline, breaks[i], breaks[i + 1], work, taylors[i])
     return taylors
 
 
@@ -162,35 +163,22 @@ def expand_speed(taylor: Array2, degree: int, rule: Array2, speeds: Array1, piec
 
 @compiled
 def measure_length(
-    t: Array1,
-    table: Array3,
-    degree: int,
-    breaks: Array1,
-    taylors: Array3,
-    rule: Array2,
-    tail: float,
-    rounding: float,
-) -> tuple[Array1, Array1, Array2]:
+    spline: SplineArrays, taylors: Array3, rule: Array2, tail: float, rounding: float
+) -> LengthArrays:
     """Integrate the speed, approximated by a polynomial on each of many short pieces of the knot spans.
 
     Pieces are halved until the Legendre series of the speed, sampled at Gauss nodes, has converged.
 
     Args:
-        t: knots.
-        table: from `spline_coefficients`.
-        degree: degree of the spline.
-        breaks: ends of the knot spans, increasing, (k + 1,).
+        spline: the spline.
         taylors: from `expand_spans`.
         rule: Gauss nodes; the matrix from values there to Legendre coefficients; the matrix from those to
             power coefficients of the integral from -1, highest first; (N, 1 + N + N + 1).
         tail: tolerance for the last terms of a piece's series, relative to the total length.
         rounding: rounding error of the length of a span, at which halving ends.
-
-    Returns:
-        Parameters where the pieces meet (n + 1,), arc lengths there (n + 1,), and power coefficients of each
-        piece's length in x from -1 to 1, highest first, (n, N + 1).
     """
     nodes, spans = len(rule), len(taylors)
+    breaks, degree = spline.breaks, spline.degree
     work, finer, speeds = np.empty((6, 3)), np.empty((degree, 3)), np.empty(nodes)
     # Start and end of each piece, size of its last Legendre coefficients (-1: unknown), and all coefficients.
     pieces = np.empty((spans, 3 + nodes))
@@ -204,7 +192,7 @@ def measure_length(
             if piece[2] < 0.0:
                 taylor = taylors[i] if depth == 0 else finer
                 if depth > 0:
-                    expand(t, table, degree, piece[0], piece[1], work, finer)
+                    expand(spline, piece[0], piece[1], work, finer)
                 expand_speed(taylor, degree, rule, speeds, piece)
             total += 2.0 * piece[3]
             if depth > 0:
@@ -237,28 +225,16 @@ def measure_length(
         for g in range(nodes):
             for j in range(nodes + 1):
                 series[i, j] += piece[3 + g] * rule[g, 1 + nodes + j]
-    return edges, lengths, series
+    return LengthArrays(edges, lengths, series)
 
 
 @subkernel
-def piece_at(table: Array1, x: float) -> int:
-    """Return the interval of an increasing table that contains x; the first or last one if outside."""
-    low, high = 0, len(table) - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if table[middle] <= x:
-            low = middle
-        else:
-            high = middle
-    return low
-
-
-@subkernel
-def length_at(edges: Array1, lengths: Array1, series: Array2, u: float) -> float:
+def length_at(length: LengthArrays, u: float) -> float:
     """Return the arc length from the start to the parameter u."""
-    i = piece_at(edges, u)
+    edges, lengths = length.edges, length.lengths
+    i = interval_at(edges, u, 0, len(edges) - 1)
     x = (2.0 * u - edges[i] - edges[i + 1]) / (edges[i + 1] - edges[i])
-    row = series[i]
+    row = length.series[i]
     s = row[0]
     for j in range(1, len(row)):
         s = s * x + row[j]
@@ -266,10 +242,26 @@ def length_at(edges: Array1, lengths: Array1, series: Array2, u: float) -> float
 
 
 @subkernel
-def parameter_at(edges: Array1, lengths: Array1, series: Array2, s: float) -> float:
+def newton_step(x: float, gap: float, slope: float, low: float, high: float) -> Three:
+    """Take a Newton step from x to a root of a rising function, or bisect if it leads out of the bracket.
+
+    Returns:
+        The next x, and the ends of the bracket, from `low` to `high`, updated by the value `gap` at x.
+    """
+    if gap <= 0.0:
+        low = x
+    if gap >= 0.0:
+        high = x
+    trial = x - gap / slope
+    return trial if slope > 0.0 and low <= trial <= high else 0.5 * (low + high), low, high
+
+
+@subkernel
+def parameter_at(length: LengthArrays, s: float) -> float:
     """Return the parameter at the arc length s, by Newton's method within a bracket."""
-    i = piece_at(lengths, s)
-    row, local = series[i], s - lengths[i]
+    edges, lengths = length.edges, length.lengths
+    i = interval_at(lengths, s, 0, len(lengths) - 1)
+    row, local = length.series[i], s - lengths[i]
     low, high = -1.0, 1.0
     x = min(max(2.0 * local / (lengths[i + 1] - lengths[i]) - 1.0, -1.0), 1.0)
     for _ in range(MAX_NEWTON_STEPS):
@@ -277,94 +269,70 @@ def parameter_at(edges: Array1, lengths: Array1, series: Array2, s: float) -> fl
         for j in range(1, len(row)):
             slope = slope * x + gap
             gap = gap * x + row[j]
-        gap -= local
-        if gap <= 0.0:
-            low = x
-        if gap >= 0.0:
-            high = x
-        trial = x - gap / slope
-        if not (slope > 0.0 and low <= trial <= high):
-            trial = 0.5 * (low + high)
-        step = abs(trial - x)
-        x = trial
-        if step <= 2.0 * NEWTON_TOLERANCE:
+        before = x
+        x, low, high = newton_step(x, gap - local, slope, low, high)
+        if abs(x - before) <= 2.0 * NEWTON_TOLERANCE:
             break
     u = 0.5 * ((1.0 - x) * edges[i] + (1.0 + x) * edges[i + 1])
     return float(min(max(u, edges[i]), edges[i + 1]))
 
 
 @compiled
-def parameters_at(edges: Array1, lengths: Array1, series: Array2, s: Array1) -> Array1:
+def parameters_at(length: LengthArrays, s: Array1) -> Array1:
     """Return the parameters (n,) at arc lengths s (n,)."""
     out = np.empty(len(s))
     for i in range(len(s)):
-        out[i] = parameter_at(edges, lengths, series, s[i])
+        out[i] = parameter_at(length, s[i])
     return out
 
 
 @subkernel
-def distance_at(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> float:
+def distance_at(spline: SplineArrays, u: float, p: Array1, work: Array2) -> float:
     """Return the distance from the point p (3,) to the curve at u."""
-    x, y, z = value(t, table, degree, 0, span_at(t, degree, u), u, work)
+    x, y, z = value(spline, 0, span_at(spline, u), u, work)
     return float(np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2))
 
 
 @subkernel
-def slopes(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> tuple[float, float]:
+def slopes(spline: SplineArrays, u: float, p: Array1, work: Array2) -> tuple[float, float]:
     """Return half the first and second derivatives of the squared distance from p (3,) by u."""
-    span = span_at(t, degree, u)
-    x, y, z = value(t, table, degree, 0, span, u, work)
+    span = span_at(spline, u)
+    x, y, z = value(spline, 0, span, u, work)
     x, y, z = x - p[0], y - p[1], z - p[2]
-    a, b, c = value(t, table, degree, 1, span, u, work)
+    a, b, c = value(spline, 1, span, u, work)
     second = a * a + b * b + c * c
-    if degree > 1:
-        d, e, f = value(t, table, degree, 2, span, u, work)
+    if spline.degree > 1:
+        d, e, f = value(spline, 2, span, u, work)
         second += x * d + y * e + z * f
     return x * a + y * b + z * c, second
 
 
 @subkernel
 def nearest_within(
-    t: Array1, table: Array3, degree: int, low: float, high: float, p: Array1, work: Array2
+    spline: SplineArrays, low: float, high: float, p: Array1, work: Array2
 ) -> tuple[float, float]:
     """Return the parameter of the point nearest to p (3,) within a short piece, and the distance."""
-    best, distance = low, distance_at(t, table, degree, low, p, work)
-    at_high = distance_at(t, table, degree, high, p, work)
+    best, distance = low, distance_at(spline, low, p, work)
+    at_high = distance_at(spline, high, p, work)
     if at_high < distance:
         best, distance = high, at_high
     inner = np.nextafter(high, low)  # a corner there belongs to the next piece
-    if slopes(t, table, degree, low, p, work)[0] < 0.0 and slopes(t, table, degree, inner, p, work)[0] > 0.0:
+    if slopes(spline, low, p, work)[0] < 0.0 and slopes(spline, inner, p, work)[0] > 0.0:
         u, width, left, right = 0.5 * (low + high), inner - low, low, inner
         for _ in range(MAX_NEWTON_STEPS):
-            gap, slope = slopes(t, table, degree, u, p, work)
-            if gap <= 0.0:
-                left = u
-            if gap >= 0.0:
-                right = u
-            trial = u - gap / slope
-            if not (slope > 0.0 and left <= trial <= right):
-                trial = 0.5 * (left + right)
-            step = abs(trial - u)
-            u = trial
-            if step <= NEWTON_TOLERANCE * width:
+            gap, slope = slopes(spline, u, p, work)
+            before = u
+            u, left, right = newton_step(u, gap, slope, left, right)
+            if abs(u - before) <= NEWTON_TOLERANCE * width:
                 break
-        inside = distance_at(t, table, degree, u, p, work)
+        inside = distance_at(spline, u, p, work)
         if inside <= distance:
             best, distance = u, inside
     return best, distance
 
 
 @compiled
-def nearest_places(
-    t: Array1,
-    table: Array3,
-    degree: int,
-    edges: Array1,
-    lengths: Array1,
-    series: Array2,
-    pieces: int,
-    points: Array2,
-) -> Array2:
+def nearest_places(spline: SplineArrays, length: LengthArrays, pieces: int, points: Array2) -> Array2:
     """Find the points of the curve nearest to given points; one of them if several are equally near.
 
     The curve is cut into pieces. If the midpoint of a piece is at a distance d, and its ends at most r away
@@ -372,34 +340,29 @@ def nearest_places(
     are searched.
 
     Args:
-        t: knots.
-        table: from `spline_coefficients`.
-        degree: degree of the spline.
-        edges: from `measure_length`.
-        lengths: from `measure_length`.
-        series: from `measure_length`.
+        spline: the spline.
+        length: its arc length.
         pieces: minimum number of pieces.
         points: the points, (n, 3).
 
     Returns:
         Arc length and distance of each, (n, 2).
     """
-    parts = max(2, -(-pieces // len(series)))
-    count = parts * len(series)
+    edges = length.edges
+    parts = max(2, -(-pieces // len(length.series)))
+    count = parts * len(length.series)
     work = np.empty((6, 3))
     ends, reach, middles = np.empty(count + 1), np.empty(count), np.empty((count, 3))
-    for i in range(len(series)):
+    for i in range(len(length.series)):
         for j in range(parts):
             ends[i * parts + j] = edges[i] + (edges[i + 1] - edges[i]) * (j / parts)
     ends[count] = edges[-1]
     s_low = 0.0
     for i in range(count):
         middle = 0.5 * (ends[i] + ends[i + 1])
-        s_middle = length_at(edges, lengths, series, middle)
-        s_high = length_at(edges, lengths, series, ends[i + 1])
+        s_middle, s_high = length_at(length, middle), length_at(length, ends[i + 1])
         reach[i] = max(s_middle - s_low, s_high - s_middle)
-        x, y, z = value(t, table, degree, 0, span_at(t, degree, middle), middle, work)
-        middles[i, 0], middles[i, 1], middles[i, 2] = x, y, z
+        middles[i, 0], middles[i, 1], middles[i, 2] = value(spline, 0, span_at(spline, middle), middle, work)
         s_low = s_high
     found, away = np.empty((len(points), 2)), np.empty(count)
     for k in range(len(points)):
@@ -412,11 +375,11 @@ def nearest_places(
         best, distance = 0.0, np.inf
         for i in range(count):
             if away[i] - reach[i] <= bound * (1.0 + 1e-12):
-                u, d = nearest_within(t, table, degree, ends[i], ends[i + 1], p, work)
+                u, d = nearest_within(spline, ends[i], ends[i + 1], p, work)
                 if d < distance:
                     best, distance = u, d
                     bound = min(bound, d)
-        found[k, 0], found[k, 1] = length_at(edges, lengths, series, best), distance
+        found[k, 0], found[k, 1] = length_at(length, best), distance
     return found
 
 
@@ -443,14 +406,10 @@ def slowest_point(taylor: Array2, degree: int, low: float, high: float) -> float
         return np.nan
     x, width = 0.5 * (low + high), high - low
     for _ in range(MAX_NEWTON_STEPS):
-        value, slope = half_square_slope(taylor, degree, x)
-        low, high = x if value <= 0.0 else low, x if value >= 0.0 else high
-        trial = x - value / slope
-        if not (slope > 0.0 and low <= trial <= high):
-            trial = 0.5 * (low + high)
-        step = abs(trial - x)
-        x = trial
-        if step <= NEWTON_TOLERANCE * width:
+        gap, slope = half_square_slope(taylor, degree, x)
+        before = x
+        x, low, high = newton_step(x, gap, slope, low, high)
+        if abs(x - before) <= NEWTON_TOLERANCE * width:
             break
     return x
 

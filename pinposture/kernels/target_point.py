@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Ints1, ModuleArrays
-from pinposture.kernels.branch_search import apply_joint, solve_cholesky
+from pinposture.kernels.arrays import (
+    Array1,
+    Array2,
+    Array3,
+    Flags1,
+    Ints1,
+    LengthArrays,
+    ModuleArrays,
+    SplineArrays,
+)
+from pinposture.kernels.branch_search import apply_joint
+from pinposture.kernels.chain_solver import solve_cholesky
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import parameter_at, span_at, value
 
@@ -88,12 +98,8 @@ def module_ends(module: ModuleArrays, positions: Array2, ends: Array2) -> None:
 
 @subkernel
 def curve_point(
-    t: Array1,
-    table: Array3,
-    degree: int,
-    edges: Array1,
-    lengths: Array1,
-    series: Array2,
+    spline: SplineArrays,
+    length: LengthArrays,
     base: Array2,
     s: float,
     work: Array2,
@@ -101,13 +107,13 @@ def curve_point(
     tangent: Array1,
 ) -> None:
     """Fill in the point of a curve at arc length s and its unit tangent, in the base frame (3, 4)."""
-    u = parameter_at(edges, lengths, series, s)
-    span = span_at(t, degree, u)
-    x, y, z = value(t, table, degree, 0, span, u, work)
+    u = parameter_at(length, s)
+    span = span_at(spline, u)
+    x, y, z = value(spline, 0, span, u, work)
     x, y, z = x - base[0, 3], y - base[1, 3], z - base[2, 3]
     for i in range(3):
         point[i] = base[0, i] * x + base[1, i] * y + base[2, i] * z
-    x, y, z = value(t, table, degree, 1, span, u, work)
+    x, y, z = value(spline, 1, span, u, work)
     size = max(np.sqrt(x * x + y * y + z * z), 1e-300)
     for i in range(3):
         tangent[i] = (base[0, i] * x + base[1, i] * y + base[2, i] * z) / size
@@ -135,7 +141,7 @@ def least_solution(
         trace += matrix[i, i]
     for i in range(3):
         matrix[i, i] += max(share, 1e-14) * trace + 1e-300
-    solve_cholesky(matrix, right, 3)
+    solve_cholesky(matrix, right)
     for j in range(len(x)):
         if not held[j]:
             x[j] = (rows[0, j] * right[0] + rows[1, j] * right[1] + rows[2, j] * right[2]) / costs[j]
@@ -190,12 +196,8 @@ def nearest_starts(
 @compiled
 def next_target_point(
     module: ModuleArrays,
-    t: Array1,
-    table: Array3,
-    degree: int,
-    edges: Array1,
-    lengths: Array1,
-    series: Array2,
+    spline: SplineArrays,
+    length: LengthArrays,
     base: Array2,
     start: float,
     lower: Array1,
@@ -212,12 +214,8 @@ def next_target_point(
 
     Args:
         module: joints of the module.
-        t: knots of the curve.
-        table: from `spline_coefficients`.
-        degree: degree of the spline.
-        edges: from `measure_length`.
-        lengths: from `measure_length`.
-        series: from `measure_length`.
+        spline: the curve.
+        length: its arc length.
         base: axes of the base frame as columns, and its origin, in the frame of the curve, (3, 4).
         start: arc length of the base on the curve.
         lower: smallest positions, (k,).
@@ -230,7 +228,7 @@ def next_target_point(
     Returns:
         The arc length of the point; NaN if there is none, or -1 if the curve also ends within reach.
     """
-    k, n, reach, total = len(preferred), len(module.slides), module.reach[0], lengths[-1]
+    k, n, reach, total = len(preferred), len(module.slides), module.reach[0], length.lengths[-1]
     work, points = np.empty((6, 3)), np.empty((MAX_CURVE_SAMPLES, 3))
     point, tangent, end = np.empty(3), np.empty(3), np.empty(3)
     turn, place, screws = np.empty((3, 3)), np.empty(3), np.empty((n, 2, 3))
@@ -238,7 +236,7 @@ def next_target_point(
     step, count, beyond, s = reach / CURVE_SAMPLES, 0, False, start
     while count < MAX_CURVE_SAMPLES and s < total and not beyond:
         s = min(start + (count + 1) * step, total)
-        curve_point(t, table, degree, edges, lengths, series, base, s, work, points[count], tangent)
+        curve_point(spline, length, base, s, work, points[count], tangent)
         p = points[count]
         beyond = np.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) > reach * (1.0 + 1e-9)
         count += 1
@@ -275,7 +273,7 @@ def next_target_point(
             for j in range(k):
                 q[j] = preferred[j] + z[j] * module.units[j]
             end_and_jacobian(module, q, turn, place, screws, end, columns)
-            curve_point(t, table, degree, edges, lengths, series, base, z[k] * reach, work, point, tangent)
+            curve_point(spline, length, base, z[k] * reach, work, point, tangent)
             distance = 0.0
             for i in range(3):
                 gap[i] = point[i] - end[i]

@@ -143,6 +143,9 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         return _TEXT_FILES[suffix][1](path)
     if not path.is_file():
         raise FileError(path, "is a directory; name a file in it" if path.is_dir() else "no such file")
+    if wanted is not None and suffix in _TEXT_FILES:
+        advice = "`pp.load(path)` reads joint trajectories, `pinposture simulate` performs them"
+        raise FileError(path, f"is not a saved {wanted.noun}; {advice}")
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}

@@ -17,7 +17,6 @@ from pinposture import kernels
 from pinposture._validation import finite_vector, float_array, is_number, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
-from pinposture.collision.model import describe_distance
 from pinposture.control import (
     Controller,
     Geodesic,
@@ -29,7 +28,7 @@ from pinposture.control import (
 )
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import JerkFilter, cycle_of
-from pinposture.control.planner.avoidance import BRAKING_HARDER
+from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
 from pinposture.control.planner.plan import PlanNeeded, is_small_change
 from pinposture.errors import InvalidValue, PostureError, require_instance, require_known
@@ -210,7 +209,7 @@ class Feedback:
         """Return a measured configuration; if it cannot be used, None and the reason."""
         if q is None:
             return None, "no measurement"
-        measured, arm = float_array("q_measured", q, (self.arm.nq,)), self.arm
+        measured, arm = self.arm.of_right_size(q, "q_measured"), self.arm
         if not np.all(np.isfinite(measured)):
             return None, f"q_measured[{int(np.argmin(np.isfinite(measured)))}] is not finite"
         try:
@@ -403,9 +402,10 @@ class Report(NamedTuple):
     """The result of a cycle.
 
     Attributes:
-        status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error)
-            or "holding" (braking or at rest, because an input is missing or invalid).
-        reason: why it is stalled or holding; else empty.
+        status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error),
+            "holding" (braking or at rest, as an input is missing or invalid, or a path is not planned yet) or
+            "evading" (the same, but it moves to keep clear of obstacles that approach).
+        reason: why it is stalled, holding or evading; else empty.
         mean_error: mean distance of the control points from their targets at the start of the cycle, from the
             last usable measurement [m]; None before the first target and measurement.
         tracking_error: largest difference between measured and expected joint positions, in
@@ -437,8 +437,9 @@ class Tracker:
         tracker.update(target)                       # whenever there is a new one
         dq = tracker.step(q_measured)                # in every cycle
 
-    It never extrapolates: without a target, with a target older than `timeout`, without a measurement, or
-    with an implausible one, it brakes within its limits and holds, and `report` gives the reason.
+    It never extrapolates the target: without one, with one older than `timeout`, without a measurement, or
+    with an implausible one, it brakes within its limits and holds, but evades moving obstacles. The reason is
+    in `report`.
 
     The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
     would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
@@ -532,6 +533,9 @@ class Tracker:
         self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
 
+    def __repr__(self) -> str:
+        return f"Tracker({self.arm.name!r}, {self._steps.controller.name!r}, {self.report})"
+
     @property
     def command(self) -> Array:
         """The configuration to send to position-controlled drives, (nq,).
@@ -603,7 +607,8 @@ class Tracker:
                 farther; a short one moves less.
             points: measured positions of the control points, (m, 3) [m], world frame, which replace those
                 computed from the joint positions. Rows that are not finite are missing points.
-            scene: the current obstacles, from `Scene.moved`; None: unchanged.
+            scene: the current obstacles, from `Scene.moved`; None: those of the previous cycle, moved on by
+                their velocities.
 
         Returns:
             The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide it by the cycle
@@ -613,14 +618,16 @@ class Tracker:
             InvalidValue: an array of the wrong shape, a dt that is not positive, or a scene of the wrong
                 type. Sensor faults do not raise.
         """
+        if dt is not None:
+            require_positive("dt", dt)
+        passed = self._period if dt is None else float(dt)
+        if scene is None and self.scene is not None and self.scene.velocities:
+            scene = self.scene.after(passed)
         if scene is not None and scene is not self.scene:
             controller, self.scene = in_scene(self._steps.controller, scene)
             if self._filter.cycles > 1 and scene.velocities:  # obstacles where the filtered steps meet them
                 controller, _ = in_scene(controller, scene.after(self._filter.delay * self._period))
             self._steps.controller = controller
-        if dt is not None:
-            require_positive("dt", dt)
-        passed = self._period if dt is None else float(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
         feedback = self._feedback.update(q_measured, points, dt)
@@ -640,9 +647,10 @@ class Tracker:
                 reason = str(error)  # unusable input, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
+        evading = False
         if step is None or reason:
-            memory = self._hold(state, limits, memory)
-            memory = memory if step is None else step.memory.with_motion_of(memory)
+            held, evading = self._hold(state, limits, memory)
+            memory = held if step is None else step.memory.with_motion_of(held)
         else:
             memory = step.memory
         dq = self._filter.apply(memory.dq)
@@ -651,7 +659,9 @@ class Tracker:
         self._feedback.apply_step(dq)
         if step is not None and self._filter.moving:
             reason = ""  # the jerk filter has not settled yet
-        self.report = self._make_report(feedback, step, reason, compensated, dq, dq - before)
+        stopped = "evading" if evading else "stalled" if step is not None else "holding"
+        status = stopped if reason else "moving"
+        self.report = self._make_report(feedback, step, status, reason, compensated, dq, dq - before)
         return np.array(dq)
 
     def _ahead(self, state: ArmState | None) -> ArmState | None:
@@ -660,14 +670,17 @@ class Tracker:
             return state
         return self.arm.at(self.arm.integrate(state.q, self._filter.ahead))
 
-    def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> Memory:
-        """Brake and hold, but avoid approaching obstacles."""
-        controller, target = self._steps.controller, self._target
-        moving = self.scene is not None and self.scene.velocities
-        if moving and state is not None and target is not None and isinstance(controller, Geodesic):
-            return controller.keep_clear(state, target, limits, memory)
+    def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> tuple[Memory, bool]:
+        """Brake and hold, or evade approaching obstacles; the second value tells whether the arm evades."""
         memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
-        return memory.braked(limits, self._neutral_state)
+        braked = memory.braked(limits, self._neutral_state)
+        controller = self._steps.controller
+        moving = self.scene is not None and self.scene.velocities
+        if not moving or state is None or not isinstance(controller, Geodesic):
+            return braked, False
+        target = self._target or Target.from_configuration(self.arm, state.q)
+        kept = controller.keep_clear(state, target, limits, memory)
+        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > REST_TOLERANCE * self.arm.joint_units))
 
     def _rescaled_memory(self, dt: float) -> Memory | None:
         """Return the memory of the controller, its last step scaled to the duration of this cycle."""
@@ -693,12 +706,12 @@ class Tracker:
         self,
         feedback: FeedbackState,
         step: Step | None,
+        status: str,
         reason: str,
         compensated: Target | None,
         dq: Array,
         change: Array,
     ) -> Report:
-        status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
         if compensated is not None and feedback.state is not None and still:
             distance = _mean_distance(feedback.state.compiled.points, compensated)
@@ -723,7 +736,7 @@ class Tracker:
         closest = CollisionModel(self.arm, self.scene).minimum(command)
         if closest.distance >= (1.0 - MARGIN_ROUNDING) * self.scene.margin:
             return ()
-        return (f"margin from {describe_distance(closest.pair or (), closest.distance)}",)
+        return (describe_lost_margin(closest.pair or (), closest.distance, self.scene.margin),)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

@@ -17,6 +17,7 @@ from pinposture._validation import make_read_only
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Limits
+from pinposture.control.controller import CONSTRAINTS
 from pinposture.control.limits import cycle_of
 from pinposture.errors import MotionError
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
@@ -42,18 +43,6 @@ HOLDING_SHARE = 0.85
 """Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
 
 
-class Shares(NamedTuple):
-    """Velocities and accelerations relative to their limits, the largest of all joints; 1 is at the limit.
-
-    Attributes:
-        speeds: in each step, (steps,); None if no joint has a limit.
-        accelerations: at each row, from and to rest, (steps + 1,); None if no joint has a limit.
-    """
-
-    speeds: Array | None
-    accelerations: Array | None
-
-
 class LimitViolation(NamedTuple):
     """Violations of velocity, acceleration and jerk limits in a motion.
 
@@ -72,15 +61,16 @@ class LimitViolation(NamedTuple):
     text: str
 
 
-def limit_shares(run: Trajectory) -> Shares:
-    """Return the velocities and accelerations of a run relative to its limits."""
+def limit_shares(run: Trajectory) -> tuple[Array | None, Array | None]:
+    """Return the largest velocities, (steps,), and accelerations, (steps + 1,), relative to their limits.
+
+    The arm is at rest before and after. None if no joint has a limit.
+    """
     speeds, accelerations, _ = _joint_shares(run)
     bounds = run.limits.for_arm(run.arm)
     limited = bool(np.any(np.isfinite(bounds.bound)))
-    return Shares(
-        speeds.max(axis=1) if limited else None,
-        None if bounds.acceleration is None else accelerations.max(axis=1),
-    )
+    largest = None if bounds.acceleration is None else accelerations.max(axis=1)
+    return speeds.max(axis=1) if limited else None, largest
 
 
 def largest_shares(run: Trajectory) -> dict[str, float | None]:
@@ -116,8 +106,8 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     for step in steps:
         kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
         ratios.append(float(shares[kind][step, joint]))
-        what = f"{kinds[kind]} of joint {run.arm.joint_names[joint]!r}"
-        words.append(f"{what} is {ratios[-1]:.4g} times its limit")
+        name = run.arm.joint_names[joint]
+        words.append(f"{kinds[kind]} limit: joint {name!r} exceeds it by a factor of {ratios[-1]:.4g}")
     most = int(np.argmax(ratios))
     number, worst = len(steps), int(steps[most])
     count = f"{number} step" + ("s" if number > 1 else "")
@@ -318,7 +308,8 @@ class Trajectory:
         switched: why it switched to that method, (steps,) sentences; empty if it did not.
         error_increasing: whether the posture error may rise in the step, to leave a local minimum, (steps,).
         violated_constraints: messages on constraints that the step violates because not all can be met, and
-            on velocity and acceleration limits that the motion exceeds, (steps,) lines; usually empty.
+            on velocity and acceleration limits that the motion exceeds, (steps,) lines; usually empty. See
+            `violated_steps`.
         clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
             in penetration, infinite without a scene.
         scene: the obstacles; None: none.
@@ -405,6 +396,15 @@ class Trajectory:
     def excess(self) -> LimitViolation | None:
         """Violations of velocity, acceleration and jerk limits; None if there are none."""
         return find_limit_violation(self)
+
+    @cached_property
+    def violated_steps(self) -> dict[str, NDArray[np.intp]]:
+        """Steps in which each violated constraint is violated, 0-based, by its name in `CONSTRAINTS`."""
+        named = [
+            {line.partition(":")[0] for line in lines.splitlines()} for lines in self.violated_constraints
+        ]
+        steps = {name: np.flatnonzero([name in names for names in named]) for name in CONSTRAINTS}
+        return {name: found for name, found in steps.items() if len(found)}
 
     @cached_property
     def active_sets(self) -> tuple[tuple[int, ...], ...]:

@@ -610,8 +610,8 @@ def _obstruction(
     names = dict(zip(arm.columns.tolist(), arm.chain.input_names, strict=True))
     stuck = [int(u) for u in own if room[u] <= AT_LIMIT]
     slides = [u for u in stuck if arm.slides[u]]
-    if slides:
-        listed = ", ".join(f"{names[u]!r} at {positions[u]:.4g} m" for u in slides[:3])
+    if slides and slides == stuck:
+        listed = ", ".join(f"{names[u]!r} at {positions[u].round(6):.4g} m" for u in slides[:3])
         advice = "move the curve, or widen their limits"
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))

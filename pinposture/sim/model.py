@@ -250,7 +250,6 @@ class PlantModel:
         rest: joint positions with the arm at zero and the other joints as held, (n,) [rad or m].
         gains: stiffness and damping of the servos, (n,) each.
         torque_limits: torque or force limit of each servo, (n,) [N m or N]; infinite without a limit.
-        sites: index of the site at each control point, (m,).
         warnings: messages about what was corrected or left out.
     """
 
@@ -264,7 +263,6 @@ class PlantModel:
     rest: Array
     gains: Gains
     torque_limits: Array
-    sites: NDArray[np.intp]
     warnings: tuple[str, ...]
 
     def positions(self, of_arm: Array) -> Array:
@@ -346,7 +344,6 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         rest=rest,
         gains=Gains(*(_spread(values, leading) for values in gains)),
         torque_limits=servos.limits(effort),
-        sites=sites,
         warnings=corrections,
     )
 

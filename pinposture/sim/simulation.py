@@ -169,11 +169,6 @@ class Simulation:
             return None
         return np.where(self.weights > 0.0, np.linalg.norm(self.points - self.targets, axis=2), 0.0)
 
-    @cached_property
-    def torque_share(self) -> Array:
-        """Maximum ratio of torque to torque limit over all servos, (N,); 0 without limits."""
-        return np.asarray((np.abs(self.torques) / self.torque_limits).max(axis=1))
-
     def summary(self) -> dict[str, Any]:
         """Return the results as JSON-compatible data [rad, m, s, N m]."""
         m = self.arm.n_modules

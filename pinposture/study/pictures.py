@@ -37,7 +37,7 @@ def draw_postures(records: Sequence[Record]) -> Figure:
     arms, controllers = _present(records)
     rows = summarise(records, families=True)
     families = [len({row.group for row in rows if row.arm == arm}) for arm in arms]
-    figure = _figure(1.0 + sum(0.26 * count + 1.3 for count in families))
+    figure = _figure(1.0 + sum(0.26 * count + 1.3 for count in families), records)
     grid = figure.add_gridspec(len(arms), 2, width_ratios=(1.0, 1.3), height_ratios=[n + 4 for n in families])
     for i, arm in enumerate(arms):
         shares = {(row.group, row.controller): row.arrived for row in rows if row.arm == arm}
@@ -45,7 +45,6 @@ def draw_postures(records: Sequence[Record]) -> Figure:
         ax = figure.add_subplot(grid[i, 1])
         _draw_paths(ax, [each for each in records if each.arm == arm], GROUPS, group_of, controllers)
         _dress(ax, f"{arm}: directness, runs that came near", PATH)
-    _title(figure, f"{len(records)} runs, |dq| <= {STEP:g} rad per step, at most {MAX_STEPS} steps")
     return figure
 
 
@@ -62,7 +61,7 @@ def draw_headings(records: Sequence[Record]) -> Figure:
     known = [record for record in records if record.turn is not None]
     arms, controllers = _present(known)
     bins = {(each.arm, each.bin, each.controller): each for each in by_heading(known)}
-    figure = _figure(0.8 + 3.6 * len(arms))
+    figure = _figure(0.8 + 3.6 * len(arms), known)
     grid = figure.add_gridspec(len(arms), 2)
     for i, arm in enumerate(arms):
         ax = figure.add_subplot(grid[i, 0])
@@ -82,7 +81,6 @@ def draw_headings(records: Sequence[Record]) -> Figure:
         _draw_paths(ax, own, BINS, lambda run: bin_of(run.turn or 0.0), controllers)
         ax.set_xlabel("largest change of heading [rad]", fontsize=9)
         _dress(ax, f"{arm}: directness, runs that came near", PATH)
-    _title(figure, f"{len(known)} runs, |dq| <= {STEP:g} rad per step, at most {MAX_STEPS} steps")
     return figure
 
 
@@ -93,12 +91,18 @@ def _present(records: Sequence[Record]) -> tuple[list[str], list[str]]:
     return distinct(each.arm for each in records), distinct(each.controller for each in records)
 
 
-def _figure(height: float) -> Figure:
+def _figure(height: float, runs: Sequence[Record] = ()) -> Figure:
+    """Create a figure of a height [inch], with the number of runs as its title."""
     # Imported here because matplotlib is slow to import.
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    return Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
+    from pinposture.viz.palette import add_title
+
+    figure = Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
+    if runs:
+        add_title(figure, [f"{len(runs)} runs, |dq| <= {STEP:g} rad per step, at most {MAX_STEPS} steps"])
+    return figure
 
 
 def _side_by_side(controllers: Sequence[str]) -> list[tuple[str, str, float, float]]:
@@ -187,17 +191,9 @@ def _dress(ax: Axes, title: str, label: str) -> None:
 
     ax.set_title(title, fontsize=9, color=palette.INK)
     ax.set_ylabel(label, fontsize=9)
-    ax.tick_params(labelsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(axis="y", color=palette.FAINT, lw=0.6)
-    ax.set_axisbelow(True)
+    palette.add_grid(ax)
+    ax.grid(visible=False, axis="x")
     ax.legend(fontsize=7, frameon=False, ncols=3, loc="upper left")
-
-
-def _title(figure: Figure, text: str) -> None:
-    from pinposture.viz import palette
-
-    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK)
 
 
 LEADER_HEIGHT = 4.6
@@ -251,9 +247,7 @@ def _draw(ax: Axes, found: Sequence[Following], shape: str) -> None:
     ax.minorticks_off()
     ax.set_xlabel("curvature times module length [rad]", fontsize=9)
     ax.set_title(shape, fontsize=10, color=palette.INK)
-    ax.tick_params(labelsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(color=palette.FAINT, lw=0.6)
+    palette.add_grid(ax)
     ax.legend(fontsize=7, frameon=False, loc="upper left")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
@@ -343,6 +344,7 @@ def spread(records: Iterable[Record], measure: Callable[[Record], float]) -> Spr
 
 
 def _row(arm: str, group: str, controller: str, runs: list[Record]) -> SummaryRow:
+    spreads = ("steps", "rising", "escaping", "peak", "path", "seconds")
     return SummaryRow(
         arm=arm,
         group=group,
@@ -351,12 +353,7 @@ def _row(arm: str, group: str, controller: str, runs: list[Record]) -> SummaryRo
         arrived=float(np.mean([run.arrived for run in runs])),
         near=float(np.mean([run.near for run in runs])),
         refused=sum(run.status == "refused" for run in runs),
-        steps=spread(runs, lambda run: run.steps),
-        rising=spread(runs, lambda run: run.rising),
-        escaping=spread(runs, lambda run: run.escaping),
-        peak=spread(runs, lambda run: run.peak),
-        path=spread(runs, lambda run: run.path),
-        seconds=spread(runs, lambda run: run.seconds),
+        **{name: spread(runs, attrgetter(name)) for name in spreads},
         violation=max(run.violation for run in runs),
         stride=max(run.stride for run in runs),
     )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -18,19 +18,17 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
-from pinposture.control import Controller, Limits, controller_named
+from pinposture.control import Controller
 from pinposture.curve import HELIX, LINE, PLANAR_LINE, Curve
 from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion import Trajectory, track
-from pinposture.motion.processes import in_order
+from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target, resolve_targets
 from pinposture.storage import write_text
-from pinposture.study.baselines import register_baselines
+from pinposture.study.baselines import named_controllers
 
 StartKind = Literal["smooth", "near-straight", "straight"]
 TargetKind = Literal["helix", "line", "near-line", "random", "opposite"]
-
-SCENARIO_STARTS: tuple[StartKind, ...] = get_args(StartKind)
 
 
 @dataclass(frozen=True)
@@ -84,26 +82,6 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
     {each.name: each for each in SPATIAL_SCENARIOS + PLANAR_SCENARIOS + FURTHER_SCENARIOS}
 )
 """All of the above by name."""
-
-
-def family(arm: str, start: StartKind, target: TargetKind) -> Scenario:
-    """Return the scenario of an arm with a kind of start and of target, named after all three."""
-    return Scenario(f"{arm}: {start} -> {target}", f"{start} -> {target}", "", start, target, arm)
-
-
-_CHOICES: tuple[tuple[str, tuple[TargetKind, ...]], ...] = (
-    ("ryrz20", ("helix", "line", "random")),
-    ("planar45", ("line", "random")),
-)
-
-FAMILIES = tuple(
-    family(arm, start, target)
-    for arm, targets in _CHOICES
-    for start in SCENARIO_STARTS
-    for target in targets
-    if (start, target) != ("straight", "line")  # nothing to do
-)
-"""Every kind of start with every kind of target that the arm can take; a planar arm cannot take a helix."""
 
 
 TARGET_CURVES: Mapping[tuple[str, str], Curve] = MappingProxyType(
@@ -174,7 +152,6 @@ class Outcome(NamedTuple):
         seed: seed of the case.
         start_error: posture error at the start [m].
         final_error: posture error at the end [m].
-        lowest_error: lowest posture error during the run [m].
         mean_share: mean point error at the end, relative to the arm length.
         steps: number of steps.
         status: how the run ended, as `Trajectory.status`.
@@ -188,7 +165,6 @@ class Outcome(NamedTuple):
     seed: int
     start_error: float
     final_error: float
-    lowest_error: float
     mean_share: float
     steps: int
     status: str
@@ -288,7 +264,6 @@ def outcome(run: Trajectory, scenario: str, controller: str, seed: int) -> Outco
         seed=seed,
         start_error=float(errors[0]),
         final_error=float(errors[-1]),
-        lowest_error=float(errors.min()),
         mean_share=float(errors[-1]) / int(run.target.has_target.sum()) / run.arm.length,
         steps=run.steps,
         status=run.status,
@@ -303,10 +278,9 @@ def study(
     scenarios: Sequence[Scenario],
     controllers: Sequence[str | Controller],
     seeds: Sequence[int],
-    limits: Limits | None = None,
     max_steps: int = 200,
     jobs: int = 1,
-    progress: Callable[[Outcome], object] | None = None,
+    progress: Progress | None = None,
 ) -> list[Outcome]:
     """Run every controller on every seed of every scenario.
 
@@ -315,30 +289,25 @@ def study(
         scenarios: the scenarios.
         controllers: controllers or their names.
         seeds: seeds of the cases.
-        limits: limits of each step; `Limits()` if None.
         max_steps: maximum number of steps per run.
         jobs: number of processes; joblib's backends apply, including clusters.
-        progress: called with each outcome as it arrives.
+        progress: called with the numbers of finished and of all runs.
 
     Returns:
         The outcomes, in the order of scenarios, then controllers, then seeds; independent of `jobs`.
+
+    Raises:
+        InvalidValue: no controller.
+        UnknownName: no controller has that name.
     """
-    register_baselines()
-    listed = [controller_named(controller) for controller in controllers]
-    outcomes = []
-    tasks = (delayed(_one)(arm, *each, limits, max_steps) for each in product(scenarios, listed, seeds))
-    for result in in_order(tasks, jobs):
-        outcomes.append(result)
-        if progress is not None:
-            progress(result)
-    return outcomes
+    listed = named_controllers(controllers)
+    cases = product([arm], scenarios, listed, seeds, [max_steps])
+    return collect_results([delayed(_one)(*each) for each in cases], jobs, progress)
 
 
-def _one(
-    arm: Arm, scenario: Scenario, controller: Controller, seed: int, limits: Limits | None, max_steps: int
-) -> Outcome:
+def _one(arm: Arm, scenario: Scenario, controller: Controller, seed: int, max_steps: int) -> Outcome:
     start, target = case(arm, scenario, seed)
-    run = track(arm, target, start, controller, limits, max_steps=max_steps)
+    run = track(arm, target, start, controller, max_steps=max_steps)
     return outcome(run, scenario.name, controller.name, seed)
 
 

@@ -382,6 +382,7 @@ def _one(arm: Arm, name: str, seed: int) -> SceneRun:
 
 def by_scene(runs: Sequence[SceneRun]) -> list[SceneRow]:
     """Summarise runs by situation, in order of first appearance."""
+    spreads = ("steps", "path", "escaping", "seconds")
     return [
         SceneRow(
             scene=scene,
@@ -393,10 +394,7 @@ def by_scene(runs: Sequence[SceneRun]) -> list[SceneRow]:
             unexplained=sum(not run.explained for run in own),
             room=min(run.closest - run.margin for run in own),
             loss=max(run.loss for run in own),
-            steps=Spread.of([run.steps for run in own]),
-            path=Spread.of([run.path for run in own]),
-            escaping=Spread.of([run.escaping for run in own]),
-            seconds=Spread.of([run.seconds for run in own]),
+            **{name: Spread.of([getattr(run, name) for run in own]) for name in spreads},
         )
         for scene, own in grouped(runs, lambda run: run.scene).items()
     ]

@@ -22,9 +22,8 @@ from matplotlib.ticker import NullFormatter
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.viz import palette
-from pinposture.viz.palette import MAX_DECADES, ending_text
 from pinposture.viz.panels import (
-    mark_method,
+    mark_projection,
     plot_point_count,
     plot_point_errors,
     plot_points_and_index,
@@ -135,7 +134,9 @@ def draw_planar(
     handles, labels = ax.get_legend_handles_labels()
     words = figure.add_subplot(top[1])
     words.axis("off")
-    lines = [f"{name} {ending_text(run)}:\nposture error {_change(run)}" for name, run in runs.items()]
+    lines = [
+        f"{name} {palette.ending_text(run)}:\nposture error {_change(run)}" for name, run in runs.items()
+    ]
     lines += [f"{name} alone: posture error {_change(run)}" for name, run in (compared or {}).items()]
     words.text(0.02, 0.0, "\n".join(lines), fontsize=9, color=palette.INK, va="bottom", linespacing=1.5)
     finals = []
@@ -168,7 +169,7 @@ def _share_values(panels: list[Axes]) -> None:
     positive = np.concatenate([values[values > 0.0] for values in drawn])
     if not len(positive):
         return
-    least = max(float(positive.min()), float(positive.max()) * 10.0**-MAX_DECADES)
+    least = max(float(positive.min()), float(positive.max()) * 10.0**-palette.MAX_DECADES)
     logarithmic = any(panel.get_yscale() == "log" for panel in panels)
     limits = [panel.get_ylim() for panel in panels if not logarithmic or panel.get_yscale() == "log"]
     low, high = min(each[0] for each in limits), max(each[1] for each in limits)
@@ -205,7 +206,7 @@ def _draw_progress(
         error.set_xlabel("")
         error.tick_params(labelbottom=False)
     if (run.method == "projection").any():
-        mark_method(run, points)
+        mark_projection(run, points)
         points.set_xlabel("step (red: steps by Projection)", fontsize=9)
     _head(error, f"{name}: posture error, points, index", letter)
     return error

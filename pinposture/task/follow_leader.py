@@ -103,8 +103,10 @@ class FedArm:
         along = float(chain.axes[0] @ axis)
         if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
             angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
-            text = f"{angle:.3g} degrees off the axis of the straight arm"
-            raise InvalidValue(f"axis of the feed {feed}", text, FEED_REQUIREMENT)
+            beside = np.linalg.norm(np.cross(chain.axes[0], body.at(body.straight()).points[-1] - chain.base))
+            text = f"{angle:.3g} degrees off the straight arm, whose tip is {1e3 * beside:.3g} mm beside it"
+            allowed = f"{FEED_REQUIREMENT}; choose a tip on the axis"
+            raise InvalidValue(f"axis of the feed {feed}", text, allowed)
         if start is None:
             rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
             body, links = _without_feed(arm, rest)

@@ -31,6 +31,7 @@ from pinposture.errors import (
     require_known,
     warn_caller,
 )
+from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import is_compiled, unit_arrays
@@ -607,16 +608,16 @@ class SequentialFollower:
 
     def positions(self, curve: BentCurve) -> Array | None:
         """Return joint positions (nv,) that place the control points on a curve; None if there are none."""
-        coefficients, end = curve.spline, curve.length
-        knots = np.concatenate([[0.0, 0.0], np.repeat(curve.s, 2), [end, end]])
-        ends = np.array([0.0, end])
-        series = np.full((1, 2), 0.5 * end)  # the parameter is the arc length
+        ends = np.array([0.0, curve.length])
+        breaks = np.concatenate([ends[:1], curve.s, ends[1:]])
+        spline = SplineArrays(np.repeat(breaks, 2), curve.spline[None], 3, breaks)
+        # The parameter is the arc length.
+        length = LengthArrays(ends, ends, np.full((1, 2), 0.5 * curve.length))
         state = np.empty(9)
         state[0], state[1:4], state[4:7] = 0.0, self._base, curve.points[0]
         found, parameters = np.zeros(len(self._arm.columns)), np.empty(self._arm.n_modules)
-        measured = knots, coefficients[None], 3, ends, ends, series
-        options = SEQUENTIAL_SAMPLES, self._units, self._shapes, *self._limits
-        if kernels.place_modules(*measured, *options, state, found, parameters) >= 0:
+        arm = self._units, self._shapes, *self._limits
+        if kernels.place_modules(spline, length, SEQUENTIAL_SAMPLES, *arm, state, found, parameters) >= 0:
             return None
         positions = np.zeros(self._arm.nv)
         positions[self._arm.columns] = found

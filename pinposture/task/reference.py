@@ -118,6 +118,7 @@ class Outlook(NamedTuple):
         off_curve: largest distance of a target from its curve [m]; None without a curve.
         tip_off: error of the tip task [m]; None without one.
         clearance: smallest distance to an obstacle [m], negative in penetration; None without a scene.
+        pair: the two that are that close; None without a scene.
         moved: how its curve was moved from its position as drawn; None without a curve.
     """
 
@@ -126,7 +127,17 @@ class Outlook(NamedTuple):
     off_curve: float | None
     tip_off: float | None
     clearance: float | None
+    pair: tuple[str, str] | None
     moved: Moved | None
+
+    def crowding(self, margin: float) -> str:
+        """Name the two that are closer than a margin [m], by more than a thousandth of it; else empty."""
+        if self.clearance is None or self.pair is None or self.clearance >= 0.999 * margin:
+            return ""
+        millimetres = f"{1e3 * abs(self.clearance):.3g} mm"
+        if self.clearance < 0.0:
+            return f"{' and '.join(self.pair)} would penetrate by {millimetres}"
+        return f"{' and '.join(self.pair)} would be {millimetres} apart; the margin is {1e3 * margin:.3g} mm"
 
 
 def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
@@ -140,33 +151,29 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
     clearance = None if scene is None else CollisionModel(arm, scene)
     for mark in _named(reference):
         q = reference.configuration(mark.row)
-        room = None if clearance is None else clearance.minimum(q).distance
+        room, pair = (None, None) if clearance is None else clearance.minimum(q)
         tip = tip_off(mark.tip, mark.target, arm.at(q))
         planned, moved = mark.row * reference.interval, mark.target.moved
-        found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, moved))
+        found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, pair, moved))
     return found
 
 
 def require_room(reference: Reference, scene: Scene | None) -> None:
-    """Refuse a motion that begins in collision; warn of other named postures in collision.
+    """Refuse a motion that begins in collision; warn of named postures that do not keep the margin.
 
     Raises:
         TaskError: the motion begins in collision.
     """
     if scene is None:
         return
-    clearance = CollisionModel(reference.arm, scene)
     keyed = bool(reference.marks) and reference.marks[0].row == 0
-    for number, mark in enumerate(_named(reference), start=1):
-        closest = clearance.minimum(reference.configuration(mark.row))
-        if closest.distance >= 0.0:
-            continue
-        where = f"keyframe {number} {mark.name!r}" if keyed else mark.name
-        pair, deep = " and ".join(closest.pair or ()), -1e3 * closest.distance
-        depth = f"{pair} would penetrate by {deep:.3g} mm"
-        if mark.row == 0:
-            raise TaskError(where, f"{depth}; move one of them, or change the start")
-        warn_caller(f"{where}: {depth}")
+    for number, place in enumerate(outlook(reference, scene), start=1):
+        where = f"keyframe {number} {place.name!r}" if keyed else place.name
+        crowded = place.crowding(scene.margin)
+        if place.clearance is not None and place.clearance < 0.0 == place.planned:
+            raise TaskError(where, f"{crowded}; move one of them, or change the start")
+        if crowded:
+            warn_caller(f"{where}: {crowded}")
 
 
 def _named(reference: Reference) -> list[Mark]:

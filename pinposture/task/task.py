@@ -9,22 +9,20 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from math import ceil
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.collision.pipe import pipe
-from pinposture.control import Controller, Geodesic, Limits, controller_named
-from pinposture.control.limits import cycle_of
+from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
+from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
@@ -291,62 +289,15 @@ STEP_BUDGET_RATIO, STEP_BUDGET_EXTRA = 10.0, 3000
 """Number of steps after which a motion is given up: a multiple of the expected number, plus an extra."""
 
 
-PACE_RATIO = 1.1
-"""Largest ratio of the time scales of neighbouring rows, so that the arm slows down smoothly."""
+MARK_SHARE = 0.6
+"""Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a mark."""
 
+MAX_SLOWDOWNS, SLOWDOWN_MARGIN = 10, 1.02
+"""Number of attempts to pass all marks closely enough, and the factor by which each slows down more than the
+error requires."""
 
-def slowed(reference: Reference, limits: Limits) -> tuple[Reference, Array]:
-    """Slow a reference down to the share of the velocity limits that each of its marks allows.
-
-    Args:
-        reference: the reference.
-        limits: the limits of a step, with dt.
-
-    Returns:
-        The reference with more rows where it was too fast, and the planned time of each row [s].
-
-    Raises:
-        InvalidValue: it would take too many cycles.
-    """
-    marks, rows = reference.marks, reference.rows - 1
-    if all(mark.speed == 1.0 for mark in marks):
-        return reference, reference.times
-    per_cycle = cycle_of(limits) / reference.interval
-    spline = CubicSpline(np.arange(rows + 1), reference.offsets, bc_type="natural")
-    slopes = np.abs(spline(0.5 * np.arange(2 * rows + 1), 1)) * (reference.arm.moved > 0.0)
-    shares = (per_cycle * slopes / (SPEED_SHARE * limits.for_arm(reference.arm).bound)).max(axis=1)
-    used = np.maximum(np.maximum(shares[:-1:2], shares[1::2]), shares[2::2])
-    speeds, ends = np.ones(rows), [0, *(mark.row for mark in marks), rows]
-    beside = ceil(per_cycle)  # a cycle may lie on both sides of a mark
-    for begin, mark in zip(ends, marks, strict=False):
-        here = speeds[max(begin - beside, 0) : mark.row + beside]
-        np.minimum(here, mark.speed, out=here)
-    delays = np.log(np.where(speeds < 1.0, np.maximum(used / speeds, 1.0), 1.0))
-    ramp = np.log(PACE_RATIO) * np.arange(rows)
-    delays = np.maximum.accumulate(delays + ramp) - ramp
-    delays = np.exp(np.maximum.accumulate((delays - ramp)[::-1])[::-1] + ramp)
-    cycles = float(delays.sum()) / per_cycle
-    if cycles > MAX_PERFORMED_CYCLES:
-        allowed = f"speeds of keyframes with which it takes at most {MAX_PERFORMED_CYCLES:g} cycles"
-        raise InvalidValue("cycles of the motion", round(cycles), allowed)
-    places, moved = [np.zeros(1)], []
-    for begin, end in pairwise(ends):
-        extra = delays[begin:end] - 1.0
-        count = end - begin + ceil(float(extra.sum()) - ROW_TOLERANCE)
-        if count > end - begin:
-            extra *= (count - end + begin) / extra.sum()  # to whole rows
-        passed = np.concatenate([[0.0], np.cumsum(1.0 + extra)])
-        places.append(np.interp(np.arange(1.0, count + 1.0), passed, np.arange(begin, end + 1)))
-        places[-1][-1:] = end
-        moved.append(sum(map(len, places)) - 1)
-    at = np.concatenate(places)
-    finer = replace(
-        reference,
-        offsets=spline(at),
-        weights=reference.weights[np.ceil(at - ROW_TOLERANCE).astype(np.intp)],
-        marks=tuple(mark._replace(row=row) for mark, row in zip(marks, moved, strict=False)),
-    )
-    return finer, reference.interval * at
+HELD_ROUNDING = 1e-12
+"""Motion from one row to the next that counts as none [rad or m]."""
 
 
 class ReferencePath:
@@ -357,17 +308,20 @@ class ReferencePath:
         limits: the limits of a step, with dt.
 
     Attributes:
-        reference: the reference, `slowed` where its marks limit the speed.
+        reference: the reference.
         times: planned time of each of its rows, (N + 1,) [s].
         path: its configurations as a path through joint space, within the position limits.
         most: rows per cycle, if nothing slows the motion.
-        timed: the path at the largest speed that limits allow, up to `most`.
+        timed: the path at the largest speed that limits and marks allow, up to `most`, and slower where a
+            jerk limit would lead the arm past a mark.
+
+    Raises:
+        InvalidValue: limits so tight that it would take too many cycles.
     """
 
     def __init__(self, reference: Reference, limits: Limits) -> None:
         arm, bounds = reference.arm, limits.for_arm(reference.arm)
-        reference, self.times = slowed(reference, limits)
-        self.reference = reference
+        self.reference, self.times = reference, reference.times
         self._rows = np.arange(reference.rows, dtype=np.float64)
         self.most = cycle_of(limits) / reference.interval
         self._lower, self._upper = bounds.edges - arm.positions(reference.start)
@@ -376,9 +330,81 @@ class ReferencePath:
         offsets = np.ascontiguousarray(offsets * (arm.moved > 0.0))
         q = arm.integrate(reference.start, offsets[0])
         first = Target(arm.at(q).compiled.points, reference.weights[0], q)
-        self.path = JointPath(Objective(arm, first), reference.start, offsets)
-        self.timed = retime(self.path, limits, self.most)
-        self._profile = cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
+        self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
+        self._limits, self._rates = limits, np.full(reference.rows - 1, self.most)
+        self._retime()
+        cycles = JerkFilter(arm, limits).cycles
+        if any(mark.speed < 1.0 for mark in reference.marks):
+            self._limit_speeds(0)
+            self._limit_speeds(1 + cycles // 2)  # averaged steps lie on both sides of a mark
+        self._slow_down_at_marks(cycles)
+
+    @property
+    def _profile(self) -> SpeedProfile:
+        return cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
+
+    def _retime(self) -> None:
+        self.timed = retime(self.path, self._limits, self._rates)
+        if self.steps > MAX_PERFORMED_CYCLES:
+            most = f"{MAX_PERFORMED_CYCLES:g}"
+            allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
+            raise InvalidValue("cycles of the motion", round(self.steps), allowed)
+
+    def _limit_speeds(self, beside: int) -> None:
+        """Lower the rates to the speeds of the marks, for so many cycles also before and after."""
+        before, after = self.path.slopes[:-1], self.path.slopes[1:]
+        middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
+        slopes = np.abs([before, middle, after]).max(axis=0)  # the slope in between is in their hull
+        bound = SPEED_SHARE * self.timed.bounds.bound
+        full = np.maximum((slopes / bound).max(axis=1), ROW_TOLERANCE)  # cycles per row at full speed
+        begin, places = 0, self.timed.places
+        for mark in self.reference.marks:
+            if mark.speed < 1.0:
+                cycles = np.searchsorted(places, (begin, mark.row)) + (-beside, beside)
+                first, last = places[np.clip(cycles, 0, len(places) - 1)]
+                piece = slice(min(int(first), begin), max(ceil(last), mark.row))
+                self._rates[piece] = np.minimum(self._rates[piece], mark.speed / full[piece])
+            begin = mark.row
+        self._retime()
+
+    def _slow_down_at_marks(self, cycles: int) -> None:
+        """Lower the rates at marks that the arm would miss if its steps are averaged over so many cycles.
+
+        The arm is then at the mean of the configurations at as many places. Its distance from the path is
+        proportional to the square of the rate.
+        """
+        offsets, module = self.path.offsets, self.path.arm.length / self.path.arm.n_modules
+        moving = np.flatnonzero(np.any(np.abs(np.diff(offsets, axis=0)) > HELD_ROUNDING, axis=1))
+        for _ in range(MAX_SLOWDOWNS if cycles > 1 else 0):
+            places, slower = np.pad(self.timed.places, (cycles - 1, cycles), mode="edge"), False
+            passed = np.cumsum(np.append(0.0, places))
+            means = (passed[cycles:] - passed[:-cycles]) / cycles
+            for mark in self.reference.marks:
+                left = moving[np.searchsorted(moving, mark.row) :]
+                middle = 0.5 * (mark.row + left[0]) if len(left) else self.end  # of the time it is held
+                after = int(np.searchsorted(means, middle))
+                if not 0 < after < len(means):
+                    continue
+                share = (middle - means[after - 1]) / (means[after] - means[after - 1])
+                averaged = places[after - 1 : after + cycles]
+                averaged = (1.0 - share) * averaged[:-1] + share * averaged[1:]
+                excess = self._distance(averaged, middle) / (MARK_SHARE * MAX_MEAN_LAG * module)
+                if excess > 1.0:
+                    ratio, slower = SLOWDOWN_MARGIN * np.sqrt(excess), True
+                    first, last = middle + (averaged[[0, -1]] - middle) / ratio
+                    piece = slice(int(first), ceil(last))
+                    rate = (averaged[-1] - averaged[0]) / (cycles - 1) / ratio
+                    self._rates[piece] = np.minimum(self._rates[piece], rate)
+            if not slower:
+                break
+            self._retime()
+
+    def _distance(self, averaged: Array, place: float) -> float:
+        """Return the mean distance of the control points, at a mean of configurations, from a place [m]."""
+        arm, target = self.path.arm, self.target(place)
+        q = arm.integrate(self.path.start, self.path.smooth_offset(averaged).mean(axis=0))
+        apart = np.linalg.norm(arm.at(q).compiled.points - target.points, axis=1)
+        return float(apart[target.has_target].mean())
 
     @property
     def end(self) -> float:
@@ -415,10 +441,10 @@ class ReferencePath:
         row, path = int(place), self.path
         objective = controller.objective(path.arm, self.target(place))
         if row == 0:
-            return retime(path.revised(objective=objective), self.timed.limits, self.most)
+            return retime(path.revised(objective=objective), self.timed.limits, self._rates)
         offsets = path.offsets[row:] - path.offsets[row]
         rest = JointPath(objective, path.configuration(row), offsets, controller.scene)
-        return retime(rest, self.timed.limits, self.most)
+        return retime(rest, self.timed.limits, self._rates[row:])
 
     def next_mark(self, place: float) -> Mark:
         """Return the next named place; the last row if there is none."""
@@ -471,10 +497,6 @@ def perform(
     require_positive("tolerance", tolerance)
     start = reference.start if q0 is None else arm.checked_start(q0, "q0")
     guide = ReferencePath(reference, limits)
-    if guide.steps > MAX_PERFORMED_CYCLES:
-        most = f"{MAX_PERFORMED_CYCLES:g}"
-        allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
-        raise InvalidValue("cycles of the motion", round(guide.steps), allowed)
     loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress)
     motion = performance.motion(*performance.run())
@@ -608,13 +630,9 @@ class _Performance:
         one, number = len(missed) == 1, f"{len(missed)} of {len(waypoints)} postures"
         text = f"{number} {'is' if one else 'are'} missed, {'' if one else 'most '}{worst.name}, by "
         text += f"{worst.mean_error:.3g} m on average (allowed: {self._max_lag:.3g} m)"
-        limits, cycles = self.loop.limits, self.loop.filter.cycles
         row = self.guide.reference.marks[waypoints.index(worst)].row
         if not self.guide.is_within_limits(row):
             text += "; it is outside the joint limits, or within their position margin"
-        elif cycles > 1:
-            text += f"; the jerk limit smooths the motion over {cycles * cycle_of(limits):.3g} s: hold the "
-            text += "posture for that long, allow more time, lower the acceleration limit, or raise this one"
         return text
 
     def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
@@ -682,7 +700,7 @@ class _Performance:
         loop, guide = self.loop, self.guide
         while self._place < guide.end:
             begun, progress = self._place, None
-            remaining = guide.remaining(begun, controller)
+            remaining, mark = guide.remaining(begun, controller), guide.next_mark(begun)
             loop.memory = controller.start(remaining, loop.ahead.compiled, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
@@ -693,6 +711,10 @@ class _Performance:
                     break
                 if step.diagnostics.reason and not ahead.arrived:
                     break
+                if begun + ahead.place >= mark.row:
+                    if self._leaves_path(step, begun + ahead.place):
+                        break
+                    mark = guide.next_mark(begun + ahead.place)
                 progress, place = ahead, self._advance(begun + ahead.place)
                 target = target if place == foreseen else guide.target(place)
                 loop.take_step(step, target)
@@ -711,6 +733,13 @@ class _Performance:
                 return status, f"on the way to {mark.name}: {reason}"
             self._note(left, f"the arm left the path, and reached {mark.name} by another")
         return None
+
+    def _leaves_path(self, step: Step, place: float) -> bool:
+        """Whether the arm is off the path after a step to a place, so that it would miss a mark there."""
+        arm, target = self.loop.arm, self.guide.target(place)
+        points = arm.at(arm.integrate(self.loop.ahead.q, step.dq)).compiled.points
+        apart = np.linalg.norm(points - target.points, axis=1)[target.has_target].mean()
+        return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.cycles > 1 else 1.0))
 
     def _catch_up(self) -> tuple[str, str] | None:
         """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""

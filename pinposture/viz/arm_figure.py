@@ -17,7 +17,6 @@ from pinposture.arm import Arm, ControlPoints, Ellipsoid
 from pinposture.collision import Scene
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
-from pinposture.viz.palette import FIGURE_WIDTH, add_title
 from pinposture.viz.postures import (
     PosturePanel,
     box_extent,
@@ -63,7 +62,7 @@ def plot_arm(
     # Half the length of the bars: short compared to the links, but visible compared to the arm.
     half = float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
     planar = arm.dimension == 2
-    figure = Figure(figsize=(FIGURE_WIDTH, HEIGHT_RANGE[0]))
+    figure = Figure(figsize=(palette.FIGURE_WIDTH, HEIGHT_RANGE[0]))
     # The arm is drawn on top of its surroundings, also in space.
     ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
     panel = PosturePanel(arm, ax)
@@ -86,7 +85,7 @@ def plot_arm(
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"
     where = ", neutral configuration" if q is None else ""
     sentence = f"{arm.model.name}: {kind}, {modules}, {arm.nv} DOF, {arm.length:.4g} m{where}"
-    add_title(figure, [sentence])
+    palette.add_title(figure, [sentence])
     return figure
 
 
@@ -95,15 +94,15 @@ def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
     if not panel.spatial:
         wide, high = np.ptp(panel.drawn @ panel.screen.T, axis=0)
         slope = high / max(wide, 1e-9 * panel.arm.length)
-        figure.set_figheight(float(np.clip(TEXT_HEIGHT + FIGURE_WIDTH * slope, *HEIGHT_RANGE)))
+        figure.set_figheight(float(np.clip(TEXT_HEIGHT + palette.FIGURE_WIDTH * slope, *HEIGHT_RANGE)))
         figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
         return
     # 3D axes are square: for a wide picture, they extend beyond the figure at the top and bottom.
     high = float(box_extent(panel.ax)[1])
-    height = float(np.clip(TEXT_HEIGHT + FIGURE_WIDTH * high, *HEIGHT_RANGE))
-    side = min(FIGURE_WIDTH, (height - TEXT_HEIGHT) / high)
+    height = float(np.clip(TEXT_HEIGHT + palette.FIGURE_WIDTH * high, *HEIGHT_RANGE))
+    side = min(palette.FIGURE_WIDTH, (height - TEXT_HEIGHT) / high)
     figure.set_figheight(height)
-    width = side / FIGURE_WIDTH
+    width = side / palette.FIGURE_WIDTH
     panel.ax.set_position((0.5 - width / 2, 0.5 - side / height / 2, width, side / height))
     # The scales and their labels may be wider than the axes, on one side only.
     figure.draw_without_rendering()

@@ -32,17 +32,17 @@ from pinposture.viz.meshcat import MAX_FRAMES, Viewer
 logger = logging.getLogger(__name__)
 
 ADDRESS = "ws://127.0.0.1:8765"  # where Foxglove looks for a live connection
-BACKLOG = 20  # calls of `show` that wait to be sent; the next one displaces the oldest
+BACKLOG = 20  # length of the queue of states to send; when it is full, the oldest is dropped
 
 
 class FoxgloveViewer(Viewer):
-    """An arm in Foxglove; see `pinposture.viz.view`. It has what `Viewer` has but `meshcat`.
+    """An arm in Foxglove; see `pinposture.viz.view`. It has the interface of `Viewer`, except `meshcat`.
 
-    Topics are /tf (the links, by their names, in the frame "world"), /scene (drawings), /joint_states,
-    /joint_commands and /status, as far as they are known. Only what somebody has subscribed to is sent.
+    Topics are /tf (the links by name, in the frame "world"), /scene (drawings), /joint_states,
+    /joint_commands and /status. Topics without subscribers or data are not sent.
 
     Attributes:
-        tracker: the tracker whose state it shows, or None.
+        tracker: the tracker whose state is shown, or None.
         context: the `foxglove.Context`, to log more.
     """
 
@@ -102,10 +102,10 @@ class FoxgloveViewer(Viewer):
     def show(self, q: ArrayLike | None) -> None:
         """Show the arm at a configuration, and the state of the tracker; stop playing the run.
 
-        It takes some tens of microseconds and raises nothing: a thread of its own sends what it is given.
+        This takes tens of microseconds and never raises: a background thread sends the state.
 
         Args:
-            q: configuration, (nq,) [rad or m]; None, or one that cannot be, if a measurement is missing.
+            q: configuration, (nq,) [rad or m]; None or invalid values if a measurement is missing.
         """
         with self._lock:
             self._stop.set()
@@ -114,12 +114,12 @@ class FoxgloveViewer(Viewer):
             target, scene = target or self.tracker.target, scene or self.tracker.scene
             known = self.tracker.report._asdict().items()
             status = {name: each for name, each in known if isinstance(each, str | float)}
-            with suppress(InvalidValue):  # there is none before the first measurement
+            with suppress(InvalidValue):  # no command before the first measurement
                 command = self.tracker.command
         self._put(q, target, scene, command, status)
 
     def play(self) -> None:
-        """Play the run from its start, over and over.
+        """Play the run in a loop, from its start.
 
         Raises:
             InvalidValue: there is no run.
@@ -131,19 +131,19 @@ class FoxgloveViewer(Viewer):
         Thread(target=self._play, args=(self._playback, self._stop), daemon=True).start()
 
     def close(self) -> None:
-        """Disconnect everybody, and stop listening."""
+        """Disconnect all clients and stop the server."""
         for event in (self._stop, self._closed, self._wake):
             event.set()
         self._server.stop()
 
-    # What waits to be sent, and the threads that play and send.
+    # The queue of states to send, and the threads that play and send.
 
     def _put(self, q: Any, *known: Any) -> None:
         self._waiting.append(partial(self._publish, time.time_ns(), copy(q), *known))
         self._wake.set()
 
     def _send_again(self, *about: object) -> None:
-        """Send the drawings again, to who has just subscribed."""
+        """Send all drawings again, for a new subscriber."""
         self._subscribed.set()
         self._wake.set()
 
@@ -155,7 +155,7 @@ class FoxgloveViewer(Viewer):
             for row, pause in zip(shown.rows[shown.key_rows], pauses, strict=True):
                 moving = None if motion is None else Target(motion.targets[row], motion.target_mask[row])
                 status = {"status": run.status, "reason": run.reason, "mean_error": means[row]}
-                with self._lock:  # nothing after what `show` shows
+                with self._lock:  # not after a call of `show`
                     if not stop.is_set():
                         self._put(run.q[row], self.target or moving, self.scene, None, status)
                 if stop.wait(pause):
@@ -172,7 +172,7 @@ class FoxgloveViewer(Viewer):
                 self._subscribed.clear()
                 try:
                     last(again)
-                except Exception as error:  # of any kind: the control loop goes on
+                except Exception as error:  # must not stop the control loop
                     if failure != str(error):
                         logger.warning("foxglove: %s", error, exc_info=True)
                     failure = str(error)
@@ -189,7 +189,7 @@ class FoxgloveViewer(Viewer):
         status: dict[str, Any],
         again: bool,
     ) -> None:
-        """Log what is known at a time [ns], with drawings that have changed, or all of them again."""
+        """Log the state at a time [ns], with all drawings if `again`, else those that have changed."""
         if again or target is not self._drawn[0] or scene is not self._drawn[1]:
             self._log("/scene", stamp, self._draw, target, scene, again)
         try:
@@ -246,7 +246,7 @@ class FoxgloveViewer(Viewer):
     def _draw_arm(self) -> None:
         model, listed, surfaces = self.arm.model, bodies(self.arm), drawing.arm_surfaces(self.arm)
         joints, places = [model.getJointId(each.joint) for each in listed], neutral_placements(model)
-        # The frame of a joint is that of the link behind it. A body is turned against it.
+        # The frame of a joint is that of the link after it; a body frame has another orientation.
         frames = [each for each in model.frames if each.type == pin.BODY and each.placement.isIdentity()]
         names = {int(each.parentJoint): each.name for each in reversed(frames)}
         self._links = [names.get(joint, model.names[joint]) for joint in joints]

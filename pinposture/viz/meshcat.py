@@ -41,16 +41,6 @@ from pinposture.storage import with_suffix, write_text
 from pinposture.viz import drawing, palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge, tube
 from pinposture.viz.drawing import ROOT, Timeline, Track, playback, require_fitting
-from pinposture.viz.palette import (
-    Place,
-    controller_name,
-    ending_text,
-    group_alike,
-    is_slowed,
-    motion_ending_text,
-    placement_text,
-    shown_places,
-)
 from pinposture.viz.panels import has_clearance
 from pinposture.viz.postures import (
     INDEX_LABELS,
@@ -228,7 +218,7 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
         add(viewer, f"{ROOT}/target/points", merge(dots), palette.TARGET)
 
 
-def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Place]) -> None:
+def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[palette.Place]) -> None:
     """Draw the targets at the start of a motion, and thin lines through the targets at named places."""
     arm, radius = motion.arm, drawing.link_radius(motion.arm)
     for number, place in enumerate(places, start=1):
@@ -320,7 +310,7 @@ class DrawnScene(NamedTuple):
 
     tracks: list[Track]
     obstacles: bool
-    places: list[list[Place]]
+    places: list[list[palette.Place]]
 
 
 def draw_scene(
@@ -345,10 +335,10 @@ def draw_scene(
     run, motion = (None, None) if shown is None else (shown.run, shown.motion)
     ellipsoids = ellipsoid_motion(arm, points, rows)
     seen = np.vstack([drawing.scene_points(arm, run, target), axis_ends(ellipsoids)])
-    places: list[list[Place]] = []
+    places: list[list[palette.Place]] = []
     if motion is not None:
         seen = np.vstack([seen, motion.targets[motion.target_mask]])
-        places = group_alike(motion, shown_places(motion))
+        places = palette.group_alike(motion, palette.shown_places(motion))
     obstacles = drawing.shown_obstacles(scene, seen)
     set_camera(viewer, arm, np.vstack([seen, drawing.shown_corners(obstacles)]))
     add_arm(viewer, arm, rows[0])
@@ -493,11 +483,11 @@ def _step_text(shown: Timeline, row: int) -> str:
 def _motion_text(motion: Motion, row: int) -> str:
     """Describe a configuration of a motion."""
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
-    if is_slowed(motion):
+    if palette.is_slowed(motion):
         text += f" ({motion.plan_time[row]:.2f} of {motion.planned:.2f} s of the plan)"
     count = sum(place.row is not None and place.row <= row for place in motion.waypoints)
     if row < motion.start_index:
-        text += ", coming to the first posture"
+        text += ", moving to the first posture"
     elif count:
         text += f", reached {motion.waypoints[count - 1].name} ({count} of {len(motion.waypoints)})"
     return f"{text}, {_errors(motion.mean_error[row], motion.run.point_errors[row])}"
@@ -518,7 +508,7 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
     """
     entries = [("target", palette.TARGET)] if target else []
     if shown.motion is not None:
-        entries = [("target of the moment", palette.TARGET)]
+        entries = [("current target", palette.TARGET)]
     if shown.run.steps:
         entries += [("active control point", palette.ACTIVE), ("idle", palette.IDLE)]
     else:
@@ -527,10 +517,10 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
         entries.append(("obstacle", palette.OBSTACLE))
     lines = [_color_key(entries)]
     if shown.motion is not None:
-        speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as it was"
+        speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as recorded"
         named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
         lines.append(f"shown {speed}; targets at {_color_key(named)}" if named else f"shown {speed}")
-    moved = placement_text(shown.run if shown.motion is None else shown.motion)
+    moved = palette.placement_text(shown.run if shown.motion is None else shown.motion)
     if moved:
         lines.append(html.escape(moved))
     if scale:
@@ -661,9 +651,9 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
     packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
     described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": captions(shown)}
     template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
-    ended = ending_text(run) if motion is None else motion_ending_text(motion)
+    ended = palette.ending_text(run) if motion is None else palette.motion_ending_text(motion)
     return Template(template).substitute(
-        title=html.escape(f"{controller_name(run)} {ended}"),
+        title=html.escape(f"{palette.controller_name(run)} {ended}"),
         reason=html.escape(run.reason),
         legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=palette.INK,

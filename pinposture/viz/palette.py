@@ -164,8 +164,8 @@ def scale_counts(ax: Axes, largest: int) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
-def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: str) -> None:
-    """Annotate the value at the "start" or "end" of a line, or its "least" value.
+def mark_value(ax: Axes, x: float, value: float, color: str, where: str) -> None:
+    """Annotate the value [m] at the "start" or "end" of a line, or its "least" value.
 
     The last value is in the right margin (above the axis if below its range), the least above its point.
     """
@@ -179,7 +179,7 @@ def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: s
     right, up, ha, va = styles[where]
     taken = [text.get_window_extent().padded(2.0) for text in ax.texts]
     written = ax.annotate(
-        f"{value:.3g} {unit}",
+        f"{value:.3g} m",
         place,
         xycoords=scale,
         xytext=(right, up),

@@ -19,32 +19,6 @@ from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
-from pinposture.viz.palette import (
-    FIGURE_HEIGHT,
-    FIGURE_WIDTH,
-    MAX_NAME_LENGTH,
-    Place,
-    add_colorbar,
-    add_footnote,
-    add_title,
-    colors_along,
-    controller_name,
-    controller_text,
-    ending_text,
-    format_step_axes,
-    format_time_axes,
-    group_alike,
-    is_slowed,
-    limits_text,
-    mark_value,
-    motion_ending_text,
-    new_figure,
-    placement_text,
-    scale_counts,
-    scale_values,
-    share_axis,
-    shown_places,
-)
 from pinposture.viz.postures import (
     PosturePanel,
     draw_intermediate_postures,
@@ -104,13 +78,13 @@ def _plot_errors(
     for (run, label, _), color in zip(runs, colors, strict=True):
         style: dict[str, Any] = {"lw": 1.8, "marker": marker(run.steps + 1), "clip_on": bool(run.steps)}
         ax.plot(np.arange(run.steps + 1), errors(run), color=color, label=label, **style)
-    format_step_axes(ax, name)
-    scale_values(ax)
+    palette.format_step_axes(ax, name)
+    palette.scale_values(ax)
     for (run, label, _), color in zip(runs, colors, strict=True):
         if label is None:
-            mark_value(ax, 0, float(errors(run)[0]), color, "m", "start")
+            palette.mark_value(ax, 0, float(errors(run)[0]), color, "start")
         if run.steps:
-            mark_value(ax, run.steps, float(errors(run)[-1]), color, "m", "end")
+            palette.mark_value(ax, run.steps, float(errors(run)[-1]), color, "end")
 
 
 def plot_point_errors(run: Trajectory, ax: Axes) -> None:
@@ -123,13 +97,13 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
         ax: axes to draw into.
     """
     m, targeted = run.arm.n_modules, np.flatnonzero(run.target.has_target)
-    colors, norm = colors_along(m)
+    colors, norm = palette.colors_along(m)
     style: dict[str, Any] = {"lw": 1.0, "marker": marker(run.steps + 1), "ms": 3}
     for k in targeted:
         ax.plot(np.arange(run.steps + 1), run.point_errors[:, k], color=colors(norm(k + 1)), **style)
-    format_step_axes(ax, "point errors [m]")
-    scale_values(ax)
-    add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
+    palette.format_step_axes(ax, "point errors [m]")
+    palette.scale_values(ax)
+    palette.add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
     if len(targeted) < m:
         _note(ax, f"{m - len(targeted)} of {m} control points have no target")
 
@@ -165,8 +139,8 @@ def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None, place:
     style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker(run.steps)}
     style["transform"] = ax.transData + ScaledTranslation(0.0, 1.6 / 72.0 * place, ax.figure.dpi_scale_trans)
     ax.plot(np.arange(1, run.steps + 1), run.active.sum(axis=1), color=color, **style)
-    format_step_axes(ax, "active control points")
-    scale_counts(ax, run.arm.n_modules)
+    palette.format_step_axes(ax, "active control points")
+    palette.scale_counts(ax, run.arm.n_modules)
 
 
 def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
@@ -174,7 +148,7 @@ def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -
     other = ax.twinx()
     style: dict[str, Any] = {"lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker(run.steps), "ms": 3}
     other.plot(np.arange(1, run.steps + 1), values, color=palette.INK, **style)
-    scale_values(other)
+    palette.scale_values(other)
     other.set_ylabel(label, fontsize=9, color=palette.INK)
     other.tick_params(labelsize=8)
     other.spines[["top", "left", "bottom"]].set_visible(False)
@@ -186,15 +160,16 @@ def plot_used_points(run: Trajectory, ax: Axes) -> None:
     style: dict[str, Any] = {"ls": "none", "marker": "o", "mew": 0.0}
     style["ms"] = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
     ax.plot(steps + 1, points + 1, color=palette.controller_color(run.controller), **style)
-    format_step_axes(ax, "control point, from base to tip")
+    palette.format_step_axes(ax, "control point, from base to tip")
     ax.set_xlim(0.0, run.steps + 1.0)
     ax.set_ylim(0.0, run.arm.n_modules + 1.0)
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
-def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
-    """Mark the steps that a controller took with one of its methods, by red dots on the axis."""
-    _mark_on_axis(ax, np.flatnonzero(run.method == method) + 1, method, marker="o", ms=3.2, mew=0.0)
+def mark_projection(run: Trajectory, ax: Axes) -> None:
+    """Mark the steps that a switching controller left to Projection, by red dots on the axis."""
+    steps = np.flatnonzero(run.method == "projection") + 1
+    _mark_on_axis(ax, steps, "projection", marker="o", ms=3.2, mew=0.0)
 
 
 def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **style: Any) -> None:
@@ -237,8 +212,8 @@ def plot_clearance(
         if margin not in [line.get_label() for line in ax.get_lines()]:
             ends = [0.0, places[-1] or 1.0]
             ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=DASHES, label=margin)
-    (format_step_axes if time is None else format_time_axes)(ax, "clearance [m]")
-    scale_values(ax)
+    (palette.format_step_axes if time is None else palette.format_time_axes)(ax, "clearance [m]")
+    palette.scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
     low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
     if low <= 0.0:
@@ -246,7 +221,7 @@ def plot_clearance(
         ax.set_ylim(low - 0.1 * (high - low), high + 0.15 * (high - low) + 1e-12)
     if np.isfinite(values).any():
         least = int(np.nanargmin(values))
-        mark_value(ax, float(places[least]), float(values[least]), color, "m", "least")
+        palette.mark_value(ax, float(places[least]), float(values[least]), color, "least")
     add_legend(ax)
 
 
@@ -306,8 +281,8 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     ax.plot(motion.time, values, lw=1.8, label="mean" if most.any() else None, **style)
     if most.any():
         ax.plot(motion.time, most, lw=0.8, label="largest", **style)
-    format_time_axes(ax, "point errors [m]")
-    scale_values(ax)
+    palette.format_time_axes(ax, "point errors [m]")
+    palette.scale_values(ax)
     if not most.any():
         ax.set_yticks([0.0])
         where: dict[str, Any] = {"transform": ax.transAxes, "ha": "center", "va": "center"}
@@ -317,14 +292,14 @@ def plot_error(motion: Motion, ax: Axes) -> None:
         low, high = ax.get_ylim()  # leave room below the names for the first value
         ax.set_ylim(low, high * (high / low) ** 0.12 if low > 0.0 else 1.1 * high)
         if values[0]:
-            mark_value(ax, 0, float(values[0]), color, "m", "start")
+            palette.mark_value(ax, 0, float(values[0]), color, "start")
         if values[-1] and run.steps:
-            mark_value(ax, float(motion.time[-1]), float(values[-1]), color, "m", "end")
+            palette.mark_value(ax, float(motion.time[-1]), float(values[-1]), color, "end")
     mark_rising_steps(run, ax, motion.time)
     mark_violations(run, ax, motion.time)
     if motion.start_index:
         style = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
-        ax.axvspan(0.0, motion.time[motion.start_index], label="coming to the first posture", **style)
+        ax.axvspan(0.0, motion.time[motion.start_index], label="moving to the first posture", **style)
     add_legend(ax)
 
 
@@ -341,7 +316,7 @@ def plot_joint_rates(motion: Motion, ax: Axes) -> None:
         largest = max(largest, float(speeds.max(initial=0.0)))
     ends = [0.0, float(motion.time[-1]) or 1.0]
     ax.plot(ends, [1.0, 1.0], color=palette.INK, lw=1.0, ls=DASHES, label="limit")
-    format_time_axes(ax, "largest of all joints\n[share of limit]")
+    palette.format_time_axes(ax, "largest of all joints\n[share of limit]")
     ax.set_ylim(-0.03 * largest, 1.12 * largest)
     add_legend(ax)
 
@@ -351,14 +326,14 @@ def plot_plan_time(motion: Motion, ax: Axes) -> None:
     begin = float(motion.time[motion.start_index])
     plan = [0.0, begin, begin + motion.planned]
     ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
-    label = f"as it was, {motion.time_scale:.3g} times as long"
+    label = f"as executed, {motion.time_scale:.3g} times as long"
     ax.plot(motion.time, motion.plan_time, color=palette.SPARE[1], lw=1.6, label=label)
-    format_time_axes(ax, "time of the plan [s]")
+    palette.format_time_axes(ax, "plan time [s]")
     ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
     add_legend(ax)
 
 
-def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence[float]) -> None:
+def mark_places(places: Sequence[palette.Place], panels: Sequence[Axes], times: Sequence[float]) -> None:
     """Mark the times of places [s] by lines through stacked panels, with names above the first panel."""
     if not places:
         return
@@ -383,13 +358,15 @@ def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence
         first.annotate(name, (at / scale, 1.0), xytext=(0, above), annotation_clip=False, **where, **style)
 
 
-def _merge_close_names(places: Sequence[Place], positions: Sequence[float]) -> list[tuple[float, str]]:
+def _merge_close_names(
+    places: Sequence[palette.Place], positions: Sequence[float]
+) -> list[tuple[float, str]]:
     """Return positions [pt] and names to write; names that are too close are joined as far as they fit."""
     names: list[tuple[float, str]] = []
     for place, at in zip(places, positions, strict=True):
         if not names or at - names[-1][0] >= MIN_NAME_DISTANCE:
             names.append((at, place.name))
-        elif len(names[-1][1]) + len(place.name) < MAX_NAME_LENGTH:
+        elif len(names[-1][1]) + len(place.name) < palette.MAX_NAME_LENGTH:
             names[-1] = names[-1][0], f"{names[-1][1]}, {place.name}"
     return names
 
@@ -405,23 +382,25 @@ def plot_motion(motion: Motion) -> Figure:
     draws: list[Callable[[Motion, Axes], None]] = [plot_error]
     if any(share is not None for share in limit_shares(run)):
         draws.append(plot_joint_rates)
-    if is_slowed(motion):
+    if palette.is_slowed(motion):
         draws.append(plot_plan_time)
     if has_clearance(run):
         draws.append(lambda motion, ax: plot_clearance(motion.run, ax, time=motion.time))
-    figure, postures, rows = new_figure(motion.arm, len(draws))
+    figure, postures, rows = palette.new_figure(motion.arm, len(draws))
     plot_places(motion, postures)
     for draw, panel in zip(draws, rows, strict=True):
         draw(motion, panel)
-    places = shown_places(motion)
+    places = palette.shown_places(motion)
     mark_places(places, rows, [float(time[place.row]) for place in places])
-    share_axis(rows)
+    palette.share_axis(rows)
     deviations = [f"Detour: {text}" for text in motion.deviations[:MAX_DETOURS]]
     if len(motion.deviations) > MAX_DETOURS:
         deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
-    ending = f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}"
-    add_title(figure, [ending, *deviations])
-    add_footnote(figure, controller_text(run), limits_text(run), placement_text(motion))
+    ending = f"{palette.controller_name(run)} {palette.motion_ending_text(motion)}: {run.reason}"
+    palette.add_title(figure, [ending, *deviations])
+    palette.add_footnote(
+        figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(motion)
+    )
     figure.draw_without_rendering()  # the layout of a tall legend needs two passes
     return figure
 
@@ -434,7 +413,7 @@ def plot_places(motion: Motion, ax: Axes) -> None:
     """
     run, panel = motion.run, PosturePanel(motion.arm, ax)
     color = palette.controller_color(run.controller)
-    groups = group_alike(motion, shown_places(motion))
+    groups = palette.group_alike(motion, palette.shown_places(motion))
     rows = [group[0].row for group in groups]
     targets = [motion.targets[row][motion.target_mask[row]] for row in rows or [motion.steps]]
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
@@ -464,9 +443,9 @@ def plot_places(motion: Motion, ax: Axes) -> None:
 def plot_joints(trajectory: JointTrajectory) -> Figure:
     """Plot joint positions, velocities and accelerations over time; see `plot`."""
     count = len(trajectory.joint_names)
-    figure = Figure(figsize=(FIGURE_WIDTH, FIGURE_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(palette.FIGURE_WIDTH, palette.FIGURE_HEIGHT), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
-    colors, norm = colors_along(count)
+    colors, norm = palette.colors_along(count)
     unit = " or ".join(each for each in dict.fromkeys(trajectory.units) if each)
     drawn = {
         "position": (trajectory.positions, ""),
@@ -477,13 +456,13 @@ def plot_joints(trajectory: JointTrajectory) -> Figure:
         for number, values in enumerate(table.T):
             style: dict[str, Any] = {"lw": 1.0, "marker": marker(len(values)), "ms": 3}
             ax.plot(trajectory.time, values, color=colors(norm(number + 1)), **style)
-        format_time_axes(ax, f"{name} [{unit}{per}]" if unit else name)
-    share_axis(panels)
-    add_colorbar(panels, count, "joint, in the order of the trajectory", pad=0.01, aspect=40)
+        palette.format_time_axes(ax, f"{name} [{unit}{per}]" if unit else name)
+    palette.share_axis(panels)
+    palette.add_colorbar(panels, count, "joint, in the order of the trajectory", pad=0.01, aspect=40)
     speeds, accelerations = trajectory.peaks
     largest = f"at most {speeds.max():.3g} {unit}/s and {accelerations.max():.3g} {unit}/s²" if unit else ""
     size = f"{count} joints, {len(trajectory.time)} rows, {trajectory.duration:.4g} s"
-    add_title(figure, [", ".join(filter(None, (trajectory.name, size, largest)))])
+    palette.add_title(figure, [", ".join(filter(None, (trajectory.name, size, largest)))])
     return figure
 
 
@@ -518,19 +497,21 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
         draws.append(plot_active_points)
     if has_clearance(run):
         draws.append(plot_clearance)
-    figure, postures, rows = new_figure(run.arm, len(draws))
+    figure, postures, rows = palette.new_figure(run.arm, len(draws))
     plot_postures(run, postures)
     for draw, panel in zip(draws, rows, strict=True):
         draw(run, panel)
     mark_rising_steps(run, rows[0])
     mark_violations(run, rows[0])
     add_legend(rows[0])
-    share_axis(rows)
+    palette.share_axis(rows)
     if run.switches:
-        mark_method(run, rows[-1])
+        mark_projection(run, rows[-1])
         rows[-1].set_xlabel("step (red: steps by Projection)")
-    add_title(figure, [f"{controller_name(run)} {ending_text(run)}: {run.reason}"])
-    add_footnote(figure, controller_text(run), limits_text(run), placement_text(run))
+    palette.add_title(figure, [f"{palette.controller_name(run)} {palette.ending_text(run)}: {run.reason}"])
+    palette.add_footnote(
+        figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(run)
+    )
     return figure
 
 
@@ -558,14 +539,16 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     colors = palette.distinct_colors(run.controller for run in runs.values())
     drawn = [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)]
     near = any(has_clearance(run) for run in runs.values())
-    figure, postures, rows = new_figure(first.arm, 2 + near)
+    figure, postures, rows = palette.new_figure(first.arm, 2 + near)
     draw_runs(drawn, postures)
     _plot_errors(drawn, rows[0], "mean point error [m]", lambda run: run.mean_error)
     for number, (run, _, color) in enumerate(drawn):
         plot_point_count(run, rows[1], color, (len(drawn) - 1) / 2.0 - number)
         if near:
             plot_clearance(run, rows[2], color)
-    scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))
-    share_axis(rows)
-    add_title(figure, [f"{label} {ending_text(run)}: {run.reason}" for label, run in runs.items()])
+    palette.scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))
+    palette.share_axis(rows)
+    palette.add_title(
+        figure, [f"{label} {palette.ending_text(run)}: {run.reason}" for label, run in runs.items()]
+    )
     return figure

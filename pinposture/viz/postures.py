@@ -35,7 +35,6 @@ from pinposture.viz.drawing import (
     shown_obstacles,
     view_axes,
 )
-from pinposture.viz.palette import add_grid
 
 Array = NDArray[np.float64]
 
@@ -154,7 +153,7 @@ class PosturePanel:
             labels.append(f"{'xyz'[main]} [m]" if direction[main] > 1.0 - 1e-9 else f"{name} the arm [m]")
         self.ax.set_xlabel(labels[0], fontsize=9)
         self.ax.set_ylabel(labels[1], fontsize=9)
-        add_grid(self.ax)
+        palette.add_grid(self.ax)
 
 
 def _join(lines: tuple[Array, ...]) -> Array:
@@ -348,11 +347,11 @@ def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, frameon=False, ncols=3)
 
 
-def evenly_spaced_rows(run: Trajectory, count: int = 8) -> NDArray[np.intp]:
-    """Return inner rows of `run.q` between which the control points move about the same distance."""
+def evenly_spaced_rows(run: Trajectory) -> NDArray[np.intp]:
+    """Return up to eight inner rows of `run.q` at about equal motions of the control points."""
     moved = np.linalg.norm(np.diff(run.points, axis=0), axis=2).mean(axis=1)
     path = np.concatenate([[0.0], np.cumsum(moved)])
-    rows = np.searchsorted(path, np.linspace(0.0, path[-1], count + 2)[1:-1])
+    rows = np.searchsorted(path, np.linspace(0.0, path[-1], 10)[1:-1])
     return np.unique(rows[(rows > 0) & (rows < run.steps)])
 
 
@@ -362,7 +361,7 @@ def draw_intermediate_postures(
     """Draw the postures at given rows of `run.q` as pale lines."""
     pale: dict[str, Any] = {"color": color, "lw": 0.7, "alpha": 0.35, "zorder": 1}
     for k, row in enumerate(rows):
-        panel.line(backbone(run.arm, run.q[row]), label="_" if k else "postures on the way", **pale)
+        panel.line(backbone(run.arm, run.q[row]), label="_" if k else "intermediate postures", **pale)
 
 
 LARGEST_RADIUS = 0.2  # approximate maximum drawn radius, relative to the arm length

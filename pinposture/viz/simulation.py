@@ -11,18 +11,6 @@ from numpy.typing import NDArray
 
 from pinposture.sim import Simulation
 from pinposture.viz import palette
-from pinposture.viz.palette import (
-    FIGURE_HEIGHT,
-    FIGURE_WIDTH,
-    add_colorbar,
-    add_footnote,
-    add_title,
-    colors_along,
-    format_time_axes,
-    mark_value,
-    scale_values,
-    share_axis,
-)
 from pinposture.viz.panels import add_legend, marker
 
 
@@ -39,29 +27,24 @@ def plot_simulation(simulation: Simulation) -> Figure:
         A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown or registered with
         pyplot.
     """
-    figure = Figure(figsize=(FIGURE_WIDTH, FIGURE_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(palette.FIGURE_WIDTH, palette.FIGURE_HEIGHT), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
-    _plot_joint_error(simulation, panels[0])
+    _plot_joints(simulation, simulation.joint_error, panels[0])
+    palette.format_time_axes(panels[0], f"joint error [{_unit(simulation, 'rad', 'm')}]")
+    panels[0].set_ylim(bottom=0.0)
     _plot_point_errors(simulation, panels[1])
     _plot_torques(simulation, panels[2])
-    share_axis(panels)
+    palette.share_axis(panels)
     count = len(simulation.arm.columns)
-    add_colorbar([panels[0], panels[2]], count, "joint, from base to tip", pad=0.01, aspect=40)
+    palette.add_colorbar([panels[0], panels[2]], count, "joint, from base to tip", pad=0.01, aspect=40)
     strength = float(np.linalg.norm(simulation.gravity))
     weight = f"gravity {strength:.4g} m/s²" if strength else "no gravity"
-    add_title(figure, [f"{simulation.loop} loop, {weight}: {simulation.status}, {simulation.reason}"])
+    palette.add_title(figure, [f"{simulation.loop} loop, {weight}: {simulation.status}, {simulation.reason}"])
     servos = simulation.servos
     compensated = f"{'with' if servos.gravity_compensation else 'without'} gravity compensation"
     described = f"servos of {servos.frequency:g} Hz, damping ratio {servos.damping:g}, {compensated}"
-    add_footnote(figure, described, f"physics steps of at most {servos.timestep:g} s")
+    palette.add_footnote(figure, described, f"physics steps of at most {servos.timestep:g} s")
     return figure
-
-
-def _plot_joint_error(simulation: Simulation, ax: Axes) -> None:
-    """Plot the distance of each joint from its set point, on a linear axis."""
-    _plot_joints(simulation, simulation.joint_error, ax)
-    format_time_axes(ax, f"joint error [{_unit(simulation, 'rad', 'm')}]")
-    ax.set_ylim(bottom=0.0)
 
 
 def _plot_point_errors(simulation: Simulation, ax: Axes) -> None:
@@ -74,10 +57,10 @@ def _plot_point_errors(simulation: Simulation, ax: Axes) -> None:
         ax.plot(
             simulation.time, values, color=color, lw=1.8, label=label, marker=marker(len(simulation.time))
         )
-    format_time_axes(ax, "mean point error [m]")
-    scale_values(ax)
+    palette.format_time_axes(ax, "mean point error [m]")
+    palette.scale_values(ax)
     for values, color in lines.values():
-        mark_value(ax, simulation.time[-1], float(values[-1]), color, "m", "end")
+        palette.mark_value(ax, simulation.time[-1], float(values[-1]), color, "end")
     add_legend(ax)
 
 
@@ -86,11 +69,11 @@ def _plot_torques(simulation: Simulation, ax: Axes) -> None:
     limited = np.isfinite(simulation.torque_limits)
     if not np.any(limited[simulation.arm.columns]):
         _plot_joints(simulation, simulation.torques, ax)
-        format_time_axes(ax, f"torque [{_unit(simulation, 'N m', 'N')}]")
+        palette.format_time_axes(ax, f"torque [{_unit(simulation, 'N m', 'N')}]")
         return
     shares = 100.0 * simulation.torques / simulation.torque_limits
     _plot_joints(simulation, shares, ax)
-    format_time_axes(ax, "torque [% of limit]")
+    palette.format_time_axes(ax, "torque [% of limit]")
     if float(np.abs(shares).max()) > 50.0:
         for limit in (-100.0, 100.0):
             ax.axhline(limit, color=palette.REST, lw=1.0, zorder=0)
@@ -99,7 +82,7 @@ def _plot_torques(simulation: Simulation, ax: Axes) -> None:
 
 
 def _plot_joints(simulation: Simulation, values: NDArray[np.float64], ax: Axes) -> None:
-    colors, norm = colors_along(len(simulation.arm.columns))
+    colors, norm = palette.colors_along(len(simulation.arm.columns))
     symbol = marker(len(simulation.time))
     for number, column in enumerate(simulation.arm.columns, start=1):
         ax.plot(simulation.time, values[:, column], color=colors(norm(number)), lw=1.0, marker=symbol, ms=3)

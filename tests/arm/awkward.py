@@ -150,6 +150,13 @@ WARNED = {
             "modules 1, 2: too few of their joints' axes differ",
         ],
     ),
+    "joints that may not move": (
+        arm_text([("revolute", Y, LINK, limit(-1, 1, velocity=0)), ("revolute", Z, LINK), *pairs(1)]),
+        {},
+        4,
+        2,
+        ["the velocity limit of joint 'j1' is 0; treated as no limit"],
+    ),
     "limits in degrees": (
         arm_text([("revolute", Y, LINK, limit(-90, 90)), ("revolute", Z, LINK, limit(-15, 10)), *pairs(1)]),
         {},

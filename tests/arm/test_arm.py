@@ -20,7 +20,7 @@ import pinposture as pp
 from pinposture.arm import continuum_section
 from pinposture.arm.configurations import JointLimits, check_joint_positions, plausible_positions
 from pinposture.control import controller_named
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, UnknownName, no_warnings
 
 L1, L2 = 0.03, 0.02
 SLIDE = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.05)
@@ -106,6 +106,15 @@ def test_indices_do_not_depend_on_where_the_arm_stands(arm: pp.Arm) -> None:
     )
     q = arm.random(np.random.default_rng(3))
     np.testing.assert_allclose(far.at(q).manipulability(), arm.at(q).manipulability(), atol=1e-7)
+
+
+def test_an_arm_whose_joints_do_not_move_its_tip_lies_along_a_line() -> None:
+    roll = pp.ModuleTemplate("Rx", (pp.JointSpec("x"),), (0.1,))
+    with no_warnings():  # it is one module
+        arm = pp.Arm.from_modules([roll] * 3)
+    target = pp.resolve_targets(arm, pp.Curve.line([0.0, 0.0, 0.0], [0.0, 1.0, 0.0]), placement="align")
+    np.testing.assert_allclose(target.points[-1], [0.3, 0.0, 0.0], atol=1e-9)
+    assert pp.track(arm, target, arm.straight()).converged
 
 
 def test_planar_indices_use_the_plane() -> None:
@@ -267,6 +276,17 @@ def test_slides_extend_the_straight_arm_to_their_limits_and_its_joints_are_at_ze
 def test_a_bad_configuration_is_named(arm: pp.Arm, q: object, message: str) -> None:
     with pytest.raises(InvalidValue, match=message):
         arm.at(q)
+
+
+def test_one_number_per_joint_is_no_configuration_of_continuous_joints() -> None:
+    module = pp.ModuleTemplate("c", (pp.JointSpec("y", type="continuous"), pp.JointSpec("z")), (0.1, 0.1))
+    arm = pp.Arm.from_modules([module] * 2)
+    with pytest.raises(InvalidValue, match=r"\(4,\); allowed: \(6,\) .* see Arm.configuration"):
+        arm.at([0.1, 0.2, 0.3, 0.4])
+    with pytest.raises(InvalidValue, match=r"q_measured .* see Arm.configuration"):
+        pp.Tracker(arm, limits=pp.Limits(dt=0.01)).step([0.1, 0.2, 0.3, 0.4])
+    with pytest.raises(InvalidValue, match=r"\(5,\); allowed: \(6,\) for this arm$"):
+        arm.at([0.1] * 5)
 
 
 def test_a_singular_rotation_is_refused_for_continuous_joints() -> None:

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 import pinposture as pp
 from pinposture import kernels
 from pinposture.arm import Coupling, JointSpec, ModuleTemplate, continuum_section, smooth_configuration
-from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.errors import InvalidValue, PostureWarning, UnknownName, URDFError
 from pinposture.kernels.arrays import FULL, Rows
 
@@ -186,7 +185,7 @@ def test_modules_do_not_cut_through_coupled_joints():
 def test_every_posture_control_matrix_is_that_of_the_dense_jacobian():
     arm = coupled_arm(4)
     state = arm.at(arm.random(1)).compiled
-    known, screws = constants_of(arm), screws_of(state)
+    known, screws = arm.kinematics.task_constants, state.screws
     rows = Rows(known.every, known.dimensions, known.frames, FULL)
     for j in range(arm.nv):
         values = np.empty((arm.n_modules, 3))

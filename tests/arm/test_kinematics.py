@@ -9,7 +9,6 @@ from sampling import seeds
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.errors import InvalidValue
 
 KINDS = {
@@ -78,7 +77,7 @@ def test_the_pass_along_the_chain_gives_what_pinocchio_does(seed):
         compiled = arm.kinematics.jacobians(state.forward)
         np.testing.assert_allclose(compiled, state.jacobians, atol=1e-12 * size)
         lines = state.forward.axes, state.forward.origins
-        chain, known, screws = arm.kinematics, constants_of(arm), screws_of(state).screws
+        chain, known, screws = arm.kinematics, arm.kinematics.task_constants, state.screws.screws
         along = np.empty_like(screws)
         given = chain.constants, known.joints, known.units, *lines, chain.ends, state.forward.points
         kernels.find_screws(*given, along)

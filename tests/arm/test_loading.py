@@ -15,7 +15,7 @@ from arm.describing import LINK, Y, Z, arm_text, fixed, limit, links, moving, pa
 from arm.faults import FAULTS
 
 import pinposture as pp
-from pinposture.errors import PostureError, PostureWarning, URDFError
+from pinposture.errors import InvalidValue, PostureError, PostureWarning, URDFError
 
 
 def loaded(text, **arguments):
@@ -194,3 +194,18 @@ def test_the_same_name_of_link_and_joint_is_found_as_a_control_point():
     model = pin.buildModelFromXML(arm_text(pairs(2)).replace('"jt"', '"tip"'))
     arm = pp.Arm.from_model(model, ["l2", "tip"])
     np.testing.assert_allclose(arm.chain.points[-1], [0.5, 0.0, 0.0], atol=1e-13)
+
+
+def test_a_model_whose_limits_are_crossed_is_refused():
+    model = pin.buildModelFromXML(arm_text(pairs(2)))
+    model.lowerPositionLimit[2], model.upperPositionLimit[2] = 1.0, -1.0
+    with pytest.raises(InvalidValue, match=r"limits of joint 'j3' is \(1.0, -1.0\); allowed: lower <= upper"):
+        pp.Arm.from_model(model, ["l2", "tip"])
+
+
+def test_a_speed_limit_of_zero_is_reported_for_models_too():
+    model = pin.buildModelFromXML(arm_text(pairs(2)))
+    model.velocityLimit[:] = [0.0, 1.0, 0.0, 1.0]
+    arm, messages = loaded(model)
+    assert messages == ["the velocity limit of joints 'j1', 'j3' is 0; treated as no limit"]
+    np.testing.assert_array_equal(arm.limits.velocity, [np.inf, 1.0, np.inf, 1.0])

@@ -119,8 +119,6 @@ def test_a_letter_stands_for_a_unit_vector(letter, vector):
         ({"axis": (1, 0, math.nan)}, "joint axis"),
         ({"axis": ("1", "0", "0")}, "joint axis"),
         ({"axis": None}, "joint axis"),
-        ({"axis": "x", "type": "ball"}, "joint type"),
-        ({"axis": "x", "type": None}, "joint type"),
         ({"axis": "x", "lower": 1.0, "upper": 1.0}, "joint limits"),
         ({"axis": "x", "lower": 1.0, "upper": 0.0}, "joint limits"),
         ({"axis": "x", "upper": math.inf}, "upper"),
@@ -138,6 +136,14 @@ def test_a_bad_joint_is_refused_by_name(fields, name):
     with pytest.raises(InvalidValue) as caught:
         JointSpec(**fields)
     assert caught.value.name == name
+
+
+@pytest.mark.parametrize(("kind", "hint"), [("revolut", " (did you mean 'revolute'?)"), (None, "")])
+def test_an_unknown_type_of_joint_is_refused_with_those_there_are(kind, hint):
+    with pytest.raises(UnknownName) as caught:
+        JointSpec("x", type=kind)
+    there_are = "there are: revolute, prismatic, continuous"
+    assert str(caught.value) == f"no type of joint is called {kind!r}{hint}; {there_are}"
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,62 @@ def test_boxes_and_scans_of_them_are_equally_far() -> None:
     assert -0.5 < points["clearance"] - boxes["clearance"] < 5.0  # there is nothing between the points
 
 
+class Recorder:
+    """Stands in for the tracker of an arm that stays where it is, and records what it is given."""
+
+    def __init__(self, arm: pp.Arm) -> None:
+        self.command, self.goals, self.measured = np.zeros(arm.nq), [], []
+
+    def update(self, target: pp.Target) -> None:
+        self.goals.append(target.q)
+
+    def step(self, measured: np.ndarray, scene: pp.Scene) -> np.ndarray:
+        self.measured.append(measured)
+        return np.zeros(len(measured))
+
+
+@pytest.mark.parametrize("swing", [0.0, 0.15])
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_goals_swing_and_measurements_are_noisy_as_asked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], swing: float, noise: float
+) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import moving_obstacles
+
+    made: list[Recorder] = []
+
+    def make(arm: pp.Arm, **_: object) -> Recorder:
+        made.append(Recorder(arm))
+        return made[-1]
+
+    asked = ["", "--draws", "1", "--json", "--swing", str(swing), "--noise", str(noise)]
+    monkeypatch.setattr(pp, "Tracker", make)
+    monkeypatch.setattr(sys, "argv", asked)
+    assert moving_obstacles.main() == 0
+    assert json.loads(capsys.readouterr().out)["arrived"] == 0  # it never moves
+    [tracker], cycles = made, moving_obstacles.CYCLES
+    errors = np.array(tracker.measured[1:])  # after the first cycle the command is zero
+    assert errors.shape == (cycles - 1, 40)
+    np.testing.assert_allclose([errors.mean(), errors.std()], [0.0, noise], atol=0.03 * noise)
+    goals = np.array(tracker.goals)
+    if not swing:
+        assert len(goals) == 1
+        return
+    shares = goals / goals[0] - 1.0  # it begins in the middle
+    np.testing.assert_allclose(shares, np.broadcast_to(shares[:, :1], (cycles, 40)), atol=1e-9)
+    assert [shares.min(), shares.max()] == pytest.approx([-swing, swing], rel=1e-3)
+
+
+@pytest.mark.studies
+@pytest.mark.parametrize("options", [(), ("--swing", "0.15", "--noise", "0.002")])
+def test_the_margin_to_a_moving_ball_is_kept(options: tuple[str, ...]) -> None:
+    found = printed("moving_obstacles.py", "--draws", "2", *options)
+    assert (found["draws"], found["margin_kept"], found["arrived"]) == (2, 2, 2)
+    assert found["smallest_distance"] > 0.0048
+    assert 0.5 < found["largest_acceleration"] <= 1.0 + 1e-9
+    assert 0.0 < found["cycle_ms"]["p50"] <= found["cycle_ms"]["p99"] <= found["cycle_ms"]["p99.9"]
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize("options", [(), ("--free", "--seed", "3")])
 def test_limits_hold_in_a_loop_where_everything_goes_wrong(options: tuple[str, ...]) -> None:

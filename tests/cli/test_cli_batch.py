@@ -131,7 +131,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
         (("--ends-only",), "--ends-only is True; allowed: only with --output"),
         (("--curve", "line", "--count", 3), r"(2, 3)"),
         (("-o", "TEXT/many"), "is a file"),
-        (("-o", "many.npz"), "a directory, in which batch.npz is saved"),
+        (("-o", "many.npz"), "a directory, in which files are saved"),
         (("--controller", "lm", "--joint-weight", 1), "--joint-weight"),
     ],
 )

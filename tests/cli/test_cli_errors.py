@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,13 +25,16 @@ CASES = [
     Case("unknown verb", "tracc", ("'tracc'", "pinposture --help")),
     Case("unknown option", "inspect ARM --depth 3", ("--depth", "pinposture inspect --help")),
     Case("missing option", "track ARM", ("'--curve'", "pinposture track --help")),
-    Case("missing argument", "generate --modules 3", ("TEMPLATE", "pinposture generate --help")),
+    Case("missing argument", "generate --modules 3", ("TEMPLATE is None", "pinposture generate --list")),
     Case("not a number", "track ARM --curve helix --steps many", ("--steps", "integer")),
     # generate
     Case("unknown template", "generate RyRx --modules 3", ("'RyRx'", "did you mean 'RyRz'", "RzRzRz")),
+    Case("modules not given", "generate RyRz", ("--modules is None", "1 to 10000")),
     Case("no modules", "generate RyRz --modules 0", ("--modules is 0", "1 to 10000")),
     Case("too many modules", "generate RyRz --modules 10001", ("--modules is 10001", "1 to 10000")),
-    Case("a length too few", "generate RyRz -n 3 --link-lengths 0.1", ("link_lengths", "[0.1]", "2 lengths")),
+    Case(
+        "a length too few", "generate RyRz -n 3 --link-lengths 0.1", ("--link-lengths is [0.1]", "2 lengths")
+    ),
     Case("length NaN", "generate RyRz -n 3 --link-lengths 0.1,nan", ("link_lengths[1]", "nan", "0 to 1e6 m")),
     Case("length -1", "generate RyRz -n 3 --link-lengths=-1,1", ("link_lengths[0]", "-1", "0 to 1e6 m")),
     Case("no lengths", "generate RyRz -n 3 --link-lengths a,b", ("--link-lengths", "'a,b'", "numbers")),
@@ -58,7 +63,8 @@ CASES = [
     Case("sizes and links", "inspect ARM --modules 2,tip", ("'2'", "link")),
     Case("links out of order", "inspect ARM --modules m03_l2,m02_l2,tip", ("'m02_l2'", "in order")),
     Case("plot under a file", "inspect ARM --plot ARM/x.png", ("ARM", "a directory")),
-    Case("plot is a directory", "inspect ARM --plot DIR", ("DIR", "is a directory", "a file")),
+    Case("name too long", f"view {'x' * 300}", ("x" * 300, "File name too long")),
+    Case("plot is a directory", "inspect ARM --plot DIR/a.png", ("DIR/a.png", "is a directory", "a file")),
     # the curve
     Case("unknown preset", "track ARM --curve helx", ("'helx'", "did you mean 'helix'", "line, helix")),
     Case("missing curve", "track ARM --curve DIR/none.csv", ("DIR/none.csv", "no such file")),
@@ -86,12 +92,12 @@ CASES = [
     Case(
         "unknown method", "track ARM --curve helix --method best", ("'best'", "auto, sequential, smooth, cl")
     ),
-    Case("roll NaN", "track ARM --curve helix --roll nan", ("roll is nan", "finite")),
+    Case("roll NaN", "track ARM --curve helix --roll nan", ("--roll is nan", "finite")),
     # the motion
     Case("unknown controller", "track ARM --curve line --controller magic", ("'magic'", "selection, projec")),
-    Case("no steps", "track ARM --curve line --steps 0", ("max_steps is 0", "at least 1")),
-    Case("step limit 0", "track ARM --curve line --step-limit 0", ("step is 0", "positive")),
-    Case("step limit NaN", "track ARM --curve line --step-limit nan", ("step is nan", "positive")),
+    Case("no steps", "track ARM --curve line --steps 0", ("--steps is 0", "at least 1")),
+    Case("step limit 0", "track ARM --curve line --step-limit 0", ("--step-limit is 0", "positive")),
+    Case("step limit NaN", "track ARM --curve line --step-limit nan", ("--step-limit is nan", "positive")),
     Case("tolerance 0", "track ARM --curve line --tolerance 0", ("tolerance is 0", "> 0")),
     Case("tolerance inf", "track ARM --curve line --tolerance inf", ("tolerance is inf", "> 0")),
     Case("seed -1", "track ARM --curve line --seed -1", ("--seed is -1", "at least 0")),
@@ -113,11 +119,39 @@ CASES = [
     ),
     Case("start matrix", "track ARM --curve line --start DIR/matrix.npy", ("DIR/matrix.npy", "numbers")),
     Case("start in words", "track ARM --curve line --start DIR/text.csv", ("DIR/text.csv", "'hello'")),
+    Case("empty start", "track ARM --curve line --start DIR/empty.csv", ("DIR/empty.csv", "it is empty")),
+    Case(
+        "start of bytes", "track ARM --curve line --start DIR/bytes.csv", ("DIR/bytes.csv", "not UTF-8", "0")
+    ),
+    Case("array of bytes", "track ARM --curve line --start DIR/bytes.npy", ("DIR/bytes.npy", "no array")),
+    Case("starts of bytes", "batch ARM --curve line --starts DIR/bytes.csv", ("DIR/bytes.csv", "not UTF-8")),
+    Case("table of bytes", "batch ARM --curve line --starts DIR/bytes.npy", ("DIR/bytes.npy", "no array")),
     Case("start object", "track ARM --curve line --start DIR/far.json", ("DIR/far.json", "(not a list)")),
-    Case("deep start", "track ARM --curve line --start DIR/deep.json", ("DIR/deep.json", "not a list")),
+    Case("deep start", "track ARM --curve line --start DIR/deep.json", ("DIR/deep.json", "nested too deep")),
     Case("start NaN in a file", "track ARM --curve line --start DIR/nan.json", ("start[3] is nan", "finite")),
+    Case("nul bytes", "track ARM --curve DIR/nul.csv", ("DIR/nul.csv", "line 1", r"\x00\x1b[31m", " ...")),
+    # numbers without measure
+    Case("too many jobs", "batch ARM --curve line --jobs 100000000000", ("'--jobs'", "1000")),
+    Case("too many seeds", "study scenes --seeds 100000000000", ("'--seeds'", "1000000")),
+    Case("too wide", "reproduce 6.3 --width 1e300 -o DIR/rep", ("'--width'", "1000")),
+    Case("too narrow", "reproduce 6.3 --width 1e-300 -o DIR/rep", ("'--width'", "20")),
+    Case("negative seed", "study scenes --seed0 -1", ("--seed0 is -1", "at least 0")),
     # the output
     Case("output is a file", "track ARM --curve line -o ARM", ("ARM", "is a file", "a directory")),
+    *(
+        Case(
+            f"{verb} into a file",
+            f"{verb} {line} -o DIR/new.npz",
+            ("--output is 'DIR/new.npz'", "a directory"),
+        )
+        for verb, line in {
+            "track": "ARM --curve line",
+            "batch": "ARM --curve line",
+            "reach": "ARM --to 0,0,0.1",
+            "run": "DIR/task.toml",
+            "study postures": "--cases 1",
+        }.items()
+    ),
     Case("output under a file ", "track ARM --curve line -o ARM/out", ("ARM", "is a file")),
     # study
     Case("unknown study", "study armz", ("'armz'", "arms", "pinposture study --help")),
@@ -130,10 +164,28 @@ CASES = [
     Case("missing run", "view DIR/none.npz", ("DIR/none.npz", "no such file")),
     Case("directory without a run", "view DIR", ("DIR/run.npz", "no such file")),
     Case("not a run", "view DIR/matrix.npy", ("DIR/matrix.npy", "is not a saved run")),
-    Case("picture under a file", "view RUN --png ARM/x.png", ("ARM", "a directory")),
-    Case("picture is a directory", "view RUN --png DIR", ("DIR", "is a directory", "a file")),
-    Case("animation under a file", "view RUN --html ARM/x.html", ("ARM", "is a file")),
+    Case("picture under a file", "view RUN -o ARM/x.png", ("ARM", "a directory")),
+    Case("unknown viewer", "view RUN --viewer x -o DIR/x.html", ("'x'", "meshcat, foxglove")),
+    Case("neither picture", "view RUN -o DIR/x.pdf", ("DIR/x.pdf", "'.pdf'", "allowed: .html, .png")),
+    Case("picture is a directory", "view RUN -o DIR/a.png", ("DIR/a.png", "is a directory", "a file")),
+    Case("animation under a file", "view RUN -o ARM/x.html", ("ARM", "is a file")),
 ]
+
+
+TASK = """
+[arm]
+template = "RyRz"
+modules = 4
+[limits]
+cycle = "50 ms"
+[output]
+formats = ["npz", "csv", "json"]
+[[keyframes]]
+joints = [0, 0, 0, 0, 0, 0, 0, 0]
+[[keyframes]]
+time = "1 s"
+joints = [0.1, 0, 0, 0, 0, 0, 0, 0]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +198,9 @@ def directory(command, tmp_path_factory):
         "orphan.urdf": '<robot name="r"><link name="a"/><joint name="j" type="revolute"><parent link="a"/>'
         '<child link="nowhere"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>'
         "</joint></robot>",
+        "task.toml": TASK,
+        "empty.csv": "",
+        "nul.csv": "\0\x1b[31m" * 1000,
         "one.csv": "x,y,z\n0,0,0\n",
         "one.xyz": "0 0 0\n1 0 0\n",
         "twice.csv": "0,0,0\n1,0,0\n1,0,0\n2,0,0\n",
@@ -164,6 +219,9 @@ def directory(command, tmp_path_factory):
     np.save(path / "pickled.npy", np.zeros(12).astype(object), allow_pickle=True)
     np.save(path / "matrix.npy", np.zeros((1, 12)))
     os.mkfifo(path / "pipe")
+    (path / "a.png").mkdir()
+    for name in ("bytes.csv", "bytes.npy"):
+        (path / name).write_bytes(bytes(range(255, 0, -1)))
     with (path / "archive.npy").open("wb") as file:
         np.savez(file, q=np.zeros(12))
     return path
@@ -187,9 +245,15 @@ def test_wrong_input_is_refused_in_one_line_that_names_it(
     assert result.err.startswith("error: ")
     assert result.err.count("\n") == 1
     assert result.err.endswith("\n")
+    assert result.err[:-1].isprintable() and len(result.err) < 1100
     for text in case.says:
         assert placed(text) in result.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_bytes_on_stdin_are_no_robot(command):
+    error = "error: stdin: is not UTF-8 text (byte 5)\n"
+    assert command("inspect", "-", input=b"<robo\xff>") == (2, "", error)
 
 
 def test_a_refused_output_directory_costs_no_run(command, arm_file, monkeypatch):
@@ -222,11 +286,56 @@ def test_arguments_in_a_message_are_written_as_options_of_the_verb(command, monk
 
     monkeypatch.setattr("pinposture.cli.inputs.ArmOptions.read", refuse)
     options = ("--curve", "line") if verb == "track" else ()
-    assert command(verb, "arm.urdf", *options) == (2, "", f"error: curve is 1; allowed: {says}\n")
+    assert command(verb, "arm.urdf", *options) == (2, "", f"error: --curve is 1; allowed: {says}\n")
 
 
 def test_brackets_in_a_message_are_text_and_no_markup(command):
     assert "'[red]x[/red]'" in command("generate", "[red]x[/red]", "--modules", 2).err
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)], ids=["words", "json"])
+@pytest.mark.parametrize(
+    ("line", "wrote", "lost", "others"),
+    [
+        ("track ARM --curve helix --steps 3", ["run.png"], "run.html", "; not written either: run.npz"),
+        ("run TASK", ["motion.json", "motion.csv"], "motion.npz", ""),
+        ("batch ARM --curve helix --count 1 --steps 3", [], "batch.npz", ""),
+        ("simulate RUN --dt 1 --hold 0 --no-gravity", ["simulation.png"], "simulation.npz", ""),
+        ("reach ARM --to 0.1,0,0.1", ["posture_1.json"], "postures.png", ""),
+    ],
+)
+@pytest.mark.usefixtures("no_pictures")
+def test_a_full_disk_costs_the_files_but_not_the_summary(
+    command, arm_file, run_directory, tmp_path, monkeypatch, options, line, wrote, lost, others
+):
+    (tmp_path / "task.toml").write_text(TASK)
+    places = {"ARM": str(arm_file), "RUN": str(run_directory), "TASK": str(tmp_path / "task.toml")}
+    words = [places.get(word, word) for word in line.split()]
+    out, replace = tmp_path / "out", Path.replace
+    alone = command(*words, *options)
+    assert alone.code in (0, 1)
+
+    def replace_while_there_is_space(draft: Path, final: Path) -> Path:
+        if final.name not in (*wrote, "status.json"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return replace(draft, final)
+
+    monkeypatch.setattr(Path, "replace", replace_while_there_is_space)
+    result = command(*words, *options, "-o", out)
+    assert result.code == 2
+    error = f"error: {out / lost}: cannot be written (No space left on device){others}"
+    notes = [f"wrote {out / name}" for name in wrote]
+    assert [each for each in result.err.splitlines() if "note: " not in each] == [*notes, error]
+    assert sorted(path.name for path in out.rglob("*") if path.name != "status.json") == sorted(wrote)
+    if options:
+        told, expected = json.loads(result.out), json.loads(alone.out)
+        files = told.pop("files", None) or []
+        assert [*(files.values() if isinstance(files, dict) else files)] == [
+            str(out / name) for name in wrote
+        ]
+        assert told.keys() == expected.keys() - {"files"}
+    else:
+        assert result.out == alone.out
 
 
 def test_an_interrupted_picture_leaves_nothing(command, run_directory, tmp_path, monkeypatch):
@@ -234,5 +343,5 @@ def test_an_interrupted_picture_leaves_nothing(command, run_directory, tmp_path,
         raise KeyboardInterrupt
 
     monkeypatch.setattr("pinposture.viz.plot", interrupted)
-    assert command("view", run_directory, "--png", tmp_path / "new" / "plot.png").code == 130
+    assert command("view", run_directory, "-o", tmp_path / "new" / "plot.png").code == 130
     assert list(tmp_path.iterdir()) == []

@@ -54,6 +54,19 @@ def test_every_template_is_listed(command):
     assert [row.split()[0] for row in rows if row.strip() and row.split()[0] in TEMPLATES] == list(TEMPLATES)
 
 
+@pytest.mark.parametrize("options", [("--list", "--json"), ("--json", "--list")])
+def test_the_templates_in_json_can_be_built(command, options):
+    result = command("generate", *options)
+    listed = json.loads(result.out)["templates"]
+    assert (result.code, result.err) == (0, "")
+    for template in listed:
+        joints = [pp.arm.JointSpec(**joint) for joint in template.pop("joints")]
+        length = template.pop("length")
+        module = pp.arm.ModuleTemplate(joints=tuple(joints), **template)
+        assert pp.Arm.from_modules([module] * 2).length == pytest.approx(2 * length - module.lead)
+    assert [template["name"] for template in listed] == list(TEMPLATES)
+
+
 def test_a_link_is_followed_and_stays_a_link(command, tmp_path):
     real, link = tmp_path / "real.urdf", tmp_path / "link.urdf"
     real.write_text("old")

@@ -39,7 +39,7 @@ def test_stdout_holds_one_json_object_and_nothing_else(arm_file, tmp_path):
     assert result.returncode == 1  # it is too short to get there
     assert json.loads(result.stdout)["steps"] == 5
     assert result.stderr.splitlines() == [
-        f"wrote {tmp_path / name}" for name in ("run.npz", "run.png", "run.html")
+        f"wrote {tmp_path / name}" for name in ("run.png", "run.html", "run.npz")
     ]
 
 

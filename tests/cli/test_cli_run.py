@@ -135,6 +135,7 @@ def test_a_check_moves_and_writes_nothing(command, task, tmp_path, monkeypatch):
                 "off_curve": ANY,
                 "tip_off": None,
                 "clearance": None,
+                "pair": None,
                 "moved": {"translation": pytest.approx(way), "rotation": ANY},
             }
             # A helix begins beside its axis, this one at (0, 0, 0.1); it is taken from the base.
@@ -189,7 +190,7 @@ def test_after_a_failed_run_no_command_uses_the_directory(command, task, tmp_pat
     for verb in (
         ("export", out, "-o", tmp_path / "joints.csv"),
         ("simulate", out),
-        ("view", out, "--png", tmp_path / "motion.png"),
+        ("view", out, "-o", tmp_path / "motion.png"),
     ):
         code, printed, said = command(*verb)
         assert (code, printed) == (2, "")
@@ -309,4 +310,16 @@ def test_a_check_of_a_posture_inside_something_ends_with_code_1(command, task):
     task.write_text(text)
     result = command("run", task, "--check")
     assert result.code == 1
-    assert "straight: the arm is" in result.err and "mm inside something" in result.err
+    assert re.search(r"straight: m0\d_\w+ and ball would penetrate by [\d.]+ mm", result.err)
+
+
+def test_a_check_names_postures_closer_than_the_margin(command, task):
+    """The straight arm, of a radius of 5 mm, is 25 mm from the ball."""
+    ball = '[scene.obstacles.ball]\ntype = "sphere"\ncenter = [0.1, 0, 0.05]\nradius = 0.02\n'
+    for margin, said in ((0.001, False), (0.05, True)):
+        text = TASK.replace("trim = true", 'trim = true\nplacement = "align"')
+        task.write_text(f"{text}[scene]\nmargin = {margin}\n{ball}")
+        result = command("run", task, "--check")
+        assert result.code == 0
+        assert re.search(r"straight .* m0\d_\w+ to ball +where it was drawn", result.out)
+        assert ("and ball would be" in result.err and "the margin is 50 mm" in result.err) == said

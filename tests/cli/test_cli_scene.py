@@ -133,13 +133,16 @@ def test_what_gave_way_is_told_with_the_step(command, arm_file, tmp_path, no_pic
     summary = json.loads(command(*asked, "-o", tmp_path, "--json").out)
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
     assert summary["violated_constraints"][0]["step"] == 0
-    assert "position limits of joint 'm01_j2_z'" in summary["violated_constraints"][0]["what"][0]
+    assert "position limit: joint 'm01_j2_z'" in summary["violated_constraints"][0]["what"][0]
     assert {each["step"]: each["what"] for each in summary["violated_constraints"]} == {
         k: text.splitlines() for k, text in enumerate(run.violated_constraints) if text
     }
     (line,) = (line for line in command(*asked).out.splitlines() if line.startswith("violated"))
     count = len(summary["violated_constraints"])
-    assert f"constraints in {count} steps; first in step 1: position limits" in line
+    assert f"position limit in {count} steps; first in step 1: position limit: joint" in line
+    assert summary["violated_steps"] == {
+        "position limit": [k for k, text in enumerate(run.violated_constraints) if text]
+    }
     assert line.rstrip().endswith(" ...")
     assert len(line.rstrip()) < 300
 

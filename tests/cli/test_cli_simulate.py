@@ -37,7 +37,7 @@ def test_a_run_is_simulated_kept_and_told(command, timed_run, tmp_path, loop):
     assert f"{loop} loop, gravity, {len(kept.time) - 1} cycles of 0.02 s" in result.out
     assert ("\ntarget " in result.out) == (loop == "closed")
     assert result.err.splitlines()[-2:] == [
-        f"wrote {out / name}" for name in ("simulation.npz", "simulation.png")
+        f"wrote {out / name}" for name in ("simulation.png", "simulation.npz")
     ]
     assert (out / "simulation.png").read_bytes().startswith(b"\x89PNG\r\n")
 
@@ -85,6 +85,10 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
     ("arguments", "reason"),
     [
         (["nowhere"], "no such file"),
+        (["nowhere.csv"], "nowhere.csv: no such file"),
+        (["nowhere.npz", "--urdf", "ARM"], "nowhere.npz: no such file"),
+        (["RUN", "--frequency", "1e300"], "'--frequency'"),
+        (["RUN", "--hold", "1e300"], "'--hold'"),
         (["RUN", "--urdf", "ARM"], "--urdf is"),
         (["RUN", "--dt", "0.03"], "dt is 0.03"),
         (["UNTIMED"], "dt is None"),

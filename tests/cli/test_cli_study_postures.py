@@ -68,6 +68,15 @@ def test_without_a_file_both_arms_that_are_built_in_are_studied(command):
     assert {row["arm"] for row in found["rows"]} == {"ryrz20", "planar45"}
 
 
+def test_a_study_is_saved_even_if_nobody_reads_what_is_printed(command, tmp_path, monkeypatch):
+    def gone(*_: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr("pinposture.cli.studies.print_table", gone)
+    command(*QUICK, "--arms", "ryrz20", "--cases", 1, "-o", tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"cases.csv", "postures.png", "summary.json"}
+
+
 @pytest.mark.studies
 def test_a_loaded_arm_and_the_files_that_are_left(command, arm_file, tmp_path):
     out = tmp_path / "new"
@@ -146,13 +155,13 @@ def test_help_has_paragraphs_and_examples(command, verb):
         ("postures --controllers simplex", "'simplex'"),
         ("postures --controllers joint,,lm", "--controllers"),
         ("postures --controllers joint --cases 0", "cases is 0"),
-        ("postures --controllers joint --seed0 -1", "seed is -1"),
+        ("postures --controllers joint --seed0 -1", "--seed0 is -1"),
         ("postures --controllers joint --jobs 0", "jobs is 0"),
         ("postures -o ARM", "is a file"),
         ("headings --arms mixed12", "'mixed12'"),
         ("headings --controllers joint --target points", "configuration, curve"),
         ("headings --controllers joint --pairs 0", "pairs is 0"),
-        ("headings --controllers joint --seed0 -1", "seed is -1"),
+        ("headings --controllers joint --seed0 -1", "--seed0 is -1"),
         ("headings -o ARM", "is a file"),
     ],
 )

@@ -121,14 +121,14 @@ def test_cycles_print_what_the_library_found(command):
         ("scenes --scenes slto", "did you mean 'slot'"),
         ("scenes --scenes post,,wall", "--scenes is 'post,,wall'"),
         ("scenes --scenes post --seeds 0", "seeds is 0"),
-        ("scenes --seed0 -1", "seed is -1"),
+        ("scenes --seed0 -1", "--seed0 is -1"),
         ("scenes --jobs 0", "jobs is 0"),
         ("scenes -o FILE", "is a file"),
         ("cycles --arms ryrz21", "did you mean 'ryrz20'"),
         ("cycles --controller simplex", "'simplex'"),
         ("cycles --cycles 0", "cycles is 0"),
         ("cycles --rounds 0", "rounds is 0"),
-        ("cycles --seed0 -1", "seed is -1"),
+        ("cycles --seed0 -1", "--seed0 is -1"),
     ],
 )
 def test_wrong_usage_is_one_line_and_costs_no_run(command, arm_file, arguments, message, monkeypatch):

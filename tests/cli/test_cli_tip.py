@@ -115,9 +115,9 @@ def test_haste_takes_joints_straight_there(command, arm_file, tmp_path, no_pictu
         (("--hold-tip", "pose", "--tip-pose", "1,0,0,0,0,0"), ("--hold-tip is 'pose'", "without --tip-pose")),
         (("--tip-weight", 2), ("--tip-weight is 2.0", "together with one of --tip-position")),
         (("--tip-priority",), ("--tip-priority is True", "together with one of --tip-position")),
-        (("--hold-tip", "pose", "--tip-weight", 0), ("weight is 0", "> 0")),
-        (("--joint-weight", 0), ("joint_weight is 0", "> 0")),
-        (("--joint-weight", "nan"), ("joint_weight is nan", "> 0")),
+        (("--hold-tip", "pose", "--tip-weight", 0), ("--tip-weight is 0", "> 0")),
+        (("--joint-weight", 0), ("--joint-weight is 0", "> 0")),
+        (("--joint-weight", "nan"), ("--joint-weight is nan", "> 0")),
         (
             ("--controller", "lm", "--joint-weight", 1),
             ("--controller is 'lm'", "'geodesic'", "--joint-weight"),

@@ -85,8 +85,8 @@ def test_an_infinite_step_is_no_limit(track):
         (("--velocity", "1,2", "--dt", 1), ("velocity (shape)", "(2,)", "(12,)")),
         (("--acceleration", "-1", "--dt", 1), ("acceleration is -1", "positive")),
         (("--dt", 0), ("dt is 0", "> 0")),
-        (("--position-margin", "-0.1"), ("position_margin is -0.1",)),
-        (("--position-margin", 4), ("position_margin is 4", "half the range")),
+        (("--position-margin", "-0.1"), ("--position-margin is -0.1",)),
+        (("--position-margin", 4), ("--position-margin is 4", "half the range")),
     ],
 )
 def test_limits_that_are_none_are_refused_in_one_line(command, arm_file, options, says):

@@ -69,11 +69,10 @@ def test_the_viewer_is_closed_after_an_error_too(command, run_directory, asked, 
     assert asked[-1] == "close"
 
 
-def test_files_are_written_instead_of_showing(command, run_directory, asked, tmp_path):
-    html, png = tmp_path / "a.html", tmp_path / "sub" / "plot"
-    result = command("view", run_directory, "--html", html, "--png", png)
-    assert (result.code, result.out) == (0, "")
-    assert result.err.splitlines() == [f"wrote {html}", f"wrote {png}"]
+def test_a_file_is_written_instead_of_showing(command, run_directory, asked, tmp_path):
+    html, png = tmp_path / "a.html", tmp_path / "sub" / "plot.PNG"
+    assert command("view", run_directory, "-o", html) == (0, "", f"wrote {html}\n")
+    assert command("view", run_directory, "--output", png) == (0, "", f"wrote {png}\n")
     assert "<html" in html.read_text(encoding="utf-8").lower()
     assert png.read_bytes().startswith(b"\x89PNG\r\n")
     assert asked == []
@@ -106,10 +105,10 @@ def test_ellipsoids_are_shown_at_points_given_by_number_at_the_scale_that_is_tol
 
 def test_ellipsoids_are_in_the_animation_that_is_written(command, run_directory, asked, tmp_path):
     html = tmp_path / "a.html"
-    result = command("view", run_directory, "--html", html, "--ellipsoids", "6")
+    result = command("view", run_directory, "-o", html, "--ellipsoids", "6")
     assert result.err == f"wrote {html}\n"
     assert "ellipsoids, 1 m/rad drawn as" in html.read_text(encoding="utf-8")
-    command("view", run_directory, "--html", html)
+    command("view", run_directory, "-o", html)
     assert "ellipsoids, 1 m/rad drawn as" not in html.read_text(encoding="utf-8")
 
 
@@ -123,6 +122,6 @@ def test_numbers_of_no_control_point_are_refused(command, run_directory, asked, 
 
 
 def test_ellipsoids_for_a_plot_that_shows_none_are_refused(command, run_directory, tmp_path):
-    result = command("view", run_directory, "--png", tmp_path / "a.png", "--ellipsoids", "all")
+    result = command("view", run_directory, "-o", tmp_path / "a.png", "--ellipsoids", "all")
     assert (result.code, list(tmp_path.iterdir())) == (2, [])
-    assert "--html" in result.err
+    assert "--ellipsoids is 'all'; allowed: nothing with a .png file" in result.err

@@ -12,7 +12,7 @@ import pytest
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
-from pinposture.cli.output import FORMATS, find_kept, keep_motion, load_kept
+from pinposture.cli.output import FORMATS, find_kept, load_kept, motion_files, write_files
 from pinposture.cli.run import motion_in_words, summarize_motion
 from pinposture.errors import FileError
 from pinposture.motion.trajectory import Motion, Waypoint
@@ -66,13 +66,9 @@ def test_joints_that_were_exported_as_motion_npz_are_no_motion(tmp_path):
 def test_the_command_writes_pictures_of_a_motion(command, both, tmp_path):
     touch(both / "motion.npz", 4000)
     html, png = tmp_path / "a.html", tmp_path / "a.png"
-    result = command("view", both, "--html", html, "--png", png, "--ellipsoids", "2,5")
-    assert (result.code, result.out) == (0, "")
-    assert result.err.splitlines() == [
-        "taken: motion.npz, which is newer than run.npz",
-        f"wrote {html}",
-        f"wrote {png}",
-    ]
+    chosen = "taken: motion.npz, which is newer than run.npz\n"
+    assert command("view", both, "-o", html, "--ellipsoids", "2,5") == (0, "", f"{chosen}wrote {html}\n")
+    assert command("view", both, "-o", png) == (0, "", f"{chosen}wrote {png}\n")
     page = html.read_text(encoding="utf-8")
     assert "shown in real time" in page
     assert "ellipsoids, 1 m/rad" in page
@@ -107,7 +103,8 @@ def test_the_command_plays_a_motion_until_ctrl_c(command, both, monkeypatch):
 
 def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
     motion = some_motion()
-    files = keep_motion(motion, tmp_path / "out")
+    files, failure = write_files(motion_files(motion, tmp_path / "out"))
+    assert failure is None
     assert set(files) == set(FORMATS)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
         f"motion.{kind}" for kind in FORMATS
@@ -125,9 +122,10 @@ def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
 
 
 def test_formats_that_are_not_asked_for_are_not_written(tmp_path):
-    assert list(keep_motion(some_motion(), tmp_path, ("csv", "npz"))) == ["csv", "npz"]
+    files, _ = write_files(motion_files(some_motion(), tmp_path, ("npz", "csv")))
+    assert list(files) == ["csv", "npz"]
     assert {path.name for path in tmp_path.iterdir()} == {"motion.csv", "motion.npz"}
-    assert keep_motion(some_motion(), tmp_path / "none", ()) == {}
+    assert motion_files(some_motion(), tmp_path / "none", ()) == []
 
 
 def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.collision import Scan
+from pinposture.collision import Mesh, Scan
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 PLY = """ply
@@ -178,6 +178,13 @@ def test_the_scale_of_millimetres(tmp_path):
     for wrong in (0.0, -1.0, np.nan, "mm", True, 1e5):
         with pytest.raises(InvalidValue, match="scale"):
             Scan.load(tmp_path / "mm.xyz", scale=wrong)
+
+
+def test_a_mesh_in_millimetres(tmp_path):
+    trimesh.creation.box((400, 50, 50)).export(tmp_path / "beam.stl")
+    with pytest.warns(PostureWarning, match=r"beam\.stl is 400 m wide; .* scale=0.001"):
+        Mesh.load(tmp_path / "beam.stl")
+    assert np.ptp(Mesh.load(tmp_path / "beam.stl", scale=0.001).vertices) < 0.5  # and no warning
 
 
 def binary_ply():

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from collision.arms_with_bodies import PLACED, described, geometry, modelled, planar, sliding, spatial
 
 import pinposture as pp
@@ -152,8 +153,6 @@ MESH = '<mesh filename="{}" scale="0.001 0.001 -0.002"/>'
 
 
 def test_meshes_become_hulls_and_missing_ones_capsules(tmp_path):
-    import trimesh
-
     trimesh.creation.box((100, 40, 20)).export(tmp_path / "there.stl")
     (tmp_path / "broken.stl").write_text("solid nothing")
     links = [geometry(MESH.format(name), "0.1 0 0") for name in ("there.stl", "gone.stl", "broken.stl")]
@@ -173,6 +172,17 @@ def test_meshes_become_hulls_and_missing_ones_capsules(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert all(isinstance(body.shape, Capsule) for body in bodies_of(arm, 0.01))
+
+
+def test_meshes_of_links_in_millimetres_are_named(tmp_path):
+    trimesh.creation.box((100, 40, 20)).export(tmp_path / "link.stl")
+    links = [geometry(f'<mesh filename="link.stl"{scale}/>') for scale in (' scale="1e-3 1e-3 1e-3"', "")]
+    (tmp_path / "arm.urdf").write_text(described(links))
+    arm = pp.Arm.load(tmp_path / "arm.urdf", modules=2)
+    words = r"mesh of link 'l2' is 100 m wide, 250 times as long as the arm; .* <mesh scale"
+    with pytest.warns(PostureWarning, match=words) as caught:
+        bodies_of(arm)
+    assert len(caught) == 1
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
+from pinposture.control.controller import CONSTRAINTS
 from pinposture.errors import InvalidValue
 
 SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
@@ -25,7 +26,7 @@ LOADED = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><lin
 <joint name="turn" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
 <origin xyz="0.1 0 0"/><limit effort="1" velocity="2.5" lower="-2.9" upper="0.1"/></joint>
 <joint name="endless" type="continuous"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
-<origin xyz="0.1 0 0"/><limit effort="1" velocity="0"/></joint>
+<origin xyz="0.1 0 0"/><limit effort="1" velocity="inf"/></joint>
 <joint name="slide" type="prismatic"><parent link="c"/><child link="d"/><axis xyz="1 0 0"/>
 <origin xyz="0.1 0 0"/><limit effort="1" velocity="0.3" lower="0.2" upper="0.7"/></joint>
 <joint name="wrist" type="revolute"><parent link="d"/><child link="e"/><axis xyz="0 1 0"/>
@@ -128,8 +129,8 @@ def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
     for limits in (pp.Limits(step=0.05), pp.Limits(step=0.05, dt=0.02, acceleration=10.0)):
         box = limits.box(arm.at(q))
         assert len(box.violated_constraints) == 2
-        assert "joint 'turn': it is at 0.5, outside -2.9 to 0.1 rad" in box.violated_constraints[0]
-        assert "joint 'slide': it is at 0.1, outside 0.2 to 0.7 m" in box.violated_constraints[1]
+        assert "joint 'turn' is at 0.5, outside -2.9 to 0.1 rad" in box.violated_constraints[0]
+        assert "joint 'slide' is at 0.1, outside 0.2 to 0.7 m" in box.violated_constraints[1]
         here, previous, outside = q, None, [0.4]
         while not arm.within_limits(here):
             step = limits.apply(arm.at(here), np.array([1.0, 0.0, -1.0, 0.0]), previous)
@@ -160,7 +161,7 @@ def test_a_joint_that_is_too_fast_brakes_as_hard_as_it_may_and_is_named() -> Non
     fast[2], fast[3], fast[4] = 0.05, -0.05, 0.02
     box = limits.box(state, fast)
     assert len(box.violated_constraints) == 1
-    assert "position limit 0.3 rad of joint 'm02_j1_y'" in box.violated_constraints[0]
+    assert "position limit: joint 'm02_j1_y' at " in box.violated_constraints[0]
     assert box.lower[2] == box.upper[2] == pytest.approx(0.04)
     assert box.lower[3] == pytest.approx(-0.06)
     assert box.lower[4] == pytest.approx(0.01)
@@ -172,7 +173,7 @@ def test_a_joint_faster_than_its_bound_takes_the_bound_and_is_named() -> None:
     fast[1], fast[6] = -0.3, 0.105
     box = limits.box(limited().at(np.r_[np.zeros(6), -0.6, 0.0]), fast)
     assert len(box.violated_constraints) == 1
-    assert "acceleration limit of joint 'm01_j2_z'" in box.violated_constraints[0]
+    assert "acceleration limit: braking leaves joint 'm01_j2_z' a step" in box.violated_constraints[0]
     assert box.lower[1] == box.upper[1] == -0.1
     assert box.lower[6] == pytest.approx(0.095)
     assert box.upper[6] == 0.1
@@ -197,8 +198,9 @@ def test_from_any_state_the_box_holds_the_bound_and_full_braking_at_least(seed: 
     assert np.all(box.upper[above & (previous <= 0.0)] <= 0.0)
     assert np.all(box.lower[below & (previous >= 0.0)] >= 0.0)
     named = " ".join(box.violated_constraints)
+    assert {each.partition(":")[0] for each in box.violated_constraints} <= {*CONSTRAINTS}
     for joint in np.flatnonzero(below | above):
-        assert f"position limits of joint {arm.chain.joints[joint]!r}" in named
+        assert f"position limit: joint {arm.chain.joints[joint]!r}" in named
 
 
 def test_joints_off_the_chain_are_left_alone() -> None:

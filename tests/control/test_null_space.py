@@ -8,7 +8,6 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.arm.kinematics import screws_of
 from pinposture.control import (
     JointSpeeds,
     ObstaclePotential,
@@ -125,7 +124,7 @@ def test_projection_by_sections_moves_the_ends_of_the_best_chain() -> None:
         return (len(chain) + 1) * float(np.prod(values)) ** (1.0 / len(chain))
 
     best = [node - 1 for node in max(chains(0), key=score)]
-    found = best_chain(arm, screws_of(state), target.has_target, (2, 3))
+    found = best_chain(arm, state.screws, target.has_target, (2, 3))
     assert np.flatnonzero(found).tolist() == best
     step = Projection(strides=(2, 3)).step(state, target)
     assert list(step.active) == best

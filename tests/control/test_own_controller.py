@@ -75,12 +75,28 @@ def test_a_class_is_found_where_it_is_said_to_be(folder, arm):
         ("own_module_of_a_test:Picky", InvalidValue, "needed"),
         ("json:JSONDecoder", InvalidValue, "method `step`"),
         ("own_module_of_a_test", UnknownName, "geodesic"),
+        ("own_module_of_a_test", UnknownName, "package.module:Class"),
         (":Still", UnknownName, "geodesic"),
     ],
 )
 def test_what_is_not_found_is_named(folder, name, kind, words):
     with pytest.raises(kind, match=words):
         controller_named(name)
+
+
+def test_an_object_that_is_no_controller_is_told_what_is_missing(folder):
+    still = type(controller_named("own_module_of_a_test:Still"))
+    with pytest.raises(InvalidValue, match=r"such as Still\(\)"):
+        controller_named(still)
+    nameless = type("Nameless", (), {"step": still.step})()
+    with pytest.raises(InvalidValue, match="an object with a `name` and a method `step`"):
+        controller_named(nameless)
+
+
+def test_only_what_a_module_defines_is_offered(folder):
+    with pytest.raises(UnknownName) as caught:
+        controller_named("own_module_of_a_test:Nothing")
+    assert caught.value.allowed == ("Still", "Picky")
 
 
 def test_a_name_can_be_added_and_a_package_can_bring_one(folder, monkeypatch):

@@ -13,7 +13,6 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows
 from pinposture.kernels.posture_matrix import _reflect
@@ -42,9 +41,9 @@ def exact_step(matrix: np.ndarray, values: np.ndarray, secondary: np.ndarray) ->
 
 def of_points(state: pp.ArmState, points: np.ndarray) -> tuple[PostureMatrix, np.ndarray]:
     """Posture control matrix of some control points, by passes and dense."""
-    known, p = constants_of(state.arm), len(points)
+    known, p = state.arm.kinematics.task_constants, len(points)
     rows = Rows(points.astype(np.int64), known.dimensions[:p], known.frames[:p], FULL)
-    return PostureMatrix(screws_of(state), rows), state.task_jacobians[points].reshape(-1, state.arm.nv)
+    return PostureMatrix(state.screws, rows), state.task_jacobians[points].reshape(-1, state.arm.nv)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +138,7 @@ def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, ampli
     state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, 1.0)
     target = pp.Target.from_points(arm, goal.points, np.arange(arm.n_modules) % 3 > 0)
     errors = aligned_errors(state, target, target.has_target)
-    found = descent(arm, screws_of(state), errors, np.linalg.norm(errors, axis=1))
+    found = descent(arm, state.screws, errors, np.linalg.norm(errors, axis=1))
     along = errors[:, : arm.dimension]
     gradient = np.einsum("kdu,kd->u", state.task_jacobians, along)
     travelled = np.sum((state.task_jacobians @ gradient) ** 2)
@@ -148,9 +147,9 @@ def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, ampli
 
 def chosen_from(state: pp.ArmState, points: np.ndarray, least: float) -> np.ndarray:
     """Which of the control points `well_conditioned` chooses."""
-    known, p, kept = constants_of(state.arm), len(points), np.empty(len(points), dtype=bool)
+    known, p, kept = state.arm.kinematics.task_constants, len(points), np.empty(len(points), dtype=bool)
     rows = Rows(points, known.dimensions[:p], known.frames[:p], FULL)
-    kernels.well_conditioned(screws_of(state), rows, least, kept)
+    kernels.well_conditioned(state.screws, rows, least, kept)
     return kept
 
 

@@ -60,6 +60,9 @@ SETTLED: dict[str, Load] = {
         arm_text([*pairs(1), ("revolute", X, LINK, limit(0.5, 0.5)), *pairs(1)])
     ),
     "no limits": loading(arm_text([*pairs(1), ("revolute", Y, LINK, limit()), ("revolute", Z, LINK)])),
+    "a velocity limit of 0": loading(
+        arm_text([*pairs(1), ("revolute", Y, LINK, limit(-1, 1, velocity=0)), ("revolute", Z, LINK)])
+    ),
     "revolute limits of 4 pi to 360 rad": loading(
         arm_text([*pairs(1), ("revolute", Y, LINK, limit(-90, 90)), ("revolute", Z, LINK)])
     ),

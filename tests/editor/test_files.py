@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from edited_tasks import six_modules, task
 from page_client import until
@@ -27,7 +28,7 @@ from pinposture.editor.files import (
     within,
 )
 from pinposture.editor.session import Session
-from pinposture.errors import FileError
+from pinposture.errors import FileError, no_warnings
 from pinposture.task import Task
 from pinposture.task.follow_leader import Leader
 
@@ -410,3 +411,14 @@ def test_the_keyframes_of_an_arm_that_takes_no_line_are_taught(joint: pp.JointSp
     assert first.perform().converged
     line = edits.keyframes_of(first_task(six_modules()))[0].curve
     assert line is not None
+
+
+@pytest.mark.parametrize("modules", [1, 3])
+def test_an_arm_of_roll_joints_only_is_opened_straight(modules: int) -> None:
+    roll = pp.ModuleTemplate("Rx", (pp.JointSpec("x"),), (0.1,))
+    with no_warnings():  # it is one module
+        arm = pp.Arm.from_modules([roll] * modules)
+    shapes = [each.curve for each in first_task(arm).motion]  # type: ignore[union-attr]
+    for curve in shapes:
+        assert curve is not None
+        np.testing.assert_allclose(curve.at([0.0, arm.length]), [[0, 0, 0], [arm.length, 0, 0]], atol=1e-9)

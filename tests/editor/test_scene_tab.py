@@ -31,6 +31,7 @@ from pinposture.editor.session import Session
 from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
 from pinposture.editor.ui.arm import MeasuredArm
+from pinposture.editor.ui.curve import ShapeTab
 from pinposture.editor.ui.keyframes import KeyframesTab
 from pinposture.editor.ui.parts import color
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, ScanControls, Scans, SceneTab, clearance_text
@@ -167,9 +168,9 @@ def test_another_kind_under_the_same_name_is_drawn_anew(arm, live, server, desk)
     assert drawing._drawn["ball"].look == ("half_space",)
 
 
-def test_the_tab_shows_what_the_selected_obstacle_has(live, server, desk, tmp_path):
+def test_the_tab_shows_what_the_selected_obstacle_has(arm, live, server, desk, tmp_path):
     session, post = desk
-    tab = SceneTab(server, ScanShelf(post), post)
+    tab = SceneTab(server, arm, ScanShelf(post), post)
     shown = {
         "ball": {"center", "radius"},
         "box": {"center", "size", "rotation"},
@@ -192,9 +193,30 @@ def test_the_tab_shows_what_the_selected_obstacle_has(live, server, desk, tmp_pa
     assert tuple(tab._chosen.options) == ("none", "ball", "box", "floor", "rod")
 
 
-def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(live, server, desk, monkeypatch):
+@pytest.mark.parametrize(("length", "step"), [(0.009, 1e-6), (1.0, 1e-3), (80.0, 1e-3)])
+def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
+    _, post = desk
+    module = pp.arm.template("RyRz").with_lengths([length / 12] * 2)
+    arm = pp.Arm.from_modules([module] * 6)
+    center, radius = np.array([0.41287, 0.20731, -0.11929]) * length, 0.031247 * length
+    session = Session(task(arm=arm, scene=pp.Scene({"ball": pp.Sphere(center, radius)})))
+    tab = SceneTab(server, arm, ScanShelf(post), post)
+    select_obstacle("ball", session)
+    tab.show(session, live)
+    for field, own, error in (
+        (tab._vectors["center"].control, center, 1e-3),
+        (tab._radius.control, radius, 1e-6),
+    ):
+        np.testing.assert_allclose(field.value, own, rtol=0.0, atol=error * length)
+        np.testing.assert_allclose(np.round(field.value, field.precision), field.value, rtol=0.0, atol=1e-15)
+        assert field.step == pytest.approx(step)
+    grid = ShapeTab(server, arm, post)._step
+    assert 1e-3 * np.round(grid.value, grid.precision) == pytest.approx(0.02 * length, rel=0.3)
+
+
+def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(arm, live, server, desk, monkeypatch):
     session, post = desk
-    tab = SceneTab(server, ScanShelf(post), post)
+    tab = SceneTab(server, arm, ScanShelf(post), post)
     select_obstacle("ball", session)
     tab.show(session, live)
     clock = [100.0]
@@ -212,9 +234,9 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(live, server, 
     assert len(session.history._states) == states + 1
 
 
-def test_what_is_refused_returns_to_what_it_was(live, server, desk, monkeypatch):
+def test_what_is_refused_returns_to_what_it_was(arm, live, server, desk, monkeypatch):
     session, post = desk
-    tab = SceneTab(server, ScanShelf(post), post)
+    tab = SceneTab(server, arm, ScanShelf(post), post)
     select_obstacle("ball", session)
     tab.show(session, live)
     clock = [100.0]
@@ -228,9 +250,9 @@ def test_what_is_refused_returns_to_what_it_was(live, server, desk, monkeypatch)
     assert "base" in session.notice.text
 
 
-def test_margin_self_collision_and_thickness(live, server, desk, monkeypatch):
+def test_margin_self_collision_and_thickness(arm, live, server, desk, monkeypatch):
     session, post = desk
-    tab = SceneTab(server, ScanShelf(post), post)
+    tab = SceneTab(server, arm, ScanShelf(post), post)
     tab._set_margin(0.02, True)
     tab._set_arm_radius(0.015, True)
     tab._set_self_collision(True)

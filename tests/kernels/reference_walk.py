@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 import pinposture as pp
+from pinposture import kernels
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-9
@@ -95,7 +96,9 @@ def crossings(dof: int, sizes: Array, points: Array) -> list[tuple[int, float]]:
 def curve_samples(curve: pp.Curve, n: int) -> tuple[Array, Array]:
     """Arc lengths, and SciPy's places of the parameters there."""
     s = np.linspace(0.0, curve.length, n)
-    return s, BSpline(curve.knots, curve.coefficients, curve.degree)(curve._arc.parameter(s))
+    return s, BSpline(curve.knots, curve.coefficients, curve.degree)(
+        kernels.parameters_at(curve.measured[1], s)
+    )
 
 
 def walk(

@@ -13,7 +13,6 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control import active_set
 from pinposture.control.thesis.selection import base_indices, best_set
 
@@ -47,7 +46,7 @@ def test_indices_to_the_base_are_the_same_and_decide_the_same(
     kind: str, seed: int, amplitude: float, threshold: float
 ) -> None:
     state = state_of(arm_called(kind), seed, amplitude)
-    found, expected = base_indices(state.arm, screws_of(state), threshold), state.manipulability()[0, 1:]
+    found, expected = base_indices(state.arm, state.screws, threshold), state.manipulability()[0, 1:]
     np.testing.assert_allclose(found**2, expected**2, rtol=0, atol=NEARLY)
     np.testing.assert_array_equal(found > threshold, expected > threshold)
 
@@ -67,7 +66,7 @@ def test_the_search_finds_the_set_that_all_indices_give(
     eligible, indices = rng.random(arm.n_modules) < 0.8, state.manipulability()
     expected = active_set(indices, distances, absolute, relative, eligible)
     usable = (indices[0, 1:] > absolute) & eligible
-    found = best_set(arm, screws_of(state), usable, distances, relative)
+    found = best_set(arm, state.screws, usable, distances, relative)
     assert tuple(found.tolist()) == expected
 
 
@@ -79,13 +78,13 @@ def test_the_same_on_a_long_arm(amplitude: float) -> None:
         distances, indices = np.random.default_rng(seed).uniform(0, 1, 120), state.manipulability()
         for relative in (0.001, 0.02):
             expected = active_set(indices, distances, 0.001, relative)
-            usable = base_indices(arm, screws_of(state), 0.001) > 0.001
-            found = best_set(arm, screws_of(state), usable, distances, relative)
+            usable = base_indices(arm, state.screws, 0.001) > 0.001
+            found = best_set(arm, state.screws, usable, distances, relative)
             assert tuple(found.tolist()) == expected
             if expected:
-                plane, active = constants_of(arm).plane, np.array(expected)
-                base = base_indices(arm, screws_of(state), 0.001)
-                weakest = kernels.weakest_index(*screws_of(state), plane, active, base)
+                plane, active = arm.kinematics.task_constants.plane, np.array(expected)
+                base = base_indices(arm, state.screws, 0.001)
+                weakest = kernels.weakest_index(state.screws, plane, active, base)
                 nodes = np.append(0, active + 1)
                 assert weakest == pytest.approx(
                     min(indices[0, nodes[1:]].min(), indices[nodes[:-1], nodes[1:]].min()), rel=1e-9

@@ -184,7 +184,7 @@ def test_clearance_that_a_cut_corner_costs_is_reported(arm: pp.Arm, monkeypatch:
     q, lowest = start, np.inf
     for _ in range(1500):
         q = arm.integrate(q, tracker.step(q))
-        told = any(each.startswith("margin") for each in tracker.report.violated_constraints)
+        told = any(each.startswith("margin: ") for each in tracker.report.violated_constraints)
         assert told or model.minimum(q).distance >= 0.99 * scene.margin
         lowest = min(lowest, model.minimum(q).distance)
         if tracker.report.status == "converged":
@@ -213,6 +213,6 @@ def test_a_run_that_exceeds_the_limit_says_so(arm: pp.Arm, tmp_path: Path) -> No
     free = pp.track(arm, target, arm.neutral(), limits=limited(1e6))
     vars(free)["limits"] = limited(20.0)
     excess = find_limit_violation(free)
-    assert excess is not None and "jerk of joint" in excess.text
+    assert excess is not None and "jerk limit: joint" in excess.text
     worst = largest(np.diff(free.q, axis=0), limited(20.0))[2]
     assert excess.ratio == pytest.approx(worst, rel=1e-6)

@@ -15,6 +15,7 @@ from sampling import cases
 import pinposture as pp
 from pinposture.collision import CollisionModel
 from pinposture.collision.obstacles import displaced
+from pinposture.control.controller import CONSTRAINTS
 from pinposture.errors import InvalidValue, UnknownName
 
 MARGIN, THIN, BALL, DT = 0.005, 0.01, 0.06, 0.01
@@ -75,6 +76,7 @@ def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, 
         center = origin + cycle * DT * velocity
         moment = scene.moved({"ball": center}, velocities={"ball": velocity})
         dq = tracker.step(q, scene=moment)
+        assert {each.partition(":")[0] for each in tracker.report.violated_constraints} <= {*CONSTRAINTS}
         if not tracker.report.violated_constraints:
             assert np.abs(dq).max() <= LIMITS.velocity * DT + 1e-9
             assert np.abs(dq - before).max() <= LIMITS.acceleration * DT**2 + 1e-9
@@ -176,7 +178,7 @@ def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None,
             scene = scene.moved({"ball": center - far}, velocities={"ball": (1e-6, 0.0, 0.0)})
         dq = tracker.step(q, scene=scene)
         exceeded = np.abs(dq - before).max() > limits.acceleration * DT**2 * (1 + 1e-6)
-        said = any("limits of acceleration" in each for each in tracker.report.violated_constraints)
+        said = any(each.startswith("acceleration limit: ") for each in tracker.report.violated_constraints)
         assert said if exceeded else not said or jerk is not None  # which may be exceeded alone
         beyond, q, before = beyond + exceeded, tracker.command, dq
     assert beyond >= (1 if jerk is None else 3)
@@ -212,12 +214,50 @@ def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:
         assert not np.any(tracker.step(q, scene=moment))
 
 
+@pytest.mark.parametrize("first, reason", [("converged", "the target is"), ("holding", "no target")])
+def test_an_arm_without_a_fresh_target_holds_and_evades_what_approaches(first: str, reason: str) -> None:
+    scene, q = ball_scene(), np.zeros(40)
+    tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene, timeout=0.5)
+    if first == "converged":
+        tracker.update(pp.Target.from_configuration(arm(), q))
+    passed, statuses, gaps = 0.7 * arm().length, [], []
+    for cycle in range(600):
+        center = np.array([passed, 0.5 - 0.2 * DT * cycle, 0.02])  # straight through the resting arm
+        tracker.step(q, scene=scene.moved({"ball": center}, velocities={"ball": (0.0, -0.2, 0.0)}))
+        moved, q = np.any(tracker.command != q), tracker.command
+        gaps.append(gap(q, center))
+        statuses.append(tracker.report.status)
+        assert (statuses[-1] == "evading") <= bool(moved)
+        if statuses[-1] in ("holding", "evading"):
+            assert reason in tracker.report.reason
+    order = [status for k, status in enumerate(statuses) if k == 0 or status != statuses[k - 1]]
+    assert order == [*dict.fromkeys([first, "holding"]), "evading", "holding"]
+    assert min(gaps) > MARGIN - 1e-4
+
+
 def test_velocities_need_the_duration_of_a_step() -> None:
     scene = ball_scene().moved({"ball": (0.5, 0.5, 0.0)}, velocities={"ball": (0.0, -0.1, 0.0)})
     controller = pp.Geodesic(scene=scene)
     target = pp.Target.from_configuration(arm(), np.full(40, 0.1))
     with pytest.raises(InvalidValue, match="dt"):
         controller.step(arm().at(np.zeros(40)), target)
+
+
+def test_obstacles_move_on_between_the_pictures_of_a_slow_camera() -> None:
+    q, goal, origin, velocity = crossing(0)
+    paths = []
+    for period in (1, 7):
+        scene = ball_scene()
+        tracker, here, path = pp.Tracker(arm(), limits=LIMITS, scene=scene), q, []
+        tracker.update(pp.Target.from_configuration(arm(), goal))
+        for cycle in range(400):
+            center = origin + cycle * DT * velocity
+            seen = scene.moved({"ball": center}, velocities={"ball": velocity})
+            here = here + tracker.step(here, scene=None if cycle % period else seen)
+            path.append(here)
+        paths.append(path)
+    np.testing.assert_allclose(paths[1], paths[0], atol=1e-6)
+    assert np.ptp(paths[0], axis=0).max() > 0.1
 
 
 def test_obstacles_move_from_where_they_were_first() -> None:

@@ -127,6 +127,9 @@ def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) 
     text.write_text("hello")
     with pytest.raises(FileError, match=r"not a saved run \(it is no \.npz archive\)"):
         pp.load(text, pp.Trajectory)
+    table = pp.save(run.joint_trajectory(0.1, force=True), tmp_path / "joints.csv")
+    with pytest.raises(FileError, match=r"not a saved run; .* reads joint trajectories"):
+        pp.load(table, pp.Trajectory)
     other = tmp_path / "other.npz"
     np.savez(other, q=np.zeros(3))
     with pytest.raises(FileError, match="not a saved run"):

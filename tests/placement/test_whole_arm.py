@@ -141,6 +141,14 @@ def test_a_slide_that_ends_before_the_curve_is_named():
     assert "gentler" not in str(caught.value)
 
 
+def test_hinges_that_cannot_bend_as_far_as_the_curve_are_named_beside_a_slide_at_its_limit():
+    stiff = [("revolute", axis, LINK, limit(-0.3, 0.3)) for axis in (Y, Z) * 3]
+    arm = load(arm_text([("prismatic", X, HERE, limit(0, 0.4)), *stiff]))
+    bend = pp.Curve.helix(radius=0.2, pitch=0.1, turns=0.99)
+    with pytest.raises(CurveBendsTooMuch, match=r"joints are at their limits: 'j1', 'j2'; .*gentler"):
+        pp.resolve_targets(arm, bend, placement="align")
+
+
 @pytest.mark.parametrize("method", ["auto", "sequential", "smooth", "closest"])
 @pytest.mark.parametrize("least", [0.0, 0.03])
 def test_a_slide_retracts_if_the_curve_is_too_short_for_the_extended_arm(method, least):

@@ -73,7 +73,6 @@ def one(
             0,
             errors[0],
             errors[-1],
-            errors.min(),
             errors[-1],
             count,
             status,

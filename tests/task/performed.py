@@ -93,6 +93,9 @@ def check_motion(motion: Motion, limits: pp.Limits, margin_from: int = 0) -> Non
     np.testing.assert_allclose(motion.accelerations, accelerations, atol=1e-9)
     if limits.acceleration is not None:
         assert np.all(np.abs(accelerations) <= limits.acceleration + 1e-7)
+    if limits.jerk is not None:
+        jerks = np.diff(np.concatenate([rest, accelerations, rest]), axis=0) / dt
+        assert np.all(np.abs(jerks) <= limits.jerk + 1e-5)
     positions = np.array([arm.positions(q) for q in motion.q])[margin_from:]
     assert np.all(positions >= arm.limits.lower + limits.position_margin - ROUNDING)
     assert np.all(positions <= arm.limits.upper - limits.position_margin + ROUNDING)

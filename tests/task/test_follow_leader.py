@@ -315,7 +315,11 @@ REFUSED = {
         InvalidValue,
         "follows 'm02_j2_z'",
     ),
-    "feed across": ({"arm": lambda: Arm.from_modules([feed("y"), *HINGES])}, InvalidValue, "90 degrees off"),
+    "feed across": (
+        {"arm": lambda: Arm.from_modules([feed("y"), *HINGES])},
+        InvalidValue,
+        "90 degrees off the straight arm, whose tip is 430 mm beside it",
+    ),
     "no arm": ({"arm": "snake"}, InvalidValue, "arm is 'snake'"),
     "bent start": ({"start": np.full(9, 0.1)}, InvalidValue, "the straight arm"),
     "short start": ({"start": np.zeros(3)}, InvalidValue, "start"),

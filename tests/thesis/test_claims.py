@@ -68,9 +68,10 @@ def test_the_record_covers_a_hundred_seeds_and_what_the_thesis_says() -> None:
 
 def test_outcomes_do_not_depend_on_the_number_of_processes(arm: pp.Arm) -> None:
     arguments = (arm, [SCENARIOS["helix"]], ["selection"], range(3))
-    seen: list[Outcome] = []
-    assert study(*arguments, max_steps=20, jobs=2, progress=seen.append) == study(*arguments, max_steps=20)
-    assert len(seen) == 3
+    seen: list[tuple[int, int]] = []
+    found = study(*arguments, max_steps=20, jobs=2, progress=lambda *numbers: seen.append(numbers))
+    assert found == study(*arguments, max_steps=20)
+    assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_smooth_configurations_have_their_amplitude_and_stay_within_limits(arm: pp.Arm) -> None:

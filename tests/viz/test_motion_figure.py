@@ -105,22 +105,22 @@ def test_what_has_no_limit_is_left_out():
 def test_a_slowed_motion_shows_the_time_of_the_plan_and_says_by_how_much():
     motion = slowed()
     figure = pp.plot(motion)
-    drawn = lines(panel(figure, "time of the plan [s]"))
-    (was,) = [line for label, line in drawn.items() if label.startswith("as it was")]
+    drawn = lines(panel(figure, "plan time [s]"))
+    (was,) = [line for label, line in drawn.items() if label.startswith("as executed")]
     assert "1.67 times" in was.get_label()
     np.testing.assert_array_equal(was.get_ydata(), motion.plan_time)
     planned = drawn["as planned"]
     np.testing.assert_allclose(np.array(planned.get_data()).T, [[0.0, 0.0], [0.5, 0.0], [2.0, 1.5]])
     assert "from 0.5 s on 1.67 times as long as planned" in figure.get_suptitle()
     words = [text.get_text() for text in panel(figure, "point errors [m]").get_legend().get_texts()]
-    assert words == ["mean", "largest", "coming to the first posture"]
+    assert words == ["mean", "largest", "moving to the first posture"]
     draw(figure)
 
 
 @pytest.mark.parametrize(("slower", "told"), [(1.0005, False), (1.002, True)])
 def test_the_clock_is_shown_from_a_thousandth_on(slower, told):
     figure = pp.plot(some_motion(planned=3.0 / slower))
-    assert ("time of the plan [s]" in labels(figure)) is told
+    assert ("plan time [s]" in labels(figure)) is told
 
 
 def test_places_are_marked_in_every_panel_and_named_above_the_first():

@@ -53,7 +53,7 @@ def test_the_page_plays_as_long_as_the_motion_took(tmp_path):
 def test_a_motion_of_minutes_is_played_faster_and_the_page_says_so(tmp_path):
     motion = some_motion(limits=pp.Limits(step=None, dt=4.0))
     page = page_of(motion, tmp_path)
-    assert "shown 5 times as fast as it was" in words(page)
+    assert "shown 5 times as fast as recorded" in words(page)
     assert page.constant("run")["times"][-1] == pytest.approx(REST_BEFORE + 240.0 / 5.0)
 
 
@@ -62,7 +62,7 @@ def test_the_caption_tells_time_place_error_and_clearance(tmp_path):
     texts = page_of(motion, tmp_path).constant("run")["texts"]
     near = motion.run.clearance
     assert texts[4] == (
-        "0.20 of 3.00 s (0.00 of 1.25 s of the plan), coming to the first posture, mean point error "
+        "0.20 of 3.00 s (0.00 of 1.25 s of the plan), moving to the first posture, mean point error "
         f"0.001 m (largest 0.001 m), clearance {near[4]:.3g} m"
     )
     assert texts[34].startswith("1.70 of 3.00 s (0.60 of 1.25 s of the plan), reached straight (1 of 3), ")

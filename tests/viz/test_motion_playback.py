@@ -1,4 +1,4 @@
-"""What is shown of a motion in time, and when: in real time, with the targets of the moment."""
+"""What is shown of a motion in time, and when: in real time, with the current targets."""
 
 from __future__ import annotations
 

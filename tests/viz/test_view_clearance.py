@@ -103,10 +103,10 @@ def test_escape_steps_are_shaded_from_where_they_begin_to_where_they_lead():
 
 def test_steps_in_which_something_gave_way_are_marked_and_quoted():
     relaxed = np.full(free_run().steps, "", dtype="<U200")
-    relaxed[[1, 4]] = "margin of 20 mm, m1 to $ball: 3 mm; and much more that a legend has no room for"
+    relaxed[[1, 4]] = "margin: m1 and $ball are 3 mm apart; and much more that a legend has no room for"
     ax = pp.plot(in_scene(violated_constraints=relaxed)).axes[1]
     (words,) = entries(ax)
-    assert words.startswith("violated in 2 steps: margin of 20 mm, m1 to $ball: 3 mm")
+    assert words.startswith("violated in 2 steps: margin: m1 and $ball are 3 mm")
     assert len(words) < 70
     (marks,) = (line for line in ax.get_lines() if line.get_marker() == "|")
     np.testing.assert_array_equal(marks.get_xdata(), [2, 5])
@@ -141,7 +141,7 @@ def test_postures_on_the_way_are_drawn_and_named_where_there_is_something_to_get
 
     drawn, named = pale(in_scene())
     assert 1 < len(drawn) <= 8
-    assert named.count("postures on the way") == 1
+    assert named.count("intermediate postures") == 1
     drawn, named = pale(free_run())
     assert drawn == []
-    assert "postures on the way" not in named
+    assert "intermediate postures" not in named

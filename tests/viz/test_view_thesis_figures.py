@@ -16,7 +16,7 @@ from pinposture.errors import InvalidValue
 from pinposture.study.thesis_figures import draw_errors, draw_final_postures, draw_planar
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
-from pinposture.viz.panels import mark_method, plot_point_count, plot_points_and_index, plot_used_points
+from pinposture.viz.panels import mark_projection, plot_point_count, plot_points_and_index, plot_used_points
 
 
 def spatial() -> pp.Arm:
@@ -109,7 +109,7 @@ def test_steps_of_a_method_are_red_dots_on_the_step_axis(selection):
     methods = ["selection"] * 3 + ["projection"] * 4 + ["selection"] * 5
     run, ax = marked(selection, methods), panel()
     plot_point_count(run, ax)
-    mark_method(run, ax)
+    mark_projection(run, ax)
     dots = ax.get_lines()[-1]
     assert dots.get_xdata().tolist() == [4, 5, 6, 7]
     assert set(dots.get_ydata().tolist()) == {0.0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -145,10 +146,17 @@ RETREAT_SHARE = 0.2
 MAX_NAMED_PAIRS = 3
 """Largest number of pairs that a message lists."""
 
-BRAKING_HARDER = "limits of acceleration: braking within them would cause contact"
+BRAKING_HARDER = "acceleration limit: braking within it would cause contact"
 
 MAX_HALVINGS = 6
 """How often a step from which the arm cannot stop clear is moved halfway to braking, before it brakes."""
+
+
+def describe_lost_margin(pair: Sequence[str], distance: float, margin: float) -> str:
+    """Return the message on a pair that is closer than the margin [m]."""
+    if distance < 0.0:
+        return f"margin: {' and '.join(pair)} overlap by {-1e3 * distance:.3g} mm"
+    return f"margin: {' and '.join(pair)} are {1e3 * distance:.3g} mm apart, less than {1e3 * margin:.3g} mm"
 
 
 class PathClearance(NamedTuple):
@@ -346,19 +354,16 @@ class Avoidance:
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin, until))
         touching = min(now, 0.0) - self._rounding
-        close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
-        # A repeated check may differ from the one in the previous step by this tolerance.
-        tolerance = MOTION_TOLERANCE * self._length
-        loses = not self.moving and lowest < min(self.margin, now) - tolerance
-        relaxed = (
-            (close,) if loses else ()
-        )  # a moving obstacle can be evaded; `describe_violations` says if not
+        # A repeated check may differ from the one in the previous step by the tolerance. Whether a margin to
+        # moving obstacles is lost, which the arm may yet evade, is for `describe_violations` to say.
+        loses = not self.moving and lowest < min(self.margin, now) - MOTION_TOLERANCE * self._length
+        close = f"margin: braking comes as close as {1e3 * lowest:.3g} mm, not {1e3 * self.margin:.3g} mm"
+        relaxed = (close,) if loses else ()
         due = lowest < touching
         if due and self.moving:
             due = self._lowest(state, np.vstack([braking[:1], rest]), touching) < touching
-        least = (
-            min(self.margin, lowest if self.moving and not due else max(lowest, touching)) - self._rounding
-        )
+        possible = lowest if self.moving and not due else max(lowest, touching)
+        least = min(self.margin, possible) - self._rounding
         closer: list[tuple[float, ClearStep]] = []
         for number in range(MAX_HALVINGS):
             share = 0.5**number
@@ -416,9 +421,10 @@ class Avoidance:
 
     def describe_violations(self, state: ArmState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin."""
-        close = self.near(state).distances < self.margin - 1e-9 * self._length
-        words = [f"margin of {1e3 * self.margin:.3g} mm: {pair}" for pair in self._describe(state, close)]
-        more = (f"and {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
+        near = self.near(state)
+        close = np.flatnonzero(near.distances < self.margin - 1e-9 * self._length)
+        words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
+        more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
         return (*words[:MAX_NAMED_PAIRS], *more)
 
     def describe_closest(self, state: ArmState) -> str:

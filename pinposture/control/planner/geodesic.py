@@ -294,7 +294,7 @@ class Geodesic:
                 dq[objective.columns] = evading[objective.columns]
             dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
             if share < 1.0:
-                violated += ("position limits: a faster return would violate the margin to an obstacle",)
+                violated += ("position limit: a faster return would violate the margin to an obstacle",)
             violated += relaxed
         reason = "" if np.any(dq) else "joints are outside their limits, and an obstacle blocks their return"
         return _step_before_planning(state, target, dq, share, violated, reason, stopping)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, isfinite
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
-from pinposture.errors import require_instance
+from pinposture.errors import InvalidValue, require_instance
 
 Array = NDArray[np.float64]
 
@@ -107,21 +107,27 @@ class JointPath:
     @cached_property
     def configurations(self) -> Array:
         """Configurations at the waypoints, (N + 1, nq)."""
-        return np.array([self.arm.integrate(self.start, offset) for offset in self.offsets])
+        return self.arm.integrate(self.start, self.offsets)
 
-    def offset(self, place: float) -> Array:
-        """Return the displacement from the start at a place, (nv,) [rad or m]."""
-        i = min(int(place), len(self.offsets) - 2)
-        share = place - i
+    def offset(self, place: float | Array) -> Array:
+        """Return the displacement from the start at a place, or (k,) of them, (..., nv) [rad or m]."""
+        i, share = self._piece(place)
         return np.asarray((1.0 - share) * self.offsets[i] + share * self.offsets[i + 1])
 
-    def smooth_offset(self, place: float) -> Array:
-        """Return the displacement from the start on the cubic spline through the waypoints, (nv,)."""
-        i = min(int(place), len(self.offsets) - 2)
-        t = place - i
+    def smooth_offset(self, place: float | Array) -> Array:
+        """Return the displacement from the start on the cubic spline through the waypoints; as `offset`."""
+        i, t = self._piece(place)
         before, after = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * t * (3.0 - 2.0 * t)
         here = before * self.offsets[i] + after * self.offsets[i + 1]
         return np.asarray(here + t * (1.0 - t) * ((1.0 - t) * self.slopes[i] - t * self.slopes[i + 1]))
+
+    def _piece(self, place: float | Array) -> tuple[Any, Any]:
+        """Return the waypoint before a place, and how far the place is on the way to the next, in [0, 1]."""
+        if np.ndim(place):
+            i = np.minimum(np.asarray(place, dtype=np.intp), len(self.offsets) - 2)
+            return i, (place - i)[:, None]
+        first = min(int(place), len(self.offsets) - 2)
+        return first, place - first
 
     def configuration(self, place: float) -> Array:
         """Return the configuration at a place, (nq,)."""
@@ -222,7 +228,7 @@ class SpeedProfile:
     Args:
         path: the path.
         bounds: the limits.
-        max_rate: largest number of waypoints in one step.
+        max_rate: largest number of waypoints in one step; one number, or one for each piece, (N,).
         initial_speed: number of waypoints in the previous step, if the arm is moving.
 
     Attributes:
@@ -230,15 +236,17 @@ class SpeedProfile:
     """
 
     def __init__(
-        self, path: JointPath, bounds: JointBounds, max_rate: float = inf, initial_speed: float = 0.0
+        self, path: JointPath, bounds: JointBounds, max_rate: float | Array = inf, initial_speed: float = 0.0
     ) -> None:
-        n, self._waypoints, self._most = path.offsets.shape[1], len(path.offsets) - 1, max_rate
+        n, self._waypoints = path.offsets.shape[1], len(path.offsets) - 1
+        rates = np.full(self._waypoints, max_rate, dtype=np.float64)
+        self._most = float(rates.max())
         count = -(-LEAST_PARTS // self._waypoints) * self._waypoints
         brake = np.full(n, np.inf) if bounds.brake is None else ACCELERATION_SHARE * bounds.brake
         rows = np.empty((count, 3, n)), np.empty((count, 3, n))
         self.top = np.empty(count + 1)
         bound = SPEED_SHARE * np.array(bounds.bound)
-        given = path.offsets, path.slopes, bound, brake, initial_speed, max_rate, ZERO_SLOPE
+        given = path.offsets, path.slopes, bound, brake, initial_speed, rates, ZERO_SLOPE
         kernels.find_speed_profile(*given, *rows, self.top)
         self._rows = (brake, *rows)
 
@@ -265,19 +273,20 @@ class TimedPath:
         bounds: the limits of the joints of the arm.
         profile: the highest speed along the path; None without acceleration limit and schedule. Each step
             then goes as far as its slowest joint can.
-        max_rate: largest number of waypoints in one step; infinite on a path without a schedule.
+        max_rate: largest number of waypoints in one step, as for `retime`; infinite on a path without a
+            schedule.
     """
 
     path: JointPath
     limits: Limits
     bounds: JointBounds
     profile: SpeedProfile | None
-    max_rate: float = inf
+    max_rate: float | Array = inf
 
     @property
     def scheduled(self) -> bool:
         """Whether the path has a schedule: the target moves along it, and the path is kept."""
-        return isfinite(self.max_rate)
+        return bool(np.all(np.isfinite(self.max_rate)))
 
     @cached_property
     def places(self) -> Array:
@@ -309,11 +318,11 @@ class TimedPath:
     def configurations(self) -> Array:
         """Configuration after each step, (K + 1, nq): with a profile, on the spline through the waypoints."""
         offset = self.path.offset if self.profile is None else self.path.smooth_offset
-        return np.array([self.path.arm.integrate(self.path.start, offset(place)) for place in self.places])
+        return self.path.arm.integrate(self.path.start, offset(self.places))
 
 
 def retime(
-    path: JointPath, limits: Limits | None = None, max_rate: float = inf, initial_speed: float = 0.0
+    path: JointPath, limits: Limits | None = None, max_rate: float | Array = inf, initial_speed: float = 0.0
 ) -> TimedPath:
     """Find the time parameterization of a path within limits: the second stage of `Geodesic`.
 
@@ -322,8 +331,8 @@ def retime(
     Args:
         path: the path, as `plan` returns it.
         limits: the limits of each step; `Limits()` if None.
-        max_rate: largest number of waypoints in one step. A finite number makes the waypoints a schedule: the
-            target moves along the path.
+        max_rate: largest number of waypoints in one step; one number, or one for each of the N pieces. Finite
+            numbers make the waypoints a schedule: the target moves along the path.
         initial_speed: number of waypoints in the previous step, if the arm already moves along the path.
 
     Raises:
@@ -331,11 +340,14 @@ def retime(
     """
     require_instance("path", path, JointPath, "a JointPath, as `plan` returns it")
     limits = require_limits(limits)
-    if max_rate != inf:
+    if isinstance(max_rate, np.ndarray):
+        if max_rate.shape != (path.end,) or not np.all((max_rate > 0.0) & (max_rate < inf)):
+            raise InvalidValue("max_rate", max_rate, f"one number > 0, or ({path.end:g},) finite ones")
+    elif max_rate != inf:
         require_positive("max_rate", max_rate)
     require_positive("initial_speed", initial_speed, zero=True)
     bounds, profile = limits.for_arm(path.arm), None
-    if bounds.brake is not None or max_rate != inf:
+    if bounds.brake is not None or np.all(np.isfinite(max_rate)):
         path = path.within(bounds.edges)
         profile = SpeedProfile(path, bounds, max_rate, initial_speed)
     return TimedPath(path, limits, bounds, profile, max_rate)

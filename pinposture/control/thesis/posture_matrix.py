@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.kinematics import constants_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, LOCAL, Factors, Rows, Screws
 from pinposture.placement import Target
@@ -55,7 +54,7 @@ class PostureMatrix:
         columns, asked = arm.columns, np.zeros(arm.nv)
         x = secondary[columns]
         kernels.least_change(self._screws, self._rows, self._factors, values, x)
-        asked[columns] = x * constants_of(arm).units
+        asked[columns] = x * arm.kinematics.task_constants.units
         return asked
 
     @cached_property
@@ -166,7 +165,11 @@ def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
     Returns:
         Joint displacement (nv,) in `Arm.joint_units`; zero where the gradient vanishes.
     """
-    known, gradient, motion = constants_of(arm), np.empty(len(arm.columns)), np.empty(errors.shape)
+    known, gradient, motion = (
+        arm.kinematics.task_constants,
+        np.empty(len(arm.columns)),
+        np.empty(errors.shape),
+    )
     every = Rows(known.every, known.dimensions, known.frames, FULL)
     kernels.joints_along(screws, every, errors, gradient)
     kernels.motions_along(screws, every, gradient, motion)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_positive, require_share
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.posture_matrix import (
@@ -90,7 +89,7 @@ class Projection:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`."""
-        screws, errors = screws_of(state), aligned_errors(state, target, target.has_target)
+        screws, errors = state.screws, aligned_errors(state, target, target.has_target)
         secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
         return self._step(secondary, screws, state, target, limits, memory)
 
@@ -111,7 +110,7 @@ class Projection:
             limits: the limits of the step; `Limits()` if None.
             memory: `memory` of the previous step; None at the first.
         """
-        return self._step(secondary, screws_of(state), state, target, limits, memory)
+        return self._step(secondary, state.screws, state, target, limits, memory)
 
     def _step(
         self,
@@ -164,7 +163,7 @@ class Projection:
             smallest ratio of a kept singular value to the largest of its module.
         """
         arm = state.arm
-        rows, smallest = self._rows(arm, screws_of(state), eligible)
+        rows, smallest = self._rows(arm, state.screws, eligible)
         if rows is None:
             return np.zeros((0, arm.nv)), np.zeros(0), (), 0.0
         jacobians = state.task_jacobians[rows.stations]
@@ -189,8 +188,8 @@ class Projection:
         stations = np.flatnonzero(eligible)  # where sections end; modules, if all points have a target
         lengths = _differences(np.cumsum(arm.chain.module_lengths)[stations])
         directions, ranks = np.empty((len(stations), 3, 3)), np.zeros(len(stations), dtype=np.int64)
-        given = constants_of(arm).plane, stations, self.threshold * lengths
-        smallest = float(kernels.module_spaces(*screws, *given, directions, ranks))
+        given = arm.kinematics.task_constants.plane, stations, self.threshold * lengths
+        smallest = float(kernels.module_spaces(screws, *given, directions, ranks))
         if not np.any(ranks):
             return None, 0.0
         return Rows(stations, ranks, directions, NUMBERS[self.coupling]), smallest

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.kinematics import Chain, constants_of
+from pinposture.arm.kinematics import Chain
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import Screws
 
@@ -365,7 +365,7 @@ def section_edges(
     """
     indices = np.zeros((len(strides), arm.n_modules + 1))
     wanted = np.array(strides, dtype=np.int64)
-    kernels.stride_indices(*screws, constants_of(arm).plane, wanted, indices)
+    kernels.stride_indices(screws, arm.kinematics.task_constants.plane, wanted, indices)
     return SectionEdges.of(
         np.minimum(indices / _best_indices(arm.chain, strides), 1.0), usable, threshold, strides
     )

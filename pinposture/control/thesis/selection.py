@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_positive, require_share
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.posture_matrix import (
@@ -99,7 +98,7 @@ def active_set(
 def base_indices(arm: Arm, screws: Screws, threshold: float) -> Array:
     """Return the indices of all points relative to the base, (m,), accurate where near the threshold."""
     indices = np.empty(arm.n_modules)
-    kernels.base_indices(*screws, constants_of(arm).plane, threshold, indices)
+    kernels.base_indices(screws, arm.kinematics.task_constants.plane, threshold, indices)
     return indices
 
 
@@ -117,7 +116,7 @@ def best_set(arm: Arm, screws: Screws, usable: NDArray[np.bool_], errors: Array,
         Increasing indices of control points, 0-based; empty if there is no candidate set.
     """
     path = np.empty(arm.n_modules, dtype=np.int64)
-    count = kernels.best_path(*screws, constants_of(arm).plane, usable, errors, relative, path)
+    count = kernels.best_path(screws, arm.kinematics.task_constants.plane, usable, errors, relative, path)
     return path[:count]
 
 
@@ -207,7 +206,7 @@ class Selection:
         """Compute one step; see `Controller.step`. Without a candidate set the arm stops, with a reason."""
         limits = require_limits(limits)
         previous = memory.dq if memory is not None else None
-        arm, screws, placed = state.arm, screws_of(state), target.has_target
+        arm, screws, placed = state.arm, state.screws, target.has_target
         errors = aligned_errors(state, target, placed)
         distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
         base = base_indices(arm, screws, self.absolute)
@@ -224,7 +223,7 @@ class Selection:
         limited = limits.apply(state, asked, previous)
         diagnostics = Diagnostics(
             limited.clipped,
-            manipulability=kernels.weakest_index(*screws, constants_of(arm).plane, active, base),
+            manipulability=kernels.weakest_index(screws, arm.kinematics.task_constants.plane, active, base),
             spectrum=matrix,
             rows=matrix.size,
             dropped=dropped,
@@ -279,7 +278,7 @@ class Selection:
 
 def _full_rows(arm: Arm, points: NDArray[np.int64]) -> Rows:
     """Return the rows of control points in all directions."""
-    known, count = constants_of(arm), len(points)
+    known, count = arm.kinematics.task_constants, len(points)
     return Rows(points, known.dimensions[:count], known.frames[:count], FULL)
 
 

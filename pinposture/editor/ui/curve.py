@@ -21,6 +21,7 @@ from pinposture.editor.ui.parts import (
     Typed,
     add_lines,
     color,
+    coordinate_digits,
     on_change,
     on_choice,
     put,
@@ -402,7 +403,7 @@ class ShapeTab:
             visible=False,
         )
         self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
-        self._digits = max(3, 3 - int(np.floor(np.log10(arm.length))))  # of coordinates, behind the point
+        self._digits = coordinate_digits(arm.length)
         step = 10.0**-self._digits
         place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=step, hint="World frame")
         self._place = Typed(place, self._move, preview=True)
@@ -411,9 +412,9 @@ class ShapeTab:
         self._snap = gui.add_checkbox(
             "Snap to a grid", False, hint="Snap dragged points to a grid in the world frame"
         )
-        first = round(1e3 * round_number(GRID * arm.length), 1)
-        self._step = gui.add_number("Grid [mm]", first, min=0.1, step=1.0)
-        self._step.precision = 1
+        first = 1e3 * round_number(GRID * arm.length)
+        self._step = gui.add_number("Grid [mm]", first, min=100.0 * step, step=1e3 * step)
+        self._step.precision = self._digits - 2
         for control in (self._snap, self._step):
             on_change(control, lambda _: post(partial(set_grid, self._grid)))
         on_change(self._point, self._select)

@@ -420,7 +420,7 @@ class Page:
             keyframes = KeyframesTab(server, arm, self._states, post)
             self._parts += [keyframes, OtherCurves(server, arm, lambda: keyframes.others)]
         with tabs.add_tab("Scene"):
-            self._parts.append(SceneTab(server, scans, post))
+            self._parts.append(SceneTab(server, arm, scans, post))
         with tabs.add_tab("Arm"):
             self._parts += [MeasuredArm(server, arm, self._states), ArmTab(server, self._arm, post)]
         with tabs.add_tab("File"):

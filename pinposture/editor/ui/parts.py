@@ -50,6 +50,11 @@ def round_number(value: float) -> float:
     return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - value)) * power)
 
 
+def coordinate_digits(length: float) -> int:
+    """Return the number of decimals of coordinates [m]: 3, or more for an arm of less than a metre."""
+    return max(3, 3 - int(np.floor(np.log10(length) + 1e-9)))  # 0.999... m counts as 1 m
+
+
 def length_text(length: float) -> str:
     """Return a length [m] in words: in millimetres below a metre."""
     if length < SMALLEST_LENGTH:

@@ -28,6 +28,7 @@ from pinposture.editor.ui.parts import (
     Typed,
     add_lines,
     color,
+    coordinate_digits,
     framed_html,
     length_text,
     on_change,
@@ -183,8 +184,7 @@ VECTOR_LABELS = {
 }
 """Labels and hints of values of three numbers, by attribute."""
 
-LENGTH_DIGITS, ANGLE_DIGITS = 4, 2  # of shown coordinates [m] and angles [deg]
-MICROMETRES = 6  # digits of radii and margins [m]
+NORMAL_DIGITS, ANGLE_DIGITS = 4, 2  # of shown directions and angles [deg]
 
 
 class DrawnObstacle(NamedTuple):
@@ -415,8 +415,11 @@ def clearance_text(found: NearestObstacle | None) -> str:
 class SceneTab:
     """Controls for the surroundings of the arm: obstacles in numbers, margins, scans, and the clearance."""
 
-    def __init__(self, server: viser.ViserServer, scans: ScanShelf, post: Post) -> None:
+    def __init__(self, server: viser.ViserServer, arm: Arm, scans: ScanShelf, post: Post) -> None:
         self._post, gui = post, server.gui
+        digits = coordinate_digits(arm.length)
+        step = 10.0**-digits
+        self._digits = digits + 3  # of radii and margins, which are small
         self._points = np.zeros((0, 3))
         self._name = ""
         self._about = gui.add_html("")
@@ -425,23 +428,24 @@ class SceneTab:
         self._called = Typed(gui.add_text("Name", "", visible=False), self._rename)
         self._vectors: dict[str, Typed] = {}
         for key, (label, hint) in VECTOR_LABELS.items():
-            step = 1.0 if key == "rotation" else 0.005
-            field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=step, hint=hint, visible=False)
+            by = {"rotation": 1.0, "normal": 0.005}.get(key, step)
+            field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=by, hint=hint, visible=False)
+            field.precision = {"rotation": ANGLE_DIGITS, "normal": NORMAL_DIGITS}.get(key, digits)
             self._vectors[key] = Typed(field, partial(self._set_value, key), preview=True)
-        radius = gui.add_number("Radius [m]", 0.0, min=0.0, step=0.005, visible=False)
+        radius = gui.add_number("Radius [m]", 0.0, min=0.0, step=step, visible=False)
         self._radius = Typed(radius, partial(self._set_value, "radius"), preview=True)
         self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, visible=False)
         with gui.add_folder("Keep clear"):
             hint = "Distance to keep from obstacles"
-            margin = gui.add_number("Margin [m]", 0.0, min=0.0, step=0.001, hint=hint)
+            margin = gui.add_number("Margin [m]", 0.0, min=0.0, step=step, hint=hint)
             self._margin = Typed(margin, self._set_margin)
             hint = "Avoid collisions of the arm with itself, too"
             self._self_collision = gui.add_checkbox("Self-collision", False, hint=hint)
             hint = "Radius of its links; 0: as in its description"
-            thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=0.001, hint=hint)
+            thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=step, hint=hint)
             self._arm_radius = Typed(thickness, self._set_arm_radius)
         for each in (radius, margin, thickness):
-            each.precision = MICROMETRES
+            each.precision = self._digits
         with gui.add_folder("Meshes and scans", expand_by_default=False):
             self._scans = ScanControls(server, scans, post)
         on_choice(add, lambda label: post(partial(obstacles.add_obstacle, KIND_LABELS[label], self._points)))
@@ -464,9 +468,9 @@ class SceneTab:
                 typed.finish()  # it was meant for the one before
             self._name = name or ""
         self._show_values(listed.get(self._name))
-        self._margin.show(round(scene.margin, MICROMETRES))
+        self._margin.show(round(scene.margin, self._digits))
         put(self._self_collision, value=scene.self_collision)
-        self._arm_radius.show(0.0 if scene.arm_radius is None else round(scene.arm_radius, MICROMETRES))
+        self._arm_radius.show(0.0 if scene.arm_radius is None else round(scene.arm_radius, self._digits))
         found = session.nearest
         shade = palette.QUIET if found is None else CLEARANCE_COLORS[found.level]
         text = escape(clearance_text(found))
@@ -479,10 +483,11 @@ class SceneTab:
         put(self._delete, visible=obstacle is not None)
         for key, typed in self._vectors.items():
             own = getattr(obstacle, key, None)
-            shown = typed.control.value if own is None else _shown_vector(key, own)
+            field = typed.control
+            shown = field.value if own is None else _shown_vector(key, own, field.precision)
             typed.show(shown, visible=own is not None)
         radius = getattr(obstacle, "radius", None)
-        shown = 0.0 if radius is None else round(radius, MICROMETRES)
+        shown = 0.0 if radius is None else round(radius, self._digits)
         self._radius.show(shown, visible=radius is not None)
 
     def _select(self, name: str) -> None:
@@ -513,8 +518,7 @@ class SceneTab:
         self._post(lambda session: session.edit(with_scene(self_collision=value), text))
 
 
-def _shown_vector(key: str, value: Any) -> tuple[float, ...]:
-    digits = LENGTH_DIGITS
+def _shown_vector(key: str, value: Any, digits: int) -> tuple[float, ...]:
     if key == "rotation":
-        value, digits = np.degrees(pin.rpy.matrixToRpy(np.array(value))), ANGLE_DIGITS
+        value = np.degrees(pin.rpy.matrixToRpy(np.array(value)))
     return tuple(round(float(each), digits) + 0.0 for each in value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,6 @@ from pinposture.study.reproduce.runs import (
     Variant,
     has_full_rank,
     make_pool,
-    seed_bundles,
     stacked,
     thesis_arm,
 )
@@ -79,18 +79,18 @@ class Counted(NamedTuple):
 
 def count_postures(seeds: int, jobs: int = 1, first: int = 0) -> list[Counted]:
     """Count over random postures of both arms; the result only depends on the seeds."""
-    tasks = (delayed(_count)(name, bundle) for name in ARM_NAMES for bundle in seed_bundles(seeds, first))
+    cases = product(ARM_NAMES, range(first, first + seeds))
+    tasks = (delayed(_count)(name, seed) for name, seed in cases)
     return [each for listed in in_order(tasks, jobs) for each in listed]
 
 
-def _count(name: str, seeds: Iterable[int]) -> list[Counted]:
-    arm, counted = thesis_arm(name), []
-    for seed in seeds:
-        rng = np.random.default_rng((seed, 2))
-        for kind in KINDS:
-            for _ in range(DRAWS):
-                q = arbitrary_configuration(arm, rng) if kind == "smooth" else arm.random(rng)
-                counted.extend(count_posture(arm, name, kind, q, rng))
+def _count(name: str, seed: int) -> list[Counted]:
+    arm, counted = thesis_arm(name), list[Counted]()
+    rng = np.random.default_rng((seed, 2))
+    for kind in KINDS:
+        for _ in range(DRAWS):
+            q = arbitrary_configuration(arm, rng) if kind == "smooth" else arm.random(rng)
+            counted.extend(count_posture(arm, name, kind, q, rng))
     return counted
 
 

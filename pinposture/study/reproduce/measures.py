@@ -60,14 +60,14 @@ def share(truths: Iterable[bool]) -> Share:
     return Share(sum(listed), len(listed))
 
 
-class Class(NamedTuple):
-    """A quantity over the steps within one class of nearness to a singular posture.
+class NearnessBin(NamedTuple):
+    """A quantity over the steps within one range of nearness to a singular posture.
 
     Attributes:
         quantity: name of the quantity, with its unit.
         group: the group of runs.
-        low: lower bound of the class: smallest singular value of the tip's Jacobian per arm length.
-        high: upper bound of the class.
+        low: lower bound of the nearness: smallest singular value of the tip's Jacobian per arm length.
+        high: upper bound.
         steps: number of steps in it.
         median: median over the steps.
         largest: largest value.
@@ -95,7 +95,7 @@ class Finding(NamedTuple):
     shares: Mapping[str, Share]
     figures: Mapping[str, float] = {}
     instead: str = ""
-    by_nearness: Sequence[Class] = ()
+    by_nearness: Sequence[NearnessBin] = ()
 
 
 def judge(shares: Mapping[str, Share], rule: Rule) -> Verdict:
@@ -333,7 +333,7 @@ def _on_curve(reading: Reading) -> Finding:
 
 
 BINS = (0.0, 0.003, 0.01, 0.03, 0.1, np.inf)
-"""Bounds of the classes of nearness for which figures are given."""
+"""Bounds of the ranges of nearness for which figures are given."""
 
 HALF_TURN = float(np.pi)
 """Largest acceptable joint motion in one step [rad]; beyond it the joint might turn the other way."""
@@ -352,16 +352,16 @@ def _near(
     return np.concatenate([np.zeros(0), *parts])
 
 
-def _by_nearness(groups: Groups, name: str, quantity: str) -> list[Class]:
+def _by_nearness(groups: Groups, name: str, quantity: str) -> list[NearnessBin]:
     """Return medians and largest values of a quantity of the steps, by nearness."""
-    classes = []
+    bins = []
     for group, runs in groups.items():
         for low, high in pairwise(BINS):
             values = _near(runs, name, low, high)
             if len(values):
                 largest = float(values.max())
-                classes.append(Class(quantity, group, low, high, len(values), median(values), largest))
-    return classes
+                bins.append(NearnessBin(quantity, group, low, high, len(values), median(values), largest))
+    return bins
 
 
 def _bounded_steps(reading: Reading) -> Finding:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.kinematics import constants_of
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
 from pinposture.control.thesis.sections import SectionEdges, best_branch
 from pinposture.errors import require_known
@@ -213,9 +213,6 @@ NUDGE = 1e-6
 FREE = 1e3
 """Position limits of joints that count as unlimited [rad]."""
 
-BUNDLE = 5
-"""Number of seeds in one task of a process."""
-
 
 @dataclass(frozen=True)
 class PrintedSelection(Selection):
@@ -232,7 +229,7 @@ class PrintedSelection(Selection):
         region = np.flatnonzero(placed)
         indices = np.zeros((len(self.strides), arm.n_modules + 1))
         strides = np.array(self.strides, dtype=np.int64)
-        kernels.stride_indices(*screws, constants_of(arm).plane, strides, indices)
+        kernels.stride_indices(screws, arm.kinematics.task_constants.plane, strides, indices)
         usable = (base > self.absolute) & placed
         edges = SectionEdges.of(indices, usable, self.relative, self.strides)
         points = best_branch(edges, int(region[0]), int(region[-1]), "thesis").points
@@ -440,7 +437,7 @@ def measured(
 def make_pool(
     batches: Iterable[RunSet],
     seeds: int,
-    max_steps: int = THESIS_STEPS,
+    max_steps: int,
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
     first: int = 0,
@@ -449,24 +446,14 @@ def make_pool(
 
     `progress` is called with the number of newly finished runs.
     """
-    todo = [(batch, bundle) for batch in batches for bundle in seed_bundles(seeds, first)]
+    todo = list(product(batches, range(first, first + seeds)))
     pool: dict[tuple[str, str], list[MeasuredRun]] = {}
-    tasks = (delayed(_work_off)(batch, bundle, max_steps) for batch, bundle in todo)
-    for (batch, bundle), found in zip(todo, in_order(tasks, jobs), strict=True):
-        pool.setdefault((batch.scenario, batch.variant), []).extend(found)
+    tasks = (delayed(measure)(batch, seed, max_steps) for batch, seed in todo)
+    for (batch, _), run in zip(todo, in_order(tasks, jobs), strict=True):
+        pool.setdefault((batch.scenario, batch.variant), []).append(run)
         if progress is not None:
-            progress(len(bundle))
+            progress(1)
     return pool
-
-
-def seed_bundles(seeds: int, first: int = 0) -> list[range]:
-    """Return consecutive seeds, in bundles for the tasks of processes."""
-    end = first + seeds
-    return [range(seed, min(seed + BUNDLE, end)) for seed in range(first, end, BUNDLE)]
-
-
-def _work_off(batch: RunSet, seeds: Sequence[int], max_steps: int) -> list[MeasuredRun]:
-    return [measure(batch, seed, max_steps) for seed in seeds]
 
 
 ARM_NAMES = {"ryrz20": "spatial", "planar45": "planar"}

@@ -41,13 +41,15 @@ def smooth_way(rng: np.random.Generator, rows: int, joints: int) -> JointPath:
     return way(np.sum(waves, axis=0))
 
 
-def gone(path: JointPath, bound: np.ndarray, brake: np.ndarray | None, most: float = np.inf) -> np.ndarray:
+def gone(
+    path: JointPath, bound: np.ndarray, brake: np.ndarray | None, most: float | np.ndarray = np.inf
+) -> np.ndarray:
     """The places of a motion at the pace that is given, step by step until its end."""
     bounds = pp.Limits().for_arm(path.arm)._replace(bound=bound, brake=brake)
     profile, places, speed = SpeedProfile(path, bounds, most), [0.0], 0.0
     while places[-1] < path.end:
         speed = profile.next(places[-1], speed)
-        assert 0.0 < speed <= most * (1.0 + ROUNDING)
+        assert 0.0 < speed <= np.max(most) * (1.0 + ROUNDING)
         places.append(min(places[-1] + speed, path.end))
         assert len(places) < 50_000
     return np.array(places)
@@ -214,6 +216,21 @@ def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
     )
     profile = SpeedProfile(path, bounds)
     assert profile.steps <= 1.02 * shortest(path, profile, brake)
+
+
+@pytest.mark.parametrize("seed", seeds(6))
+def test_a_rate_for_each_piece_is_kept_there_and_limits_too(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path, rates = smooth_way(rng, 60, 3), np.full(59, 0.8)
+    rates[20:30], rates[40] = 0.1, 0.3
+    bound, brake = np.full(3, 0.1), rng.uniform(1e-4, 1e-2, 3)
+    places = gone(path, bound, brake, rates)
+    begin = places[:-1].astype(int)
+    for first, last, passed in zip(begin, np.ceil(places[1:]).astype(int), np.diff(places), strict=True):
+        assert passed <= rates[first:last].max() * (1.0 + ROUNDING)
+    assert max(loads(path, places, bound, brake)) <= 1.0 + ROUNDING
+    np.testing.assert_array_equal(gone(path, bound, brake, np.full(59, 0.8)), gone(path, bound, brake, 0.8))
+    assert len(places) > len(gone(path, bound, brake, 0.8)) + 50
 
 
 @pytest.mark.filterwarnings("ignore:velocity .* is above")

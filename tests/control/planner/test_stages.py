@@ -169,6 +169,8 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
         (lambda: pp.retime(path.offsets), "path"),
         (lambda: pp.retime(path, 0.1), "limits"),
         (lambda: pp.retime(path, max_rate=0.0), "max_rate"),
+        (lambda: pp.retime(path, max_rate=np.ones(len(path.offsets))), "max_rate"),
+        (lambda: pp.retime(path, max_rate=np.full(len(path.offsets) - 1, np.inf)), "max_rate"),
         (lambda: pp.follow(path, state), "path"),
         (lambda: pp.follow(pp.retime(path), q), "state"),
         (lambda: pp.follow(pp.retime(path), template_arm("RyRz", 5).at(np.zeros(10))), "state"),
