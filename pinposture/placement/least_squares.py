@@ -45,12 +45,12 @@ REFINE_DAMPING, REFINE_DAMPING_DOWN, REFINE_DAMPING_UP = 1e-11, 0.1, 10.0
 LOOK_AHEAD, LOOK_AHEAD_SAMPLES = 2.0, 64
 """Search range for the next control point along the curve, in module lengths, and number of samples."""
 
-TIP_WEIGHT, LINK_WEIGHT, SLIDE_WEIGHT = 0.1, 1e-2, 1e-3
+TIP_WEIGHT, LINK_WEIGHT, SLIDE_WEIGHT = 0.1, 1e-2, 4e-3
 """Weights of the tip's distance from the end of the curve, of the links' distance from it, and of differences
 between slides, against the distance of control points from the curve."""
 
 END_MARGIN = 1e-5  # arc length left beyond the tip at the end of a curve, in arm lengths
-ROUGH_DISTANCE = 1e-3  # as `EXACT_FIT`, for arms with slides
+NEAR_FIT = 1e-3  # as `EXACT_FIT`, for arms with slides
 CLOSING_WEIGHT = 1e-6  # weight of changes to the fit while its control points move onto the curve
 ON_JOINT = 1e-9  # length of a link that counts as zero, in arm lengths
 SLIDE_STEPS = 17  # number of postures in the search for slides that fit a length
@@ -120,7 +120,13 @@ def fit_curve(
 
 
 def fit_near(
-    arm: Arm, curve: Curve, start: float, bending: float, q: Array, parameters: Array | None, to_end: bool = True
+    arm: Arm,
+    curve: Curve,
+    start: float,
+    bending: float,
+    q: Array,
+    parameters: Array | None,
+    to_end: bool = True,
 ) -> tuple[Array, Array]:
     """Fit an arm to a curve as `fit_curve` does, starting from a configuration close to the curve.
 
@@ -137,7 +143,10 @@ def fit_near(
     if parameters is None:
         parameters = _nearest_parameters(arm, curve, start, q)
     guess = problem.joined(arm.positions(q), parameters)
-    found = refined(problem, curve, np.clip(guess, problem.lower, problem.upper))
+    guess = np.clip(guess, problem.lower, problem.upper)
+    found = refined(problem, curve, guess)
+    if isinstance(problem, SlidingFit) and not problem.converged(curve, found):
+        found = problem.solve(curve, guess, evaluations=60)
     return problem.split(problem.closed(curve, found))
 
 
@@ -350,7 +359,7 @@ class SlidingFit(FitProblem):
     4. Differences of the slides from those of the straight arm that is as long as the curve.
     """
 
-    exact, settled = ROUGH_DISTANCE, 1e-4
+    exact, settled = NEAR_FIT, 1e-5
 
     def __init__(
         self, arm: Arm, start: float, bending: float, base: Array, length: float, to_end: bool
@@ -359,7 +368,9 @@ class SlidingFit(FitProblem):
         chain, n = arm.chain, self._joints
         extended, slid = arm.positions(arm.straight()), slid_positions(arm, to_end * (length - start))
         points = [chain.flattened(arm.kinematics.forward(each).points) for each in (extended, slid)]
-        longest, lengths = (np.linalg.norm(np.diff(p, axis=0, prepend=chain.base[None]), axis=1) for p in points)
+        longest, lengths = (
+            np.linalg.norm(np.diff(p, axis=0, prepend=chain.base[None]), axis=1) for p in points
+        )
         self.reach = float(longest.sum())
         longest = MAX_SPACING * np.maximum(longest, longest.mean()) / arm.length
         self.upper[n:] = np.maximum(self.upper[n:], longest)
@@ -379,6 +390,9 @@ class SlidingFit(FitProblem):
         self._carried = joints < before[:, None]
         self._ratios = (chain.columns[:, None] == self.columns) * chain.ratios[:, None]
         long = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1) > ON_JOINT * arm.length
+        roaming = int(arm.roaming.sum())  # links begin after them, see `ArmState.links`
+        self._first = roaming + bool(roaming)
+        long[: self._first] = False
         self._sampled = np.concatenate([long, long])
         self._sampled[len(long) + self._points - 1] = False  # they are in the rows of `FitProblem`
 
@@ -387,13 +401,19 @@ class SlidingFit(FitProblem):
         residual = self.evaluate(curve, unknowns)[0][: 3 * self.points]
         return float(np.sqrt(residual @ residual / self.points))
 
+    def converged(self, curve: Curve, unknowns: Array) -> bool:
+        """Return whether the control points are about on the curve."""
+        ends_on_it = self.split(unknowns)[1][-1] <= curve.length
+        return bool(ends_on_it and self.distance(curve, unknowns) <= self.exact)
+
     def closed(self, curve: Samples | Curve, unknowns: Array) -> Array:
         """Move the control points of a fit onto the curve, if other residuals hold them off it."""
-        if self._bending > EXACT_FIT:  # bending does, too
+        tip, length = self.split(unknowns)[1][-1], self._arm.length
+        if self._bending > EXACT_FIT or tip > curve.length + NEAR_FIT * length:  # it cannot
             return unknowns
         points = copy(self)
         points._only_points, points._tip_weight = True, 1.0
-        points._end = min(self.split(unknowns)[1][-1], curve.length - END_MARGIN * self._arm.length)
+        points._end = min(tip, curve.length - END_MARGIN * length)
         return refined(points, curve, unknowns, weight=CLOSING_WEIGHT)
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
@@ -410,16 +430,15 @@ class SlidingFit(FitProblem):
         links, slides = np.zeros((len(rows), n + m)), SLIDE_WEIGHT * np.eye(n + m)[sliding]
         links[:, :n] = weight * self._units[:n] * rows
         shifts = slides @ (unknowns - self._straight)
-        return np.concatenate([residual, tip, weight * gaps, shifts]), np.vstack([jacobian, row, links, slides])
+        residual = np.concatenate([residual, tip, weight * gaps, shifts])
+        return residual, np.vstack([jacobian, row, links, slides])
 
     def _stations(self, positions: Array) -> tuple[Array, Array]:
-        """Return the base, joints and control points along the arm, (k, 3) [m], and the joints' motions of them.
-
-        The latter are velocities per unit of joint motion, (k, 3, n).
-        """
+        """Return the base, joints and control points along the arm, (k, 3) [m], and their Jacobians."""
         chain, forward = self._arm.chain, self._arm.kinematics.forward(positions)
         stations = np.empty((len(self._carried), 3))
-        stations[0], stations[self._points], stations[self._origins] = chain.base, forward.points, forward.origins
+        stations[0], stations[self._points] = chain.base, forward.points
+        stations[self._origins] = forward.origins
         levers = np.cross(forward.axes, stations[:, None] - forward.origins)
         moved = np.where(chain.revolute[:, None], levers, forward.axes) * self._carried[:, :, None]
         return chain.flattened(stations), moved.transpose(0, 2, 1) @ self._ratios
@@ -428,15 +447,17 @@ class SlidingFit(FitProblem):
         """Return the vectors from the curve to points of the links (3 k,) [m] and their Jacobian (3 k, n)."""
         positions, s = self.split(unknowns)
         stations, jacobians = self._stations(positions)
-        along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(stations, axis=0), axis=1)))
+        steps = np.linalg.norm(np.diff(stations, axis=0), axis=1)
+        steps[: self._first] = 0.0
+        along = np.append(0.0, np.cumsum(steps))
         points, jacobians, at = (
             np.concatenate([(each[1:] + each[:-1]) / 2.0, each[1:]])[self._sampled]
             for each in (stations, jacobians, along)
         )
         places = np.interp(at, np.append(0.0, along[self._points]), np.append(self._start, s))
         places = np.clip(places, 0.0, curve.length)
-        steps = np.einsum("ij,ij->i", points - curve.at(places), curve.tangent(places))
-        places = np.clip(places + steps, 0.0, curve.length)
+        ahead = np.einsum("ij,ij->i", points - curve.at(places), curve.tangent(places))
+        places = np.clip(places + ahead, 0.0, curve.length)
         gaps, tangents = points - curve.at(places), curve.tangent(places)
         across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
         return np.einsum("pij,pj->pi", across, gaps).ravel(), (across @ jacobians).reshape(-1, self._joints)

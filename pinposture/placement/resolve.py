@@ -30,7 +30,13 @@ from pinposture.errors import (
     require_known,
     warn_caller,
 )
-from pinposture.placement.least_squares import base_positions, fit_curve, fit_near, fitting_slides, slid_positions
+from pinposture.placement.least_squares import (
+    base_positions,
+    fit_curve,
+    fit_near,
+    fitting_slides,
+    slid_positions,
+)
 from pinposture.placement.module_kinematics import (
     Circle,
     ClosedForm,
@@ -106,21 +112,20 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
         UnsupportedModule: no joint of a module moves its end.
         InvalidValue: custom kinematics are inconsistent.
     """
-    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
-    placed = _place_modules(arm, curve, samples, preferred)
+    placed = _place_modules(arm, curve, samples, near)
     if isinstance(placed.failure, CurveEndsEarly) and placed.failure.module == arm.n_modules:
-        # It may be as long as the arm, up to rounding.
-        longer = 1.0 + ON_CURVE
-        enlarged = curve.moved(longer * np.eye(3), (1.0 - longer) * arm.chain.base)
-        again = _place_modules(arm, enlarged, samples, preferred)
+        # The curve may be as long as the arm, up to rounding: enlarge it about the base.
+        enlarged = curve.moved((1.0 + ON_CURVE) * np.eye(3), -ON_CURVE * arm.chain.base)
+        again = _place_modules(arm, enlarged, samples, near)
         placed = placed if again.failure is not None else again
     return placed._replace(parameters=np.minimum(placed.parameters, curve.length))
 
 
-def _place_modules(arm: Arm, curve: Curve, samples: int, preferred: Array) -> Placement:
+def _place_modules(arm: Arm, curve: Curve, samples: int, near: Target | None) -> Placement:
     units, names = arm_units(arm), kinematics_names(arm)
     if is_compiled(arm):
         return _place_compiled(arm, curve, samples, units)._replace(placed_by=names)
+    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
     walk = Walk(arm, curve, samples, preferred)
     parameters, failure = np.full(arm.n_modules, curve.length), None
     for unit in units:
@@ -326,6 +331,11 @@ def resolve_targets(
     choice. Sequential placement multiplies the angle between a module and the curve by -l1 / l2 from module
     to module, and can zigzag along a curve that leaves the base at an angle; smooth placement does not.
 
+    Least squares extend slides until the tip is at the end of the curve, or as near to it as the slides or,
+    where the curve bends too much, the control points allow. Among such postures they choose one with the
+    links near the curve. Sequential placement keeps slides near equal shares of their ranges, with which the
+    straight arm is as long as the curve.
+
     Args:
         arm: the arm.
         curve: the shape to take.
@@ -338,12 +348,12 @@ def resolve_targets(
         roll: additional rotation of an aligned curve about the arm's axis [rad].
         incomplete: what to do if a module cannot be placed: "raise" an error, or return a "partial" target
             with the reason in `incomplete` and weight 0 for the points from there on.
-        method: as above; "auto" is sequential if that works and does not zigzag, else smooth, or closest if a
-            module has no closed-form kinematics. The reason is then in `Target.fallback` and in the log.
+        method: as above; "auto" is closest for an arm with slides, else sequential if that works and does not
+            zigzag, else smooth, or closest if a module has no closed-form kinematics. The reason for least
+            squares is then in `Target.fallback` and in the log.
         near: target on a slightly different curve, or of a configuration close to this one
             (`Target.from_configuration`). Least squares then only search near it, which is fast. If None,
-            they start from the straight arm and take tenths of a second for 20 modules, seconds for 100; if
-            the curve is too short for that, with slides retracted.
+            they start from the straight arm and take tenths of a second for 20 modules, seconds for 100.
 
     Returns:
         The target, with `q`, `parameters`, `residual`, `method` and `moved`. If the links are more than a
@@ -352,7 +362,7 @@ def resolve_targets(
         half a turn of `near`, or of the straight arm.
 
     Raises:
-        CurveEndsEarly: the curve ends before the last module does.
+        CurveEndsEarly: the curve ends before the last module does, by more than 1e-9 of its length.
         CurveLeavesTooSharply: the first module cannot bend enough to follow the curve, or the curve passes
             the base at a distance.
         CurveOutOfReach: the curve is beyond the range of the prismatic joints.
@@ -424,21 +434,21 @@ def _place(
     Returns:
         The placement, its method, and why "auto" chose least squares; else empty.
     """
-    if method in ("smooth", "closest"):
-        return _place_together(arm, curve, method, near), method, ""
-    slides = bool(np.any(fitting_slides(arm)))
-    if method == "auto" and slides and not has_custom_kinematics(arm):
-        together = _place_together(arm, curve, "closest", near)
-        if together.failure is None:
-            return together, "closest", "slides fit the whole arm to the curve"
+    if method != "auto":
+        if method == "sequential":
+            placed = _place_in_turn(arm, curve, samples, near)
+        else:
+            placed = _place_together(arm, curve, method, near)
+        return placed, method, ""
+    fitted: Placement | None = None
+    if np.any(fitting_slides(arm)) and not has_custom_kinematics(arm):
+        fitted = _place_together(arm, curve, "closest", near)
+        if fitted.failure is None:
+            return fitted, "closest", "its slides fit its length to the curve"
     try:
         in_turn, compiled = _place_in_turn(arm, curve, samples, near), is_compiled(arm)
     except UnsupportedModule as error:
-        if method == "sequential":
-            raise
-        return _place_together(arm, curve, "closest", near), "closest", str(error)
-    if method == "sequential":
-        return in_turn, method, ""
+        return fitted or _place_together(arm, curve, "closest", near), "closest", str(error)
     ends_early = compiled and isinstance(in_turn.failure, CurveEndsEarly)
     reason = "" if in_turn.failure is None else str(in_turn.failure)
     if in_turn.failure is None:
@@ -449,7 +459,7 @@ def _place(
     if ends_early or not reason:
         return in_turn, "sequential", ""
     method = "smooth" if compiled else "closest"
-    together = _place_together(arm, curve, method, near)
+    together = fitted or _place_together(arm, curve, method, near)
     if together.failure is None or not compiled:
         return together, method, reason
     return in_turn, "sequential", ""
@@ -508,7 +518,7 @@ def _place_together(
 ) -> Placement:
     """Fit the whole arm by least squares; fail if a control point ends up too far from the curve.
 
-    Slides extend the arm to the end of the curve (`to_end`), or not that far if its control points would leave it.
+    Slides extend the arm to the end of the curve, or not that far if control points would leave the curve.
     """
     start, _ = beginning(arm, curve)
     lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
@@ -534,7 +544,9 @@ def _place_together(
         kind, why = _obstruction(arm, curve, positions, k, start)
         failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
     if failure is not None and to_end and np.any(fitting_slides(arm)):
-        return _place_together(arm, curve, method, near, to_end=False)
+        retracted = _place_together(arm, curve, method, near, to_end=False)
+        if retracted.failure is None or isinstance(retracted.failure, CurveEndsEarly):
+            return retracted
     return Placement(positions, ends, failure)
 
 

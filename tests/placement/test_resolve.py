@@ -78,6 +78,25 @@ def test_a_line_as_long_as_the_arm_is_long_enough(arm: pp.Arm) -> None:
         pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.999, 0, 0)))
 
 
+@pytest.mark.parametrize("template", ["RyRz", "RzRy", "Rz", "RzRzRz", "Continuum"])
+@pytest.mark.parametrize("samples", [2000, 200_000])
+def test_rounding_does_not_make_a_line_too_short(template: str, samples: int) -> None:
+    rng = np.random.default_rng(0)
+    for modules in (1, 2, 3, 5, 8, 13) if template == "Continuum" else (1, 2, 3, 5, 8, 13, 21, 40):
+        place = pin.SE3(pin.exp3(2.0 * rng.normal(size=3)), 30.0 * rng.normal(size=3))
+        arm = pp.Arm.from_template(template, modules, base_placement=place)
+        base, tip = arm.chain.base, arm.at(arm.straight()).points[-1]
+        for missing in (0.0, 1e-11, 5e-10):
+            line = pp.Curve.line(base, tip + missing * (base - tip))
+            for method in ("sequential", "auto", "closest") if modules < 9 else ("sequential", "auto"):
+                target = pp.resolve_targets(arm, line, samples, placement="as_is", method=method)
+                assert_consistent(arm, target, 1e-8)
+                assert target.parameters[-1] <= line.length
+        short = pp.Curve.line(base, tip + 1e-8 * (base - tip))
+        with pytest.raises(CurveEndsEarly):
+            pp.resolve_targets(arm, short, samples, placement="as_is")
+
+
 def test_the_residual_falls_with_the_number_of_samples(arm: pp.Arm) -> None:
     coarse, fine = (pp.resolve_targets(arm, HELIX, samples=n).residual.max() for n in (200, 2000))
     assert fine < coarse / 50  # a chord cuts the curve off by the square of its length
