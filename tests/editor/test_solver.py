@@ -98,6 +98,8 @@ def arrived(number: int) -> Callable[[Live], bool]:
 class Sleepy:
     """A controller that sleeps in each step, as one that plans would."""
 
+    name = "sleepy"
+
     def __init__(self, seconds: float) -> None:
         self.seconds, self.own, self.asked = seconds, Geodesic(), 0
 
@@ -108,6 +110,8 @@ class Sleepy:
 
 
 class Broken:
+    name = "broken"
+
     def step(self, *given: object, **named: object) -> object:
         raise RuntimeError("a wire came off")
 
