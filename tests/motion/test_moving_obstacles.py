@@ -243,6 +243,21 @@ def test_velocities_need_the_duration_of_a_step() -> None:
         controller.step(arm().at(np.zeros(40)), target)
 
 
+@pytest.mark.parametrize("faster, velocity", [(2.0, 0.3), (4.0, 0.5)])
+def test_an_arm_gets_out_of_the_way_of_a_ball_that_is_faster_than_it(faster: float, velocity: float) -> None:
+    q, _, origin, flight = crossing(15)  # without an early retreat, the arm is hit
+    limits, scene = pp.Limits(step=None, velocity=velocity, dt=DT), ball_scene()
+    tracker, lowest = pp.Tracker(arm(), limits=limits, scene=scene), np.inf
+    tracker.update(pp.Target.from_configuration(arm(), q))
+    for cycle in range(400):
+        center = origin + cycle * DT * faster * flight
+        dq = tracker.step(q, scene=scene.moved({"ball": center}, velocities={"ball": faster * flight}))
+        assert np.abs(dq).max() <= velocity * DT + 1e-12
+        q = tracker.command
+        lowest = min(lowest, gap(q, center + DT * faster * flight))
+    assert MARGIN <= lowest < BALL
+
+
 def test_an_arm_without_a_measurement_does_not_move() -> None:
     scene, q = ball_scene(), np.zeros(40)
     tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)
