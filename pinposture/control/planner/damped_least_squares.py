@@ -38,6 +38,10 @@ MAX_QUICK_STEPS = 6
 INDEPENDENT = 1e-6
 """Smallest singular value of independent rows of tasks with priority, relative to the largest."""
 
+FEW_ROWS, SQUARED_JOINTS_PER_ROW = 12, 1000.0
+"""Number of constraints up to which the time that is linear in the number of joints is the shorter one: the
+first, and for long arms the square of the number of joints over the second."""
+
 CURVATURE_CORRECTIONS = 4
 """How often a step is corrected for the second-order errors of tasks with priority."""
 
@@ -124,8 +128,8 @@ def solve_posture(
 ) -> Solution:
     """Minimise |A x - e|^2 + damping |x - c|^2 over points and chords, within the bounds of a step.
 
-    The time is linear in the number of joints. Infeasible constraints are violated as little as possible;
-    the slower `solve` is the fallback.
+    With few constraints that could bind, the time is linear in the number of joints. With many, and where
+    that fails, `solve` takes over. Infeasible constraints are violated as little as possible.
 
     Args:
         solver: points and chords, A, at a state.
@@ -140,7 +144,10 @@ def solve_posture(
         return Solution(solver.step(*given), np.zeros(0, dtype=np.bool_), False)
     normal = bounds.rows.normal()
     possible = np.flatnonzero(normal.lowest(lower, upper) < normal.least)
-    found = solver.constrained_step(*given, LinearRows(normal.matrix[possible], normal.least[possible]))
+    found = None
+    if len(possible) <= max(FEW_ROWS, len(lower) ** 2 / SQUARED_JOINTS_PER_ROW):
+        chosen = LinearRows(normal.matrix[possible], normal.least[possible])
+        found = solver.constrained_step(*given, chosen)
     if found is None:
         matrix, wanted = solver.rows(errors)
         gradient = -(matrix.T @ wanted + damping * center)

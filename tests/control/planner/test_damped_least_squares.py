@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 
 import pinposture as pp
-from pinposture.control.planner.damped_least_squares import minimize
-from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.avoidance import ConstraintRows
+from pinposture.control.planner.damped_least_squares import StepBounds, minimize, solve_posture
+from pinposture.control.planner.objective import ChainSolver, Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
 from pinposture.errors import PostureWarning
@@ -133,3 +135,39 @@ def test_a_strict_task_is_met_as_well_as_if_it_were_alone(name: str) -> None:
         found = find_goal(both, arm.at(start), edges_of(arm), None, GOOD)
         missed = float(np.linalg.norm(found.state.points[-1] - place))
         assert missed <= 1.02 * least + 1e-3 * arm.length, (seed, missed, least)
+
+
+@pytest.mark.parametrize("modules, count, along_chain", [(10, 8, True), (10, 60, False), (40, 300, False)])
+def test_steps_among_few_and_many_constraints_are_optimal(
+    modules: int, count: int, along_chain: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The slope of the cost is what the bounds and constraints push: non-negative multipliers exist."""
+    rng, arm = np.random.default_rng(modules + count), pp.Arm.from_template("RyRz", modules)
+    calls, original = [], ChainSolver.constrained_step
+
+    def counted(*given: Any) -> Any:
+        calls.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(ChainSolver, "constrained_step", counted)
+    for _ in range(3):
+        state, goal = (arm.at(pp.arm.smooth_configuration(arm, rng, 0.6)).compiled for _ in range(2))
+        target = pp.Target.from_configuration(arm, goal.q)
+        objective = Objective(arm, target, (), 1.0, 0.2)
+        links, ways = rng.integers(modules // 2, modules, count), rng.normal(size=(count, 3))
+        rows = np.einsum("ri,rij->rj", ways, state.jacobians[links])
+        least = -rng.uniform(0.0, 0.004, count) * arm.length
+        edge = np.full(arm.nv, 0.1)
+        bounds = StepBounds(state, -edge, edge, ConstraintRows(rows, least))
+        solver, (errors, squares) = ChainSolver(objective, state), objective.point_errors(state)
+        damping = 1e-3 * squares
+        found = solve_posture(solver, errors, damping, np.zeros(arm.nv), bounds)
+        x, (matrix, wanted) = found.x, solver.rows(errors)
+        assert np.all(np.abs(x) <= edge + 1e-12) and np.all(rows @ x >= least - 1e-8) and not found.softened
+        slope = matrix.T @ (matrix @ x - wanted) + damping * x
+        binding = rows[rows @ x <= least + 1e-8]
+        sides = np.diag(-np.sign(x))[np.abs(x) >= edge - 1e-12]
+        assert len(binding)
+        _, left = nnls(np.vstack([binding, sides]).T, slope)
+        assert left <= 1e-6 * np.linalg.norm(matrix.T @ wanted)
+    assert bool(calls) == along_chain
