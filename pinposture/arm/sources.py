@@ -54,16 +54,18 @@ def find_urdf(source: str | Path | pin.Model) -> Source:
     if isinstance(source, pin.Model):
         return Source(model_to_urdf(source), name="pin.Model")
     if is_urdf_text(source):
-        if _MACROS in str(source):
-            return Source(_expand_text(str(source)), name="xacro text")
-        return Source(source)
+        expand = _MACROS in str(source)
+        return Source(_expand_text(str(source)), name="xacro text") if expand else Source(source)
     if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
         return Source(source)  # rejected by the reader
     path = Path(source)
+    converted = None
     if path.suffix.lower() == ".xacro":
-        return Source(_expand_file(path), (str(path.absolute().parent),), str(path))
-    if path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path):
-        return Source(_convert_mjcf(path), (str(path.absolute().parent),), str(path))
+        converted = _expand_file(path)
+    elif path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path):
+        converted = _convert_mjcf(path)
+    if converted is not None:
+        return Source(converted, (str(path.absolute().parent),), str(path))
     if str(source).isidentifier() and not path.exists():
         return _find_by_name(str(source))
     return Source(path)

@@ -178,7 +178,7 @@ def test_faults_name_the_source_that_was_given(tmp_path: Path) -> None:
     model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "spin")  # the arm has no length
     point = tmp_path / "point.xml"
     point.write_text(
-        '<mujoco model="m"><worldbody><body name="b"><joint name="j"/><geom size="1"/></body></worldbody></mujoco>'
+        '<mujoco><worldbody><body name="b"><joint name="j"/><geom size="1"/></body></worldbody></mujoco>'
     )
     urdf, macros = model_to_urdf(model), "<robot xmlns:xacro='http://www.ros.org/wiki/xacro'"
     text = urdf.replace("<robot", macros)
