@@ -59,13 +59,10 @@ def find_urdf(source: str | Path | pin.Model) -> Source:
     if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
         return Source(source)  # rejected by the reader
     path = Path(source)
-    converted = None
-    if path.suffix.lower() == ".xacro":
-        converted = _expand_file(path)
-    elif path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path):
-        converted = _convert_mjcf(path)
-    if converted is not None:
-        return Source(converted, (str(path.absolute().parent),), str(path))
+    xacro = path.suffix.lower() == ".xacro"
+    if xacro or (path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path)):
+        text = _expand_file(path) if xacro else _convert_mjcf(path)
+        return Source(text, (str(path.absolute().parent),), str(path))
     if str(source).isidentifier() and not path.exists():
         return _find_by_name(str(source))
     return Source(path)

@@ -147,7 +147,9 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
     print_facts({**facts, **notes})
     joints = _JOINTS | (_COUPLED if coupled else {})
-    told = [{**joint, "axis": _round(joint["axis"])} for joint in about["joints"]]
+    told = [
+        {**each, "axis": " ".join(f"{round(x, 4) + 0.0:g}" for x in each["axis"])} for each in about["joints"]
+    ]
     print_table(tuple(joints), [[joint.get(key) for key in joints.values()] for joint in told])
     headings = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
     points = about["control_points"]
@@ -286,11 +288,6 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
         }
         for (module, name), column, axis in zip(names, arm.chain.columns, arm.chain.axes, strict=True)
     ]
-
-
-def _round(axis: Sequence[float]) -> str:
-    """Return a unit vector as text, to four decimals, without a minus sign before 0."""
-    return " ".join(f"{round(part, 4) + 0.0:g}" for part in axis)
 
 
 def _without_closed_form(arm: Arm) -> str:
