@@ -53,12 +53,13 @@ def run(
     written to a file instead. Ellipsoids are red and flat where the arm is singular, green far from that, and
     yellow in between.
     """
-    from pinposture.viz import VIEWERS
+    with hold_interrupt():
+        from pinposture.viz import VIEWERS
 
-    file, chosen = find_kept(path)
+        file, chosen = find_kept(path)
+        motion = load_kept(file)
     if chosen:
         print_note(f"taken: {chosen}")
-    motion = load_kept(file)
     require_known("viewer", viewer, VIEWERS)
     kind = "" if output is None else require_suffix(output, ".html", ".png")
     if ellipsoids is not None and kind == ".png":
@@ -90,12 +91,12 @@ def show(
         ellipsoids: 0-based indices of the control points whose manipulability ellipsoids are shown.
         viewer: the program that shows it, as for `pinposture.viz.view`.
     """
-    from pinposture.viz import view
-    from pinposture.viz.postures import scale_in_words
-
     shown = None
     try:
         with hold_interrupt():
+            from pinposture.viz import view
+            from pinposture.viz.postures import scale_in_words
+
             shown = view(motion.arm, motion, viewer=viewer, open_browser=open_browser, ellipsoids=ellipsoids)
         announce(shown.url)
         if ellipsoids:
@@ -112,7 +113,7 @@ def show(
 
 @contextmanager
 def hold_interrupt() -> Iterator[None]:
-    """Hold the first Ctrl-C back: it is lost while trimesh is imported, or leaves a server of meshcat."""
+    """Hold the first Ctrl-C back: trimesh and llvmlite may lose it, and meshcat leave its server running."""
     held: list[int] = []
 
     def hold(number: int, _: object) -> None:
