@@ -1,14 +1,13 @@
-"""Errors, warnings and checks. Each message names the thing at fault, its value and what is allowed."""
+"""Errors and warnings. Each message names the thing at fault, its value and what is allowed."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from types import UnionType
 from typing import Any
 
 
@@ -95,18 +94,6 @@ class UnknownName(PostureError, KeyError):
 
     def __str__(self) -> str:  # KeyError would show the repr of the message
         return str(self.args[0])
-
-
-def require_instance(name: str, value: object, kind: type | UnionType, allowed: str) -> None:
-    """Raise InvalidValue, with the words `allowed`, unless a value is an instance of a class."""
-    if not isinstance(value, kind):
-        raise InvalidValue(name, value, allowed)
-
-
-def require_known(kind: str, name: object, known: Collection[str]) -> None:
-    """Raise UnknownName unless a name is one of those known."""
-    if not isinstance(name, str) or name not in known:
-        raise UnknownName(kind, name, known)
 
 
 class FileError(PostureError, OSError):

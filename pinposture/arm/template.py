@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from pinposture.errors import InvalidValue, require_instance, require_known
+from pinposture._validation import require_instance, require_known
+from pinposture.errors import InvalidValue
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pinposture._validation import require_known
 from pinposture.cli.compile import compile_missing
 from pinposture.cli.inputs import ArmOptions, NoBrowserOption, refuse_given
 from pinposture.cli.output import examples, print_note
-from pinposture.errors import FileError, InvalidValue, require_known
+from pinposture.errors import FileError, InvalidValue
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from pinposture._validation import require_known
 from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument
 from pinposture.cli.output import (
     examples,
@@ -14,7 +15,7 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
 )
-from pinposture.errors import FileError, require_known
+from pinposture.errors import FileError
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
+from pinposture._validation import require_known
 from pinposture.cli.output import MOTION_FILE, RUN_FILE, print_note
-from pinposture.errors import FileError, InvalidValue, UnknownName, require_known
+from pinposture.errors import FileError, InvalidValue, UnknownName
 from pinposture.storage import parse_json, read_text
 
 if TYPE_CHECKING:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pinposture._validation import require_known
 from pinposture.cli.inputs import OUTPUT, NoBrowserOption, RunArgument, read_points
 from pinposture.cli.output import examples, find_kept, load_kept, print_note, write_animation, write_plot
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:

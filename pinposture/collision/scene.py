@@ -14,7 +14,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pinposture._validation import Vector, known_keys, length, point, require_positive, set_fields
+from pinposture._validation import (
+    Vector,
+    known_keys,
+    length,
+    point,
+    require_instance,
+    require_known,
+    require_positive,
+    set_fields,
+)
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import (
     OBSTACLE_TYPES,
@@ -25,15 +34,7 @@ from pinposture.collision.obstacles import (
     solids,
 )
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import (
-    FileError,
-    InvalidValue,
-    PostureError,
-    UnknownName,
-    require_instance,
-    require_known,
-    warn_caller,
-)
+from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
 from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix, write_text
 
 VERSION = 1

@@ -9,9 +9,10 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_instance
 from pinposture.arm import ArmState
 from pinposture.control.limits import Limits
-from pinposture.errors import InvalidValue, require_instance
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]

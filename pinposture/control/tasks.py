@@ -10,11 +10,19 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_array, is_whole, make_read_only, require_positive, rigid_placement
+from pinposture._validation import (
+    finite_array,
+    is_whole,
+    make_read_only,
+    require_instance,
+    require_known,
+    require_positive,
+    rigid_placement,
+)
 from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
-from pinposture.errors import InvalidValue, require_instance, require_known
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, require_whole
+from pinposture._validation import finite_vector, require_instance, require_known, require_whole
 from pinposture.arm import Arm
 from pinposture.arm.module_kinematics import ModuleKinematics
 from pinposture.curve import Curve
@@ -26,15 +26,12 @@ from pinposture.errors import (
     InvalidValue,
     TargetError,
     UnsupportedModule,
-    require_instance,
-    require_known,
     warn_caller,
 )
 from pinposture.placement.least_squares import (
     base_positions,
     fit_curve,
     fit_near,
-    fitting_slides,
     slid_positions,
 )
 from pinposture.placement.module_kinematics import (
@@ -58,6 +55,7 @@ from pinposture.placement.target import (
     Target,
     beginning,
     distance_from_curve,
+    fitting_slides,
     length_misfit,
     place_curve,
 )

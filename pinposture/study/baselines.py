@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.arm import ArmState
 from pinposture.control.controller import (
     Controller,
@@ -23,7 +23,7 @@ from pinposture.control.controller import (
 )
 from pinposture.control.limits import Limits
 from pinposture.control.registry import CONTROLLERS, controller_named
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.study.baseline_objectives import (
     OBJECTIVES,

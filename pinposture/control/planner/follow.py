@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
@@ -30,7 +31,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
-from pinposture.errors import InvalidValue, require_instance
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
 

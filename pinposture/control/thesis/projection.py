@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import Limits, require_limits
@@ -23,7 +23,6 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import best_chain, checked_strides
-from pinposture.errors import require_known
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
 from pinposture.placement import Target
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import Limits, require_limits
@@ -24,7 +24,7 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import SectionScore, best_branch, checked_strides, section_edges
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, Rows, Screws
 from pinposture.placement import Target
 

@@ -8,13 +8,13 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
