@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import ArmState
-from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
+from pinposture.control.controller import Memory, Step, step_within, task_errors
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
@@ -208,8 +208,7 @@ class Switching:
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
         if step.diagnostics.reason:  # no control point can move: follow the line in joint space
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
-            moved = Diagnostics(limited.clipped, scale=limited.scale)
-            step = Step(limited.dq, (), moved, Memory(limited.dq))
+            step = step_within(limited)
         return step._replace(
             diagnostics=step.diagnostics._replace(error_increasing=True, following_path=True)
         )
