@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pinposture._validation import require_known
 from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument
 from pinposture.cli.output import (
     examples,
@@ -105,6 +104,7 @@ def run(
 
 def check_form(output: Path, form: str) -> None:
     """Raise an error for an unknown format or suffix."""
+    from pinposture._validation import require_known
     from pinposture.motion.joint_files import SUFFIXES
 
     if form:
