@@ -228,6 +228,12 @@ def require_no_faults(motion: FinishedMotion, force: bool) -> None:
         raise MotionError(motion.faults)
 
 
+def ending(motion: FinishedMotion) -> dict[str, Any]:
+    """Return how a motion ended, as data for JSON."""
+    told = {name: getattr(motion, name) for name in ("verdict", "status", "converged", "reason")}
+    return {**told, "faults": list(motion.faults)}
+
+
 def closest(motion: FinishedMotion) -> dict[str, Any] | None:
     """Return the smallest clearance of a motion, as data for JSON.
 

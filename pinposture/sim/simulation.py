@@ -13,7 +13,7 @@ from pinposture._validation import make_read_only, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.motion.files import Format, check_shapes, register
-from pinposture.motion.trajectory import FinishedMotion, closest
+from pinposture.motion.trajectory import FinishedMotion, closest, ending
 from pinposture.sim.model import Servos
 
 Array = NDArray[np.float64]
@@ -160,11 +160,7 @@ class Simulation(FinishedMotion):
         mean = self.posture_error / m
         largest = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
         results: dict[str, Any] = {
-            "verdict": self.verdict,
-            "status": self.status,
-            "converged": self.converged,
-            "reason": self.reason,
-            "faults": list(self.faults),
+            **ending(self),
             "loop": self.loop,
             "gravity": self.gravity.tolist(),
             "duration": float(self.time[-1]),
