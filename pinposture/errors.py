@@ -25,6 +25,9 @@ class PostureError(Exception):
         # Errors cross process borders in studies; the default would call __init__ with the message.
         return _rebuild, (type(self), self.args, self.__dict__)
 
+    def __str__(self) -> str:  # KeyError and OSError would format the message in their own ways
+        return str(self.args[0]) if self.args else ""
+
 
 class PostureWarning(UserWarning):
     """An input was interpreted or corrected in a way that the user may not expect."""
@@ -92,9 +95,6 @@ class UnknownName(PostureError, KeyError):
         hint = did_you_mean(name, self.allowed)
         super().__init__(f"no {kind} is called {name!r}{hint}; there are: {listed or 'none'}")
 
-    def __str__(self) -> str:  # KeyError would show the repr of the message
-        return str(self.args[0])
-
 
 class FileError(PostureError, OSError):
     """A file that is missing, unreadable, or of the wrong content.
@@ -107,9 +107,6 @@ class FileError(PostureError, OSError):
     def __init__(self, path: str | Path, reason: str) -> None:
         self.path, self.reason = Path(path), reason
         super().__init__(f"{path}: {reason}")
-
-    def __str__(self) -> str:  # OSError formats its arguments in its own way
-        return str(self.args[0])
 
 
 class URDFError(PostureError, ValueError):
@@ -239,6 +236,3 @@ class ViewerError(PostureError, ConnectionError):
     def __init__(self, viewer: str, reason: str) -> None:
         self.viewer, self.reason = viewer, reason
         super().__init__(f"{viewer}: {reason}")
-
-    def __str__(self) -> str:  # ConnectionError is an OSError, too
-        return str(self.args[0])
