@@ -43,6 +43,12 @@ def require_known(kind: str, name: object, known: Collection[str]) -> None:
         raise UnknownName(kind, name, known)
 
 
+def require_name(what: str, name: object) -> None:
+    """Raise InvalidValue unless a name is printable text that is not blank."""
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise InvalidValue(what, name, "printable text that is not blank")
+
+
 def is_number(value: object) -> bool:
     """Return whether a value is a real number, of Python or numpy, and not a truth value."""
     return isinstance(value, Real) and not isinstance(value, bool)

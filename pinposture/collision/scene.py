@@ -21,6 +21,7 @@ from pinposture._validation import (
     point,
     require_instance,
     require_known,
+    require_name,
     require_positive,
     set_fields,
 )
@@ -76,8 +77,7 @@ class Scene:
     def __post_init__(self) -> None:
         require_instance("obstacles", self.obstacles, Mapping, "a mapping from names to obstacles")
         for name, obstacle in self.obstacles.items():
-            if not isinstance(name, str) or not name.strip() or not name.isprintable():
-                raise InvalidValue("name of an obstacle", name, "printable text that is not blank")
+            require_name("name of an obstacle", name)
             if not isinstance(obstacle, tuple(OBSTACLE_TYPES.values())):
                 allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
                 raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
