@@ -11,7 +11,7 @@ import typer
 
 from pinposture.cli.inputs import OUTPUT, NoBrowserOption, RunArgument, read_points
 from pinposture.cli.output import examples, find_kept, load_kept, print_note, write_animation, write_plot
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ def run(
     written to a file instead. Ellipsoids are red and flat where the arm is singular, green far from that, and
     yellow in between.
     """
+    from pinposture._validation import require_known
     from pinposture.viz import VIEWERS
 
     file, chosen = find_kept(path)
