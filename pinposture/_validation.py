@@ -307,9 +307,9 @@ def _is_orthogonal(matrix: NDArray[np.float64]) -> bool:
     return matrix.shape == (3, 3) and np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6)
 
 
-def point(name: str, value: Any) -> Vector:
+def point(name: str, value: Any, allowed: str = "three finite numbers") -> Vector:
     """Read three finite numbers up to `LARGEST_LENGTH`, else raise InvalidValue."""
-    numbers = _numbers(name, value, (3,), "three finite numbers")
+    numbers = _numbers(name, value, (3,), allowed)
     worst = int(np.argmax(np.abs(numbers)))
     if abs(numbers[worst]) > LARGEST_LENGTH:
         allowed = f"at most {LARGEST_LENGTH:g} either way"

@@ -39,7 +39,6 @@ from pinposture.arm.manipulability import (
     section_ellipsoid,
 )
 from pinposture.arm.segmentation import Segmentation
-from pinposture.arm.sources import model_to_urdf
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
@@ -237,17 +236,16 @@ class Arm(ConfigurationSpace):
             UnknownName: `base`, `tip` or a locked joint does not exist.
             InvalidValue: `modules` does not fit the chain, or another argument is invalid.
         """
-        if isinstance(source, pin.Model):
-            source = model_to_urdf(source)
         given = (source, base, tip, modules, locked or {}, package_dirs, base_placement, couplings)
         loaded = load_model(*given)
         folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
-        embedded = is_urdf_text(source) or not Path(source).exists()  # a name does not identify the text
-        if embedded:
+        # A name does not identify the text.
+        kept = not isinstance(source, pin.Model) and not is_urdf_text(source) and Path(source).exists()
+        if not kept:
             folders = loaded.report.package_dirs
         split = (modules,) if isinstance(modules, str) else modules
         spec = ArmSpec(
-            urdf=loaded.text if embedded else settled(source),
+            urdf=settled(source) if kept else loaded.text,
             base=base,
             tip=tip,
             split=None if split is None else np.asarray(split).tolist(),

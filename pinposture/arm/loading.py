@@ -85,7 +85,7 @@ class LoadedModel(NamedTuple):
 
 
 def load_model(
-    source: str | Path,
+    source: str | Path | pin.Model,
     base: str | None = None,
     tip: str | None = None,
     modules: Modules = None,
@@ -100,7 +100,7 @@ def load_model(
         if not isinstance(given, Mapping | None):
             raise InvalidValue(name, given, f"a mapping from names of joints to {values}, or None")
     found = find_urdf(source)
-    description = with_couplings(read_description(found.urdf), couplings)
+    description = with_couplings(read_description(found.urdf, found.name), couplings)
     links, sizes = _read_modules(modules)
     if tip is None and links:
         tip = links[-1]

@@ -15,7 +15,7 @@ import pinocchio as pin
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.specification import roll_pitch_yaw
-from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.arm.urdf_reader import URDF_TEXT, is_urdf_text
 from pinposture.errors import FileError, URDFError
 from pinposture.storage import read_text
 
@@ -32,35 +32,40 @@ class Source(NamedTuple):
     Attributes:
         urdf: path of a file, or URDF text.
         folders: where viewers look for meshes, besides the folder of the file.
+        name: what error messages call text.
     """
 
     urdf: str | Path
     folders: tuple[str, ...] = ()
+    name: str = URDF_TEXT
 
 
-def find_urdf(source: str | Path) -> Source:
+def find_urdf(source: str | Path | pin.Model) -> Source:
     """Return the URDF of an arm, converted from another format if necessary.
 
     Args:
-        source: URDF or xacro, as text or file path; path of an MJCF file; or, if there is no such file, the
-            name of a description in the package robot_descriptions, such as "panda_description".
+        source: URDF or xacro, as text or file path; path of an MJCF file; a Pinocchio model; or, if there is
+            no such file, the name of a description in robot_descriptions, such as "panda_description".
 
     Raises:
         FileError: a file cannot be converted, or a description does not exist or cannot be fetched.
-        URDFError: an MJCF file has a joint that URDF cannot represent.
+        URDFError: a model or MJCF file has a joint that URDF cannot represent.
     """
+    if isinstance(source, pin.Model):
+        return Source(model_to_urdf(source), name="pin.Model")
     if is_urdf_text(source):
-        return Source(_expand_text(str(source)) if _MACROS in str(source) else source)
+        expand = _MACROS in str(source)
+        return Source(_expand_text(str(source)), name="xacro text") if expand else Source(source)
     if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
         return Source(source)  # rejected by the reader
     path = Path(source)
-    if path.suffix.lower() == ".xacro":
-        return Source(_expand_file(path), (str(path.absolute().parent),))
-    if path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path):
-        return Source(_convert_mjcf(path), (str(path.absolute().parent),))
+    xacro = path.suffix.lower() == ".xacro"
+    if xacro or (path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path)):
+        text = _expand_file(path) if xacro else _convert_mjcf(path)
+        return Source(text, (str(path.absolute().parent),), str(path))
     if str(source).isidentifier() and not path.exists():
         return _find_by_name(str(source))
-    return Source(source)
+    return Source(path)
 
 
 def _find_by_name(name: str) -> Source:
@@ -83,8 +88,8 @@ def _find_by_name(name: str) -> Source:
         return Source(Path(found.URDF_PATH), folders)
     if hasattr(found, "XACRO_PATH"):
         path = Path(found.XACRO_PATH)
-        return Source(_expand_file(path, getattr(found, "XACRO_ARGS", None)), folders)
-    return Source(_convert_mjcf(Path(found.MJCF_PATH)), folders)
+        return Source(_expand_file(path, getattr(found, "XACRO_ARGS", None)), folders, str(path))
+    return Source(_convert_mjcf(Path(found.MJCF_PATH)), folders, found.MJCF_PATH)
 
 
 def _expand_file(path: Path, arguments: Mapping[str, str] | None = None) -> str:

@@ -33,6 +33,9 @@ MakeError = Callable[[str], URDFError]
 CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
 JOINT_TYPES = (*CHAIN_JOINTS, "fixed", "floating", "planar")
 
+URDF_TEXT = "URDF text"
+"""What error messages call a description that is not from a file."""
+
 _BLANK = "\ufeff \t\r\n"
 _MAX_DEPTH = 400  # Pinocchio's XML parser fails slightly below 500
 _VECTOR_ATTRIBUTE = re.compile(r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<]*"|'[^'<]*')""")
@@ -91,7 +94,7 @@ class Description:
 
     name: str  # name of the robot
     text: str = field(repr=False)  # the URDF, in a form that Pinocchio can read
-    source: str  # the file it came from, or "URDF text"
+    source: str  # the file it came from, or what error messages call the text
     links: tuple[str, ...]  # names of the links, in the order of the text
     joints: tuple[JointDescription, ...]  # the joints, in the order of the text
     root: str  # the one link that is not the child of any joint
@@ -206,7 +209,7 @@ class Description:
         return None
 
 
-def read_description(source: str | Path) -> Description:
+def read_description(source: str | Path, name: str = URDF_TEXT) -> Description:
     """Read a URDF and check everything that its kinematics depend on.
 
     Meshes, inertias, transmissions, simulator extensions and unknown elements are ignored. A <limit> without
@@ -214,6 +217,7 @@ def read_description(source: str | Path) -> Description:
 
     Args:
         source: path of a file, or the URDF text itself if it begins with "<".
+        name: what error messages call text.
 
     Returns:
         The description.
@@ -223,6 +227,7 @@ def read_description(source: str | Path) -> Description:
         URDFError: unusable description; names the link or joint and the reason.
     """
     text, label = load_text(source)
+    label = name if is_urdf_text(source) else label
     robot = parse_xml(text, label)
     if robot.tag != "robot":
         raise URDFError(label, f"<{robot.tag}>", "is the root element; allowed: <robot>")
@@ -265,9 +270,9 @@ def load_text(source: str | Path) -> tuple[str, str]:
     if not isinstance(source, (str, os.PathLike)):
         raise InvalidValue("source", source, "path of a URDF file, URDF text, or a pin.Model")
     if is_urdf_text(source):
-        return str(source), "URDF text"
+        return str(source), URDF_TEXT
     if isinstance(source, str) and "\n" in (text := source.lstrip(_BLANK)):
-        raise URDFError("URDF text", "line 1", f"begins with {text[:20]!r}; allowed: '<'")
+        raise URDFError(URDF_TEXT, "line 1", f"begins with {text[:20]!r}; allowed: '<'")
     path = Path(source)
     text = read_text(path)
     if not text.strip(_BLANK):

@@ -66,10 +66,10 @@ def run(
 
     It takes one chain of links, from --base to --tip or the longest one, and divides it into modules with a
     control point at the end of each. Meshes are not needed. Limits are in rad and rad/s, or in metres and m/s
-    for a prismatic joint; positions are in the world frame, at zero joint positions. The reach is the
-    distance from base to tip of the straight arm, with a base that slides without real limits (over more than
-    100 arm lengths) at zero. Zero joint positions are often a singular posture: there manipulability measure,
-    minimum singular value and index are 0, and the condition number is inf.
+    for a prismatic joint; positions and axes are in the world frame, at zero joint positions. The reach is
+    the distance from base to tip of the straight arm, with a base that slides without real limits (over more
+    than 100 arm lengths) at zero. Zero joint positions are often a singular posture: there manipulability
+    measure, minimum singular value and index are 0, and the condition number is inf.
 
     With --curve it also shows the distances of the control points and of the whole arm, including its links,
     from that curve, and where the curve exceeds what the modules can follow.
@@ -106,6 +106,7 @@ _JOINTS = {
     "type": "type",
     "parent": "parent",
     "child": "child",
+    "axis": "axis",
     "lower": "lower",
     "upper": "upper",
     "speed": "velocity",
@@ -146,7 +147,10 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
     print_facts({**facts, **notes})
     joints = _JOINTS | (_COUPLED if coupled else {})
-    print_table(tuple(joints), [[joint.get(key) for key in joints.values()] for joint in about["joints"]])
+    told = [
+        {**each, "axis": " ".join(f"{round(x, 4) + 0.0:g}" for x in each["axis"])} for each in about["joints"]
+    ]
+    print_table(tuple(joints), [[joint.get(key) for key in joints.values()] for joint in told])
     headings = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
     points = about["control_points"]
     print_table(
@@ -278,10 +282,11 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
             "type": described[name].type,
             "parent": described[name].parent,
             "child": described[name].child,
+            "axis": axis.tolist(),
             **limits(name, column),
             "unit": "m" if described[name].type == "prismatic" else "rad",
         }
-        for (module, name), column in zip(names, arm.chain.columns, strict=True)
+        for (module, name), column, axis in zip(names, arm.chain.columns, arm.chain.axes, strict=True)
     ]
 
 

@@ -65,7 +65,7 @@ def run(
     ] = False,
     no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False,
     frequency: Annotated[
-        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ", max=1e5)
+        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ")
     ] = 10.0,
     no_torque_limits: Annotated[
         bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")

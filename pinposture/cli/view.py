@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,8 +94,10 @@ def show(
     from pinposture.viz import view
     from pinposture.viz.postures import scale_in_words
 
-    shown = view(motion.arm, motion, viewer=viewer, open_browser=open_browser, ellipsoids=ellipsoids)
+    shown = None
     try:
+        with hold_interrupt():
+            shown = view(motion.arm, motion, viewer=viewer, open_browser=open_browser, ellipsoids=ellipsoids)
         announce(shown.url)
         if ellipsoids:
             print_note(f"ellipsoids: {scale_in_words(motion.arm, ellipsoids)}")
@@ -103,7 +107,27 @@ def show(
     except KeyboardInterrupt:
         print_note("")
     finally:
-        shown.close()
+        if shown is not None:
+            shown.close()
+
+
+@contextmanager
+def hold_interrupt() -> Iterator[None]:
+    """Hold the first Ctrl-C back: it is lost while trimesh is imported, or leaves a server of meshcat."""
+    held: list[int] = []
+
+    def hold(number: int, _: object) -> None:
+        if held:
+            raise KeyboardInterrupt
+        held.append(number)
+
+    before = signal.signal(signal.SIGINT, hold)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if held:
+        raise KeyboardInterrupt
 
 
 def wait() -> None:

@@ -72,8 +72,7 @@ def read_mesh(path: Path) -> Triangles:
     Raises:
         FileError: missing, in another format, or without valid triangles.
     """
-    if path.suffix.lower() not in MESH_FORMATS:
-        raise FileError(path, f"is of an unknown format; allowed: {', '.join(MESH_FORMATS)}")
+    require_suffix(path, *MESH_FORMATS)
     if not _is_file(path):
         raise FileError(path, "no such file")
     if path.suffix.lower() == ".dae" and find_spec("collada") is None:

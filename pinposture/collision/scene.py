@@ -137,7 +137,8 @@ class Scene:
             if isinstance(placement, pin.SE3):
                 motion = placement
             else:
-                motion = pin.SE3(np.eye(3), np.array(point(f"placements[{name!r}]", placement)))
+                allowed = "a pin.SE3 (of a matrix: pin.SE3(matrix)), or three finite numbers [m]"
+                motion = pin.SE3(np.eye(3), np.array(point(f"placements[{name!r}]", placement, allowed)))
             obstacles[name] = displaced(first.obstacles[name], motion)
         return self._at_moment(obstacles, {} if velocities is None else velocities)
 

@@ -110,14 +110,14 @@ class Curve(Geometry):
             handedness: "right" or "left".
 
         Raises:
-            InvalidValue: an invalid argument, which is named.
+            UnknownName: another handedness.
+            InvalidValue: another invalid argument, which is named.
         """
         r = as_number("radius", radius, "a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9)
         rise = as_number("pitch", pitch, "0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6)
         n_turns = as_number("turns", turns, f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)
         begin = as_number("phase", phase, "a finite angle [rad]", lambda x: True)
-        if handedness not in ("right", "left"):
-            raise InvalidValue("handedness", handedness, "'right' or 'left'")
+        require_known("handedness", handedness, ("right", "left"))
         along, zero, quarter = _frame(as_vector("axis", axis), axis)
         if handedness == "left":
             quarter = -quarter

@@ -19,7 +19,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue
+from pinposture.errors import FileError, InvalidValue, require_known
 from pinposture.motion.batch import CONFIGURATION_ARRAYS, STEP_ARRAYS, TEXT_ARRAYS, Batch, Motions
 from pinposture.motion.joint_files import (
     check_format,
@@ -272,8 +272,7 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
         "clipped": (steps, arm.nv),
     }
     check_shapes(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS})
-    if about["status"] not in ENDINGS:
-        raise InvalidValue("status", about["status"], ", ".join(ENDINGS))
+    require_known("status", about["status"], ENDINGS)
     return Trajectory(
         arm=arm,
         target=Target(

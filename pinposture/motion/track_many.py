@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import is_number, require_instance, require_positive, require_whole
+from pinposture._validation import is_number, require_instance, require_known, require_positive, require_whole
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
@@ -84,7 +84,7 @@ def track_many(
     Raises:
         InvalidValue: numbers of targets and starts that do not match, one of them that does not fit the arm,
             or another argument that `track` would refuse; raised before any run.
-        UnknownName: no controller has that name.
+        UnknownName: no controller has that name, or there is no such thing to keep.
     """
     # joblib takes longer to import than most of this package.
     from joblib import delayed
@@ -98,8 +98,7 @@ def track_many(
     require_positive("tolerance", tolerance)
     if jobs is not None:
         check_jobs(jobs)
-    if keep not in KEEP:
-        raise InvalidValue("keep", keep, " or ".join(map(repr, KEEP)))
+    require_known("thing to keep", keep, KEEP)
     listed, configurations = _targets(arm, targets), _starts(arm, starts)
     count = _count_runs(len(listed), len(configurations))
     limits.for_arm(arm)  # refuse limits of another arm before any run

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, require_instance, require_positive
+from pinposture._validation import as_number, finite_vector, require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
@@ -30,6 +30,7 @@ from pinposture.errors import InvalidValue, PostureError, URDFError, enumerated,
 Array = NDArray[np.float64]
 
 UNBOUNDED = 1e30  # represents an infinite bound in the quadratic program
+LARGEST_SETTING = 1e5  # of servos, other than torques; no gain overflows
 
 
 class Gains(NamedTuple):
@@ -66,7 +67,7 @@ class Servos:
         timestep: maximum physics step [s].
 
     Raises:
-        InvalidValue: a value is not positive (armature: negative).
+        InvalidValue: a value is not positive (armature: negative), or one but a torque is above 1e5.
     """
 
     frequency: float = 10.0
@@ -79,8 +80,10 @@ class Servos:
 
     def __post_init__(self) -> None:
         for name in ("frequency", "damping", "timestep"):
-            require_positive(name, getattr(self, name))
-        require_positive("armature", self.armature, zero=True)
+            allowed = f"a number above 0, at most {LARGEST_SETTING:g}"
+            as_number(name, getattr(self, name), allowed, lambda x: 0.0 < x <= LARGEST_SETTING)
+        allowed = f"a number from 0 to {LARGEST_SETTING:g}"
+        as_number("armature", self.armature, allowed, lambda x: 0.0 <= x <= LARGEST_SETTING)
         if not isinstance(self.torque_limits, bool):
             require_positive("torque_limits", self.torque_limits)
         for name in ("gravity_compensation", "speed_reference"):

@@ -179,8 +179,9 @@ SHOWN_BY: dict[type | tuple[type, ...], str] = {
     Target: "pp.view(arm, target=target) shows a target",
     Curve: "pp.resolve_targets(arm, curve) makes a target of a curve",
     (Trajectory, Motion): "pp.plot(run) and pp.view(run.arm, run) show a run",
-    JointTrajectory: "pp.plot(trajectory) shows a joint trajectory",
+    JointTrajectory: "pp.plot(trajectory) shows it; `show` of pp.view(arm) plays its configurations(arm)",
     np.ndarray: "pp.plot_arm(arm, q) shows a configuration",
+    (np.ndarray, list): "pp.plot(pp.JointTrajectory.from_configurations(arm, q, dt)) shows a log",
     (list, tuple, dict): "pp.plot_comparison({name: run, ...}) shows several runs",
     (str, Path): "pp.load(path), pp.Arm.load(path) and pp.Scene.load(path) read files",
 }

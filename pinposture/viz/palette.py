@@ -6,6 +6,7 @@ Initial posture, target curve, Selection and Projection have the hues of the the
 
 from __future__ import annotations
 
+import ast
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -273,17 +274,13 @@ def controller_text(run: Trajectory) -> str:
 
 
 def _parameters(text: str) -> dict[str, str]:
-    """Split the repr of a dataclass into the names and values of its fields."""
-    depth, pieces = 0, [""]
-    for character in text.partition("(")[2][:-1]:
-        depth += (character in "([{") - (character in ")]}")
-        if character == "," and not depth:
-            pieces.append("")
-        else:
-            pieces[-1] += character
-    return {
-        name: value for name, equals, value in (piece.strip().partition("=") for piece in pieces) if equals
-    }
+    """Return the fields in the repr of a dataclass, with functions as names; none of another repr."""
+    named = re.sub(r"<(?:\w+ )?([\w.]+) [^<>]*>", r"\1", text.replace("<locals>.", ""))
+    try:
+        made = ast.parse(named, mode="eval").body
+    except SyntaxError:
+        return {}
+    return {str(each.arg): ast.unparse(each.value) for each in getattr(made, "keywords", ())}
 
 
 def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator[str]:
@@ -296,7 +293,7 @@ def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator
             yield from (f"{words} {each}" for each in _differences(_parameters(value), _parameters(default)))
         else:
             classes = re.findall(r"(?:^\(?|\), )([A-Za-z_]\w*)\(", value)
-            plain = re.sub(r"^<\w+ ([\w.]+) .*>$", r"\1", value.strip("'"))  # a function by its name
+            plain = value.strip("'")
             yield f"{words} {', '.join(classes) or plain}"
 
 

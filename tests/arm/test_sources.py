@@ -173,6 +173,28 @@ def test_what_cannot_be_found_or_converted_is_named(
     refused("panda_description", FileError, "cannot fetch it (RuntimeError: no network at all)")
 
 
+def test_faults_name_the_source_that_was_given(tmp_path: Path) -> None:
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "spin")  # the arm has no length
+    point = tmp_path / "point.xml"
+    point.write_text(
+        '<mujoco><worldbody><body name="b"><joint name="j"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    urdf, macros = model_to_urdf(model), "<robot xmlns:xacro='http://www.ros.org/wiki/xacro'"
+    text = urdf.replace("<robot", macros)
+    (tmp_path / "point.xacro").write_text(text)
+    for source, name in (
+        (model, "pin.Model"),
+        (point, str(point)),
+        (text, "xacro text"),
+        (tmp_path / "point.xacro", str(tmp_path / "point.xacro")),
+        (urdf, "URDF text"),
+    ):
+        with pytest.raises(URDFError, match="zero length") as caught:
+            pp.Arm.load(source)
+        assert caught.value.source == name
+
+
 def hand(*fingers: int) -> str:
     """An arm of three joints with a palm and fingers of so many joints each."""
     parts = ['<robot name="reach"><link name="base"/>']

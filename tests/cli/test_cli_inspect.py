@@ -53,6 +53,18 @@ def test_the_json_agrees_with_the_xml(command, arm_file):
     np.testing.assert_allclose(positions, [[0.05 * k, 0, 0] for k in range(1, 7)], atol=1e-15)
 
 
+def test_axes_are_in_the_world_frame_at_zero_positions(command):
+    text = robot([(f"j{k}", "revolute", f"l{k}", f"l{k + 1}") for k in range(3)])  # axes y, z, y
+    text = text.replace('<origin xyz="0.1 0 0"/>', '<origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/>')
+    joints = json.loads(command("inspect", "-", "--json", input=text).out)["joints"]
+    axes = [joint["axis"] for joint in joints]
+    # Each joint makes a quarter turn about z from the one before.
+    np.testing.assert_allclose(axes, [[-1, 0, 0], [0, 0, 1], [1, 0, 0]], atol=1e-12)
+    rows = [line.split() for line in command("inspect", "-", input=text).out.splitlines()]
+    written = [" ".join(row[5:8]) for row in rows if row[2:3] == ["revolute"]]
+    assert written == ["-1 0 0", "0 0 1", "1 0 0"]
+
+
 def test_kinds_units_and_absent_limits_are_told_apart(command):
     about = json.loads(command("inspect", "-", "--json", input=robot(CHAIN)).out)
     kinds = [(joint["type"], joint["unit"], joint["lower"], joint["upper"]) for joint in about["joints"]]
@@ -238,6 +250,7 @@ def test_the_tables_say_what_the_json_says(command, arm_file):
     rows = [line.split() for line in out.splitlines()]
     for joint in about["joints"]:
         words = [joint["name"], joint["type"], joint["parent"], joint["child"]]
+        words += ["0", "1", "0"] if joint["axis"][1] else ["0", "0", "1"]
         assert [str(joint["module"]), *words, f"{-math.pi:.4g}", f"{math.pi:.4g}", "2"] in rows
     for k, point in enumerate(about["control_points"], start=1):
         assert [str(k), point["name"], "0.05", f"{0.05 * k:.4g}", "0", "0"] in rows

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import pytest
 
@@ -57,6 +58,34 @@ def test_no_browser_is_opened_if_none_is_wanted(command, run_directory, asked):
 def test_the_viewer_can_be_chosen(command, run_directory, asked):
     command("view", run_directory, "--viewer", "foxglove")
     assert asked[0] == ("view", 12, 20, True, "foxglove", True)
+
+
+def test_ctrl_c_that_something_swallows_while_the_viewer_starts_ends_it_all_the_same(
+    command, run_directory, asked, monkeypatch
+):
+    def view(*_, **__):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            asked.append("swallowed")
+        return Viewer(asked)
+
+    monkeypatch.setattr("pinposture.viz.view", view)
+    before = signal.getsignal(signal.SIGINT)
+    assert command("view", run_directory, "--no-browser").code == 0
+    assert asked == ["close"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_second_ctrl_c_while_the_viewer_starts_ends_it_at_once(command, run_directory, asked, monkeypatch):
+    def view(*_, **__):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        asked.append("started")
+
+    monkeypatch.setattr("pinposture.viz.view", view)
+    assert command("view", run_directory, "--no-browser").code == 0
+    assert asked == []
 
 
 def test_the_viewer_is_closed_after_an_error_too(command, run_directory, asked, monkeypatch):

@@ -118,7 +118,7 @@ def test_a_scene_without_stand_in_radius_survives_too(tmp_path):
         ("[obstacles.m]\ntype = 'mesh'\npath = 'no.stl'", "no.stl: no such file; the mesh of obstacle 'm'"),
         ("[obstacles.m]\ntype = 'scan'\npath = 'no.ply'", "no.ply: no such file; the scan of obstacle 'm'"),
         ("[obstacles.m]\ntype = 'scan'\npath = 'a.toml'", "the name ends in '.toml'; allowed: .ply"),
-        ("[obstacles.m]\ntype = 'mesh'\npath = 'a.toml'", "is of an unknown format; allowed: .stl"),
+        ("[obstacles.m]\ntype = 'mesh'\npath = 'a.toml'", "the name ends in '.toml'; allowed: .stl"),
         ("[obstacles.m]\ntype = 'mesh'\npath = 'bad.stl'", "bad.stl: "),
     ],
 )

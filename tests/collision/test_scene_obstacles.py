@@ -99,6 +99,7 @@ def test_a_surface_survives_with_its_triangles(name):
         (lambda: Scene(margin=-0.1), "margin is -0.1; allowed: a length of 0 to"),
         (lambda: Scene(margin=np.nan), "margin is nan"),
         (lambda: Scene(arm_radius=0.0), "arm_radius is 0.0"),
+        (lambda: Scene(KINDS).moved({"box": np.eye(4)}), "allowed: a pin.SE3 (of a matrix: pin.SE3(matrix))"),
         (lambda: obstacle_from_dict([1]), "obstacle is [1]; allowed: a table"),
         (lambda: obstacle_from_dict({"radius": 1}), "type is None; allowed: sphere, capsule"),
         (lambda: obstacle_from_dict({"type": "sphere", "radius": 1}), "center is None; allowed: a value"),

@@ -5,7 +5,7 @@ import pytest
 from sampling import seeds
 
 from pinposture.curve import Curve
-from pinposture.errors import CurveError, InvalidValue
+from pinposture.errors import CurveError, InvalidValue, UnknownName
 
 NAN = float("nan")
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -82,7 +82,7 @@ def line():
         (lambda: Curve.helix(1, 1, 1, (1, NAN, 0)), InvalidValue, ["axis"]),
         (lambda: Curve.helix(1, 1, 1, center=5), InvalidValue, ["center is 5"]),
         (lambda: Curve.helix(1, 1, 1, phase=np.inf), InvalidValue, ["phase is inf"]),
-        (lambda: Curve.helix(1, 1, 1, handedness="up"), InvalidValue, ["handedness is 'up'", "'left'"]),
+        (lambda: Curve.helix(1, 1, 1, handedness="up"), UnknownName, ["handedness", "'up'", "left"]),
         # B-splines from knots and coefficients
         (lambda: Curve(KNOTS[1:], FIVE, 3), CurveError, ["knots", "9 numbers"]),
         (lambda: Curve(["a"], FIVE, 3), CurveError, ["knots", "not a list of numbers"]),

@@ -157,7 +157,6 @@ def test_what_does_not_fit_is_named_before_anything_runs(asked, choose, says) ->
         ({"max_steps": 0}, "max_steps"),
         ({"tolerance": -1.0}, "tolerance"),
         ({"jobs": 0}, "jobs"),
-        ({"keep": "all"}, "keep"),
     ],
 )
 def test_arguments_that_no_run_would_take_are_refused_at_once(asked, named, says) -> None:
@@ -165,6 +164,8 @@ def test_arguments_that_no_run_would_take_are_refused_at_once(asked, named, says
         pp.track_many(*asked, **named)
     with pytest.raises(UnknownName):
         pp.track_many(*asked, "jump")
+    with pytest.raises(UnknownName, match=r"no thing to keep is called 'end' \(did you mean 'ends'\?\)"):
+        pp.track_many(*asked, keep="end")
 
 
 def test_a_run_that_fails_does_not_lose_the_others(asked: Asked) -> None:

@@ -192,7 +192,9 @@ def test_arrays_that_do_not_fit_are_refused(content: bytes, motion: Motion, tmp_
                 pp.load(repacked(content, tmp_path, **{name: wrong}), Motion)
 
 
-def test_a_file_without_a_cycle_is_refused(content: bytes, tmp_path: Path) -> None:
+def test_a_file_without_a_cycle_or_with_an_unknown_version_or_status_is_refused(
+    content: bytes, tmp_path: Path
+) -> None:
     path = repacked(content, tmp_path)
     with np.load(path) as stored:
         about = json.loads(str(stored["about"]))
@@ -203,6 +205,9 @@ def test_a_file_without_a_cycle_is_refused(content: bytes, tmp_path: Path) -> No
     newer = np.array(json.dumps({**about, "version": 99}))
     with pytest.raises(FileError, match="99"):
         pp.load(repacked(content, tmp_path, about=newer), Motion)
+    ended = np.array(json.dumps({**about, "status": "finished"}))
+    with pytest.raises(FileError, match="no status is called 'finished'"):
+        pp.load(repacked(content, tmp_path, about=ended), Motion)
 
 
 @given(data=st.data())

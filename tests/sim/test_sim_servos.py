@@ -58,8 +58,11 @@ def test_servos_are_no_weaker_than_the_friction_of_their_joints():
     [
         {"frequency": 0.0},
         {"frequency": np.nan},
+        {"frequency": 1e300},
         {"damping": -1.0},
+        {"damping": 1e308},
         {"timestep": 0.0},
+        {"armature": 1e300},
         {"armature": -1e-3},
         {"torque_limits": 0.0},
         {"torque_limits": "high"},

@@ -201,6 +201,10 @@ def straighten(state, target):
         ("Own(gain=2.0, shape=array([[1., 2.],\n [3., 4.]]))", "Own with gain 2.0, shape array"),
         (pp.Selection(null_objective=straighten), "Selection with null objective straighten"),
         ("<robot.lab.Own object at 0x7f00>", "Own"),
+        (
+            "Own(text='a (b, c', gain=<robot.lab.Gain object at 0x7f00>)",
+            "Own with text a (b, c, gain robot.lab.Gain",
+        ),
     ],
 )
 def test_the_footnote_names_parameters_that_are_not_at_their_defaults(controller, words):
