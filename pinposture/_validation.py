@@ -1,17 +1,18 @@
-"""Checks of arguments: numbers, vectors, points, rotations; errors name the argument and what is allowed."""
+"""Checks of arguments: types, names, numbers, points; errors name the argument and what is allowed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from numbers import Integral, Real
+from types import UnionType
 from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.errors import CurveError, InvalidValue, did_you_mean
+from pinposture.errors import CurveError, InvalidValue, UnknownName, did_you_mean
 
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
@@ -28,6 +29,24 @@ LARGEST_LENGTH = 1e4
 """Largest coordinate or size of an obstacle [m]; larger squares lose the digits that distances need."""
 SMALLEST_LENGTH = 1e-9
 """Smallest size of something solid [m]."""
+
+
+def require_instance(name: str, value: object, kind: type | UnionType, allowed: str) -> None:
+    """Raise InvalidValue, with the words `allowed`, unless a value is an instance of a class."""
+    if not isinstance(value, kind):
+        raise InvalidValue(name, value, allowed)
+
+
+def require_known(kind: str, name: object, known: Collection[str]) -> None:
+    """Raise UnknownName unless a name is one of those known."""
+    if not isinstance(name, str) or name not in known:
+        raise UnknownName(kind, name, known)
+
+
+def require_name(what: str, name: object) -> None:
+    """Raise InvalidValue unless a name is printable text that is not blank."""
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise InvalidValue(what, name, "printable text that is not blank")
 
 
 def is_number(value: object) -> bool:

@@ -1,14 +1,13 @@
-"""Errors, warnings and checks. Each message names the thing at fault, its value and what is allowed."""
+"""Errors and warnings. Each message names the thing at fault, its value and what is allowed."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from types import UnionType
 from typing import Any
 
 
@@ -25,6 +24,9 @@ class PostureError(Exception):
     def __reduce__(self) -> tuple[Any, ...]:
         # Errors cross process borders in studies; the default would call __init__ with the message.
         return _rebuild, (type(self), self.args, self.__dict__)
+
+    def __str__(self) -> str:  # KeyError and OSError would format the message in their own ways
+        return str(self.args[0]) if self.args else ""
 
 
 class PostureWarning(UserWarning):
@@ -93,21 +95,6 @@ class UnknownName(PostureError, KeyError):
         hint = did_you_mean(name, self.allowed)
         super().__init__(f"no {kind} is called {name!r}{hint}; there are: {listed or 'none'}")
 
-    def __str__(self) -> str:  # KeyError would show the repr of the message
-        return str(self.args[0])
-
-
-def require_instance(name: str, value: object, kind: type | UnionType, allowed: str) -> None:
-    """Raise InvalidValue, with the words `allowed`, unless a value is an instance of a class."""
-    if not isinstance(value, kind):
-        raise InvalidValue(name, value, allowed)
-
-
-def require_known(kind: str, name: object, known: Collection[str]) -> None:
-    """Raise UnknownName unless a name is one of those known."""
-    if not isinstance(name, str) or name not in known:
-        raise UnknownName(kind, name, known)
-
 
 class FileError(PostureError, OSError):
     """A file that is missing, unreadable, or of the wrong content.
@@ -120,9 +107,6 @@ class FileError(PostureError, OSError):
     def __init__(self, path: str | Path, reason: str) -> None:
         self.path, self.reason = Path(path), reason
         super().__init__(f"{path}: {reason}")
-
-    def __str__(self) -> str:  # OSError formats its arguments in its own way
-        return str(self.args[0])
 
 
 class URDFError(PostureError, ValueError):
@@ -252,6 +236,3 @@ class ViewerError(PostureError, ConnectionError):
     def __init__(self, viewer: str, reason: str) -> None:
         self.viewer, self.reason = viewer, reason
         super().__init__(f"{viewer}: {reason}")
-
-    def __str__(self) -> str:  # ConnectionError is an OSError, too
-        return str(self.args[0])

@@ -124,7 +124,7 @@ def test_a_trace_leaves_out_what_is_imported_and_what_comes_after_the_end(
 
 @pytest.mark.process
 def test_a_step_a_task_and_a_drag_can_be_followed_through_their_files() -> None:
-    command = [sys.executable, SCRIPT, "--flows", "--list"]
+    command = [sys.executable, SCRIPT, "--flows", "--list", "--check"]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout + found.stderr
     for file in ("motion/track.py", "cli/app.py", "editor/session.py", "kernels/path_following.py"):

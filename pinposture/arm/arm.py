@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, rigid_placement
+from pinposture._validation import as_number, finite_vector, require_instance, rigid_placement
 from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions, plausible_positions
 from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
@@ -43,7 +43,7 @@ from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, require_instance, warn_caller
+from pinposture.errors import InvalidValue, warn_caller
 from pinposture.kernels.arrays import Screws
 from pinposture.storage import settled
 

@@ -16,9 +16,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, Follows, JointDescription
-from pinposture.errors import InvalidValue, URDFError, require_known
+from pinposture.errors import InvalidValue, URDFError
 
 Array = NDArray[np.float64]
 

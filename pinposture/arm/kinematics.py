@@ -19,8 +19,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_known
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import ChainArrays
 
 Array = NDArray[np.float64]

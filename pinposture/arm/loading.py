@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from pinposture._validation import rigid_placement
+from pinposture._validation import require_known, rigid_placement
 from pinposture.arm.configurations import NO_LIMIT, ConfigurationSpace
 from pinposture.arm.couplings import CoupledJoints, couple_joints, find_couplings, with_couplings
 from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
@@ -31,7 +31,7 @@ from pinposture.arm.urdf_reader import (
     quote_names,
     read_description,
 )
-from pinposture.errors import InvalidValue, URDFError, require_known
+from pinposture.errors import InvalidValue, URDFError
 
 Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
 """How to split the chain: joints per module, one number for all or one each, or links where modules end."""

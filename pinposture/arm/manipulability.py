@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import make_read_only
-from pinposture.errors import InvalidValue, require_known
+from pinposture._validation import make_read_only, require_known
+from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from pinposture.errors import InvalidValue, require_instance, require_known
+from pinposture._validation import require_instance, require_known, require_name
+from pinposture.errors import InvalidValue
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 
@@ -328,8 +329,7 @@ def modules_to_urdf(
         require_instance(f"modules[{index}]", module, ModuleTemplate, "a ModuleTemplate")
     if not listed:
         raise InvalidValue("modules", modules, "at least one ModuleTemplate")
-    if not isinstance(name, str) or not name.strip() or not name.isprintable():
-        raise InvalidValue("name", name, "printable text that is not blank")
+    require_name("name", name)
     if not isinstance(command, str) or "--" in command or not command.isprintable():
         raise InvalidValue("command", command, "printable text without '--', which would end the comment")
     colours = (f'<material name="{k}"><color rgba="{_numbers(*v)}"/></material>' for k, v in _COLOURS.items())

@@ -22,7 +22,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.errors import FileError, InvalidValue, URDFError, require_known
+from pinposture._validation import require_known
+from pinposture.errors import FileError, InvalidValue, URDFError
 from pinposture.storage import read_text
 
 Array = NDArray[np.float64]

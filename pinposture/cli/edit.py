@@ -14,7 +14,7 @@ import typer
 from pinposture.cli.compile import compile_missing
 from pinposture.cli.inputs import ArmOptions, NoBrowserOption, refuse_given
 from pinposture.cli.output import examples, print_note
-from pinposture.errors import FileError, InvalidValue, require_known
+from pinposture.errors import FileError, InvalidValue
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
@@ -157,6 +157,7 @@ def read_task(
 
 def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
     """Return an arm from a template, and its name."""
+    from pinposture._validation import require_known
     from pinposture.arm import Arm
     from pinposture.arm.template import TEMPLATES
     from pinposture.task.specification import MOST_MODULES

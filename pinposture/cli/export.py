@@ -14,7 +14,7 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
 )
-from pinposture.errors import FileError, require_known
+from pinposture.errors import FileError
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
@@ -104,6 +104,7 @@ def run(
 
 def check_form(output: Path, form: str) -> None:
     """Raise an error for an unknown format or suffix."""
+    from pinposture._validation import require_known
     from pinposture.motion.joint_files import SUFFIXES
 
     if form:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from pinposture.cli.output import MOTION_FILE, RUN_FILE, print_note
-from pinposture.errors import FileError, InvalidValue, UnknownName, require_known
+from pinposture.errors import FileError, InvalidValue, UnknownName
 from pinposture.storage import parse_json, read_text
 
 if TYPE_CHECKING:
@@ -227,6 +227,7 @@ def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
         FileError: a file without a curve.
         InvalidValue: an invalid scale factor, or one for a preset.
     """
+    from pinposture._validation import require_known
     from pinposture.curve import CURVES, Curve
 
     if Path(name).suffix:  # as all curve files have

@@ -244,17 +244,13 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
     Errors are those along the plan, from its start to its end. The posture error, and the final error, is the
     sum of the distances of the control points from their targets, the mean error is their mean.
     """
-    from pinposture.motion.trajectory import closest, largest_shares
+    from pinposture.motion.trajectory import closest, ending, largest_shares
 
     run, begun = motion.run, motion.start_index
     errors, means = run.posture_error[begun:], motion.mean_error[begun:]
     worst, worst_mean = begun + int(errors.argmax()), begun + int(means.argmax())
     return {
-        "verdict": motion.verdict,
-        "status": run.status,
-        "converged": run.converged,
-        "reason": run.reason,
-        "faults": list(motion.faults),
+        **ending(run),
         "steps": run.steps,
         "dt": motion.dt,
         "time": float(motion.time[-1]),

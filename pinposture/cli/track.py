@@ -252,7 +252,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     """
     import numpy as np
 
-    from pinposture.motion.trajectory import closest, largest_shares
+    from pinposture.motion.trajectory import closest, ending, largest_shares
 
     target, errors, points = motion.target, motion.posture_error, motion.active.sum(axis=1)
     timed: dict[str, float | None] = {}
@@ -263,11 +263,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     off = None if target.residual is None else float(target.residual[placed].max())
     covered = None if target.parameters is None else float(target.parameters[placed].max())
     return {
-        "verdict": motion.verdict,
-        "status": motion.status,
-        "converged": motion.converged,
-        "reason": motion.reason,
-        "faults": list(motion.faults),
+        **ending(motion),
         "steps": motion.steps,
         "start_error": float(errors[0]),
         "final_error": float(errors[-1]),

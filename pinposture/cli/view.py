@@ -13,7 +13,7 @@ import typer
 
 from pinposture.cli.inputs import OUTPUT, NoBrowserOption, RunArgument, read_points
 from pinposture.cli.output import examples, find_kept, load_kept, print_note, write_animation, write_plot
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def run(
     yellow in between.
     """
     with hold_interrupt():
+        from pinposture._validation import require_known
         from pinposture.viz import VIEWERS
 
         file, chosen = find_kept(path)

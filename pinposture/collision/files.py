@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_number
+from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_number, require_instance
 from pinposture.arm.urdf_reader import parse_xml
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.storage import read_text, require_suffix
@@ -132,8 +132,7 @@ def scale_factor(path: Any, scale: Any) -> float:
     Raises:
         InvalidValue: an invalid argument.
     """
-    if not isinstance(path, (str, PathLike)):
-        raise InvalidValue("path", path, "the name of a file")
+    require_instance("path", path, str | PathLike, "the name of a file")
     if not is_number(scale) or not SMALLEST_LENGTH <= scale <= LARGEST_LENGTH:
         raise InvalidValue("scale", scale, f"a factor of {SMALLEST_LENGTH:g} to {LARGEST_LENGTH:g}")
     return float(scale)

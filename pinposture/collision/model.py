@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import SMALLEST_LENGTH, finite_vector
+from pinposture._validation import SMALLEST_LENGTH, finite_vector, require_instance
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import bodies_of
@@ -25,7 +25,7 @@ from pinposture.collision.distances import (
 from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import InvalidValue, enumerated, require_instance, warn_caller
+from pinposture.errors import InvalidValue, enumerated, warn_caller
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]

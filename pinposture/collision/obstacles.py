@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture._validation import known_keys
+from pinposture._validation import known_keys, require_instance, require_known
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Piece, Sphere
-from pinposture.errors import InvalidValue, require_instance, require_known
+from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
 
 Array = NDArray[np.float64]

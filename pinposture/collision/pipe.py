@@ -10,11 +10,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import _validation
-from pinposture._validation import length, require_whole
+from pinposture._validation import length, require_instance, require_whole
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Box
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, require_instance
+from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ from pinposture._validation import (
     length,
     make_read_only,
     point,
+    require_name,
     require_whole,
     set_fields,
 )
@@ -167,8 +168,7 @@ class Scan(Surface):
         radius = length("point_radius", self.point_radius, zero=True)
         if faces is not None and radius > 0.0:
             raise InvalidValue("point_radius", radius, "0 for a surface; give the scene a larger margin")
-        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
-            raise InvalidValue("name", self.name, "printable text that is not blank")
+        require_name("name", self.name)
         finite = np.asarray(np.isfinite(points).all(axis=1))
         dropped = int(len(points) - finite.sum())
         if dropped:

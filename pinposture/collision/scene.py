@@ -14,7 +14,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pinposture._validation import Vector, known_keys, length, point, require_positive, set_fields
+from pinposture._validation import (
+    Vector,
+    known_keys,
+    length,
+    point,
+    require_instance,
+    require_known,
+    require_name,
+    require_positive,
+    set_fields,
+)
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import (
     OBSTACLE_TYPES,
@@ -25,15 +35,7 @@ from pinposture.collision.obstacles import (
     solids,
 )
 from pinposture.collision.shapes import Sphere
-from pinposture.errors import (
-    FileError,
-    InvalidValue,
-    PostureError,
-    UnknownName,
-    require_instance,
-    require_known,
-    warn_caller,
-)
+from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
 from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix, write_text
 
 VERSION = 1
@@ -75,8 +77,7 @@ class Scene:
     def __post_init__(self) -> None:
         require_instance("obstacles", self.obstacles, Mapping, "a mapping from names to obstacles")
         for name, obstacle in self.obstacles.items():
-            if not isinstance(name, str) or not name.strip() or not name.isprintable():
-                raise InvalidValue("name of an obstacle", name, "printable text that is not blank")
+            require_name("name of an obstacle", name)
             if not isinstance(obstacle, tuple(OBSTACLE_TYPES.values())):
                 allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
                 raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)

@@ -26,11 +26,12 @@ from pinposture._validation import (
     length,
     make_read_only,
     point,
+    require_instance,
     rotation,
     set_fields,
 )
 from pinposture.collision.files import Triangles, merge_corners, read_mesh, scale_factor
-from pinposture.errors import InvalidValue, require_instance, warn_caller
+from pinposture.errors import InvalidValue, warn_caller
 from pinposture.kernels.arrays import Trees
 
 Array = NDArray[np.float64]

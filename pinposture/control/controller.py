@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_instance
 from pinposture.arm import ArmState
-from pinposture.control.limits import Limits
-from pinposture.errors import InvalidValue, require_instance
+from pinposture.control.limits import LimitedStep, Limits
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -133,6 +135,12 @@ class Step(NamedTuple):
     active: tuple[int, ...]
     diagnostics: Diagnostics
     memory: Memory
+
+
+def step_within(limited: LimitedStep, active: Iterable[int] = (), **diagnostics: Any) -> Step:
+    """Return a step from its limited displacement, its active points, and further fields of `Diagnostics`."""
+    known = Diagnostics(limited.clipped, scale=limited.scale, **diagnostics)
+    return Step(limited.dq, tuple(active), known, Memory(limited.dq))
 
 
 class Controller(Protocol):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pinposture.arm import ArmState
-from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.controller import Memory, Step, step_within
 from pinposture.control.limits import Limits, require_limits
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -40,6 +40,4 @@ class JointInterpolation:
         previous = memory.dq if memory is not None else None
         # Joints off the chain stay.
         limited = limits.apply(state, way * state.arm.moved, previous)
-        active = tuple(int(k) for k in np.flatnonzero(target.has_target))
-        diagnostics = Diagnostics(limited.clipped, scale=limited.scale)
-        return Step(limited.dq, active, diagnostics, Memory(limited.dq))
+        return step_within(limited, np.flatnonzero(target.has_target).tolist())

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_vector, require_positive, require_whole
+from pinposture._validation import as_vector, require_instance, require_positive, require_whole
 from pinposture._validation import direction as unit_vector
 from pinposture.arm import Arm, ArmState, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
@@ -22,7 +22,7 @@ from pinposture.control.limits import Limits
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
-from pinposture.errors import InvalidValue, OutOfReach, ReachError, require_instance
+from pinposture.errors import InvalidValue, OutOfReach, ReachError
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]

@@ -10,11 +10,19 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_array, is_whole, make_read_only, require_positive, rigid_placement
+from pinposture._validation import (
+    finite_array,
+    is_whole,
+    make_read_only,
+    require_instance,
+    require_known,
+    require_positive,
+    rigid_placement,
+)
 from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
-from pinposture.errors import InvalidValue, require_instance, require_known
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -254,6 +262,11 @@ class ControlTask(Protocol):
 class ComparableTask:
     """Base class of tasks, which are equal if all fields are, arrays included."""
 
+    @property
+    def priority(self) -> bool:
+        """Whether everything else is confined to the null space of the task."""
+        return False
+
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if type(other) is type(self) else NotImplemented
 
@@ -416,11 +429,6 @@ class JointPosture(ComparableTask):
             self._set("joints", _names(self.joints))
         self._set_scales(self.weight, self.length)
 
-    @property
-    def priority(self) -> bool:
-        """False."""
-        return False
-
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return one row for each joint; see `ControlTask.rows`."""
         arm, columns = state.arm, self._columns(state.arm)
@@ -518,11 +526,6 @@ class Tangents(ComparableTask):
                 raise InvalidValue("points", k, f"whole numbers from {-m} to {m - 1}")
         places = np.array([k % m for k in listed if not isinstance(k, str)], dtype=np.intp)
         return cls(target.curve.tangent(target.parameters[places]), places.tolist(), weight, length)
-
-    @property
-    def priority(self) -> bool:
-        """False."""
-        return False
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return two rows for each point, one in a plane; see `ControlTask.rows`."""

@@ -27,9 +27,10 @@ from pinposture._validation import (
     as_points,
     as_vector,
     check_distinct,
+    require_known,
 )
 from pinposture.curve.geometry import MAX_DEGREE, Geometry, Parts, trim
-from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName, require_known
+from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
 from pinposture.storage import parse_json, read_text, require_suffix, write_text
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
@@ -24,7 +25,7 @@ from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, join
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
-from pinposture.errors import FileError, PostureError, require_known
+from pinposture.errors import FileError, PostureError
 from pinposture.motion import Motion, save
 from pinposture.placement.target import arm_axis
 from pinposture.storage import settled

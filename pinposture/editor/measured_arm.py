@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_instance
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.errors import FileError, InvalidValue
@@ -102,8 +103,7 @@ class JointStateLines:
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:
     """Return so many finite numbers, or raise InvalidValue."""
-    if not isinstance(values, list):
-        raise InvalidValue(name, values, f"a list of {count} numbers")
+    require_instance(name, values, list, f"a list of {count} numbers")
     if len(values) != count:
         raise InvalidValue(f"{name} (length)", len(values), f"{count}")
     for k, value in enumerate(values):
@@ -303,10 +303,8 @@ class JointStates:
     """
 
     def __init__(self, arm: Arm, source: str | Path) -> None:
-        if not isinstance(arm, Arm):
-            raise InvalidValue("arm", arm, "an Arm")
-        if not isinstance(source, (str, Path)):
-            raise InvalidValue("source", source, 'the name of a file or of a pipe, or "-"')
+        require_instance("arm", arm, Arm, "an Arm")
+        require_instance("source", source, str | Path, 'the name of a file or of a pipe, or "-"')
         self.arm = arm
         self._source, self._lines = LineSource(source), JointStateLines(arm)
         self._positions, self._heard = np.zeros(arm.nv), np.zeros(arm.nv, dtype=np.bool_)

@@ -12,13 +12,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import Matrix, Vector
+from pinposture._validation import Matrix, Vector, require_known
 from pinposture.arm import Arm
 from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Scene, Sphere
 from pinposture.collision.scene import obstacles_around, obstacles_near
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.session import Proposal, Session
-from pinposture.errors import InvalidValue, PostureError, TaskError, require_known
+from pinposture.errors import InvalidValue, PostureError, TaskError
 from pinposture.task import Task
 
 Array = NDArray[np.float64]

@@ -40,10 +40,7 @@ _KERNELS = {
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
     ),
-    "modules": (
-        "circle_crossings circle_forward circle_inverse neighbours place_modules roll_pitch_crossings "
-        "roll_pitch_forward roll_pitch_inverse torus_crossings torus_faces torus_forward torus_inverse"
-    ),
+    "modules": "module_crossings module_faces module_forward module_inverse neighbours place_modules",
     "path_following": (
         "advance find_speed_profile joint_distance look_ahead next_path_speed position_excess shorten_step "
         "spline_slopes step_along step_box step_to stoppable_steps sum_point_errors"

@@ -33,7 +33,7 @@ complex roots within 1e-7 of the segment."""
 REACH_TOLERANCE = 1e-9  # tolerance of positions, relative to the reach of a module, and of joint limits [rad]
 
 
-@compiled
+@subkernel
 def torus_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end."""
     c0, s0 = np.cos(q0), np.sin(q0)
@@ -42,14 +42,14 @@ def torus_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> t
     return (c0 * radius, l2 * s1, -s0 * radius, c0 * c1, -c0 * s1, s0, s1, c1, 0.0, -s0 * c1, s0 * s1, c0)
 
 
-@compiled
+@subkernel
 def circle_forward(link: float, q0: float) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end."""
     c, s = np.cos(q0), np.sin(q0)
     return (link * c, 0.0, -link * s, c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
 
 
-@compiled
+@subkernel
 def roll_pitch_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end."""
     c0, s0 = np.cos(sense * q0), np.sin(sense * q0)
@@ -58,7 +58,7 @@ def roll_pitch_forward(l1: float, l2: float, sense: float, q0: float, q1: float)
     return (x, y, z, c1, 0.0, s1, s0 * s1, c0, -s0 * c1, -c0 * s1, s0, c0 * c1)
 
 
-@compiled
+@subkernel
 def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2) -> int:
     """Find the angles that put the end at a point, the branch that faces it first.
 
@@ -90,7 +90,7 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
     return count
 
 
-@compiled
+@subkernel
 def roll_pitch_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2) -> int:
     """Find the angles that put the end at a point, into out (2, 2), the pair with the smaller roll first.
 
@@ -108,19 +108,13 @@ def roll_pitch_inverse(l1: float, l2: float, sense: float, x: float, y: float, z
     return 2
 
 
-@compiled
+@subkernel
 def circle_inverse(link: float, x: float, y: float, z: float, out: Array2) -> int:
     """Find the angle that puts the end at a point, into out[0, 0]; return the number of solutions."""
     q0 = np.arctan2(-z, x)
     end = circle_forward(link, q0)
     out[0, 0] = q0
     return int(max(abs(end[0] - x), abs(end[1] - y), abs(end[2] - z)) < 1e-6 * link)
-
-
-@compiled
-def torus_faces(l1: float, l2: float, x: float, y: float, z: float) -> bool:
-    """Return whether a point is on the outer part of the torus."""
-    return x * x + y * y + z * z > (l1 * l1 + l2 * l2) * (1.0 - 1e-12)
 
 
 @subkernel
@@ -206,7 +200,7 @@ def quartic_roots(c: Four, c4: float, out: Array1) -> int:
     return roots_between(c, c4, places, turning + 2, out)
 
 
-@compiled
+@subkernel
 def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> int:
     """Find where the segment from a to b crosses the torus, (6.13)-(6.15) corrected.
 
@@ -245,7 +239,7 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
     return count
 
 
-@compiled
+@subkernel
 def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
     """Find where the segment from a to b crosses the sphere around the base, as `torus_crossings`."""
     ax, ay, az = a
@@ -263,7 +257,7 @@ def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
     return count
 
 
-@compiled
+@subkernel
 def roll_pitch_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> int:
     """Find where the segment from a to b crosses the sphere around the hinge, as `torus_crossings`."""
     count, smallest = 0, (1e-6 * (l1 + l2)) ** 2
@@ -276,8 +270,18 @@ def roll_pitch_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) 
     return count
 
 
-@subkernel
-def crossings(form: int, shape: Array1, a: Three, b: Three, out: Array1) -> int:
+@compiled
+def module_forward(form: int, shape: Array1, q: Array1) -> tuple[float, ...]:
+    """Return position x, y, z and orientation (row by row) of the end at joint positions q."""
+    if form == CIRCLE:
+        return circle_forward(shape[0], q[0])
+    if form == ROLL_PITCH:
+        return roll_pitch_forward(shape[0], shape[1], shape[2], q[0], q[1])
+    return torus_forward(shape[0], shape[1], shape[2], q[0], q[1])
+
+
+@compiled
+def module_crossings(form: int, shape: Array1, a: Three, b: Three, out: Array1) -> int:
     """Find where the segment from a to b crosses the reachable set of a form, as `torus_crossings`."""
     if form == CIRCLE:
         return circle_crossings(shape[0], a, b, out)
@@ -286,16 +290,17 @@ def crossings(form: int, shape: Array1, a: Three, b: Three, out: Array1) -> int:
     return torus_crossings(shape[0], shape[1], a, b, out)
 
 
-@subkernel
-def faces(form: int, shape: Array1, x: float, y: float, z: float) -> bool:
+@compiled
+def module_faces(form: int, shape: Array1, x: float, y: float, z: float) -> bool:
     """Return whether the last hinge of a form bends by less than 90 degrees at a point."""
     if form == ROLL_PITCH:
         return x >= shape[0] * (1.0 - 1e-12)
-    return form == CIRCLE or torus_faces(shape[0], shape[1], x, y, z)
+    outer = (shape[0] * shape[0] + shape[1] * shape[1]) * (1.0 - 1e-12)
+    return form == CIRCLE or x * x + y * y + z * z > outer
 
 
-@subkernel
-def inverse(form: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
+@compiled
+def module_inverse(form: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
     """Find joint positions that put a module's end at a point, into out (2, 2); return their number."""
     if form == CIRCLE:
         return circle_inverse(shape[0], x, y, z, out)
@@ -318,12 +323,7 @@ def clip_to_limits(dof: int, q: Array1, first: int, lower: Array1, upper: Array1
 @subkernel
 def end_frame(form: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2) -> None:
     """Fill next_turn (3, 3) with the rotation of the next module, given the base frame (3, 3) of this one."""
-    if form == CIRCLE:
-        e = circle_forward(shape[0], q[0])
-    elif form == ROLL_PITCH:
-        e = roll_pitch_forward(shape[0], shape[1], shape[2], q[0], q[1])
-    else:
-        e = torus_forward(shape[0], shape[1], shape[2], q[0], q[1])
+    e = module_forward(form, shape, q)
     for i in range(3):
         f0, f1, f2 = frame[i, 0], frame[i, 1], frame[i, 2]
         a = f0 * e[3] + f1 * e[6] + f2 * e[9]
@@ -386,12 +386,12 @@ def search_segment(
         Number of crossings regardless of joint limits, and whether the choice faces the module.
     """
     found, dof = 0, min(form, 2)
-    for i in range(crossings(form, shape, a, b, roots)):
+    for i in range(module_crossings(form, shape, a, b, roots)):
         r = roots[i]
         x, y, z = a[0] + r * (b[0] - a[0]), a[1] + r * (b[1] - a[1]), a[2] + r * (b[2] - a[2])
-        n = inverse(form, shape, x, y, z, qs)
+        n = module_inverse(form, shape, x, y, z, qs)
         found += int(n > 0)
-        facing = faces(form, shape, x, y, z)
+        facing = module_faces(form, shape, x, y, z)
         for j in range(n):
             if clip_to_limits(dof, qs[j], joint, lower, upper):
                 if facing or np.isnan(choice[0]):

@@ -14,10 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_array, finite_vector, make_read_only, require_positive
+from pinposture._validation import (
+    finite_array,
+    finite_vector,
+    make_read_only,
+    require_known,
+    require_positive,
+)
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 
 Array = NDArray[np.float64]

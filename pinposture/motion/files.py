@@ -14,12 +14,12 @@ from zipfile import is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import finite_vector
+from pinposture._validation import finite_vector, require_known
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue, require_known
+from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.batch import CONFIGURATION_ARRAYS, STEP_ARRAYS, TEXT_ARRAYS, Batch, Motions
 from pinposture.motion.joint_files import (
     check_format,

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_instance, require_positive, require_whole
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.control.limits import JerkFilter, require_limits
-from pinposture.errors import InvalidValue, enumerated, require_instance, warn_caller
+from pinposture.errors import InvalidValue, enumerated, warn_caller
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 

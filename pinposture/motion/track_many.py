@@ -10,19 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import is_number, require_positive, require_whole
+from pinposture._validation import is_number, require_instance, require_known, require_positive, require_whole
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.limits import require_limits
-from pinposture.errors import (
-    InvalidValue,
-    PostureError,
-    no_warnings,
-    require_instance,
-    require_known,
-    warn_caller,
-)
+from pinposture.errors import InvalidValue, PostureError, no_warnings, warn_caller
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track
 from pinposture.motion.trajectory import Trajectory

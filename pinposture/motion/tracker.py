@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, float_array, is_number, require_positive
+from pinposture._validation import (
+    finite_vector,
+    float_array,
+    is_number,
+    require_instance,
+    require_known,
+    require_positive,
+)
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import (
@@ -31,7 +38,7 @@ from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
 from pinposture.control.planner.plan import PlanNeeded, is_small_change
-from pinposture.errors import InvalidValue, PostureError, require_instance, require_known
+from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion.processes import BackgroundProcess, Interrupted, Shared
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target

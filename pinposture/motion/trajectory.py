@@ -162,71 +162,76 @@ class Excess(Protocol):
         """A clause that says it."""
 
 
-class FinishedMotion(Protocol):
-    """Interface of motions for `find_faults`, such as `Trajectory` and `Simulation`."""
+class FinishedMotion:
+    """A motion that has ended, and whether it may be sent to a robot.
 
-    @property
-    def arm(self) -> Arm:
-        """The arm."""
+    Attributes:
+        arm: the arm.
+        status: how the motion ended, one of `ENDINGS`.
+        reason: why it ended.
+        q: configurations, (N, nq).
+        clearance: smallest distance at each, (N,) [m]; negative in penetration, infinite without a scene.
+        scene: the obstacles; None: none.
+    """
 
-    @property
-    def status(self) -> str:
-        """How the motion ended, one of `ENDINGS`."""
-
-    @property
-    def reason(self) -> str:
-        """Why it ended."""
-
-    @property
-    def q(self) -> Array:
-        """Configurations, (N, nq)."""
-
-    @property
-    def scene(self) -> Scene | None:
-        """The obstacles; None: none."""
-
-    @property
-    def clearance(self) -> Array:
-        """Smallest distance at each, (N,) [m]; negative in penetration, infinite without a scene."""
+    arm: Arm
+    status: str
+    reason: str
+    q: Array
+    clearance: Array
+    scene: Scene | None
 
     @property
     def excess(self) -> Excess | None:
         """Limits that the motion exceeds; None if there are none."""
+        raise NotImplementedError
 
+    @property
+    def converged(self) -> bool:
+        """Whether the arm is at its target at the end, within the tolerance."""
+        return self.status == "converged"
 
-def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
-    """Return the reasons not to send a motion to a robot; empty if it may be sent.
+    @cached_property
+    def faults(self) -> tuple[str, ...]:
+        """Why the motion should not be sent to a robot; empty if it may be.
 
-    It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path, or
-    bodies penetrate each other.
-    """
-    ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
-    return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
+        It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path,
+        or bodies penetrate each other.
+        """
+        if self.converged:
+            return self._faults_before_end
+        others = (what for what in self._faults_before_end if what not in self.reason)
+        return f"it {ENDINGS[self.status]}: {self.reason}", *others
 
+    @property
+    def verdict(self) -> str:
+        """Whether it converged, its faults and why it ended, in one line."""
+        there = "reached the target" if self.converged else "did not reach the target"
+        but = "".join(f", but {what}" for what in self._faults_before_end if what not in self.reason)
+        return f"{there} ({self.status}){but}: {self.reason}"
 
-def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
-    """Return clauses on exceeded limits and the deepest penetration."""
-    found = [] if motion.excess is None else [motion.excess.text]
-    if motion.scene is not None and motion.clearance.min() < -CONTACT_TOLERANCE * motion.arm.length:
-        row = int(motion.clearance.argmin())
-        pair = " and ".join(CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair or ())
-        when = f"after {row} steps" if row else "at the start"
-        found.append(f"{pair} penetrate by {-1e3 * motion.clearance[row]:.3g} mm {when}")
-    return tuple(found)
-
-
-def describe_result(motion: FinishedMotion) -> str:
-    """Return whether a motion converged, its faults and why it ended, in one line."""
-    there = "reached the target" if motion.status == "converged" else "did not reach the target"
-    but = "".join(f", but {what}" for what in _faults_before_end(motion) if what not in motion.reason)
-    return f"{there} ({motion.status}){but}: {motion.reason}"
+    @cached_property
+    def _faults_before_end(self) -> tuple[str, ...]:
+        """Clauses on exceeded limits and the deepest penetration."""
+        found = [] if self.excess is None else [self.excess.text]
+        if self.scene is not None and self.clearance.min() < -CONTACT_TOLERANCE * self.arm.length:
+            row = int(self.clearance.argmin())
+            pair = " and ".join(CollisionModel(self.arm, self.scene).minimum(self.q[row]).pair or ())
+            when = f"after {row} steps" if row else "at the start"
+            found.append(f"{pair} penetrate by {-1e3 * self.clearance[row]:.3g} mm {when}")
+        return tuple(found)
 
 
 def require_no_faults(motion: FinishedMotion, force: bool) -> None:
     """Raise MotionError if a motion has faults, unless `force` is True."""
-    found = () if force else find_faults(motion)
-    if found:
-        raise MotionError(found)
+    if motion.faults and not force:
+        raise MotionError(motion.faults)
+
+
+def ending(motion: FinishedMotion) -> dict[str, Any]:
+    """Return how a motion ended, as data for JSON."""
+    told = {name: getattr(motion, name) for name in ("verdict", "status", "converged", "reason")}
+    return {**told, "faults": list(motion.faults)}
 
 
 def closest(motion: FinishedMotion) -> dict[str, Any] | None:
@@ -281,7 +286,7 @@ class Switch(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(FinishedMotion):
     """A motion of an arm towards a target posture.
 
     Rows of the arrays over configurations begin with the start; rows over steps with the first step.
@@ -345,21 +350,6 @@ class Trajectory:
     def steps(self) -> int:
         """Number of steps taken."""
         return len(self.active)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the mean point error is within the tolerance at the end."""
-        return self.status == "converged"
-
-    @cached_property
-    def faults(self) -> tuple[str, ...]:
-        """Why it should not be sent to a robot; empty if it may be."""
-        return find_faults(self)
-
-    @property
-    def verdict(self) -> str:
-        """The result in one line."""
-        return describe_result(self)
 
     @cached_property
     def displacements(self) -> Array:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
+from pinposture.placement.target import fitting_slides
 
 # The squared distances of all control points from their points on the curve are minimised over the joint
 # positions and the arc lengths of these points. Least squares alone may wind in the wrong direction, so the
@@ -154,11 +155,6 @@ def _fit_problem(arm: Arm, curve: Curve, start: float, bending: float, to_end: b
     if not np.any(fitting_slides(arm)):
         return FitProblem(arm, start, bending, base_positions(arm, curve, start))
     return SlidingFit(arm, start, bending, base_positions(arm, curve, start), curve.length, to_end)
-
-
-def fitting_slides(arm: Arm) -> NDArray[np.bool_]:
-    """Return which degrees of freedom are slides that fit the length of the arm to a curve, (nv,)."""
-    return np.asarray(arm.slides & ~arm.roaming & (arm.limits.upper > arm.limits.lower))
 
 
 def slid_positions(arm: Arm, length: float) -> Array:

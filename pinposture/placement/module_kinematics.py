@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, cast
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -103,7 +103,93 @@ def first_facing(crossings: Iterator[tuple[float, Array]], faces: Callable[[Arra
 
 
 @dataclass(frozen=True)
-class Torus:
+class ClosedForm:
+    """FK, IK and TP of a module in closed form, in the frame at its base (x along it, y a hinge across it).
+
+    Attributes:
+        form: number of the closed form in the kernels.
+    """
+
+    form: ClassVar[int]
+
+    @property
+    def dof(self) -> int:
+        """Number of degrees of freedom."""
+        return 1 if self.form == CIRCLE else 2
+
+    @cached_property
+    def shape(self) -> Array:
+        """Lengths l1 and l2 [m] and sense, (3,), as the kernels take them; l1 is the link of a circle."""
+        return np.array([*astuple(self), 0.0, 1.0][:3])
+
+    def shape_in(self, frame: Array) -> Array:
+        """Return the row (12,) of `kernels.place_modules` for a module with a base frame (3, 3)."""
+        return np.concatenate([self.shape, frame.ravel()])
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the end from the base [m]."""
+        return float(self.shape[0] + self.shape[1])
+
+    def forward(self, q: Array) -> tuple[Array, Array]:
+        """FK, for a torus (6.1) with the sign of (6.1b) corrected.
+
+        Args:
+            q: joint positions (k,) [rad].
+
+        Returns:
+            Position (3,) [m] and orientation (3, 3) of the end, both in the base frame.
+        """
+        end = kernels.module_forward(self.form, self.shape, np.array(q, dtype=float))
+        return np.array(end[:3]), np.array(end[3:]).reshape(3, 3)
+
+    def inverse(self, p: Array) -> list[Array]:
+        """IK, for a torus (6.2) for the whole of it: all joint positions that put the end at p.
+
+        Args:
+            p: a point in reach, (3,) [m], base frame.
+
+        Returns:
+            Joint positions (k,) [rad], of a torus the branch that faces p first, of a roll and a hinge the
+            smaller roll; a roll that does not move the end is 0. Empty if the end cannot be at p.
+        """
+        out = np.empty((2, 2))
+        x, y, z = map(float, p)
+        return list(out[: kernels.module_inverse(self.form, self.shape, x, y, z, out), : self.dof])
+
+    def faces(self, p: Array) -> bool:
+        """Return whether the last hinge bends by less than 90 degrees at p, (3,) [m]; a single one always."""
+        x, y, z = map(float, p)
+        return bool(kernels.module_faces(self.form, self.shape, x, y, z))
+
+    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
+        """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
+        crossings = curve_crossings(curve, base, start, self._level, self.reach)
+        return first_facing((each for each in crossings if self.inverse(each[1])), self.faces)
+
+    def _level(self, p: Array) -> Array:
+        """Return a function of points (n, 3) [m] that changes sign across the reachable surface, (n,)."""
+        raise NotImplementedError
+
+    def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
+        """TP: where a polyline crosses the reachable surface; of a torus by (6.13)-(6.15) corrected.
+
+        Args:
+            points: vertices (n + 1, 3) [m], base frame.
+
+        Yields:
+            Segment index i and t in (0, 1] of each crossing points[i] + t (points[i + 1] - points[i]),
+            in order along the polyline. The base, where a torus touches itself if l1 = l2, is excluded. Of a
+            circle the sphere around it is crossed; check with `inverse` that the crossing is in its plane.
+        """
+        out = np.empty(4)
+        for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
+            for t in out[: kernels.module_crossings(self.form, self.shape, tuple(a), tuple(b), out)]:
+                yield i, float(t)
+
+
+@dataclass(frozen=True)
+class Torus(ClosedForm):
     """FK, IK and TP of a RyRz module, in the frame at its base (x along the module, y the first hinge).
 
     Attributes:
@@ -112,122 +198,34 @@ class Torus:
         sense: +1 if the second hinge turns about +z, -1 if about -z.
     """
 
+    form = TORUS
     l1: float
     l2: float
     sense: float = 1.0
-    dof: int = 2
 
-    @property
-    def reach(self) -> float:
-        """Largest distance of the end from the base [m]."""
-        return self.l1 + self.l2
-
-    def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK, (6.1) with the sign of (6.1b) corrected.
-
-        Args:
-            q: hinge angles (2,) [rad].
-
-        Returns:
-            Position (3,) [m] and orientation (3, 3) of the end, both in the base frame.
-        """
-        end = kernels.torus_forward(self.l1, self.l2, self.sense, float(q[0]), float(q[1]))
-        return np.array(end[:3]), np.array(end[3:]).reshape(3, 3)
-
-    def inverse(self, p: Array) -> list[Array]:
-        """IK, (6.2) for the whole torus: all pairs of angles that put the end at p.
-
-        Args:
-            p: a point on the torus, (3,) [m], base frame.
-
-        Returns:
-            Hinge angles (2,) [rad], the branch that faces p first. Empty if p is not on the torus.
-        """
-        out = np.empty((2, 2))
-        x, y, z = map(float, p)
-        return list(out[: kernels.torus_inverse(self.l1, self.l2, self.sense, x, y, z, out)])
-
-    def faces(self, p: Array) -> bool:
-        """Return whether p is on the outer part of the torus, where the second hinge bends < 90 degrees."""
-        x, y, z = map(float, p)
-        return bool(kernels.torus_faces(self.l1, self.l2, x, y, z))
-
-    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
-        l1, l2 = self.l1, self.l2
-
-        def level(p: Array) -> Array:
-            rho = np.hypot(p[:, 0], p[:, 2])
-            outer = np.hypot(rho - l1, p[:, 1]) - l2
-            return np.asarray(outer * (np.hypot(rho + l1, p[:, 1]) - l2) if l2 > l1 > 0.0 else outer)
-
-        return first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
-
-    def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
-        """TP, (6.13)-(6.15) corrected: where a polyline crosses the torus.
-
-        Args:
-            points: vertices (n + 1, 3) [m], base frame.
-
-        Yields:
-            Segment index i and t in (0, 1] of each crossing points[i] + t (points[i + 1] - points[i]),
-            in order along the polyline. The base, where the torus touches itself if l1 = l2, is excluded.
-        """
-        out = np.empty(4)
-        for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
-            for t in out[: kernels.torus_crossings(self.l1, self.l2, tuple(a), tuple(b), out)]:
-                yield i, float(t)
+    def _level(self, p: Array) -> Array:
+        l1, l2, rho = self.l1, self.l2, np.hypot(p[:, 0], p[:, 2])
+        outer = np.hypot(rho - l1, p[:, 1]) - l2
+        return np.asarray(outer * (np.hypot(rho + l1, p[:, 1]) - l2) if l2 > l1 > 0.0 else outer)
 
 
 @dataclass(frozen=True)
-class Circle:
+class Circle(ClosedForm):
     """FK, IK and TP of a module with one hinge (Section 4.6), in the frame at its base (y is the hinge).
 
     Attributes:
         link: distance from the hinge to the end [m].
     """
 
+    form = CIRCLE
     link: float
-    dof: int = 1
 
-    @property
-    def reach(self) -> float:
-        """Distance of the end from the base [m]."""
-        return self.link
-
-    def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK: position (3,) [m] and orientation (3, 3) of the end at the hinge angle q, (1,) [rad]."""
-        end = kernels.circle_forward(self.link, float(q[0]))
-        return np.array(end[:3]), np.array(end[3:]).reshape(3, 3)
-
-    def inverse(self, p: Array) -> list[Array]:
-        """IK: the hinge angle (1,) [rad] that puts the end at p, (3,) [m]; empty if p is off the circle."""
-        out = np.empty((2, 2))
-        x, y, z = map(float, p)
-        return list(out[: kernels.circle_inverse(self.link, x, y, z, out), :1])
-
-    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP, as `ModuleKinematics.target_point`; the point must be in the plane of the module."""
-
-        def level(p: Array) -> Array:
-            return np.asarray(np.linalg.norm(p, axis=1) - self.link)
-
-        crossings = curve_crossings(curve, base, start, level, self.reach * (1.0 + AHEAD))
-        return next((s for s, point in crossings if self.inverse(point)), None)
-
-    def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
-        """TP: where a polyline (n + 1, 3) [m] crosses the sphere around the base, as `Torus.crossings`.
-
-        The crossing is on the circle only if it lies in the plane of the module; check with `inverse`.
-        """
-        out = np.empty(4)
-        for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
-            for t in out[: kernels.circle_crossings(self.link, tuple(a), tuple(b), out)]:
-                yield i, float(t)
+    def _level(self, p: Array) -> Array:
+        return np.asarray(np.linalg.norm(p, axis=1) - self.link)
 
 
 @dataclass(frozen=True)
-class RollPitch:
+class RollPitch(ClosedForm):
     """FK, IK and TP of a module with a roll and a hinge across it, in the frame at its base (y is the hinge).
 
     Attributes:
@@ -236,48 +234,13 @@ class RollPitch:
         sense: +1 if the first joint turns about +x, -1 if about -x.
     """
 
+    form = ROLL_PITCH
     l1: float
     l2: float
     sense: float = 1.0
-    dof: int = 2
 
-    @property
-    def reach(self) -> float:
-        """Largest distance of the end from the base [m]."""
-        return self.l1 + self.l2
-
-    def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK: position (3,) [m] and orientation (3, 3) of the end at q, (2,) [rad], base frame."""
-        end = kernels.roll_pitch_forward(self.l1, self.l2, self.sense, float(q[0]), float(q[1]))
-        return np.array(end[:3]), np.array(end[3:]).reshape(3, 3)
-
-    def inverse(self, p: Array) -> list[Array]:
-        """IK: both pairs of angles (2,) [rad] that put the end at p, (3,) [m], the smaller roll first.
-
-        Empty if p is not on the sphere. The roll is 0 if it does not move the end.
-        """
-        out = np.empty((2, 2))
-        x, y, z = map(float, p)
-        return list(out[: kernels.roll_pitch_inverse(self.l1, self.l2, self.sense, x, y, z, out)])
-
-    def faces(self, p: Array) -> bool:
-        """Return whether p is on the half of the sphere where the hinge bends < 90 degrees."""
-        return bool(p[0] >= self.l1 * (1.0 - 1e-12))
-
-    def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
-
-        def level(p: Array) -> Array:
-            return np.asarray(np.linalg.norm(p - [self.l1, 0.0, 0.0], axis=1) - self.l2)
-
-        return first_facing(curve_crossings(curve, base, start, level, self.reach), self.faces)
-
-    def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
-        """TP: where a polyline (n + 1, 3) [m] crosses the sphere, as `Torus.crossings`."""
-        out = np.empty(4)
-        for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
-            for t in out[: kernels.roll_pitch_crossings(self.l1, self.l2, tuple(a), tuple(b), out)]:
-                yield i, float(t)
+    def _level(self, p: Array) -> Array:
+        return np.asarray(np.linalg.norm(p - [self.l1, 0.0, 0.0], axis=1) - self.l2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,12 +381,6 @@ class NumericModule:
         return float(kernels.next_target_point(*given, samples, ends, found)), found
 
 
-ClosedForm = Torus | Circle | RollPitch
-
-FORMS: dict[type, int] = {Circle: CIRCLE, Torus: TORUS, RollPitch: ROLL_PITCH}
-"""The closed forms known to `kernels.place_modules`, and their numbers there."""
-
-
 @dataclass(frozen=True, eq=False)
 class Unit:
     """Consecutive joints of an arm that are placed together.
@@ -480,10 +437,11 @@ def _units(arm: Arm) -> _Units:
     if known is None or known.registry != registry_state():
         units = _find_units(arm)
         named = {unit.module: type(unit.kinematics).__name__ for unit in units}
+        forms = [unit.kinematics for unit in units if isinstance(unit.kinematics, ClosedForm)]
         arrays = None
-        if all(isinstance(unit.kinematics, ClosedForm) for unit in units):
-            rows = [(FORMS[type(unit.kinematics)], unit.first, unit.module) for unit in units]
-            shapes = [_shape(cast(ClosedForm, unit.kinematics), unit.frame) for unit in units]
+        if len(forms) == len(units):
+            rows = [(form.form, unit.first, unit.module) for form, unit in zip(forms, units, strict=True)]
+            shapes = [form.shape_in(unit.frame) for form, unit in zip(forms, units, strict=True)]
             arrays = np.array(rows, dtype=np.int64), np.array(shapes)
         names = tuple(named[module] for module in range(arm.n_modules))
         known = arm.cache[arm_units] = _Units(registry_state(), units, names, arrays)
@@ -512,17 +470,6 @@ def unit_arrays(arm: Arm) -> tuple[NDArray[np.int64], Array]:
     name = type(unit.kinematics).__name__
     reason = unit.reason or f"it is placed by custom kinematics ({name})"
     raise UnsupportedModule(unit.module + 1, arm.module_joints[unit.module], reason)
-
-
-def unit_row(unit: Unit, frame: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return `unit_arrays` of a single closed-form unit, with its base frame (3, 3) in a posture."""
-    form = cast(ClosedForm, unit.kinematics)
-    return np.array([[FORMS[type(form)], 0, 0]], dtype=np.int64), np.array([_shape(form, frame)])
-
-
-def _shape(form: ClosedForm, frame: Array) -> list[float]:
-    lengths = (form.link, 0.0, 1.0) if isinstance(form, Circle) else (form.l1, form.l2, form.sense)
-    return [*lengths, *frame.ravel().tolist()]
 
 
 def is_compiled(arm: Arm) -> bool:

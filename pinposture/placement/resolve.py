@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, require_whole
+from pinposture._validation import finite_vector, require_instance, require_known, require_whole
 from pinposture.arm import Arm
 from pinposture.arm.module_kinematics import ModuleKinematics
 from pinposture.curve import Curve
@@ -26,15 +26,12 @@ from pinposture.errors import (
     InvalidValue,
     TargetError,
     UnsupportedModule,
-    require_instance,
-    require_known,
     warn_caller,
 )
 from pinposture.placement.least_squares import (
     base_positions,
     fit_curve,
     fit_near,
-    fitting_slides,
     slid_positions,
 )
 from pinposture.placement.module_kinematics import (
@@ -48,7 +45,6 @@ from pinposture.placement.module_kinematics import (
     is_compiled,
     kinematics_names,
     unit_arrays,
-    unit_row,
 )
 from pinposture.placement.target import (
     IN_MILLIMETRES,
@@ -58,6 +54,7 @@ from pinposture.placement.target import (
     Target,
     beginning,
     distance_from_curve,
+    fitting_slides,
     length_misfit,
     place_curve,
 )
@@ -184,7 +181,7 @@ class Walk:
         base = pin.SE3(self._turn @ unit.frame, self._turn @ unit.base + self._place)
         found: tuple[float, Array] | TargetError
         if isinstance(kinematics, ClosedForm):
-            found = self._by_closed_form(unit, base)
+            found = self._by_closed_form(unit, kinematics, base)
         elif isinstance(kinematics, NumericModule):
             found = kinematics.place(base, self._curve, self.parameter, self.positions[columns])
             if not found[0] >= 0.0:
@@ -205,14 +202,16 @@ class Walk:
         kernels.move_frame(*screws, np.ascontiguousarray(amounts), self._turn, self._place)
         self._carried = stop
 
-    def _by_closed_form(self, unit: Unit, base: pin.SE3) -> tuple[float, Array] | TargetError:
+    def _by_closed_form(
+        self, unit: Unit, form: ClosedForm, base: pin.SE3
+    ) -> tuple[float, Array] | TargetError:
         arm, state = self._arm, np.empty(9)
-        numbers, shapes = unit_row(unit, base.rotation)
+        numbers, shapes = np.array([[form.form, 0, 0]], dtype=np.int64), form.shape_in(base.rotation)[None]
         state[0], state[1:4] = self.parameter, base.translation
         here = unit.joints.start > 0 or self._from_base
         state[4:7] = base.translation if here else self._curve.at(self.parameter)
         columns = arm.columns[unit.inputs]
-        found, parameters = np.zeros(unit.kinematics.dof), np.zeros(1)
+        found, parameters = np.zeros(form.dof), np.zeros(1)
         limits, initial = (arm.limits.lower[columns], arm.limits.upper[columns]), state.copy()
         given = *self._curve.measured, self._samples, numbers, shapes
         if kernels.place_modules(*given, *limits, state, found, parameters) >= 0:

@@ -281,6 +281,11 @@ def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> t
     return curve.moved(turn, arm.chain.base - turn @ curve.start), moved
 
 
+def fitting_slides(arm: Arm) -> NDArray[np.bool_]:
+    """Return which degrees of freedom are slides that fit the length of the arm to a curve, (nv,)."""
+    return np.asarray(arm.slides & ~arm.roaming & (arm.limits.upper > arm.limits.lower))
+
+
 def length_misfit(arm: Arm, curve: Curve) -> str:
     """Return how a curve is far too long for an arm; empty if it is not."""
     longest = MAX_LENGTH_RATIO * arm.length

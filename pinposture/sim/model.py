@@ -19,13 +19,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_number, finite_vector, require_positive
+from pinposture._validation import as_number, finite_vector, require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
-from pinposture.errors import InvalidValue, PostureError, URDFError, enumerated, require_instance, warn_caller
+from pinposture.errors import InvalidValue, PostureError, URDFError, enumerated, warn_caller
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from pinposture._validation import make_read_only, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.motion.files import Format, check_shapes, register
-from pinposture.motion.trajectory import closest, describe_result, find_faults
+from pinposture.motion.trajectory import FinishedMotion, closest, ending
 from pinposture.sim.model import Servos
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class PathDeviation(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class Simulation(FinishedMotion):
     """The motion of a simulated arm. The first row is the start, the others are the ends of control cycles.
 
     Attributes:
@@ -105,16 +105,6 @@ class Simulation:
         """True if the simulation ran to its end, whether or not the arm arrived."""
         return self.status != "unstable"
 
-    @property
-    def converged(self) -> bool:
-        """True if the arm is at its goal at the end."""
-        return self.status == "converged"
-
-    @cached_property
-    def faults(self) -> tuple[str, ...]:
-        """Reasons why the motion should not be executed; empty if there are none."""
-        return find_faults(self)
-
     @cached_property
     def excess(self) -> PathDeviation | None:
         """The deviation from the path if the arm arrived; None up to 5 tolerances or 5 % of its length.
@@ -135,11 +125,6 @@ class Simulation:
             f"allowed {allowed:.3g} m){describe_saturation(self.saturated)}"
         )
         return PathDeviation(row, float(mean[row]), text)
-
-    @property
-    def verdict(self) -> str:
-        """The result in one line."""
-        return describe_result(self)
 
     @cached_property
     def time(self) -> Array:
@@ -175,11 +160,7 @@ class Simulation:
         mean = self.posture_error / m
         largest = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
         results: dict[str, Any] = {
-            "verdict": self.verdict,
-            "status": self.status,
-            "converged": self.converged,
-            "reason": self.reason,
-            "faults": list(self.faults),
+            **ending(self),
             "loop": self.loop,
             "gravity": self.gravity.tolist(),
             "duration": float(self.time[-1]),

@@ -14,10 +14,11 @@ from joblib import delayed
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, JointSpec, ModuleTemplate
 from pinposture.arm.template import modules_to_urdf
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue, PostureError, no_warnings, require_known
+from pinposture.errors import FileError, InvalidValue, PostureError, no_warnings
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets

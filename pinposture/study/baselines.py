@@ -10,20 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.arm import ArmState
 from pinposture.control.controller import (
     Controller,
-    Diagnostics,
     Memory,
     SingularValues,
     Step,
     stack_rows,
+    step_within,
     task_errors,
 )
 from pinposture.control.limits import Limits
 from pinposture.control.registry import CONTROLLERS, controller_named
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.study.baseline_objectives import (
     OBJECTIVES,
@@ -144,19 +144,17 @@ class Baseline(ABC):
         has_target = bool(np.any(target.has_target))
         asked = self._unlimited_step(state, target) if has_target else "no control point has a target"
         if isinstance(asked, str):
-            still = limits.hold(state, previous)
-            return Step(still.dq, (), Diagnostics(still.clipped, asked, scale=still.scale), Memory(still.dq))
+            return step_within(limits.hold(state, previous), reason=asked)
         # Joints off the chain have zero columns, but singular vectors only up to rounding error.
         moved = asked.dq * state.arm.joint_units * state.arm.moved
         limited = limits.apply(state, moved, previous)
-        diagnostics = Diagnostics(
-            limited.clipped,
+        return step_within(
+            limited,
+            asked.points,
             manipulability=float(state.manipulability()[0, np.array(asked.points) + 1].min()),
             spectrum=SingularValues(float(asked.sigma.min()), float(asked.sigma.max())),
             rows=asked.rows,
-            scale=limited.scale,
         )
-        return Step(limited.dq, asked.points, diagnostics, Memory(limited.dq))
 
     @abstractmethod
     def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:

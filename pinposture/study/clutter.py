@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import Vector
+from pinposture._validation import Vector, require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scan, Scene, Sphere
 from pinposture.collision.pipe import Bend, pipe_axis, pipe_walls
 from pinposture.control import Limits, plan
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, no_warnings, require_known
+from pinposture.errors import InvalidValue, PostureError, no_warnings
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import Progress
 from pinposture.motion.trajectory import path_length_ratio

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.control import Controller
-from pinposture.errors import require_known
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target
 from pinposture.study.arms import Subject

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture._validation import is_number
+from pinposture._validation import is_number, require_known
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, TargetError, require_known
+from pinposture.errors import InvalidValue, TargetError
 from pinposture.motion.processes import Progress
 from pinposture.study.record import run_all
 from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader, path_deviation

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.control import Controller
-from pinposture.errors import require_known
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.arms import Family, Subject, draw_case

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Obstacle, Scene, Sphere
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress
 from pinposture.placement import Target

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_vector, require_positive, require_whole
+from pinposture._validation import as_vector, require_instance, require_positive, require_whole
 from pinposture._validation import direction as unit_vector
 from pinposture.arm import Arm
 from pinposture.collision import Scene, Sphere
@@ -18,7 +18,7 @@ from pinposture.collision.bodies import bodies_of
 from pinposture.collision.distances import PairDistances, TreeKinematics
 from pinposture.collision.obstacles import solid, solids
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, OutOfReach, ReachError, require_instance
+from pinposture.errors import InvalidValue, OutOfReach, ReachError
 from pinposture.placement.target import arm_axis
 from pinposture.task.follow_leader import FedArm
 

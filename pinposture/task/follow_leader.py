@@ -13,17 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
-from pinposture._validation import require_positive
+from pinposture._validation import require_instance, require_known, require_positive
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.errors import (
-    CurveBendsTooMuch,
-    InvalidValue,
-    TargetError,
-    UnsupportedModule,
-    require_instance,
-    require_known,
-)
+from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnsupportedModule
 from pinposture.placement import Target
 from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, is_whole
+from pinposture._validation import as_number, finite_vector, is_whole, require_instance, require_known
 from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
@@ -22,15 +22,7 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import Curve
-from pinposture.errors import (
-    InvalidValue,
-    PostureError,
-    TargetError,
-    TaskError,
-    require_instance,
-    require_known,
-    warn_caller,
-)
+from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, warn_caller
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness

@@ -11,10 +11,10 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.arm import Arm
 from pinposture.control.reach import require_within_reach
-from pinposture.errors import InvalidValue, OutOfReach, require_known, warn_caller
+from pinposture.errors import InvalidValue, OutOfReach, warn_caller
 from pinposture.placement.least_squares import refined
 from pinposture.task.keyframe import (
     CONTINUITIES,

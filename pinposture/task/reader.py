@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
-from pinposture._validation import known_keys, require_whole
+from pinposture._validation import known_keys, require_instance, require_known, require_whole
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
@@ -24,15 +24,7 @@ from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import CURVES, Curve
-from pinposture.errors import (
-    FileError,
-    InvalidValue,
-    PostureError,
-    TaskError,
-    UnknownName,
-    require_instance,
-    require_known,
-)
+from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.placement.target import length_misfit
 from pinposture.storage import parse_json, parse_toml, read_text, require_suffix, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader

@@ -4,9 +4,10 @@ import logging
 
 import numpy as np
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm, ControlPoints
 from pinposture.collision import Scene
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Tracker, Trajectory
 from pinposture.placement import Target
 from pinposture.viz.arm_figure import plot_arm

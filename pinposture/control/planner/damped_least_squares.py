@@ -38,7 +38,7 @@ MAX_QUICK_STEPS = 6
 INDEPENDENT = 1e-6
 """Smallest singular value of independent rows of tasks with priority, relative to the largest."""
 
-FEW_ROWS, SQUARED_JOINTS_PER_ROW = 12, 1000.0
+FEW_ROWS, SQUARED_JOINTS_PER_ROW = 2, 1000.0
 """Number of constraints up to which the time that is linear in the number of joints is the shorter one: the
 first, and for long arms the square of the number of joints over the second."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
@@ -30,7 +31,8 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
-from pinposture.errors import InvalidValue, require_instance
+from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import ChainArrays
 from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
 
@@ -317,42 +319,29 @@ def _is_expected(progress: PathProgress, state: ArmState) -> bool:
 
 def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -> StepsAhead:
     """Compute the next simple steps on a path; only one if the arm is not at its expected position."""
-    arm, path, forward, wanted = state.arm, progress.path, state.forward, progress.objective.chain
-    chain = arm.kinematics
+    arm, path, wanted = state.arm, progress.path, progress.objective.chain
     expected, count = progress.expected, STEPS_AHEAD
     if expected is None:
-        expected = forward.positions
+        expected = state.forward.positions
     elif not _is_expected(progress, state):
         count = 1
     places, errors = np.empty(count), np.empty(count + 1)
     dq, reached = np.zeros((count, arm.nv)), np.empty((count, arm.nv))
     at_limit = np.empty((count, arm.nv), dtype=np.bool_)
-    found = kernels.advance(
-        chain.constants,
-        chain.endless,
-        bounds.units,
-        bounds.slack,
-        bounds.edges,
-        bounds.bound,
-        forward.positions,
-        forward.points,
-        path.offsets,
-        path.positions,
-        progress.place,
-        expected,
-        MAX_DEVIATION,
-        ARRIVED,
-        LIMIT_ROUNDING,
-        MAX_STEP,
-        wanted.targets,
-        wanted.flags,
-        places,
-        errors,
-        dq,
-        reached,
-        at_limit,
-    )
+    along = path.offsets, path.positions, progress.place, expected
+    given = *_step_arguments(state, bounds), *along, MAX_DEVIATION, ARRIVED, LIMIT_ROUNDING, MAX_STEP
+    goals = wanted.targets, wanted.flags
+    found = kernels.advance(*given, *goals, places, errors, dq, reached, at_limit)
     return StepsAhead(bounds, places[:found].tolist(), errors.tolist(), dq, reached, at_limit)
+
+
+def _step_arguments(
+    state: ArmState, bounds: JointBounds
+) -> tuple[ChainArrays, NDArray[np.bool_], Array, Array, Array, Array, Array, Array]:
+    """Return the first arguments of `kernels.advance` and `kernels.step_to`."""
+    chain, forward = state.arm.kinematics, state.forward
+    limits = bounds.units, bounds.slack, bounds.edges, bounds.bound
+    return chain.constants, chain.endless, *limits, forward.positions, forward.points
 
 
 def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:
@@ -373,28 +362,10 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
     goal = find_positions_near(objective, state, bounds.edges)
     if goal is None:
         return None
-    arm, forward, wanted = state.arm, state.forward, objective.chain
-    chain = arm.kinematics
+    arm, wanted = state.arm, objective.chain
     dq, reached, at_limit = np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
-    simple, before, after = kernels.step_to(
-        chain.constants,
-        chain.endless,
-        bounds.units,
-        bounds.slack,
-        bounds.edges,
-        bounds.bound,
-        forward.positions,
-        forward.points,
-        goal,
-        arm.multi_turn,
-        SHORT_MOTION,
-        LIMIT_ROUNDING,
-        wanted.targets,
-        wanted.flags,
-        dq,
-        reached,
-        at_limit,
-    )
+    given = *_step_arguments(state, bounds), goal, arm.multi_turn, SHORT_MOTION, LIMIT_ROUNDING
+    simple, before, after = kernels.step_to(*given, wanted.targets, wanted.flags, dq, reached, at_limit)
     if not (simple and after <= len(objective.active) * GOAL_TOLERANCE * arm.length):
         return None
     diagnostics = _diagnose(objective, at_limit, before, after, following_path=True)

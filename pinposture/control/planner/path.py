@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive
+from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
-from pinposture.errors import InvalidValue, require_instance
+from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import require_instance, require_positive
 from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Scene
-from pinposture.errors import require_instance
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]

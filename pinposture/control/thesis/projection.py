@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
-from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.controller import Memory, Step, step_within
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.posture_matrix import (
     Gain,
@@ -23,7 +23,6 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import best_chain, checked_strides
-from pinposture.errors import require_known
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
 from pinposture.placement import Target
 
@@ -126,24 +125,14 @@ class Projection:
         placed, arm = target.has_target, state.arm
         rows, smallest = self._rows(arm, screws, placed)
         if rows is None:
-            held = limits.hold(state, previous)
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
-            none = Diagnostics(held.clipped, reason, scale=held.scale)
-            return Step(held.dq, (), none, Memory(held.dq))
+            return step_within(limits.hold(state, previous), reason=reason)
         matrix = PostureMatrix(screws, rows)
         errors = (target.points - state.forward.points) * placed[:, None]
         asked = matrix.step(arm, self._along(rows, gained(self.gain, errors)), secondary)
         limited = limits.apply(state, asked, previous)
-        diagnostics = Diagnostics(
-            limited.clipped,
-            manipulability=smallest,
-            spectrum=matrix,
-            rows=matrix.size,
-            scale=limited.scale,
-        )
-        return Step(
-            limited.dq, tuple(rows.stations[rows.ranks > 0].tolist()), diagnostics, Memory(limited.dq)
-        )
+        active = rows.stations[rows.ranks > 0].tolist()
+        return step_within(limited, active, manipulability=smallest, spectrum=matrix, rows=matrix.size)
 
     def posture_control_matrix(
         self, state: ArmState, errors: Array, eligible: NDArray[np.bool_]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
-from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.controller import Memory, Step, step_within
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.posture_matrix import (
     Gain,
@@ -24,7 +24,7 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import SectionScore, best_branch, checked_strides, section_edges
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, Rows, Screws
 from pinposture.placement import Target
 
@@ -214,22 +214,20 @@ class Selection:
         kept = self._conditioned(arm, screws, chosen)
         active, dropped = chosen[kept], tuple(chosen[~kept].tolist())
         if not len(active):
-            held, reason = limits.hold(state, previous), self._explain_failure(base, chosen, placed)
-            none = Diagnostics(held.clipped, reason, dropped=dropped, scale=held.scale)
-            return Step(held.dq, (), none, Memory(held.dq))
+            reason = self._explain_failure(base, chosen, placed)
+            return step_within(limits.hold(state, previous), reason=reason, dropped=dropped)
         matrix = PostureMatrix(screws, _full_rows(arm, active))
         secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
         asked = matrix.step(arm, gained(self.gain, errors)[active], secondary)
         limited = limits.apply(state, asked, previous)
-        diagnostics = Diagnostics(
-            limited.clipped,
+        return step_within(
+            limited,
+            active.tolist(),
             manipulability=kernels.weakest_index(screws, arm.kinematics.task_constants.plane, active, base),
             spectrum=matrix,
             rows=matrix.size,
             dropped=dropped,
-            scale=limited.scale,
         )
-        return Step(limited.dq, tuple(active.tolist()), diagnostics, Memory(limited.dq))
 
     def _chosen(
         self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array

@@ -8,13 +8,12 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_instance, require_known, require_positive, require_share
 from pinposture.arm import ArmState
-from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
+from pinposture.control.controller import Memory, Step, step_within, task_errors
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
-from pinposture.errors import InvalidValue, require_known
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -97,8 +96,7 @@ class Switching:
 
     def __post_init__(self) -> None:
         for field_, kind in (("selection", Selection), ("projection", Projection)):
-            if not isinstance(getattr(self, field_), kind):
-                raise InvalidValue(field_, getattr(self, field_), f"a {kind.__name__}(...)")
+            require_instance(field_, getattr(self, field_), kind, f"a {kind.__name__}(...)")
         require_share("progress", self.progress)
         for field_ in ("patience", "stay", "reach"):
             require_positive(field_, getattr(self, field_))
@@ -208,8 +206,7 @@ class Switching:
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
         if step.diagnostics.reason:  # no control point can move: follow the line in joint space
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
-            moved = Diagnostics(limited.clipped, scale=limited.scale)
-            step = Step(limited.dq, (), moved, Memory(limited.dq))
+            step = step_within(limited)
         return step._replace(
             diagnostics=step.diagnostics._replace(error_increasing=True, following_path=True)
         )

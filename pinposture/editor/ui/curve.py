@@ -19,6 +19,7 @@ from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
     Post,
     Typed,
+    add_axes,
     add_lines,
     color,
     coordinate_digits,
@@ -182,14 +183,7 @@ class Handles:
         self._frame = server.scene.add_line_segments(
             "/handles/frame", np.zeros((1, 2, 3)), color(palette.REST), thickness=0.25 * link_radius(arm)
         )
-        self._axes = server.scene.add_transform_controls(
-            "/handles/axes",
-            scale=AXES_SIZE * arm.length,
-            disable_rotations=True,
-            disable_sliders=True,
-            depth_test=False,
-            visible=False,
-        )
+        self._axes = add_axes(server, "/handles/axes", AXES_SIZE * arm.length)
         self._axes_dragged = False
         self._axes.on_update(self._on_axes)
         self._index, self._keyframe = -1, -1
@@ -276,13 +270,7 @@ class TipHandle:
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._post, self._start = post, arm.straight()
         self._keyframe, self._dragged_keyframe, self._dragged = -1, -1, False
-        self._axes = server.scene.add_transform_controls(
-            "/handles/tip",
-            scale=AXES_SIZE * arm.length,
-            disable_rotations=True,
-            depth_test=False,
-            visible=False,
-        )
+        self._axes = add_axes(server, "/handles/tip", AXES_SIZE * arm.length, sliders=True)
         self._axes.on_update(self._on_axes)
 
     def show(self, session: Session, live: Live) -> None:

@@ -121,6 +121,20 @@ def add_lines(
     return server.scene.add_line_segments(name, points, colors, thickness=thickness, visible=visible)
 
 
+def add_axes(
+    server: viser.ViserServer, name: str, scale: float, rotations: bool = False, sliders: bool = False
+) -> viser.TransformControlsHandle:
+    """Add axes of a length [m] to drag something by, in front of all else; hidden until they are needed."""
+    return server.scene.add_transform_controls(
+        name,
+        scale=scale,
+        disable_rotations=not rotations,
+        disable_sliders=not sliders,
+        depth_test=False,
+        visible=False,
+    )
+
+
 class Typed:
     """A field that is typed into.
 

@@ -26,6 +26,7 @@ from pinposture.editor.surroundings import ScanShelf, remove_scan
 from pinposture.editor.ui.parts import (
     Post,
     Typed,
+    add_axes,
     add_lines,
     color,
     coordinate_digits,
@@ -209,13 +210,7 @@ class Obstacles:
         self._name = ""  # of the obstacle with axes and handles
         self._axes_dragged = False
         self._grabbed: dict[str, Array] = {}  # where what is dragged was grabbed
-        self._axes = server.scene.add_transform_controls(
-            "/obstacle_axes",
-            scale=MIN_AXES_SIZE * arm.length,
-            disable_sliders=True,
-            depth_test=False,
-            visible=False,
-        )
+        self._axes = add_axes(server, "/obstacle_axes", MIN_AXES_SIZE * arm.length, rotations=True)
         self._axes.on_update(self._on_axes)
         self._balls: list[viser.IcosphereHandle] = []
         for index in range(3):

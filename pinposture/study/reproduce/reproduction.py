@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from joblib import delayed
 
-from pinposture._validation import require_positive, require_whole
+from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.control import Controller
-from pinposture.errors import InvalidValue, require_known
+from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress, check_jobs, in_order
 from pinposture.storage import check_writable, write_bytes, write_json, write_table, write_text

@@ -15,10 +15,10 @@ from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_known
 from pinposture.arm import Arm, ArmState
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
 from pinposture.control.thesis.sections import SectionEdges, best_branch
-from pinposture.errors import require_known
 from pinposture.kernels.arrays import Screws
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
