@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     "pinposture view out --ellipsoids 5,10,20",
     "pinposture view out --viewer foxglove",
     "pinposture view out -o motion.html",
+    "pinposture view out -o motion.png",
 )
 def run(
     *,

@@ -203,6 +203,8 @@ def test_an_editor_that_cannot_be_made_leaves_nothing_behind(
 class Loose:
     """A controller that fails now and then."""
 
+    name = "loose"
+
     def __init__(self) -> None:
         self.own, self.asked = Geodesic(), 0
 
