@@ -170,6 +170,7 @@ def run(
     2 if it could not start or be saved; files for a robot (.csv, .json) are written only if it is 0.
     """
     from pinposture.task import Task
+    from pinposture.task.reference import find_crowded
 
     task = Task.load(file)
     if check:
@@ -181,6 +182,10 @@ def run(
     with nullcontext() if folder is None else _kept_in(folder):
         with count_progress("posture") as placing:
             reference = task.reference(placing)
+        scene = task.surroundings(reference)
+        for where, place in find_crowded(reference, scene).items():
+            if scene is not None and not place.crowding(0.0):  # of the others, `perform` warns
+                print_note(f"{where}: {place.crowding(scene.margin)}")
         with time_progress() as moving:
             motion = task.perform(reference, moving)
         files, failure = write_files([] if output is None else motion_files(motion, output, task.formats))

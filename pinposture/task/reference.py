@@ -158,22 +158,26 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
     return found
 
 
+def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, Outlook]:
+    """Return the named postures that do not keep the margin of a scene, by their names in messages."""
+    keyed = bool(reference.marks) and reference.marks[0].row == 0
+    places = [] if scene is None else enumerate(outlook(reference, scene), start=1)
+    named = {f"keyframe {k} {place.name!r}" if keyed else place.name: place for k, place in places}
+    return {where: place for where, place in named.items() if scene and place.crowding(scene.margin)}
+
+
 def require_room(reference: Reference, scene: Scene | None) -> None:
-    """Refuse a motion that begins in collision; warn of named postures that do not keep the margin.
+    """Refuse a motion that begins in collision; warn of other named postures in collision.
 
     Raises:
         TaskError: the motion begins in collision.
     """
-    if scene is None:
-        return
-    keyed = bool(reference.marks) and reference.marks[0].row == 0
-    for number, place in enumerate(outlook(reference, scene), start=1):
-        where = f"keyframe {number} {place.name!r}" if keyed else place.name
-        crowded = place.crowding(scene.margin)
-        if place.clearance is not None and place.clearance < 0.0 == place.planned:
-            raise TaskError(where, f"{crowded}; move one of them, or change the start")
-        if crowded:
-            warn_caller(f"{where}: {crowded}")
+    for where, place in find_crowded(reference, scene).items():
+        inside = place.crowding(0.0)
+        if inside and place.planned == 0.0:
+            raise TaskError(where, f"{inside}; move one of them, or change the start")
+        if inside:
+            warn_caller(f"{where}: {inside}")
 
 
 def _named(reference: Reference) -> list[Mark]:
