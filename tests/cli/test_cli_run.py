@@ -324,4 +324,4 @@ def test_a_check_names_postures_closer_than_the_margin(command, task):
         assert re.search(r"straight .* m0\d_\w+ to ball +where it was drawn", result.out)
         assert ("and ball would be" in result.err and "the margin is 50 mm" in result.err) == said
     result = command("run", task)
-    assert re.search(r"note: keyframe \d 'straight': m0\d_\w+ and ball would be [\d.]+ mm apart", result.err)
+    assert re.search(r"keyframe \d 'straight': m0\d_\w+ and ball would be [\d.]+ mm apart", result.err)
