@@ -243,6 +243,28 @@ def test_velocities_need_the_duration_of_a_step() -> None:
         controller.step(arm().at(np.zeros(40)), target)
 
 
+def test_what_stands_still_does_not_repel_an_arm_while_something_else_moves() -> None:
+    """The arm comes as near to a post beside its goal as without the ball, which is far away."""
+    q, goal = np.zeros(40), np.full(40, 0.02)
+    beside = arm().at(goal).points[-1] + [0.0, 0.0, MARGIN + BALL + THIN + 0.02]
+    scene = pp.Scene(
+        {"ball": pp.Sphere((0, 0, 0), BALL), "post": pp.Sphere(tuple(beside), BALL)},
+        margin=MARGIN,
+        arm_radius=THIN,
+    )
+    cycles = []
+    for speed in (0.0, 1e-6, 0.2):
+        tracker, here = pp.Tracker(arm(), limits=LIMITS, scene=scene), q
+        tracker.update(pp.Target.from_configuration(arm(), goal))
+        for cycle in range(400):
+            moment = scene.moved({"ball": (0, 3.0, speed * DT * cycle)}, velocities={"ball": (0, 0, speed)})
+            here = here + tracker.step(here, scene=moment)
+            if tracker.report.status == "converged":
+                break
+        cycles.append(cycle)
+    assert max(cycles) <= min(cycles) + 2 < 300
+
+
 @pytest.mark.parametrize("faster, velocity", [(2.0, 0.3), (4.0, 0.5)])
 def test_an_arm_gets_out_of_the_way_of_a_ball_that_is_faster_than_it(faster: float, velocity: float) -> None:
     q, _, origin, flight = crossing(15)  # without an early retreat, the arm is hit

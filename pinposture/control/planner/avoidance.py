@@ -285,8 +285,9 @@ class Avoidance:
         # From an obstacle that is faster than the arm, it retreats the earlier, the faster the obstacle is.
         bound = self._bounds.bound[self.objective.columns] / self.objective.units
         speed = RETREAT_SPEED_SHARE * (np.abs(matrix) @ np.minimum(bound, 1e9))
-        behind = np.maximum(closing - speed, 1e-12)
-        approach = np.minimum(approach, closing**2 / (behind * CONSTRAINED_DISTANCE * self._length))
+        faster = closing > speed
+        sight = (1.0 - speed[faster] / closing[faster]) * CONSTRAINED_DISTANCE * self._length
+        approach[faster] = np.minimum(approach[faster], closing[faster] / sight)
         share = np.where(near.rates == 0.0, GAIN_SHARE, RETREAT_GAIN_SHARE)
         return ConstraintRows(matrix, np.minimum(closing - approach * room, share * most))
 

@@ -165,11 +165,8 @@ def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
     Returns:
         Joint displacement (nv,) in `Arm.joint_units`; zero where the gradient vanishes.
     """
-    known, gradient, motion = (
-        arm.kinematics.task_constants,
-        np.empty(len(arm.columns)),
-        np.empty(errors.shape),
-    )
+    known = arm.kinematics.task_constants
+    gradient, motion = np.empty(len(arm.columns)), np.empty(errors.shape)
     every = Rows(known.every, known.dimensions, known.frames, FULL)
     kernels.joints_along(screws, every, errors, gradient)
     kernels.motions_along(screws, every, gradient, motion)
