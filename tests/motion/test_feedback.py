@@ -10,7 +10,7 @@ from scipy.linalg import expm
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion import Tracker
-from pinposture.motion.tracker import MAX_POINT_OFFSET, Feedback
+from pinposture.motion.feedback import MAX_POINT_OFFSET, Feedback
 from pinposture.placement import Target
 
 pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
