@@ -28,7 +28,7 @@ from pinposture.errors import (
     TaskError,
 )
 from pinposture.motion import Tracker
-from pinposture.motion.tracker import NOT_DONE
+from pinposture.motion.deadline import NOT_DONE
 from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.keyframe import resolve_keyframe

@@ -54,7 +54,7 @@ from pinposture.editor.ui.player import Player, covered_height, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
 from pinposture.errors import CurveError
-from pinposture.motion.tracker import NOT_DONE
+from pinposture.motion.deadline import NOT_DONE
 from pinposture.placement.target import arm_axis
 from pinposture.task import Task
 from pinposture.viz import palette
