@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import os
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
 import pinocchio as pin
 
-from pinposture.arm.configurations import NO_LIMIT
-from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
-from pinposture.arm.specification import roll_pitch_yaw
 from pinposture.arm.urdf_reader import URDF_TEXT, is_urdf_text
-from pinposture.errors import FileError, URDFError
+from pinposture.arm.urdf_writer import model_to_urdf
+from pinposture.errors import FileError
 from pinposture.storage import read_text
 
 EXTRA = "pip install 'pinposture[descriptions]'"
 """How to install support for xacro and for descriptions by name."""
 
 _MACROS = "http://www.ros.org/wiki/xacro"
-_SHAPES = {"FreeFlyer": "floating", "Planar": "planar"}
 
 
 class Source(NamedTuple):
@@ -134,145 +129,5 @@ def _convert_mjcf(path: Path) -> str:
     return model_to_urdf(model, path)
 
 
-def model_to_urdf(model: pin.Model, label: str | Path = "pin.Model") -> str:
-    """Write a Pinocchio model as URDF: links, joints with their limits, and inertias, but no shapes.
-
-    Links take the names of the body frames of the model; other operational frames become links, too. Revolute
-    joints without position limits become continuous. A composite joint becomes one joint for each of its
-    parts, with "_1", "_2" appended to its name.
-
-    Args:
-        model: the model.
-        label: name of the model in error messages.
-
-    Returns:
-        URDF text. Floats are preserved exactly, rotations to 1e-15.
-
-    Raises:
-        URDFError: a joint that URDF cannot represent.
-    """
-    robot = ET.Element("robot", name=model.name.strip() or "robot")
-    bodies = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
-    named: dict[int, str] = {}
-    for frame in bodies:
-        if frame.parentJoint not in named and frame.placement.isIdentity(1e-12):
-            named[frame.parentJoint] = frame.name
-    taken = {frame.name for frame in model.frames}
-    for joint in range(model.njoints):
-        named.setdefault(joint, _free_name(f"{model.names[joint]}_link" if joint else "world", taken))
-    ET.SubElement(robot, "link", name=named[0])
-    followers = {each.joint: each for each in read_couplings(model)}
-    for joint in range(1, model.njoints):
-        if model.names[joint] in followers:
-            _write_follower(robot, model, joint, named, followers[model.names[joint]])
-        else:
-            _write_joint(robot, model, joint, named, taken, label)
-    done = set(named.values())
-    for frame in model.frames:
-        if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and frame.name not in done:
-            done.add(frame.name)
-            ET.SubElement(robot, "link", name=frame.name)
-            parent = named[frame.parentJoint]
-            _add_joint(robot, f"{frame.name}_fixed", "fixed", parent, frame.name, frame.placement)
-    ET.indent(robot)
-    return ET.tostring(robot, encoding="unicode") + "\n"
-
-
-def _write_joint(
-    robot: ET.Element, model: pin.Model, joint: int, named: Mapping[int, str], taken: set[str], label: object
-) -> None:
-    """Add a joint of a model and the link it carries."""
-    name, whole = model.names[joint], model.joints[joint]
-    parts, placements = [whole], [pin.SE3.Identity()]
-    composite = whole.shortname() == "JointModelComposite"
-    if composite:
-        inner = whole.extract()
-        parts, placements = list(inner.joints), list(inner.jointPlacements)
-    parent, q, v = named[model.parents[joint]], whole.idx_q, whole.idx_v
-    for number, (part, placement) in enumerate(zip(parts, placements, strict=True), 1):
-        kind = part.shortname().removeprefix("JointModel")
-        shape = _SHAPES.get(kind)
-        if shape is None and part.nv != 1:
-            allowed = "joints that turn about an axis or slide along one, free-flyers and planar joints"
-            raise URDFError(str(label), f"joint {name!r}", f"is of type {kind}; allowed: {allowed}")
-        last = number == len(parts)
-        child = named[joint] if last else _free_name(f"{named[joint]}_{number}", taken)
-        link = ET.SubElement(robot, "link", name=child)
-        if last:
-            _add_inertia(link, model.inertias[joint])
-        before = model.jointPlacements[joint] * placement if number == 1 else placement
-        called = f"{name}_{number}" if composite else name
-        element = _add_joint(robot, called, shape or "continuous", parent, child, before)
-        if shape is None:
-            _add_motion(element, model, part, q, v)
-        parent, q, v = child, q + part.nq, v + part.nv
-
-
-def _write_follower(
-    robot: ET.Element, model: pin.Model, joint: int, named: Mapping[int, str], coupling: Coupling
-) -> None:
-    """Add a joint that follows another and the link it carries; the limits are those of the leader."""
-    link = ET.SubElement(robot, "link", name=named[joint])
-    _add_inertia(link, model.inertias[joint])
-    (axis,), (turns,) = joint_axes(model, [joint])
-    ends = named[model.parents[joint]], named[joint], model.jointPlacements[joint]
-    element = _add_joint(robot, coupling.joint, "revolute" if turns else "prismatic", *ends)
-    ET.SubElement(element, "axis", xyz=_text(axis))
-    none = {"effort": repr(NO_LIMIT), "velocity": repr(NO_LIMIT)}
-    ET.SubElement(element, "limit", none, lower=repr(-NO_LIMIT), upper=repr(NO_LIMIT))
-    follows = {"multiplier": repr(coupling.ratio), "offset": repr(coupling.offset)}
-    ET.SubElement(element, "mimic", follows, joint=coupling.leader)
-
-
-def _add_motion(element: ET.Element, model: pin.Model, part: pin.JointModel, q: int, v: int) -> None:
-    """Add the axis and the limits of a revolute or prismatic joint."""
-    alone = pin.Model()
-    alone.addJoint(0, part, pin.SE3.Identity(), "joint")
-    axes, revolute = joint_axes(alone, [1])
-    ET.SubElement(element, "axis", xyz=_text(axes[0]))
-    edges = np.clip([model.lowerPositionLimit[q], model.upperPositionLimit[q]], -NO_LIMIT, NO_LIMIT)
-    limited = part.nq == 1 and bool(np.any(np.abs(edges) < NO_LIMIT))
-    limits = {"lower": _text(edges[:1]), "upper": _text(edges[1:])} if limited else {}
-    if limited or not revolute[0]:
-        element.set("type", "revolute" if revolute[0] else "prismatic")
-    effort, velocity = float(model.effortLimit[v]), float(model.velocityLimit[v])
-    limits["effort"] = repr(effort if 0.0 < effort < NO_LIMIT else NO_LIMIT)
-    limits["velocity"] = repr(velocity if 0.0 <= velocity < NO_LIMIT else NO_LIMIT)
-    ET.SubElement(element, "limit", limits)
-
-
-def _add_joint(
-    robot: ET.Element, name: str, kind: str, parent: str, child: str, placement: pin.SE3
-) -> ET.Element:
-    element = ET.SubElement(robot, "joint", name=name, type=kind)
-    ET.SubElement(element, "parent", link=parent)
-    ET.SubElement(element, "child", link=child)
-    angles = roll_pitch_yaw(placement.rotation)
-    ET.SubElement(element, "origin", xyz=_text(placement.translation), rpy=_text(angles))
-    return element
-
-
-def _add_inertia(link: ET.Element, inertia: pin.Inertia) -> None:
-    if inertia.mass <= 0.0:
-        return
-    element = ET.SubElement(link, "inertial")
-    ET.SubElement(element, "origin", xyz=_text(inertia.lever))
-    ET.SubElement(element, "mass", value=repr(float(inertia.mass)))
-    moments = np.asarray(inertia.inertia)
-    named = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(moments[i, j])) for i in range(3) for j in range(i, 3)}
-    ET.SubElement(element, "inertia", named)
-
-
 def _one_line(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
-
-
-def _free_name(name: str, taken: set[str]) -> str:
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
-
-
-def _text(values: Any) -> str:
-    return " ".join(repr(float(value)) for value in values)
