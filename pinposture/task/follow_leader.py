@@ -146,6 +146,9 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
 PATH_PLACEMENTS = ("align", "as_is")
 """Placements of a path relative to the tip of the arm."""
 
+CURVATURE_SAMPLES = 2001
+"""Number of samples of a path for its largest curvature."""
+
 LINE_TOLERANCE = 1e-5
 """Largest distance of the path from the axis of the feed where it has to follow it, in arm lengths."""
 
@@ -243,6 +246,13 @@ MAX_GAUSS_NEWTON_STEPS, GAUSS_NEWTON_TOLERANCE = 20, 1e-8
 MAX_LINK_DISTANCE = 0.25
 """Largest distance of the end of a link from the route, in module lengths: that of the middle of a module
 with one hinge, bent by a quarter turn, whose ends are on the arc."""
+
+DEVIATION_PER_BENDING, MIN_DEVIATION, MAX_DEVIATION = 1.25, 0.1, 0.6
+"""Largest distance of any part of the arm from the route, in lengths of its longest link l: the first times
+kappa l for the largest curvature kappa of the path, but not below the second, nor above the third. An arc
+over two links is kappa l / 2 high. Placements that keep to the path came to 97 % of this or less, on the
+paths of `pinposture study leader` and on six public robots; those that went astray to 1.6 to 6 times as
+much."""
 
 ROUTE_SAMPLES_PER_LINK = 80
 """Samples of the route per mean link length, for the sequential placement."""
@@ -425,7 +435,8 @@ def follow_leader(
             that is not straight.
         UnknownName: no such placement or method.
         CurveBendsTooMuch: the path bends more than the modules can.
-        TargetError: a module cannot be placed for another reason; all name the arc length of the path.
+        TargetError: a module cannot be placed for another reason, or the arm would be farther from the path
+            than its links require; all name the arc length of the path.
         UnsupportedModule: sequential placement of a module for which no solver exists.
     """
     require_positive("interval", interval)
@@ -451,10 +462,13 @@ def follow_leader(
             progress(row + 1, len(depths))
     # A search may find a first posture that is straighter than the start.
     begin, offsets = arm.integrate(fed.start, offsets[0]), offsets - offsets[0]
-    marks = [_last_row(route, begin, "inside", offsets)]
+    deviation = _deviation(route, np.array([arm.integrate(begin, offset) for offset in offsets]))
+    _require_near(route, deviation, depths, method)
+    way = FollowedPath(route, deviation.largest)
+    marks = [_last_row(way, begin, "inside", offsets)]
     if and_back:
         offsets = np.vstack([offsets, offsets[-2::-1]])
-        marks.append(_last_row(route, begin, "outside", offsets))
+        marks.append(_last_row(way, begin, "outside", offsets))
     weights = np.ones((len(offsets), arm.n_modules))
     return Reference(arm, interval, begin, offsets, weights, tuple(marks))
 
@@ -511,11 +525,48 @@ def _checked_depth(route: Route, depth: float | None) -> float:
     return min(float(depth), most)
 
 
-def _last_row(route: Route, begin: Array, name: str, offsets: Array) -> Mark:
-    arm = route.fed.arm
+@dataclass(frozen=True, eq=False)
+class FollowedPath:
+    """The path of a leader, from which the arm must not stray; a `Way`."""
+
+    route: Route
+    planned: float
+
+    def distance(self, q: Array) -> float:
+        """Return the largest distance of any part of the arm in configurations (n, nq) from the path [m]."""
+        return _deviation(self.route, q).largest
+
+
+def _last_row(way: FollowedPath, begin: Array, name: str, offsets: Array) -> Mark:
+    route, arm = way.route, way.route.fed.arm
     q = arm.integrate(begin, offsets[-1])
     points, weights = arm.at(q).compiled.points, np.ones(arm.n_modules)
-    return Mark(name, len(offsets) - 1, Target(points, weights, q=q, curve=route.path, moved=route.moved))
+    target = Target(points, weights, q=q, curve=route.path, moved=route.moved)
+    return Mark(name, len(offsets) - 1, target, way=way)
+
+
+def _require_near(route: Route, deviation: Deviation, depths: Array, method: str) -> None:
+    """Refuse postures that are farther from the route than links that follow it have to be.
+
+    Raises:
+        TargetError: names the module that is farthest from the route.
+    """
+    fed, path = route.fed, route.path
+    link = float(fed.links.chain.module_lengths.max())
+    bend = float(path.curvature(np.linspace(0.0, path.length, CURVATURE_SAMPLES)).max())
+    allowed = link * float(np.clip(DEVIATION_PER_BENDING * bend * link, MIN_DEVIATION, MAX_DEVIATION))
+    if deviation.largest <= allowed:
+        return
+    where, depth = float(deviation.where[deviation.row]), float(depths[deviation.row])
+    lengths = np.cumsum(fed.body.chain.module_lengths)
+    module = min(int(np.searchsorted(lengths, where)), fed.body.n_modules - 1)
+    number = module + 1 + fed.arm.n_modules - fed.body.n_modules
+    off = f"{deviation.largest:.4g} m off the path, {deviation.percent:.3g} % of the arm"
+    advice = "use method='closest'"
+    if method == "closest":
+        advice = "use a gentler path, wider joint limits or shorter links"
+    reason = f"the arm is {off} (at a depth of {depth:.4g} m); allowed: {allowed:.4g} m; {advice}"
+    raise TargetError(number, depth + where - fed.run_up, reason)
 
 
 # The leader of a task.
@@ -575,6 +626,9 @@ PIECES_PER_LINK = 8
 
 SAMPLES_PER_ARM = 4000
 """Samples of the path per arm length."""
+
+ROWS_PER_CHUNK = 256
+"""Number of configurations whose distances are computed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -647,9 +701,26 @@ def path_deviation(
         UnknownName: no such placement.
     """
     route = Route(arm, path, placement, start)
-    fed, rows = route.fed, np.asarray(q, dtype=np.float64)
+    rows = np.asarray(q, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != arm.nq or len(rows) == 0:
         raise InvalidValue("q (shape)", rows.shape, f"(1 or more, {arm.nq})")
+    return _deviation(route, rows)
+
+
+def _deviation(route: Route, rows: Array) -> Deviation:
+    """Return the distances of configurations, (N, nq), from a route."""
+    chunks = [
+        _deviation_of_few(route, rows[first : first + ROWS_PER_CHUNK])
+        for first in range(0, len(rows), ROWS_PER_CHUNK)
+    ]
+    points = np.concatenate([each.points for each in chunks])
+    body = np.concatenate([each.body for each in chunks])
+    where = np.concatenate([each.where for each in chunks])
+    return Deviation(route.fed.length, points, body, where)
+
+
+def _deviation_of_few(route: Route, rows: Array) -> Deviation:
+    fed, arm = route.fed, route.fed.arm
     points, stations, feeds = [], [], []
     order = _stations(arm)
     for row in rows:

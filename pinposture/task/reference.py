@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,17 @@ from pinposture.placement.target import Moved, arm_axis
 Array = NDArray[np.float64]
 
 
+class Way(Protocol):
+    """A path that the whole arm has to follow."""
+
+    @property
+    def planned(self) -> float:
+        """Largest distance of the planned postures from the path [m]."""
+
+    def distance(self, q: Array) -> float:
+        """Return the largest distance of any part of the arm in configurations (n, nq) from the path [m]."""
+
+
 class Mark(NamedTuple):
     """A named place of a reference.
 
@@ -31,6 +42,7 @@ class Mark(NamedTuple):
         target: its target, in place of that of the row; the residual is the distance from the curve.
         tip: its tip task; None without one.
         speed: largest share of the velocity limits for the motion to it from the previous mark.
+        way: the path that the arm has to follow on the way to it; None if only the posture counts.
     """
 
     name: str
@@ -38,6 +50,7 @@ class Mark(NamedTuple):
     target: Target
     tip: EndEffector | None = None
     speed: float = 1.0
+    way: Way | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +109,12 @@ class Reference:
 
 
 def off_curve(mark: Mark) -> float | None:
-    """Return the largest distance of the targets of a mark from its curve [m]; None without a curve."""
+    """Return the largest distance of the targets of a mark from its curve [m]; None without a curve.
+
+    It is that on the way to it if the arm has to follow the curve all the way.
+    """
+    if mark.way is not None:
+        return mark.way.planned
     residual = mark.target.residual
     return None if residual is None else float(residual[mark.target.has_target].max())
 

@@ -35,7 +35,16 @@ from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, placed, usual_placement, with_fitting_joints
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.reader import Document, TaskParts, check_task, read_task
-from pinposture.task.reference import Mark, Outlook, Reference, off_curve, outlook, require_room, tip_off
+from pinposture.task.reference import (
+    Mark,
+    Outlook,
+    Reference,
+    Way,
+    off_curve,
+    outlook,
+    require_room,
+    tip_off,
+)
 from pinposture.task.specification import DEFAULT_CYCLE, RESULT_FORMATS, shown
 from pinposture.task.toml import Place, TomlLayout
 from pinposture.task.writer import layout_of, write_task
@@ -621,10 +630,22 @@ class _Performance:
         row, missed = row + int(np.argmax(near)), not np.any(near)
         reached, error = (row - begun) * cycle_of(run.limits), float(errors[row - first])
         tip = tip_off(mark.tip, mark.target, reference.arm.at(run.q[row]))
+        if mark.way is not None:
+            off = mark.way.distance(run.q[begun : row + 1])
+            missed = missed or off > self._max_distance(mark.way)
         return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed, missed)
+
+    def _max_distance(self, way: Way) -> float:
+        """Return the largest accepted distance of the arm from its path [m]."""
+        return way.planned + self._max_lag
 
     def _describe_missed(self, waypoints: tuple[Waypoint, ...]) -> str:
         """Say which named postures the arm passed at a distance, and why if that is known."""
+        for mark, waypoint in zip(self.guide.reference.marks, waypoints, strict=True):
+            off = waypoint.off_curve or 0.0
+            if mark.way is not None and waypoint.missed and off > self._max_distance(mark.way):
+                allowed = f"planned: {mark.way.planned:.3g} m, allowed: {self._max_distance(mark.way):.3g} m"
+                return f"the arm left its path by {off:.3g} m on the way to {mark.name} ({allowed})"
         missed = [waypoint for waypoint in waypoints if waypoint.missed]
         worst = max(missed, key=lambda waypoint: waypoint.mean_error or 0.0)
         one, number = len(missed) == 1, f"{len(missed)} of {len(waypoints)} postures"

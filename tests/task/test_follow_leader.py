@@ -17,8 +17,15 @@ from pinposture.collision import CollisionModel
 from pinposture.collision.pipe import pipe, pipe_axis
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.errors import CurveBendsTooMuch, InvalidValue, UnknownName, UnsupportedModule
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    InvalidValue,
+    TargetError,
+    UnknownName,
+    UnsupportedModule,
+)
 from pinposture.task.follow_leader import advance, follow_leader, path_deviation
+from pinposture.task.reference import off_curve
 from pinposture.task.task import perform
 
 LINK = 0.05
@@ -288,6 +295,46 @@ def test_performing_it_keeps_to_the_path():
     planned = path_deviation(crossed(), rows(reference), path)
     performed = path_deviation(crossed(), motion.run.q, path)
     assert performed.largest < 1.3 * planned.largest
+
+
+def chain_of_hinges():
+    """All hinges in one module, whose end can be on the path while its joints are not."""
+    joints = [JointSpec("y"), JointSpec("z")] * 4
+    return Arm.from_modules([feed(), ModuleTemplate("long", joints, [LINK] * 8)])
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.6, 1.5])
+def test_joints_that_leave_the_path_between_control_points_are_refused(radius):
+    """The end of the module is on the path; a joint of the arc of a hinge is a sagitta off, not a link."""
+    arm, path = chain_of_hinges(), arc(radius, 0.3 / radius)
+    closest = follow_leader(arm, path, 0.1, 0.1, method="closest")
+    assert path_deviation(arm, rows(closest), path).largest < (2 * LINK) ** 2 / 8 / radius * 1.2
+    with pytest.raises(TargetError, match=r"of the arm \(at a depth of .* allowed: .*use method='closest'"):
+        follow_leader(arm, path, 0.1, 0.1, method="sequential")
+
+
+def test_the_distance_of_the_plan_from_the_path_is_told():
+    path = arc(0.2, 1.5)
+    reference = follow_leader(crossed(), path, 0.1, 0.1, and_back=True)
+    deviation = path_deviation(crossed(), rows(reference), path)
+    assert [off_curve(mark) for mark in reference.marks] == pytest.approx([deviation.largest] * 2)
+    motion = perform(reference, "geodesic", Limits(dt=0.1, acceleration=3.0))
+    performed = path_deviation(crossed(), motion.run.q, path)
+    assert motion.waypoints[-1].off_curve == pytest.approx(performed.largest)
+
+
+def test_a_motion_that_leaves_the_path_on_its_way_is_missed_though_it_arrives():
+    """Selection moves a few points at a time, so that the others leave the path."""
+    arm = Arm.from_modules([feed(upper=1.2, length=0.05), *[template("RyRz")] * 10])
+    path = arc(0.2, np.pi / 2)
+    reference = follow_leader(arm, path, 0.1, 0.05)
+    motion = perform(reference, "selection", Limits(step=None, dt=0.1))
+    off = path_deviation(arm, motion.run.q, path).largest
+    assert off > 0.1 * LINK + path_deviation(arm, rows(reference), path).largest
+    assert motion.run.mean_error[-1] < 1e-6
+    assert motion.run.status == "missed"
+    assert f"the arm left its path by {off:.3g} m on the way to inside" in motion.run.reason
+    assert motion.faults
 
 
 REFUSED = {
