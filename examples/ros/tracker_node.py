@@ -34,10 +34,10 @@ class TrackerNode(Node):
         self.create_timer(DT, self.on_cycle)
 
     def on_joint_states(self, message: JointState) -> None:
-        """Keep the measured configuration; joints come by name, in any order, perhaps with others."""
+        """Keep the measured positions; joints come by name, in any order, perhaps with others."""
         positions = dict(zip(message.name, message.position, strict=True))
         if all(name in positions for name in self.arm.joint_names):
-            self.measured = self.arm.configuration([positions[name] for name in self.arm.joint_names])
+            self.measured = [positions[name] for name in self.arm.joint_names]  # with their full turns
             self.age = 0
 
     def on_curve(self, message: String) -> None:
@@ -54,8 +54,7 @@ class TrackerNode(Node):
         if self.tracker.report.reason:  # it holds, or is stalled
             self.get_logger().warning(self.tracker.report.reason, throttle_duration_sec=1.0)
         if self.measured is not None:
-            positions = self.arm.positions(self.tracker.command)
-            self.commands.publish(Float64MultiArray(data=positions.tolist()))
+            self.commands.publish(Float64MultiArray(data=self.tracker.positions.tolist()))
 
 
 def main(urdf: str, curve: str) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from math import exp
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import float_array
+from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm, ArmState
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -20,6 +21,51 @@ FEEDBACK_TOLERANCE = 1e-7
 
 MAX_POINT_OFFSET = 0.25
 """Distance of a measured control point from forward kinematics that discards it, in arm lengths."""
+
+
+class Measurement(NamedTuple):
+    """A measured configuration.
+
+    Attributes:
+        q: the configuration, (nq,).
+        positions: its joint positions with full turns, (nv,) [rad or m]; None if turns are unknown.
+    """
+
+    q: Array
+    positions: Array | None
+
+
+def read_measurement(arm: Arm, given: ArrayLike) -> Measurement:
+    """Return a measurement from a configuration (nq,), or from joint positions (nv,) that count full turns.
+
+    Raises:
+        InvalidValue: neither of them, or not finite.
+    """
+    if counts_turns(arm, given):
+        positions = finite_vector("q_measured", given, arm.nv)
+        return Measurement(arm.configuration(positions), positions)
+    return Measurement(arm.checked(given, "q_measured"), None)
+
+
+def read_start(arm: Arm, given: ArrayLike) -> Measurement:
+    """Return a measurement from which an arm starts; as `read_measurement`.
+
+    A `PostureWarning` reports joints outside their limits.
+
+    Raises:
+        InvalidValue: also if the positions may be in degrees.
+    """
+    measured = read_measurement(arm, given)
+    if measured.positions is None:
+        arm.checked_start(measured.q, "q_measured")
+    else:
+        arm.check_positions(measured.positions, "q_measured")
+    return measured
+
+
+def counts_turns(arm: Arm, given: ArrayLike) -> bool:
+    """Return whether a measurement has one number for each joint, and configurations have more."""
+    return arm.nv != arm.nq and isinstance(given, Sized) and np.ndim(given) == 1 and len(given) == arm.nv
 
 
 class FeedbackState(NamedTuple):
@@ -48,6 +94,8 @@ class Feedback:
 
     Attributes:
         command: commanded configuration, (nq,); None before the first measurement.
+        positions: its joint positions, (nv,) [rad or m]: continuous joints count full turns from the measured
+            ones on; None before the first measurement.
         restarted: whether this cycle starts at rest from a new measured configuration.
         points: last measured control points, (m, 3) [m], world frame; None before the first measurement.
 
@@ -61,6 +109,7 @@ class Feedback:
     def __init__(self, arm: Arm, time_constant: float, max_tracking_error: float, resync_time: float) -> None:
         self.arm = arm
         self.command: Array | None = None
+        self.positions: Array | None = None
         self.restarted = False
         self.points: Array | None = None
         self._time_constant, self._max_difference = time_constant, max_tracking_error
@@ -70,16 +119,19 @@ class Feedback:
         self._agreed_for, self._at_rest = 0.0, True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
 
-    def restart(self, q: Array, moving: bool = False) -> None:
-        """Start from a configuration, (nq,), at rest or not, and forget all estimates."""
-        self.command, self.restarted, self._deviating, self._at_rest = q, not moving, None, not moving
+    def restart(self, measured: Measurement, moving: bool = False) -> None:
+        """Start from a measurement, at rest or not, and forget all estimates."""
+        self._move_to(measured)
+        self.restarted = self._at_rest = not moving
+        self._deviating = None
         self._offset, self._shift = np.zeros(self.arm.nv), np.zeros((self.arm.n_modules, 3))
 
     def apply_step(self, dq: Array) -> None:
         """Add the step of this cycle, (nv,) [rad or m], to the command."""
         self.restarted, self._at_rest = False, not np.any(dq)
-        if self.command is not None:
+        if self.command is not None and self.positions is not None:
             self.command = self.arm.integrate(self.command, dq)
+            self.positions = self.positions + dq
 
     def update(self, q: ArrayLike | None, points: ArrayLike | None, dt: float) -> FeedbackState:
         """Process the measurements of a cycle; see `Tracker.step`.
@@ -91,14 +143,12 @@ class Feedback:
         measured, reason = self._checked_configuration(q)
         if measured is None:
             return FeedbackState(self._state(), reason, None)
-        command = self.command
-        if command is None:
+        if self.command is None:
             try:
-                command = arm.checked_start(measured, "q_measured")
+                self.restart(read_start(arm, cast(ArrayLike, q)))
             except InvalidValue as error:
                 return FeedbackState(None, str(error), None)
-            self.restart(command)
-        difference = arm.difference(command, measured)
+        difference = self._difference(measured)
         apart = np.abs(difference) / arm.joint_units
         joint = int(apart.argmax())
         largest = float(apart[joint])
@@ -146,14 +196,34 @@ class Feedback:
     def _state(self) -> ArmState | None:
         return None if self.command is None else self.arm.at(self.command)
 
-    def _filter(self, measured: Array, difference: Array, measured_points: Array | None, dt: float) -> Array:
+    def _difference(self, measured: Measurement) -> Array:
+        """Return measured minus commanded joint positions, (nv,); within half a turn if turns are unknown."""
+        if self.command is None or self.positions is None:
+            return np.zeros(self.arm.nv)
+        if measured.positions is not None:
+            return measured.positions - self.positions
+        return self.arm.difference(self.command, measured.q)
+
+    def _move_to(self, measured: Measurement) -> None:
+        """Set the command to a measurement."""
+        if measured.positions is not None:
+            self.positions = measured.positions
+        elif self.positions is None:
+            self.positions = self.arm.positions(measured.q)
+        else:
+            self.positions = self.positions + self._difference(measured)
+        self.command = measured.q
+
+    def _filter(
+        self, measured: Measurement, difference: Array, measured_points: Array | None, dt: float
+    ) -> Array:
         """Low-pass filter the estimates; return the measured control points, (m, 3) [m]."""
         share = 1.0 if self._time_constant == 0.0 else 1.0 - exp(-dt / self._time_constant)
         if self._time_constant == 0.0:
-            self.command = measured
+            self._move_to(measured)
         else:
             self._offset += share * (difference - self._offset)
-        points = np.array(self.arm.at(measured).compiled.points)
+        points = np.array(self.arm.at(measured.q).compiled.points)
         off = np.zeros_like(points)
         if measured_points is not None:
             off = measured_points - points
@@ -164,28 +234,33 @@ class Feedback:
             self._shift += share * (off - self._shift)
         return np.asarray(points + off)
 
-    def _is_confirmed(self, measured: Array, dt: float) -> bool:
+    def _is_confirmed(self, measured: Measurement, dt: float) -> bool:
         """Restart, and return True, once deviating measurements at rest have agreed long enough."""
+        difference = self._difference(measured)  # the command is at rest
         if self._deviating is None:
             self._agreed_for = 0.0
         else:
-            apart = np.abs(self.arm.difference(self._deviating, measured)) / self.arm.joint_units
+            apart = np.abs(difference - self._deviating) / self.arm.joint_units
             self._agreed_for = self._agreed_for + dt if apart.max() <= self._max_difference else 0.0
-        self._deviating = measured
+        self._deviating = difference
         if self._agreed_for < self._patience or not self._at_rest:
             return False
         self.restart(measured)
         return True
 
-    def _checked_configuration(self, q: ArrayLike | None) -> tuple[Array | None, str]:
-        """Return a measured configuration; if it cannot be used, None and the reason."""
+    def _checked_configuration(self, q: ArrayLike | None) -> tuple[Measurement | None, str]:
+        """Return a measurement; if it cannot be used, None and the reason."""
         if q is None:
             return None, "no measurement"
-        measured, arm = self.arm.of_right_size(q, "q_measured"), self.arm
-        if not np.all(np.isfinite(measured)):
-            return None, f"q_measured[{int(np.argmin(np.isfinite(measured)))}] is not finite"
+        arm = self.arm
+        if counts_turns(arm, q):
+            given = float_array("q_measured", q, (arm.nv,))
+        else:
+            given = arm.of_right_size(q, "q_measured")
+        if not np.all(np.isfinite(given)):
+            return None, f"q_measured[{int(np.argmin(np.isfinite(given)))}] is not finite"
         try:
-            return arm.checked(measured, "q_measured"), ""
+            return read_measurement(arm, given), ""
         except InvalidValue as error:
             return None, str(error)
 

@@ -26,7 +26,7 @@ from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep
-from pinposture.motion.feedback import Feedback, FeedbackState
+from pinposture.motion.feedback import Feedback, FeedbackState, read_start
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
@@ -97,7 +97,7 @@ class Tracker:
     The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
     would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
 
-    Send `command` to position-controlled drives. It moves by `dq`, and restarts from the measured
+    Send `positions` to position-controlled drives. They move by `dq`, and restart from the measured
     configuration only if the arm stays elsewhere (`resync_time`). Smaller errors, for instance because the
     arm sags or lags, are fed back slowly: the command overshoots the target by as much as the arm falls
     short. Send dq / dt to velocity-controlled drives; each step then starts at the measurement.
@@ -201,6 +201,20 @@ class Tracker:
         return np.array(self._feedback.command)
 
     @property
+    def positions(self) -> Array:
+        """The joint positions of `command`, to send to drives, (nv,) [rad or m].
+
+        Continuous joints count full turns, so that no position jumps by a turn. They start at the measured
+        turns if positions are measured, and within +-pi if configurations are.
+
+        Raises:
+            InvalidValue: before the first measurement.
+        """
+        if self._feedback.positions is None:
+            raise InvalidValue("positions", None, "positions after the first measurement (see `step`)")
+        return np.array(self._feedback.positions)
+
+    @property
     def target(self) -> Target | None:
         """The latest target; None before the first."""
         return self._target
@@ -233,14 +247,14 @@ class Tracker:
         """Restart from the measured configuration, keeping the target.
 
         Args:
-            q_measured: the measured configuration, (nq,).
+            q_measured: the measured configuration, (nq,), or joint positions as in `step`.
             dq: its displacement in the last cycle, (nv,) [rad or m]; None if the arm is at rest.
 
         Raises:
             InvalidValue: q_measured is not a configuration, or dq not a displacement.
         """
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
-        self._feedback.restart(self.arm.checked_start(q_measured, "q_measured"), moved is not None)
+        self._feedback.restart(read_start(self.arm, q_measured), moved is not None)
         self._memory, self._dt = None if moved is None else Memory(moved), self._period
         self._filter.restart(moved)
         self._output = moved
@@ -255,7 +269,8 @@ class Tracker:
         """Compute the step of a control cycle.
 
         Args:
-            q_measured: the measured configuration, (nq,); None or not finite if it is missing.
+            q_measured: the measured configuration, (nq,); or the measured joint positions, (nv,) [rad or m],
+                in which continuous joints count full turns. None or not finite if it is missing.
             dt: time since the previous cycle [s]; the nominal cycle time if None. A late cycle does not move
                 farther; a short one moves less.
             points: measured positions of the control points, (m, 3) [m], world frame, which replace those

@@ -67,6 +67,8 @@ def test_before_anything_is_known(arm: pp.Arm) -> None:
     assert tracker.report.status == "holding" and tracker.report.reason and tracker.target is None
     with pytest.raises(InvalidValue, match="command"):
         _ = tracker.command
+    with pytest.raises(InvalidValue, match="positions"):
+        _ = tracker.positions
     assert not np.any(tracker.step(None)) and tracker.report.reason == "no measurement"
     tracker.update(Target.from_configuration(arm, np.full(arm.nv, 0.1)))
     assert not np.any(tracker.step(None)) and tracker.report.mean_error is None
@@ -258,6 +260,44 @@ def test_a_restart_on_the_move_goes_on_at_that_speed(arm):
     assert np.abs(still.step(still.command)).max() <= most  # from rest it cannot be that fast
     with pytest.raises(InvalidValue, match="dq"):
         other.restart(tracker.command, np.full(arm.nv, np.nan))
+
+
+def endless_arm() -> pp.Arm:
+    return pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf.replace('type="revolute"', 'type="continuous"'))
+
+
+@pytest.mark.parametrize("interface", ["position", "velocity"])
+@pytest.mark.parametrize("turns", [0, 1, -3])
+def test_positions_go_on_across_half_a_turn_from_the_measured_turns(interface: str, turns: int) -> None:
+    arm = endless_arm()
+    tracker = Tracker(arm, limits=LIMITS, interface=interface)
+    start = 3.0 + 2.0 * np.pi * turns
+    tracker.update(Target.from_configuration(arm, arm.configuration(np.full(arm.nv, -2.8))))
+    positions, sent = np.full(arm.nv, start), []
+    for _ in range(200):
+        dq = tracker.step(positions if turns else arm.configuration(positions))
+        positions = positions + dq
+        sent.append(tracker.positions)
+        np.testing.assert_allclose(arm.configuration(sent[-1]), tracker.command, atol=1e-9)
+    assert tracker.report.status == "converged"
+    assert np.abs(np.diff(sent, axis=0)).max() <= 2.0 * 0.02 + 1e-9
+    np.testing.assert_allclose(sent[-1], 2.0 * np.pi * (turns + 1) - 2.8, atol=1e-6)  # the shorter way
+
+
+def test_a_drive_found_a_turn_away_is_commanded_from_there() -> None:
+    arm = endless_arm()
+    tracker = Tracker(arm, limits=LIMITS, resync_time=0.2)
+    tracker.update(Target.from_configuration(arm, arm.neutral()))
+    tracker.step(np.zeros(arm.nv))
+    turned = np.array([2.0 * np.pi, 0.0, 0.0, 0.0])
+    for _ in range(4):
+        tracker.step(turned)
+        assert tracker.report.status == "holding" and not np.any(tracker.positions)
+    for _ in range(20):
+        tracker.step(turned)
+    np.testing.assert_allclose(tracker.positions, turned, atol=1e-9)
+    tracker.restart(-turned)
+    np.testing.assert_array_equal(tracker.positions, -turned)
 
 
 @pytest.mark.soak
