@@ -39,11 +39,12 @@ from pinposture.arm.manipulability import (
     section_ellipsoid,
 )
 from pinposture.arm.segmentation import Segmentation
+from pinposture.arm.serialization import build_model, describe_model
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, warn_caller
+from pinposture.errors import InvalidValue, PostureError, warn_caller
 from pinposture.kernels.arrays import Screws
 from pinposture.storage import settled
 
@@ -289,7 +290,7 @@ class Arm(ConfigurationSpace):
             InvalidValue: the frames are not in order along one chain, or a lower limit is above the upper.
         """
         require_instance("model", model, pin.Model, "a pin.Model")
-        own = pin.Model(model)
+        own = build_model(describe_model(model))  # as it would be loaded
         placement = rigid_placement("base_placement", base_placement)
         place_base(own, placement)
         return cls(own, control_points, placement)
@@ -305,21 +306,30 @@ class Arm(ConfigurationSpace):
             described["spec"] = self.spec.model_dump(mode="json", exclude_defaults=True)
             if isinstance(self.spec.urdf, str):  # the text is under "urdf" already
                 del described["spec"]["urdf"]
-        described["model"] = self.model.saveToString()
+        described["model"] = describe_model(self.model)
         return described
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any]) -> Arm:
-        """Rebuild an arm from the data of `to_dict`."""
-        model = pin.Model()
-        model.loadFromString(described["model"])
-        placement = pin.SE3(np.array(described["base_placement"]))
-        report = LoadReport.from_dict(described["report"]) if described.get("report") else None
-        points, urdf, unit = (described[key] for key in ("control_points", "urdf", "characteristic_length"))
-        spec = described.get("spec")
-        if spec is not None:
-            spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)
-        return cls(model, points, placement, urdf, report, unit, spec)
+        """Rebuild an arm from the data of `to_dict`: the same to the last bit.
+
+        Raises:
+            PostureError: the data are damaged.
+        """
+        try:
+            model = build_model(described["model"])
+            placement = rigid_placement("base_placement", described["base_placement"])
+            report = LoadReport.from_dict(described["report"]) if described.get("report") else None
+            points, urdf, unit = (described[key] for key in ("control_points", "urdf", "characteristic_length"))
+            spec = described.get("spec")
+            if spec is not None:
+                spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)
+            return cls(model, points, placement, urdf, report, unit, spec)
+        except PostureError:
+            raise
+        except Exception as error:  # damaged data can raise anything
+            detail = f"what `Arm.to_dict` returns ({type(error).__name__}: {error})"
+            raise InvalidValue("description of an arm", type(described).__name__, detail) from error
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -631,8 +641,7 @@ class Arm(ConfigurationSpace):
         return Arm(*parts, unit, spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
-        return Arm, (*parts, self.characteristic_length, self.spec)
+        return Arm.from_dict, (self.to_dict(),)
 
     def __repr__(self) -> str:
         kind = "planar" if self.dimension == 2 else "spatial"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_known
 from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.serialization import build_model, describe_model
 from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, Follows, JointDescription
 from pinposture.errors import InvalidValue, URDFError
 
@@ -169,20 +170,14 @@ def _follow(
     return Follows(at.name, ratio, offset)
 
 
-_LIMITS = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
-_RATES = tuple(
-    f"{edge}{what}Limit" for edge in ("lower", "upper") for what in ("Velocity", "Effort", "DryFriction")
-)
-_DRIVES = (*_RATES, "damping", "armature", "rotorInertia", "rotorGearRatio")
-
-
 def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
     """Return a model with coupled joints, in which the limits of the leaders respect those of all followers.
 
-    It is rebuilt joint by joint, because `pin.transformJointIntoMimic` copies the whole model for each.
+    It is rebuilt as a whole, because `pin.transformJointIntoMimic` copies it for each joint.
     """
     if coupled.couplings:
-        model = _rebuilt(model, {each.joint: each for each in coupled.couplings})
+        following = {each.joint: (each.leader, each.ratio, each.offset) for each in coupled.couplings}
+        model = build_model(describe_model(model, following))
     for name, allowed in coupled.ranges.items():
         leader = model.joints[model.getJointId(name)]
         if leader.nq == 1:
@@ -191,31 +186,6 @@ def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
         velocity = allowed.velocity if allowed.velocity < NO_LIMIT else 0.0
         model.velocityLimit[leader.idx_v] = velocity
     return model
-
-
-def _rebuilt(model: pin.Model, followers: Mapping[str, Coupling]) -> pin.Model:
-    """Return a model in which the named joints follow earlier ones."""
-    built = pin.Model()
-    built.name, built.gravity = model.name, model.gravity
-    names, own = list(model.names), []  # vector entries to keep
-    for number in range(1, model.njoints):
-        name, joint = names[number], pin.JointModel(model.joints[number])
-        if name in followers:
-            leader = built.joints[built.getJointId(followers[name].leader)]
-            joint.setIndexes(leader.id, leader.idx_q, leader.idx_v, leader.idx_vExtended)
-            joint = pin.JointModelMimic(joint, followers[name].ratio, followers[name].offset)
-        else:
-            own.append((joint.idx_q, joint.nq, joint.idx_v, joint.nv))
-        built.addJoint(model.parents[number], joint, model.jointPlacements[number], name)
-        built.appendBodyToJoint(number, model.inertias[number], pin.SE3.Identity())
-    for frame in list(model.frames)[1:]:
-        built.addFrame(frame, False)
-    positions = np.concatenate([np.arange(at, at + size) for at, size, _, _ in own])
-    motions = np.concatenate([np.arange(at, at + size) for _, _, at, size in own])
-    for fields, kept in ((_LIMITS, positions), (_DRIVES, motions)):
-        for field in fields:
-            setattr(built, field, np.asarray(getattr(model, field))[kept])
-    return built
 
 
 def is_coupled(joint: pin.JointModel) -> bool:

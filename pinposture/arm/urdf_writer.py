@@ -76,7 +76,7 @@ def _write_joint(
     for number, (part, placement) in enumerate(zip(parts, placements, strict=True), 1):
         kind = part.shortname().removeprefix("JointModel")
         shape = _SHAPES.get(kind)
-        if shape is None and part.nv != 1:
+        if shape is None and (part.nv != 1 or kind.startswith("H")):  # helical
             allowed = "joints that turn about an axis or slide along one, free-flyers and planar joints"
             raise URDFError(str(label), f"joint {name!r}", f"is of type {kind}; allowed: {allowed}")
         last = number == len(parts)

@@ -491,7 +491,7 @@ _NO_MOTION = {
     "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
 }
 _JOINTS = "pinposture-joint-trajectory"
-register(Format("pinposture-run", 4, Trajectory, "run", _pack_run, _unpack_run, _NO_RUN))
-register(Format("pinposture-motion", 2, Motion, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
-register(Format("pinposture-batch", 2, Batch, "batch", _pack_batch, _unpack_batch, {}))
+register(Format("pinposture-run", 5, Trajectory, "run", _pack_run, _unpack_run, _NO_RUN))
+register(Format("pinposture-motion", 3, Motion, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
+register(Format("pinposture-batch", 3, Batch, "batch", _pack_batch, _unpack_batch, {}))
 register(Format(_JOINTS, 1, JointTrajectory, "joint trajectory", _pack_joints, _unpack_joints, {}))

@@ -285,4 +285,4 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
     )
 
 
-register(Format("pinposture-simulation", 2, Simulation, "simulation", _pack, _unpack, _ADVICE_BY_FORMAT))
+register(Format("pinposture-simulation", 3, Simulation, "simulation", _pack, _unpack, _ADVICE_BY_FORMAT))

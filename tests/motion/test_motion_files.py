@@ -149,7 +149,7 @@ def test_what_has_no_format_is_neither_saved_nor_loaded(arm: pp.Arm, motion: Mot
     with pytest.raises(InvalidValue, match=r"kind is .*Arm"):
         pp.load(pp.save(motion, tmp_path / "motion"), pp.Arm)
     np.savez(tmp_path / "other.npz", about=np.array(json.dumps({"format": "other", "version": 1})))
-    with pytest.raises(FileError, match=r"format 'other' version 1; allowed: 'pinposture-run' version 4, "):
+    with pytest.raises(FileError, match=r"format 'other' version 1; allowed: 'pinposture-run' version 5, "):
         pp.load(tmp_path / "other.npz")
     assert kind_of(tmp_path / "other.npz") is None
 
