@@ -320,11 +320,18 @@ class Arm(ConfigurationSpace):
             model = build_model(described["model"])
             placement = rigid_placement("base_placement", described["base_placement"])
             report = LoadReport.from_dict(described["report"]) if described.get("report") else None
-            points, urdf, unit = (described[key] for key in ("control_points", "urdf", "characteristic_length"))
-            spec = described.get("spec")
+            urdf, spec = described["urdf"], described.get("spec")
             if spec is not None:
                 spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)
-            return cls(model, points, placement, urdf, report, unit, spec)
+            return cls(
+                model,
+                described["control_points"],
+                placement,
+                urdf,
+                report,
+                described["characteristic_length"],
+                spec,
+            )
         except PostureError:
             raise
         except Exception as error:  # damaged data can raise anything

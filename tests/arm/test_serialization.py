@@ -63,10 +63,9 @@ def test_random_models_of_all_kinds_of_joints_are_equal(seed):
 
 
 def test_composite_joints_move_alike():
-    parts = [(pin.JointModelRX(), pin.SE3.Random()), (pin.JointModelPrismaticUnaligned(UNIT), pin.SE3.Random())]
     whole = pin.JointModelComposite()
-    for part, placement in parts:
-        whole.addJoint(pin.JointModel(part), placement)
+    for part in (pin.JointModelRX(), pin.JointModelPrismaticUnaligned(UNIT)):
+        whole.addJoint(pin.JointModel(part), pin.SE3.Random())
     model = pin.Model()
     model.addJointFrame(model.addJoint(0, pin.JointModel(whole), pin.SE3.Random(), "whole"))
     q = np.array([0.3, -0.4])
@@ -89,8 +88,9 @@ def followers(seed: int) -> pin.Model:
     rng = np.random.default_rng(seed)
     model, joint = pin.Model(), 0
     for number in range(8):
-        axis = rng.normal(size=3)
-        kind = pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis)) if number % 3 else pin.JointModelRY()
+        kind, axis = pin.JointModelRY(), rng.normal(size=3)
+        if number % 3:
+            kind = pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis))
         joint = model.addJoint(joint, kind, pin.SE3.Random(), f"j{number}")
         model.addFrame(pin.Frame(f"end{number}", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
     model.lowerPositionLimit, model.upperPositionLimit = np.full(8, -1.0), np.full(8, 1.0)
