@@ -64,7 +64,9 @@ def describe_model(
     """
     names, joints, added = list(model.names), list(model.joints), dict(following or {})
     leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
-    described, positions, motions = [], [], []
+    described: list[dict[str, Any]] = []
+    positions: list[int] = []
+    motions: list[int] = []
     for number in range(1, model.njoints):
         name, joint = str(names[number]), joints[number]
         if _kind(joint) == MIMIC:
@@ -188,7 +190,7 @@ def _build_joint(entry: Described) -> pin.JointModel:
             whole.addJoint(_build_joint(part), placement)
         return pin.JointModel(whole)
     require_known("type of joint", kind, _PARAMETERS)
-    parameters = []
+    parameters: list[Any] = []
     for name in _PARAMETERS[kind]:
         vector = name.startswith("axis")
         value = finite_array(name, entry[name], (3,) if vector else ())
