@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
+from scipy.interpolate import BPoly
 
 from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, is_whole, require_instance, require_known
@@ -311,11 +311,19 @@ def lap_of(keyframes: tuple[Keyframe, ...], interval: float) -> tuple[Keyframe, 
     return *there, replace(first, time=None, duration=back, hold=0.0)
 
 
+TURN_BACK = 5.0
+"""Acceleration where the motion turns back, relative to the mean velocity divided by the time to the next
+keyframe. 5 gives the smallest peak acceleration from rest to rest: 0 has 15 % more, and 6, a cubic, 20 %."""
+
+
 def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence[int] | Array) -> Array:
     """Interpolate values along a stretch, at rest at its ends.
 
-    With "velocity" the result is cubic between keyframes, and monotone there (slopes of Fritsch and Butland);
-    with "acceleration" it is quintic, with a continuous fourth derivative, and may overshoot.
+    With "velocity" the result is cubic between keyframes, with "acceleration" quintic. Both are monotone from
+    each keyframe to the next, whatever the times between them. At a keyframe the velocity is the smaller one
+    of the mean velocities before and after it, and zero where these differ in sign. The acceleration is then
+    nonzero only where the motion turns back. Thus a motion to or from a keyframe needs less velocity if the
+    motion beyond that keyframe becomes faster.
 
     Args:
         stretch: the stretch.
@@ -330,13 +338,25 @@ def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence
     begin, span = stretch.rows[0], stretch.rows[-1] - stretch.rows[0]
     knots = (stretch.rows - begin) / span
     x = np.clip((np.asarray(rows) - begin) / span, 0.0, 1.0)
-    if continuity == "velocity":
-        with np.errstate(over="ignore"):  # of inverse secants that vanish, to slopes of 0
-            slopes = PchipInterpolator(knots, values)(knots, 1)
-        slopes[0] = slopes[-1] = 0.0
-        return np.asarray(CubicHermiteSpline(knots, values, slopes)(x))
-    still = [(1, np.zeros(values.shape[1])), (2, np.zeros(values.shape[1]))]
-    return np.asarray(make_interp_spline(knots, values, k=5, bc_type=(still, still))(x))
+    gaps = np.diff(knots)[:, None]
+    means = np.diff(values, axis=0) / gaps
+    derivatives = [values, _smaller_inside(means, means)]
+    if continuity == "acceleration":
+        derivatives.append(TURN_BACK * _smaller_inside(-means / gaps, means / gaps))
+    return np.asarray(BPoly.from_derivatives(knots, np.stack(derivatives, axis=1))(x))
+
+
+def _smaller_inside(before: Array, after: Array) -> Array:
+    """Return the smaller one of two values at each inner keyframe, (k, d); zero if they differ in sign.
+
+    Args:
+        before: values for each interval at its end, (k - 1, d).
+        after: values for each interval at its beginning, (k - 1, d).
+    """
+    before, after = before[:-1], after[1:]
+    smaller = np.minimum(np.abs(before), np.abs(after)) * np.sign(before)
+    inner = np.where(np.sign(before) == np.sign(after), smaller, 0.0)
+    return np.pad(inner, ((1, 1), (0, 0)))
 
 
 # Keyframes resolved for an arm: their configurations, by one method for all.

@@ -322,9 +322,9 @@ def keyframe_reference(
         keyframes: two or more, in order.
         interval: duration of a control cycle [s]. Each has one or more rows, so that joints move about
             0.05 rad from one row to the next, if `MAX_REFINED_ROWS` rows are enough for that.
-        continuity: what is continuous over time: the "velocity" of the curve, which is then monotone between
-            keyframes; or also the "acceleration", which may overshoot. Both are zero at the first and the
-            last keyframe and at those with a hold.
+        continuity: what is continuous over time: the "velocity" of the curve, or also the "acceleration". The
+            curve changes monotonically between keyframes, and is at rest at the first and the last keyframe
+            and at those with a hold.
         progress: called with the number of finished rows and the total number.
         repeat: number of laps. If the last posture is not the first, the arm returns to the first in between,
             within the `duration` of the first keyframe; by default, within the longest time from one

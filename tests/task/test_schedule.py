@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from sampling import examples
+from scipy.interpolate import PchipInterpolator
 from task.keyed_arms import straight
 
 from pinposture.errors import TaskError
@@ -90,12 +91,68 @@ def test_it_is_as_continuous_as_it_says(continuity: str, values: np.ndarray, gap
             assert np.allclose(*(bends if 0 < k < 4 else (sum(bends), 0.0)), atol=0.05 * size)
 
 
-@given(arrays(float, (6, 4), elements=st.floats(-2, 2)))
+FOUR_DECADES = st.lists(st.floats(0.0, 4.0).map(lambda x: 10.0**x), min_size=5, max_size=5)
+
+
+@pytest.mark.parametrize("continuity", CONTINUITIES)
+@given(arrays(float, (6, 4), elements=st.floats(-2, 2)), FOUR_DECADES)
 @examples(25)
-def test_continuous_velocity_does_not_overshoot(values: np.ndarray) -> None:
-    at = stretch(0, 10, 25, 30, 60, 80)
-    found = interpolate(at, values, "velocity", np.arange(81))
+def test_it_is_monotone_between_keyframes_whatever_the_times(
+    continuity: str, values: np.ndarray, gaps: list[float]
+) -> None:
+    at = stretch(*np.cumsum([0, *np.ceil(gaps)]).astype(int).tolist())
     for k, (a, b) in enumerate(zip(at.rows[:-1], at.rows[1:], strict=True)):
-        low, high = np.minimum(*values[k : k + 2]), np.maximum(*values[k : k + 2])
-        assert np.all(found[a : b + 1] >= low - 1e-12)
-        assert np.all(found[a : b + 1] <= high + 1e-12)
+        found = interpolate(at, values, continuity, np.linspace(a, b, 101))
+        rises = np.diff(found, axis=0) * np.sign(values[k + 1] - values[k])
+        assert np.all(rises >= -1e-12)
+        assert np.allclose(found[[0, -1]], values[k : k + 2], atol=1e-12)
+
+
+@given(arrays(float, (6, 4), elements=st.floats(-2, 2)), FOUR_DECADES)
+@examples(25)
+def test_accelerations_are_continuous_whatever_the_times(values: np.ndarray, gaps: list[float]) -> None:
+    at = stretch(*np.cumsum([0, *np.ceil(gaps)]).astype(int).tolist())
+    widths = np.diff(at.rows)
+    for k in range(6):
+        beside = widths[max(k - 1, 0) : k + 1]
+        h = 1e-4 * beside.min()
+        ends = np.maximum(at.rows[k] + h * np.arange(-3, 4), 0.0)
+        around = interpolate(at, values, "acceleration", np.minimum(ends, at.rows[-1]))
+        left = (2 * around[3] - 5 * around[2] + 4 * around[1] - around[0]) / h**2
+        right = (2 * around[3] - 5 * around[4] + 4 * around[5] - around[6]) / h**2
+        # One-sided differences are off by the third and fourth derivatives, of the shorter interval.
+        assert np.allclose(left, right, atol=1e-3 * (1e-3 + np.ptp(values)) / beside.min() ** 2)
+
+
+@pytest.mark.parametrize("continuity", CONTINUITIES)
+@given(arrays(float, (6, 4), elements=st.floats(-2, 2)), FOUR_DECADES)
+@examples(25)
+def test_velocities_at_keyframes_are_those_of_a_monotone_cubic_or_smaller(
+    continuity: str, values: np.ndarray, gaps: list[float]
+) -> None:
+    at = stretch(*np.cumsum([0, *np.ceil(gaps)]).astype(int).tolist())
+    with np.errstate(over="ignore"):  # of the inverse of means that vanish
+        monotone = PchipInterpolator(at.rows, values)(at.rows[1:-1], 1)
+    h = 1e-6 * np.diff(at.rows).min()
+    after, before = (interpolate(at, values, continuity, at.rows[1:-1] + x) for x in (h, -h))
+    found = (after - before) / (2 * h)
+    size = 1e-3 * (1e-3 + np.ptp(values)) / np.diff(at.rows).min()
+    assert np.all(found * np.sign(monotone) >= -size)
+    assert np.all(np.abs(found) <= np.abs(monotone) + size)
+
+
+@pytest.mark.parametrize("continuity", CONTINUITIES)
+def test_a_faster_motion_beyond_a_keyframe_needs_less_velocity_before_it(continuity: str) -> None:
+    values = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [2.0, 0.5, 1.0], [2.1, -1.0, 4.0]])
+    peaks = []
+    for width in (10_000, 1000, 300, 100, 50, 20, 3, 1):
+        found = interpolate(stretch(0, 100, 100 + width, 300 + width), values, continuity, np.arange(101))
+        peaks.append(np.abs(np.diff(found, axis=0)).max(axis=0))
+    assert np.all(np.diff(peaks, axis=0) <= 1e-12)
+
+
+@pytest.mark.parametrize("continuity", CONTINUITIES)
+def test_a_constant_velocity_is_kept_through_keyframes(continuity: str) -> None:
+    at = stretch(0, 10, 13, 200, 201, 300)
+    found = interpolate(at, at.rows[:, None] / 7.0, continuity, np.arange(10, 202))
+    assert np.allclose(found[:, 0], np.arange(10, 202) / 7.0, atol=1e-12)

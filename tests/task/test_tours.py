@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sampling import examples
 from task.keyed_arms import positions, snake, straight
 from task.performed import arm_named, check_motion
 from task.same_tasks import assert_same
@@ -104,6 +107,70 @@ def test_between_two_configurations_joints_move_in_proportion(
     reference = keyframe_reference(arm, tour, 0.01, continuity)
     share = law(np.linspace(0.0, 1.0, reference.rows))[:, None]  # type: ignore[operator]
     assert np.allclose(positions(reference), (1 - share) * ends[0] + share * ends[1], atol=1e-12)
+
+
+@pytest.mark.parametrize("continuity", CONTINUITIES)
+@pytest.mark.parametrize("jerk", (None, 60.0))
+def test_joints_stay_between_their_keyframes_whatever_the_times(continuity: str, jerk: float | None) -> None:
+    arm, limits = (
+        arm_named("spatial"),
+        pp.Limits(step=None, dt=0.02, velocity=2.0, acceleration=10.0, jerk=jerk),
+    )
+    values, totals = np.array([0.0, 0.2, 0.25]), []
+    for seconds in (1.0, 0.3, 0.1, 0.02):
+        keyframes = [
+            Keyframe(joints=np.full(arm.nv, value), duration=duration)
+            for value, duration in zip(values, (None, 3.0, seconds), strict=True)
+        ]
+        motion = pp.move_through(arm, keyframes, limits=limits, continuity=continuity)
+        assert motion.run.status == "converged"
+        check_motion(motion, limits)
+        assert values.min() - 1e-4 <= motion.q.min() <= motion.q.max() <= values.max() + 1e-4
+        totals.append(motion.time[-1])
+    assert all(after <= before + 2 * limits.dt for before, after in pairwise(totals))
+
+
+@pytest.mark.parametrize("continuity", CONTINUITIES)
+def test_a_short_time_beside_a_long_one_neither_bends_nor_delays_the_arm(continuity: str) -> None:
+    arm, limits = pp.Arm.from_template("RyRz", modules=10), replace(LIMITS, velocity=2.0, acceleration=10.0)
+    coil, totals = pp.Curve.helix(0.12 * arm.length, 0.1 * arm.length, 3), []
+    for seconds in (1.0, 0.2, 0.05):
+        keyframes = [
+            Keyframe(line(arm), trim=True),
+            Keyframe(bow(arm), duration=seconds, trim=True, placement="align"),
+            Keyframe(coil, duration=3.0, trim=True, placement="align"),
+            Keyframe(line(arm), duration=seconds, trim=True),
+        ]
+        motion = pp.move_through(arm, keyframes, limits=limits, continuity=continuity)
+        keyed = np.array([motion.q[place.row] for place in motion.waypoints])
+        assert motion.run.status == "converged"
+        assert np.abs(motion.q).max() <= 1.1 * np.abs(keyed).max()
+        totals.append(motion.time[-1])
+    assert all(after <= 1.03 * before for before, after in pairwise(totals))
+
+
+@given(st.integers(0, 10_000), st.sampled_from(CONTINUITIES), st.sampled_from((None, 100.0)))
+@examples(4)
+def test_less_time_for_one_motion_hardly_delays_the_whole(
+    seed: int, continuity: str, jerk: float | None
+) -> None:
+    arm, rng, totals = pp.Arm.from_template("RyRz", modules=3), np.random.default_rng(seed), []
+    limits = replace(LIMITS, velocity=2.0, acceleration=10.0, jerk=jerk)
+    postures, durations = rng.uniform(-1.0, 1.0, (5, arm.nv)), 10.0 ** rng.uniform(-1.3, 1.3, 4)
+    shortened = rng.integers(4)
+    for share in (4.0, 1.0, 0.25, 0.05, 0.01):
+        asked = durations.copy()
+        asked[shortened] *= share
+        keyframes = [Keyframe(joints=postures[0])] + [
+            Keyframe(joints=posture, duration=max(seconds, limits.dt))
+            for posture, seconds in zip(postures[1:], asked, strict=True)
+        ]
+        motion = pp.move_through(arm, keyframes, limits=limits, continuity=continuity)
+        assert motion.run.status == "converged"
+        assert np.all(motion.q >= postures.min(axis=0) - 1e-3)
+        assert np.all(motion.q <= postures.max(axis=0) + 1e-3)
+        totals.append(motion.time[-1])
+    assert all(after <= 1.05 * before + 2 * limits.dt for before, after in pairwise(totals))
 
 
 def test_continuous_joints_take_the_short_way_round() -> None:
