@@ -211,9 +211,10 @@ class Arm(ConfigurationSpace):
             pp.Arm.load("arm.xml", base="torso", tip="hand")
 
         Args:
-            source: URDF or xacro, as text or file path; path of an MJCF file; the name of a description in
-                the package robot_descriptions, which fetches it; or a Pinocchio model whose joints have one
-                degree of freedom. Models and MJCF files are converted to URDF, without shapes.
+            source: URDF, xacro or MJCF, as text or file path; the name of a description in the package
+                robot_descriptions, which fetches it; or a Pinocchio model whose joints have one degree of
+                freedom. Models are converted to URDF, without shapes; MJCF by MuJoCo, with shapes
+                (`pinposture.arm.mjcf`).
             base: first link of the arm; the root if None.
             tip: last link of the arm; if None, the last of the links in `modules`, or the end of the longest
                 moving chain (`pinposture.arm.urdf_reader`).
@@ -233,6 +234,7 @@ class Arm(ConfigurationSpace):
 
         Raises:
             FileError: the source is missing, unreadable, or cannot be converted.
+            MujocoMissing: the source is MJCF, and MuJoCo is not installed.
             URDFError: unusable description; names the link or joint and the reason.
             UnknownName: `base`, `tip` or a locked joint does not exist.
             InvalidValue: `modules` does not fit the chain, or another argument is invalid.

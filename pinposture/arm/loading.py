@@ -206,7 +206,11 @@ def _moving_joints(
     chain = description.chain(base, tip)
     for joint in chain:
         element = f"joint {joint.name!r}"
-        if joint.name in locked or not joint.moves:
+        if joint.name in locked:
+            continue
+        if joint.excluded is not None:
+            raise URDFError(description.source, element, joint.excluded)
+        if not joint.moves:
             continue
         if joint.type not in CHAIN_JOINTS:
             if not moving:  # a floating base, treated as fixed

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import pinocchio as pin
 
+from pinposture.arm.mjcf import is_mjcf, mjcf_to_urdf
 from pinposture.arm.urdf_reader import URDF_TEXT, is_urdf_text
 from pinposture.arm.urdf_writer import model_to_urdf
 from pinposture.errors import FileError
@@ -39,28 +40,35 @@ def find_urdf(source: str | Path | pin.Model) -> Source:
     """Return the URDF of an arm, converted from another format if necessary.
 
     Args:
-        source: URDF or xacro, as text or file path; path of an MJCF file; a Pinocchio model; or, if there is
-            no such file, the name of a description in robot_descriptions, such as "panda_description".
+        source: URDF, xacro or MJCF, as text or file path; a Pinocchio model; or, if there is no such file,
+            the name of a description in robot_descriptions, such as "panda_description".
 
     Raises:
         FileError: a file cannot be converted, or a description does not exist or cannot be fetched.
-        URDFError: a model or MJCF file has a joint that URDF cannot represent.
+        MujocoMissing: the source is MJCF, and MuJoCo is not installed.
+        URDFError: a model has a joint that URDF cannot represent.
     """
     if isinstance(source, pin.Model):
         return Source(model_to_urdf(source), name="pin.Model")
     if is_urdf_text(source):
-        expand = _MACROS in str(source)
-        return Source(_expand_text(str(source)), name="xacro text") if expand else Source(source)
+        return _read_text(str(source))
     if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
         return Source(source)  # rejected by the reader
     path = Path(source)
     xacro = path.suffix.lower() == ".xacro"
-    if xacro or (path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path)):
-        text = _expand_file(path) if xacro else _convert_mjcf(path)
+    if xacro or (path.is_file() and is_mjcf(read_text(path))):
+        text = _expand_file(path) if xacro else mjcf_to_urdf(path, str(path))
         return Source(text, (str(path.absolute().parent),), str(path))
     if str(source).isidentifier() and not path.exists():
         return _find_by_name(str(source))
     return Source(path)
+
+
+def _read_text(text: str) -> Source:
+    """Return URDF text as it is, and that of other formats as URDF."""
+    if is_mjcf(text):
+        return Source(mjcf_to_urdf(text, "MJCF text"), name="MJCF text")
+    return Source(_expand_text(text), name="xacro text") if _MACROS in text else Source(text)
 
 
 def _find_by_name(name: str) -> Source:
@@ -84,7 +92,8 @@ def _find_by_name(name: str) -> Source:
     if hasattr(found, "XACRO_PATH"):
         path = Path(found.XACRO_PATH)
         return Source(_expand_file(path, getattr(found, "XACRO_ARGS", None)), folders, str(path))
-    return Source(_convert_mjcf(Path(found.MJCF_PATH)), folders, found.MJCF_PATH)
+    folders = (str(Path(found.MJCF_PATH).absolute().parent), *folders)
+    return Source(mjcf_to_urdf(Path(found.MJCF_PATH), found.MJCF_PATH), folders, found.MJCF_PATH)
 
 
 def _expand_file(path: Path, arguments: Mapping[str, str] | None = None) -> str:
@@ -119,14 +128,6 @@ def _expanded(expand: Callable[[], str], label: str | Path) -> str:
         raise FileError(label, f"cannot be expanded without xacrodoc: {EXTRA}") from None
     except Exception as error:  # from the macros, or from Python code in them
         raise FileError(label, f"cannot be expanded ({_one_line(error)})") from error
-
-
-def _convert_mjcf(path: Path) -> str:
-    try:
-        model = pin.buildModelFromMJCF(str(path))
-    except (ValueError, RuntimeError) as error:
-        raise FileError(path, f"was rejected by Pinocchio ({_one_line(error)})") from error
-    return model_to_urdf(model, path)
 
 
 def _one_line(error: Exception) -> str:

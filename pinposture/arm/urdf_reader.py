@@ -76,6 +76,7 @@ class JointDescription:
     upper: float  # largest position [rad or m]; inf without limits, 0 if fixed
     velocity: float | None  # largest speed [rad/s or m/s], may be infinite; None without <limit>
     follows: Follows | None  # how it follows another joint; None if it moves independently
+    excluded: str | None = None  # why it cannot be on a chain, from <excluded reason="...">; None if it can
 
     @property
     def mimic(self) -> bool:
@@ -421,7 +422,21 @@ def _read_joint(element: Element, source: str) -> JointDescription:
     if mimic is not None:
         given = {"multiplier": 1.0, "offset": 0.0, **(numbers["mimic"] or {})}
         follows = Follows(mimic.attrib["joint"], **given)
-    return JointDescription(name, kind, parent, child, origin, rpy, axis, lower, upper, velocity, follows)
+    excluded = element.find("excluded")
+    return JointDescription(
+        name=name,
+        type=kind,
+        parent=parent,
+        child=child,
+        origin=origin,
+        rpy=rpy,
+        axis=axis,
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        follows=follows,
+        excluded=None if excluded is None else excluded.get("reason", ""),
+    )
 
 
 def _read_link(element: Element, role: str, fault: MakeError) -> str:

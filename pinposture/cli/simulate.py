@@ -97,9 +97,9 @@ def run(
     path and was clear of the scene, 1 if not, 2 if it could not start or be saved.
     """
     from pinposture._validation import require_positive
+    from pinposture.arm.mjcf import load_mujoco
     from pinposture.collision import Scene
     from pinposture.sim import Servos, simulate
-    from pinposture.sim.model import load_mujoco
 
     load_mujoco()  # fails early if it is not installed
     require_positive("hold", hold, zero=True)

@@ -1,5 +1,6 @@
 """Simulate an arm with masses, servos and gravity in MuJoCo; needs the extra `[sim]`."""
 
+from pinposture.arm.mjcf import MujocoMissing
 from pinposture.sim.control_loop import (
     AnyMotion,
     SetPoints,
@@ -8,7 +9,7 @@ from pinposture.sim.control_loop import (
     simulate,
     simulate_closed,
 )
-from pinposture.sim.model import Gains, MujocoMissing, PlantModel, Servos, build_plant_model, mass_matrix
+from pinposture.sim.model import Gains, PlantModel, Servos, build_plant_model, mass_matrix
 from pinposture.sim.plant import Sensing
 from pinposture.sim.simulation import Simulation
 

@@ -9,10 +9,8 @@ their gains follow from the inertias, and actuators saturate.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,9 +21,10 @@ from pinposture._validation import as_number, finite_vector, require_instance, r
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
+from pinposture.arm.mjcf import load_mujoco
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
-from pinposture.errors import InvalidValue, PostureError, URDFError, enumerated, warn_caller
+from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
 
 Array = NDArray[np.float64]
 
@@ -147,7 +146,6 @@ def torques_within_limits(
     return np.clip(torques * scale, lower, upper)
 
 
-COMMAND = "pip install 'pinposture[sim]'"
 GRAVITY = (0.0, 0.0, -9.81)  # for `gravity=True`, world frame [m/s^2]
 POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length, at least 1 m
 MAX_DEFLECTION = 0.01  # of a servo due to joint friction and damping at speed 1, in joint units
@@ -166,41 +164,6 @@ _INERTIAL = {
     "inertia": (("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, -np.finfo(np.float64).max, "a finite number"),
     "origin": (("xyz", "rpy"), 3, -np.finfo(np.float64).max, "three finite numbers"),
 }
-
-
-class MujocoMissing(PostureError, ImportError):
-    """MuJoCo is not installed or cannot be loaded.
-
-    Attributes:
-        reason: the message of the failed import.
-    """
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(f"physics needs MuJoCo ({reason}); install it with: {COMMAND}")
-
-
-def load_mujoco() -> Any:
-    """Import MuJoCo, an optional dependency.
-
-    Raises:
-        MujocoMissing: MuJoCo is not installed.
-    """
-    try:
-        return import_module("mujoco")
-    except ImportError as error:
-        raise MujocoMissing(str(error)) from None
-
-
-@contextmanager
-def no_log_file(mujoco: Any) -> Iterator[None]:
-    """Keep MuJoCo from writing MUJOCO_LOG.TXT to the working directory; divergence is reported elsewhere."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 class RigidBody(NamedTuple):

@@ -21,13 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture._validation import require_positive, require_share, require_whole
+from pinposture.arm.mjcf import load_mujoco, no_log_file
 from pinposture.errors import warn_caller
 from pinposture.sim.model import (
     PlantModel,
     Servos,
     full_mass_matrix,
-    load_mujoco,
-    no_log_file,
     torques_within_limits,
 )
 

@@ -95,16 +95,6 @@ def test_a_model_makes_the_arm_that_its_urdf_makes() -> None:
     np.testing.assert_array_equal(same.limits.upper, arm.limits.upper)
 
 
-def test_an_mjcf_file_makes_an_arm_with_a_joint_for_each_of_a_body(mjcf: Path) -> None:
-    model, arm = pin.buildModelFromMJCF(str(mjcf)), pp.Arm.load(mjcf, tip="end")
-    q = np.array([0.3, -0.7, 0.05])
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    end = data.oMf[model.getFrameId("end")].translation
-    np.testing.assert_allclose(arm.at(arm.configuration(q)).points[-1], end, atol=1e-12)
-    assert (arm.limits.lower[0], arm.limits.upper[2], arm.limits.upper[1]) == (-1.0, 0.1, np.inf)
-
-
 def test_xacro_is_expanded(xacro: Path) -> None:
     arm = pp.Arm.load(xacro)
     assert arm.chain.joints == ("j1", "j2", "j3", "j4", "j5")
@@ -156,8 +146,6 @@ def test_what_cannot_be_found_or_converted_is_named(
     broken = tmp_path / "broken.xacro"
     broken.write_text(CALLS.format(include='<xacro:include filename="lost.xacro"/>'))
     refused(broken, FileError, "cannot be expanded", "lost.xacro")
-    (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body><joint type='none'/></body></worldbody>")
-    refused(tmp_path / "broken.xml", FileError, "broken.xml", "rejected by Pinocchio")
     model = pin.Model()
     model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
     refused(model, URDFError, "joint 'ball'", "Spherical")

@@ -49,6 +49,42 @@ CHAIN: dict[str, Load] = {
 }
 """Refused once the file itself has been read: what was asked of it does not fit."""
 
+
+def mjcf(after: str = "", joint: str = "", body: str = "", **options: Any) -> Load:
+    """A call that loads an arm of two hinges from MJCF."""
+    shape = '<geom size="0.01"/>'
+    inner = f'{shape}<joint name="j2" axis="0 0 1" {joint}/><site name="tip" pos="0.1 0 0"/>'
+    outer = f'{shape}<joint name="j1" axis="0 1 0"/><body name="b2" pos="0.1 0 0">{inner}</body>'
+    base = f'<body name="base" {body}><body name="b1">{outer}</body></body>'
+    return loading(f"<mujoco><worldbody>{base}</worldbody>{after}</mujoco>", **options)
+
+
+def equality(content: str) -> Load:
+    """A call that loads an arm with an equality from MJCF."""
+    return mjcf(f"<equality>{content}</equality>")
+
+
+_CORD = (
+    '<tendon><fixed name="cord" {}><joint joint="j1" coef="1"/><joint joint="j2" coef="1"/></fixed></tendon>'
+)
+
+MJCF: dict[str, Load] = {
+    "a ball joint": mjcf(joint='type="ball"'),
+    "a mocap body": mjcf(body='mocap="true"'),
+    "a weld": equality('<weld name="grasp" body1="b2"/>'),
+    "a loop": equality('<connect name="rod" body1="b2" body2="base" anchor="0 0 0"/>'),
+    "a coupling that is not linear": equality(
+        '<joint name="gear" joint1="j2" joint2="j1" polycoef="0 1 0.5 0 0"/>'
+    ),
+    "a joint with two leaders": equality('<joint joint1="j2" joint2="j1"/><joint name="stop" joint1="j2"/>'),
+    "coupled tendons": mjcf(_CORD.format("") + '<equality><tendon name="pair" tendon1="cord"/></equality>'),
+    "a tendon that drives joints together": mjcf(
+        _CORD.format("") + '<actuator><position tendon="cord" kp="1"/></actuator>'
+    ),
+    "a tendon with a range": mjcf(_CORD.format('range="-1 1"')),
+}
+"""Refused because no serial chain is like that."""
+
 FILE: dict[str, Load] = {name: loading(fault[0]) for name, fault in FAULTS.items()}
 """Refused because the description has a fault."""
 

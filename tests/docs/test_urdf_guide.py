@@ -6,7 +6,7 @@ import re
 import warnings
 from pathlib import Path
 
-from docs.refusals import CHAIN, FILE, SETTLED, refusal, settlements
+from docs.refusals import CHAIN, FILE, MJCF, SETTLED, refusal, settlements
 
 import pinposture as pp
 
@@ -22,6 +22,7 @@ def rows(heading: str) -> dict[str, str]:
 def test_every_message_of_a_refusal_is_the_real_one() -> None:
     for heading, cases in (
         ("Refused: the request does not fit", CHAIN),
+        ("Refused: MJCF that is no chain", MJCF),
         ("Refused: the file has a fault", FILE),
     ):
         assert rows(heading) == {name: f"`{refusal(load)}`" for name, load in cases.items()}

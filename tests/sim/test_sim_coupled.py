@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 import pinposture as pp
 from pinposture import sim
 from pinposture.arm import continuum_section
-from pinposture.sim.model import full_mass_matrix, load_mujoco
+from pinposture.arm.mjcf import load_mujoco
+from pinposture.sim.model import full_mass_matrix
 from pinposture.sim.plant import Plant
 
 
