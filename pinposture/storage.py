@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import json
 import os
+import re
 import sys
 import uuid
 from collections.abc import Iterable, Sequence
@@ -57,6 +59,22 @@ def write_bytes(path: Path, content: bytes) -> None:
         raise FileError(path, f"cannot be written ({error.strerror or error})") from error
 
 
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        FileError: it is missing or cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
+    except ValueError as error:  # a name with a null byte
+        raise FileError(path, f"cannot be read ({error})") from error
+
+
 def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file, with its own line ends and without a byte order mark.
 
@@ -64,16 +82,76 @@ def read_text(path: Path) -> str:
         FileError: it is missing, cannot be read, or is not UTF-8 text.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return file.read()
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileError(path, f"is not UTF-8 text (byte {error.start})") from None
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
-    except ValueError as error:  # a name with a null byte
-        raise FileError(path, f"cannot be read ({error})") from error
+
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16, whose mark is the beginning of it
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+    ("<?".encode("utf-16-le"), "utf-16-le"),
+    ("<?".encode("utf-16-be"), "utf-16-be"),
+)
+"""First bytes of XML, and the encoding that they mean whatever is declared."""
+
+_DECLARATION = re.compile(r"""(\s*<\?xml\b[^>]*?)\s+encoding\s*=\s*(["'])\s*([A-Za-z0-9._:-]*)\s*\2""")
+_DECLARATION_LENGTH = 400  # bytes of a file among which its declaration is sought
+
+
+def read_xml(path: Path) -> str:
+    """Return the text of an XML file; see `decode_xml`.
+
+    Raises:
+        FileError: it is missing, cannot be read, or is not text in its encoding.
+    """
+    return decode_xml(read_bytes(path), path)
+
+
+def decode_xml(content: bytes, source: str | Path) -> str:
+    """Return XML as text, decoded as its byte order mark or its declaration says; UTF-8 without either.
+
+    Args:
+        content: the bytes.
+        source: the file, or its name in error messages.
+
+    Returns:
+        The text, which no longer declares an encoding, except UTF-8.
+
+    Raises:
+        FileError: an unknown encoding, or bytes that are none of its characters.
+    """
+    head = content[:_DECLARATION_LENGTH]
+    declared = _DECLARATION.match(head.decode("latin-1"))
+    marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
+    encoding = marked or (declared[3] if declared else "utf-8")
+    if marked is None and encoding.lower().startswith(("utf-16", "utf16", "utf-32", "ucs", "iso-10646-ucs")):
+        encoding = "utf-8"  # a declaration of single bytes contradicts itself
+    try:
+        text = content.decode(encoding)
+    except UnicodeError as error:
+        what = f"byte {error.start}" if isinstance(error, UnicodeDecodeError) else str(error)
+        said = ", the encoding that it declares" if declared and not marked else ""
+        raise FileError(source, f"is not {_spoken(encoding)} text ({what}){said}") from None
+    except (LookupError, ValueError):
+        reason = f"declares the encoding {encoding!r}, which is unknown; save the file as UTF-8"
+        raise FileError(source, reason) from None
+    return without_encoding(text)
+
+
+def without_encoding(text: str) -> str:
+    """Return XML without the encoding that it declares, because text has none; UTF-8 is left."""
+    declared = _DECLARATION.match(text)
+    if declared is None or declared[3].lower() in ("utf-8", "utf8"):
+        return text
+    return declared[1] + text[declared.end() :]
+
+
+def _spoken(encoding: str) -> str:
+    return "UTF-8" if encoding.lower().replace("_", "-") in ("utf-8", "utf8", "utf-8-sig") else encoding
 
 
 def parse_json(path: Path, text: str, **options: Any) -> Any:

@@ -31,6 +31,7 @@ from pinposture.arm.kinematics import (
     read_chain,
 )
 from pinposture.arm.loading import LoadedModel, LoadReport, Modules, load_model, place_base
+from pinposture.arm.macros import read_arguments
 from pinposture.arm.manipulability import (
     ControlPoints,
     Ellipsoid,
@@ -160,8 +161,19 @@ class Arm(ConfigurationSpace):
         placement = None if spec.placement is None else spec.placement.build()
         if spec.urdf is None:
             return cls._from_templates(spec, spec.module_templates(), placement)
-        given = (spec.urdf, spec.base, spec.tip, spec.split, spec.locked, spec.package_dirs)
-        return cls._from_loaded(load_model(*given, placement, spec.couplings), spec)
+        loaded = load_model(
+            spec.urdf,
+            base=spec.base,
+            tip=spec.tip,
+            modules=spec.split,
+            locked=spec.locked,
+            package_dirs=spec.package_dirs,
+            base_placement=placement,
+            couplings=spec.couplings,
+            xacro_args=spec.xacro_args,
+            hard_limits=spec.hard_limits,
+        )
+        return cls._from_loaded(loaded, spec)
 
     @classmethod
     def _from_templates(
@@ -203,12 +215,15 @@ class Arm(ConfigurationSpace):
         package_dirs: Sequence[str | Path] | None = None,
         base_placement: pin.SE3 | None = None,
         couplings: Mapping[str, str | Sequence[Any]] | None = None,
+        xacro_args: Mapping[str, object] | None = None,
+        hard_limits: bool = False,
     ) -> Arm:
         """Load an arm from a robot description; meshes are not needed.
 
             pp.Arm.load("arm.urdf")
             pp.Arm.load("ur10e_description", modules=2)
             pp.Arm.load("arm.xml", base="torso", tip="hand")
+            pp.Arm.load("arm.urdf.xacro", xacro_args={"pitch": 0.2})
 
         Args:
             source: URDF, xacro or MJCF, as text or file path; the name of a description in the package
@@ -223,10 +238,13 @@ class Arm(ConfigurationSpace):
                 (`pinposture.arm.segmentation`).
             locked: joints to lock and their positions [rad or m]. Joints off the chain are always locked:
                 mimic joints where their leader puts them, others at the position nearest zero within limits.
-            package_dirs: folders in which viewers look for meshes; not needed for loading.
+            package_dirs: folders in which viewers look for meshes, and xacro for packages (`$(find ...)`).
             base_placement: placement of the root link in the world; the origin if None.
             couplings: joints that follow others, in addition to <mimic>: joint name to the name of its
                 leader, or to the leader's name, a ratio, and an offset [rad or m].
+            xacro_args: values of the arguments of a xacro source by name: text, numbers or truth values.
+            hard_limits: whether to ignore the soft position limits of <safety_controller>, which otherwise
+                narrow those of <limit>, because the controller of the robot stops there.
 
         Returns:
             The arm, with control points named "module_01", "module_02", ... at the ends of its modules.
@@ -236,11 +254,23 @@ class Arm(ConfigurationSpace):
             FileError: the source is missing, unreadable, or cannot be converted.
             MujocoMissing: the source is MJCF, and MuJoCo is not installed.
             URDFError: unusable description; names the link or joint and the reason.
-            UnknownName: `base`, `tip` or a locked joint does not exist.
+            UnknownName: `base`, `tip`, a locked joint or an argument of xacro does not exist.
             InvalidValue: `modules` does not fit the chain, or another argument is invalid.
         """
-        given = (source, base, tip, modules, locked or {}, package_dirs, base_placement, couplings)
-        loaded = load_model(*given)
+        if not isinstance(hard_limits, bool):
+            raise InvalidValue("hard_limits", hard_limits, "True or False")
+        loaded = load_model(
+            source,
+            base=base,
+            tip=tip,
+            modules=modules,
+            locked=locked,
+            package_dirs=package_dirs,
+            base_placement=base_placement,
+            couplings=couplings,
+            xacro_args=xacro_args,
+            hard_limits=hard_limits,
+        )
         folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
         # A name does not identify the text.
         kept = not isinstance(source, pin.Model) and not is_urdf_text(source) and Path(source).exists()
@@ -258,6 +288,8 @@ class Arm(ConfigurationSpace):
                 name: leader if isinstance(leader, str) else tuple(leader)
                 for name, leader in (couplings or {}).items()
             },
+            xacro_args=read_arguments(xacro_args) if kept else {},
+            hard_limits=hard_limits,
         )
         return cls._from_loaded(loaded, spec)
 

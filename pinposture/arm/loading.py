@@ -19,7 +19,9 @@ from pinposture._validation import require_known, rigid_placement
 from pinposture.arm.configurations import NO_LIMIT, ConfigurationSpace
 from pinposture.arm.couplings import CoupledJoints, couple_joints, find_couplings, with_couplings
 from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
+from pinposture.arm.macros import read_arguments
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
+from pinposture.arm.soft_limits import soft_limit_warnings, soft_limited, with_soft_limits
 from pinposture.arm.sources import Source, find_urdf
 from pinposture.arm.urdf_reader import (
     CHAIN_JOINTS,
@@ -57,6 +59,7 @@ class LoadReport:
         package_dirs: folders in which viewers look for meshes, the file's own last.
         warnings: decisions that the user may not expect.
         segmentation: how the joints were grouped into modules.
+        soft_limited: joints whose position limits are narrowed by those of <safety_controller>.
     """
 
     base: str
@@ -64,6 +67,7 @@ class LoadReport:
     package_dirs: tuple[str, ...]
     warnings: tuple[str, ...]
     segmentation: Segmentation
+    soft_limited: tuple[str, ...] = ()
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any]) -> LoadReport:
@@ -71,7 +75,8 @@ class LoadReport:
         sizes = tuple(described["segmentation"]["sizes"])
         segmentation = Segmentation(**{**described["segmentation"], "sizes": sizes})
         lists = tuple(described["package_dirs"]), tuple(described["warnings"])
-        return cls(described["base"], described["tip"], *lists, segmentation)
+        narrowed = tuple(described.get("soft_limited", ()))
+        return cls(described["base"], described["tip"], *lists, segmentation, narrowed)
 
 
 class LoadedModel(NamedTuple):
@@ -93,14 +98,18 @@ def load_model(
     package_dirs: Sequence[str | Path] | None = None,
     base_placement: pin.SE3 | None = None,
     couplings: Mapping[str, object] | None = None,
+    xacro_args: Mapping[str, object] | None = None,
+    hard_limits: bool = False,
 ) -> LoadedModel:
     """Load and check a description, reduce it to the chain and split that into modules. See `Arm.load`."""
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
     for name, given, values in (("locked", locked, "positions"), ("couplings", couplings, "leaders")):
         if not isinstance(given, Mapping | None):
             raise InvalidValue(name, given, f"a mapping from names of joints to {values}, or None")
-    found = find_urdf(source)
-    description = with_couplings(read_description(found.urdf, found.name), couplings)
+    given_folders = _checked_folders(package_dirs)
+    found = find_urdf(source, given_folders, read_arguments(xacro_args))
+    read = with_couplings(read_description(found.urdf, found.name), couplings)
+    description = read if hard_limits else with_soft_limits(read)
     links, sizes = _read_modules(modules)
     if tip is None and links:
         tip = links[-1]
@@ -125,25 +134,41 @@ def load_model(
     if placement is not None:
         place_base(model, placement)
     skeleton = read_skeleton(model, names, tip, *ConfigurationSpace(model).limits[:2])
-    if not ALLOWED_LENGTHS[0] <= skeleton.length <= ALLOWED_LENGTHS[1]:
-        reason = (
-            f"is {skeleton.length:.3g} m long; allowed: {ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
-        )
-        if skeleton.length == 0.0:
-            reason = "has zero length: all its joints and its tip coincide"
-        raise URDFError(description.source, f"chain from {base!r} to {tip!r}", reason)
+    _check_length(skeleton.length, description.source, f"chain from {base!r} to {tip!r}")
     segmentation = _modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
     points = _add_end_frames(model, names, tip, segmentation.sizes, links)
     warnings = _lock_warnings(description, base, tip, names, locks)
+    if not hard_limits:
+        warnings.extend(soft_limit_warnings(read, names))
     if skeleton.length > SUSPECT_LENGTH:
         warnings.append(f"the arm is {skeleton.length:.4g} m long; is it in millimetres, not metres?")
     if segmentation.can_follow is False:
         warnings.append(segmentation.reason)
     if wrist is not None:
         warnings.append(f"the arm ends in a finger, at link {tip!r}; tip={wrist!r} ends it before the hand")
-    folders = _mesh_folders(found, package_dirs)
-    report = LoadReport(base, tip, folders, tuple(warnings), segmentation)
+    folders = _mesh_folders(found, given_folders)
+    narrowed = soft_limited(description, read, names)
+    report = LoadReport(base, tip, folders, tuple(warnings), segmentation, narrowed)
     return LoadedModel(model, points, placement, description.text, report)
+
+
+def description_text(
+    source: str | Path,
+    package_dirs: Sequence[str | Path] | None = None,
+    xacro_args: Mapping[str, object] | None = None,
+) -> str:
+    """Return the URDF text that `Arm.urdf` would be if an arm were loaded from a source."""
+    found = find_urdf(source, _checked_folders(package_dirs), read_arguments(xacro_args))
+    return read_description(found.urdf, found.name).text
+
+
+def _check_length(length: float, source: str, chain: str) -> None:
+    """Raise URDFError unless the length of a chain [m] is allowed."""
+    if length == 0.0:
+        raise URDFError(source, chain, "has zero length: all its joints and its tip coincide")
+    if not ALLOWED_LENGTHS[0] <= length <= ALLOWED_LENGTHS[1]:
+        allowed = f"{ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
+        raise URDFError(source, chain, f"is {length:.3g} m long; allowed: {allowed}")
 
 
 def _segmentation(skeleton: Skeleton, sizes: int | tuple[int, ...] | None) -> Segmentation:
@@ -185,17 +210,22 @@ def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, .
     return (), whole[0] if listed is None else whole
 
 
-def _mesh_folders(found: Source, given: Sequence[str | Path] | None) -> tuple[str, ...]:
-    """Return the folders to search for meshes: those given, those of the source, that of the file."""
+def _checked_folders(given: Sequence[str | Path] | None) -> list[Path]:
+    """Return the folders of packages that are given, absolute; raise InvalidValue unless they are paths."""
     if isinstance(given, (str, os.PathLike)):
         given = [given]
     try:
-        folders = [Path(folder).absolute() for folder in given or ()]
+        return [Path(folder).absolute() for folder in given or ()]
     except TypeError:
         raise InvalidValue("package_dirs", given, "paths of folders") from None
+
+
+def _mesh_folders(found: Source, given: Sequence[Path]) -> tuple[str, ...]:
+    """Return the folders to search for meshes: those given, those of the source, that of the file."""
+    folders = [*map(str, given), *found.folders]
     if not is_urdf_text(found.urdf):
-        folders.append(Path(found.urdf).absolute().parent)
-    return tuple(dict.fromkeys(map(str, [*folders[: len(given or ())], *found.folders, *folders])))
+        folders.append(str(Path(found.urdf).absolute().parent))
+    return tuple(dict.fromkeys(folders))
 
 
 def _moving_joints(

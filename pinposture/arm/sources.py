@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 import pinocchio as pin
 
+from pinposture.arm.macros import EXTRA, MACROS, expand_macros, one_line, read_arguments
 from pinposture.arm.mjcf import is_mjcf, mjcf_to_urdf
+from pinposture.arm.packages import is_file
 from pinposture.arm.urdf_reader import URDF_TEXT, is_urdf_text
 from pinposture.arm.urdf_writer import model_to_urdf
-from pinposture.errors import FileError
-from pinposture.storage import read_text
-
-EXTRA = "pip install 'pinposture[descriptions]'"
-"""How to install support for xacro and for descriptions by name."""
-
-_MACROS = "http://www.ros.org/wiki/xacro"
+from pinposture.errors import FileError, InvalidValue
+from pinposture.storage import read_xml
 
 
 class Source(NamedTuple):
@@ -29,49 +26,76 @@ class Source(NamedTuple):
         urdf: path of a file, or URDF text.
         folders: where viewers look for meshes, besides the folder of the file.
         name: what error messages call text.
+        macros: whether it was expanded from xacro.
     """
 
     urdf: str | Path
     folders: tuple[str, ...] = ()
     name: str = URDF_TEXT
+    macros: bool = False
 
 
-def find_urdf(source: str | Path | pin.Model) -> Source:
+def find_urdf(
+    source: str | Path | pin.Model,
+    folders: Sequence[Path] = (),
+    xacro_args: Mapping[str, str] | None = None,
+) -> Source:
     """Return the URDF of an arm, converted from another format if necessary.
 
     Args:
         source: URDF, xacro or MJCF, as text or file path; a Pinocchio model; or, if there is no such file,
             the name of a description in robot_descriptions, such as "panda_description".
+        folders: where to search for packages that xacro names, before the folders above the file.
+        xacro_args: values of xacro arguments.
 
     Raises:
         FileError: a file cannot be converted, or a description does not exist or cannot be fetched.
         MujocoMissing: the source is MJCF, and MuJoCo is not installed.
-        URDFError: a model has a joint that URDF cannot represent.
+        URDFError: a model has a joint that URDF cannot represent, or xacro has no links.
+        UnknownName: xacro does not ask for an argument.
+        InvalidValue: there are arguments, and the source is no xacro.
     """
+    arguments = xacro_args or {}
     if isinstance(source, pin.Model):
-        return Source(model_to_urdf(source), name="pin.Model")
-    if is_urdf_text(source):
-        return _read_text(str(source))
-    if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
-        return Source(source)  # rejected by the reader
+        found = Source(model_to_urdf(source), name="pin.Model")
+    else:
+        found = _find(source, folders, arguments)
+    if arguments and not found.macros:
+        allowed = "none: the source is not xacro, i.e. a file that ends in .xacro, or text with its namespace"
+        raise InvalidValue("xacro_args", dict(arguments), allowed)
+    return found
+
+
+def _find(source: str | Path, folders: Sequence[Path], arguments: Mapping[str, str]) -> Source:
+    if _has_macros(source):
+        text = expand_macros(source, arguments, folders)
+        is_text = is_urdf_text(source)
+        beside = () if is_text else (_folder(Path(source)),)
+        return Source(text, beside, "xacro text" if is_text else str(source), macros=True)
+    if is_urdf_text(source) and is_mjcf(str(source)):
+        return Source(mjcf_to_urdf(str(source), "MJCF text"), name="MJCF text")
+    if is_urdf_text(source) or not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
+        return Source(source)  # if it is no text, it is rejected by the reader
     path = Path(source)
-    xacro = path.suffix.lower() == ".xacro"
-    if xacro or (path.is_file() and is_mjcf(read_text(path))):
-        text = _expand_file(path) if xacro else mjcf_to_urdf(path, str(path))
-        return Source(text, (str(path.absolute().parent),), str(path))
+    if is_file(path) and is_mjcf(read_xml(path)):
+        return Source(mjcf_to_urdf(path, str(path)), (_folder(path),), str(path))
     if str(source).isidentifier() and not path.exists():
-        return _find_by_name(str(source))
+        return _find_by_name(str(source), folders, arguments)
     return Source(path)
 
 
-def _read_text(text: str) -> Source:
-    """Return URDF text as it is, and that of other formats as URDF."""
-    if is_mjcf(text):
-        return Source(mjcf_to_urdf(text, "MJCF text"), name="MJCF text")
-    return Source(_expand_text(text), name="xacro text") if _MACROS in text else Source(text)
+def _has_macros(source: object) -> bool:
+    """Return whether a source is xacro: text with its namespace, or the path of such a file by its suffix."""
+    if is_urdf_text(source):
+        return MACROS in str(source)
+    return isinstance(source, (str, os.PathLike)) and Path(source).suffix.lower() == ".xacro"
 
 
-def _find_by_name(name: str) -> Source:
+def _folder(path: Path) -> str:
+    return str(path.absolute().parent)
+
+
+def _find_by_name(name: str, searched: Sequence[Path], arguments: Mapping[str, str]) -> Source:
     """Return a description from robot_descriptions, which downloads it if necessary."""
     try:
         import_module("robot_descriptions")
@@ -84,51 +108,14 @@ def _find_by_name(name: str) -> Source:
         reason = "no such file, and no such name in robot_descriptions (`robot_descriptions list`)"
         raise FileError(name, reason) from None
     except Exception as error:  # from git or the network
-        raise FileError(name, f"robot_descriptions cannot fetch it ({_one_line(error)})") from error
+        raise FileError(name, f"robot_descriptions cannot fetch it ({one_line(error)})") from error
     inside = [Path(each) for each in (found.PACKAGE_PATH, found.REPOSITORY_PATH)]
     folders = tuple(dict.fromkeys(str(each) for folder in inside for each in (folder, folder.parent)))
     if hasattr(found, "URDF_PATH"):
         return Source(Path(found.URDF_PATH), folders)
     if hasattr(found, "XACRO_PATH"):
         path = Path(found.XACRO_PATH)
-        return Source(_expand_file(path, getattr(found, "XACRO_ARGS", None)), folders, str(path))
+        own = read_arguments(getattr(found, "XACRO_ARGS", None))
+        return Source(expand_macros(path, arguments, searched, own), folders, str(path), macros=True)
     folders = (str(Path(found.MJCF_PATH).absolute().parent), *folders)
     return Source(mjcf_to_urdf(Path(found.MJCF_PATH), found.MJCF_PATH), folders, found.MJCF_PATH)
-
-
-def _expand_file(path: Path, arguments: Mapping[str, str] | None = None) -> str:
-    """Expand the macros of a xacro file; packages that it names are searched for in its parent folders."""
-    read_text(path)  # raises a clear error if the file is missing
-
-    def expand() -> str:
-        import xacro
-        from xacrodoc import packages  # lets xacro find packages without ROS
-
-        packages.walk_up_from(path)
-        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml())
-
-    return _expanded(expand, path)
-
-
-def _expand_text(text: str) -> str:
-    """Expand the macros of xacro text."""
-
-    def expand() -> str:
-        from xacrodoc import XacroDoc
-
-        return str(XacroDoc.from_string(text, resolve_packages=False).dom.toxml())
-
-    return _expanded(expand, "xacro text")
-
-
-def _expanded(expand: Callable[[], str], label: str | Path) -> str:
-    try:
-        return expand()
-    except ImportError:
-        raise FileError(label, f"cannot be expanded without xacrodoc: {EXTRA}") from None
-    except Exception as error:  # from the macros, or from Python code in them
-        raise FileError(label, f"cannot be expanded ({_one_line(error)})") from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())

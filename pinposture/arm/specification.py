@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from pinposture.arm.macros import read_arguments
 from pinposture.arm.template import JointSpec, ModuleTemplate, template
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.errors import InvalidValue
@@ -50,7 +51,7 @@ class Specification(BaseModel):
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         for name, value in super().__repr_args__():
-            if value is not None:
+            if value is not None and value is not False and value not in ({}, ()):
                 yield name, f"{value[:60]}..." if isinstance(value, str) and len(value) > 60 else value
 
 
@@ -102,7 +103,17 @@ class FeedSpec(Specification):
 
 
 OF_A_TEMPLATE = ("template", "modules", "link_lengths", "joint_limits", "feed")
-OF_A_URDF = ("urdf", "base", "tip", "split", "locked", "package_dirs", "couplings")
+OF_A_URDF = (
+    "urdf",
+    "base",
+    "tip",
+    "split",
+    "locked",
+    "package_dirs",
+    "couplings",
+    "xacro_args",
+    "hard_limits",
+)
 
 
 class ArmSpec(Specification):
@@ -122,8 +133,10 @@ class ArmSpec(Specification):
         tip: last link of the arm, as in `Arm.load`.
         split: how the chain is split into modules, as `modules` in `Arm.load`.
         locked: locked joints and their positions [rad or m].
-        package_dirs: folders in which viewers look for meshes.
+        package_dirs: folders in which viewers look for meshes, and xacro for packages.
         couplings: joints that follow others, as in `Arm.load`.
+        xacro_args: values of xacro arguments, as text.
+        hard_limits: whether soft limits are ignored, as in `Arm.load`.
         placement: placement of the base in the world; the origin if None.
         characteristic_length: sliding distance equivalent to one radian [m]; the mean module length if None.
     """
@@ -140,6 +153,8 @@ class ArmSpec(Specification):
     locked: dict[str, float] = Field(default_factory=dict)
     package_dirs: tuple[Path, ...] = ()
     couplings: dict[str, str | tuple[str, float] | tuple[str, float, float]] = Field(default_factory=dict)
+    xacro_args: dict[str, str] = Field(default_factory=dict)
+    hard_limits: bool = False
     placement: PlacementSpec | None = None
     characteristic_length: PositiveFloat | None = None
 
@@ -148,11 +163,16 @@ class ArmSpec(Specification):
     def _path_or_text(cls, source: Path | str | None) -> Path | str | None:
         return Path(source) if isinstance(source, str) and not is_urdf_text(source) else source
 
+    @field_validator("xacro_args", mode="before")
+    @classmethod
+    def _as_text(cls, given: object) -> dict[str, str]:
+        return read_arguments(given)
+
     @model_validator(mode="after")
     def _one_source(self) -> ArmSpec:
         kind, other = (OF_A_URDF, OF_A_TEMPLATE) if self.urdf is not None else (OF_A_TEMPLATE, OF_A_URDF)
         for key in other:
-            if getattr(self, key) not in (None, {}, ()):
+            if getattr(self, key) not in (None, {}, (), False):
                 raise ValueError(f"{key!r} does not go with {kind[0]!r}")
         return self
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_known
 from pinposture.errors import FileError, InvalidValue, URDFError
-from pinposture.storage import read_text
+from pinposture.storage import read_xml, without_encoding
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -61,6 +61,14 @@ class Follows(NamedTuple):
     offset: float  # added to it [rad or m]; 0 if not given
 
 
+class SoftLimits(NamedTuple):
+    """The position limits in <safety_controller>; one that is missing is 0, as in URDF."""
+
+    lower: float  # smallest position [rad or m]
+    upper: float  # largest position [rad or m]
+    one_sided: bool  # whether one of the two is missing
+
+
 @dataclass(frozen=True)
 class JointDescription:
     """A joint of a robot description."""
@@ -77,6 +85,7 @@ class JointDescription:
     velocity: float | None  # largest speed [rad/s or m/s], may be infinite; None without <limit>
     follows: Follows | None  # how it follows another joint; None if it moves independently
     excluded: str | None = None  # why it cannot be on a chain, from <excluded reason="...">; None if it can
+    soft: SoftLimits | None = None  # where its controller stops it; None if not given, or both 0
 
     @property
     def mimic(self) -> bool:
@@ -224,7 +233,7 @@ def read_description(source: str | Path, name: str = URDF_TEXT) -> Description:
         The description.
 
     Raises:
-        FileError: the file is missing, not readable, not UTF-8 text, or empty.
+        FileError: the file is missing, not readable, not text in its encoding, or empty.
         URDFError: unusable description; names the link or joint and the reason.
     """
     text, label = load_text(source)
@@ -265,17 +274,17 @@ def load_text(source: str | Path) -> tuple[str, str]:
 
     Raises:
         InvalidValue: neither a path nor text.
-        FileError: the file is missing, not readable, not UTF-8 text, or empty.
+        FileError: the file is missing, not readable, not text in its encoding, or empty.
         URDFError: multi-line text (so not a path) that does not begin with "<".
     """
     if not isinstance(source, (str, os.PathLike)):
         raise InvalidValue("source", source, "path of a URDF file, URDF text, or a pin.Model")
     if is_urdf_text(source):
-        return str(source), URDF_TEXT
+        return without_encoding(str(source)), URDF_TEXT
     if isinstance(source, str) and "\n" in (text := source.lstrip(_BLANK)):
         raise URDFError(URDF_TEXT, "line 1", f"begins with {text[:20]!r}; allowed: '<'")
     path = Path(source)
-    text = read_text(path)
+    text = read_xml(path)
     if not text.strip(_BLANK):
         raise FileError(path, "is empty")
     return text, str(path)
@@ -436,6 +445,7 @@ def _read_joint(element: Element, source: str) -> JointDescription:
         velocity=velocity,
         follows=follows,
         excluded=None if excluded is None else excluded.get("reason", ""),
+        soft=_read_soft_limits(numbers["safety_controller"]),
     )
 
 
@@ -516,6 +526,14 @@ def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) ->
     if lower > upper:
         raise fault(f"<limit> lower is {lower} and upper {upper}; allowed: lower <= upper (0 if not given)")
     return lower, upper
+
+
+def _read_soft_limits(safety: dict[str, float] | None) -> SoftLimits | None:
+    """Return soft limits; none if both are 0, which is their value in URDF if they are not given."""
+    lower, upper = ((safety or {}).get(f"soft_{end}_limit") for end in ("lower", "upper"))
+    if not lower and not upper:
+        return None
+    return SoftLimits(lower or 0.0, upper or 0.0, lower is None or upper is None)
 
 
 class _Place(NamedTuple):

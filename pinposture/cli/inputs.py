@@ -14,7 +14,7 @@ import typer
 
 from pinposture.cli.output import MOTION_FILE, RUN_FILE, print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName
-from pinposture.storage import parse_json, read_text
+from pinposture.storage import decode_xml, parse_json, read_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -109,8 +109,23 @@ class ArmOptions:
     ] = None
     package_dir: Annotated[
         list[Path] | None,
-        ARM("Folder to search for meshes: a package or a folder of packages. May be repeated.", "DIR"),
+        ARM(
+            "Folder to search for meshes, and for $(find ...) of xacro: a package or a folder of packages. "
+            "May be repeated.",
+            "DIR",
+        ),
     ] = None
+    xacro_arg: Annotated[
+        list[str] | None,
+        ARM("Value of an argument of a xacro file: pitch:=0.2. May be repeated.", "NAME:=VALUE"),
+    ] = None
+    hard_limits: Annotated[
+        bool,
+        ARM(
+            "Ignore the soft position limits of <safety_controller>, inside of those of <limit>.",
+            flags="--hard-limits",
+        ),
+    ] = False
 
     def read(self, urdf: str) -> Arm:
         """Load an arm as `Arm.load` does; "-" reads the URDF from stdin.
@@ -130,15 +145,21 @@ class ArmOptions:
             advice = f"create an arm from the template: pinposture generate {urdf} --modules 20 -o arm.urdf"
             raise FileError(urdf, f"no such file; {advice}")
         if urdf == "-":
-            try:
-                source = "" if sys.stdin is None else sys.stdin.buffer.read().decode()
-            except UnicodeDecodeError as error:
-                raise FileError("stdin", f"is not UTF-8 text (byte {error.start})") from None
+            source = "" if sys.stdin is None else decode_xml(sys.stdin.buffer.read(), "stdin")
             if not source.lstrip("\ufeff \t\r\n").startswith("<"):
                 raise FileError("stdin", "contains no URDF; allowed: XML text, which starts with '<'")
         sizes = None if self.modules is None else read_modules(self.modules)
-        held, couplings = read_locked(self.locked), read_couplings(self.couple)
-        return Arm.load(source, self.base, self.tip, sizes, held, self.package_dir, couplings=couplings)
+        return Arm.load(
+            source,
+            base=self.base,
+            tip=self.tip,
+            modules=sizes,
+            locked=read_locked(self.locked),
+            package_dirs=self.package_dir,
+            couplings=read_couplings(self.couple),
+            xacro_args=read_xacro_args(self.xacro_arg),
+            hard_limits=self.hard_limits,
+        )
 
     def refuse(self, allowed: str) -> None:
         """Raise InvalidValue for any given option if the arm is defined elsewhere."""
@@ -170,7 +191,7 @@ JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N"
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:
     """Raise InvalidValue for a given option that is incompatible with another argument."""
     for name, value in options.items():
-        if value is not None and value != []:
+        if value is not None and value is not False and value != []:
             raise InvalidValue(name, value if isinstance(value, str) else f"{value}", allowed)
 
 
@@ -214,6 +235,19 @@ def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float
             raise InvalidValue("--couple", text, f"NAME=LEADER,RATIO,OFFSET; a value {error}") from None
         couplings[name] = leader, ratio, offset
     return couplings
+
+
+def read_xacro_args(given: list[str] | None) -> dict[str, str]:
+    """Return the values of xacro arguments; raise InvalidValue unless NAME:=VALUE, each once."""
+    arguments: dict[str, str] = {}
+    for text in given or ():
+        name, separator, value = (part.strip() for part in text.partition(":="))
+        if not name or not separator:
+            raise InvalidValue("--xacro-arg", text, "NAME:=VALUE, such as pitch:=0.2")
+        if name in arguments:
+            raise InvalidValue("--xacro-arg", text, f"one value of argument {name!r}")
+        arguments[name] = value
+    return arguments
 
 
 def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:

@@ -19,7 +19,7 @@ from pinposture.cli.inputs import (
     read_points,
 )
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
-from pinposture.errors import InvalidValue, UnsupportedModule
+from pinposture.errors import InvalidValue, UnsupportedModule, enumerated
 from pinposture.storage import write_figure
 
 if TYPE_CHECKING:
@@ -142,6 +142,7 @@ def _print_tables(about: Mapping[str, Any]) -> None:
         "kinematics": "; ".join(filter(None, (placing, about["closed_form_reason"]))),
         "locked": ", ".join(about["held"]) or "no joint",
         **({"coupled": f"{coupled} joints follow others"} if coupled else {}),
+        **_soft_limits_in_words(about["soft_limited"]),
         **_following_in_words(about),
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
@@ -200,6 +201,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
         "closed_form_reason": unsolved,
         "kinematics": _kinematics(arm),
         "warnings": list(arm.warnings),
+        "soft_limited": list(arm.report.soft_limited),
         "held": [joint.name for joint in description.joints if joint.moves and joint.name not in moving],
         "joints": _joints(arm, {joint.name: joint for joint in description.joints}),
         "control_points": [
@@ -239,6 +241,13 @@ def _describe_following(arm: Arm, curve: str, scale: float) -> dict[str, Any]:
         "too_much": [str(excess) for excess in arm.can_follow(target.curve).excesses],
         "incomplete": target.incomplete,
     }
+
+
+def _soft_limits_in_words(names: Sequence[str]) -> dict[str, str]:
+    if not names:
+        return {}
+    shown = enumerated(names, 8)
+    return {"soft limits": f"those of <safety_controller> limit {shown}; --hard-limits ignores them"}
 
 
 def _following_in_words(about: Mapping[str, Any]) -> dict[str, str]:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import io
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_number, require_instance
-from pinposture.arm.urdf_reader import parse_xml
-from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.arm.packages import find_packages, is_file, model_folders, package_folders
+from pinposture.errors import FileError, InvalidValue
 from pinposture.storage import read_text, require_suffix
 
+_FOLDERS = {"package": package_folders, "model": model_folders}  # where to search, by scheme
 MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")  # suffixes of readable mesh files
 
 
@@ -39,31 +39,49 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
     """Find the mesh file that a robot description refers to.
 
     Args:
-        filename: "package://name/rest", "file:///...", or a path; relative paths start at `package_dirs`.
-        package_dirs: folders to search; each may contain packages, be a package, or be inside one. Packages
-            are also searched in the folders of the environment variable ROS_PACKAGE_PATH. The name of a
-            package is that of its folder or that in its package.xml.
+        filename: "package://name/rest", "model://name/rest", "file:///...", or a path; relative paths start
+            at `package_dirs`. In the first three, "%20" stands for a blank, and so on.
+        package_dirs: folders to search; each may contain packages, be a package, or be inside or beside one.
+            Packages are also searched in the folders of the environment variables AMENT_PREFIX_PATH and
+            ROS_PACKAGE_PATH, models in those of Gazebo. The name of a package is that in its package.xml or
+            that of its folder.
 
     Raises:
-        FileError: there is no such file.
+        FileError: there is no such file, or the scheme is another.
     """
     folders = [Path(folder) for folder in package_dirs]
     candidates: Iterable[Path]
-    if filename.startswith("package://"):
-        name, _, rest = filename.removeprefix("package://").partition("/")
-        ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-        folders += [Path(folder) for folder in ros if folder]
-        candidates = (package / rest for package in _packages(name, folders))
-    elif filename.startswith("file://"):
-        candidates = [Path(unquote(urlsplit(filename).path))]
-    else:
+    scheme, separator, place = filename.partition("://")
+    if not separator or "/" in scheme:
         # Joining an absolute path to a folder drops the folder.
         candidates = [folder / filename for folder in folders] or [Path(filename)]
+    elif scheme.lower() in _FOLDERS:
+        name, _, rest = place.partition("/")
+        folders = _FOLDERS[scheme.lower()](folders)
+        packages = find_packages(unquote(name), folders)
+        candidates = (package / each for package in packages for each in _spelt(rest))
+    elif scheme.lower() == "file":
+        host, _, rest = place.partition("/")
+        local = host in ("", "localhost")
+        candidates = [
+            folder / each
+            for folder in ([Path("/")] if local else folders)
+            for each in _spelt(rest if local else place)
+        ]
+    else:
+        allowed = "package://, model://, file:///, or a path"
+        raise FileError(filename, f"its scheme is {scheme!r}; allowed: {allowed}; download it first")
     for candidate in candidates:
-        if _is_file(candidate):
+        if is_file(candidate):
             return candidate
     searched = ", ".join(map(str, folders)) or "no folder, because package_dirs (--package-dir) is empty"
     raise FileError(filename, f"not found (searched: {searched})")
+
+
+def _spelt(rest: str) -> list[str]:
+    """Return the path that the rest of an address means, then the path as it is written."""
+    without_query = rest.partition("#")[0].partition("?")[0]
+    return list(dict.fromkeys((unquote(without_query).lstrip("/"), rest.lstrip("/"))))
 
 
 def read_mesh(path: Path) -> Triangles:
@@ -73,7 +91,7 @@ def read_mesh(path: Path) -> Triangles:
         FileError: missing, in another format, or without valid triangles.
     """
     require_suffix(path, *MESH_FORMATS)
-    if not _is_file(path):
+    if not is_file(path):
         raise FileError(path, "no such file")
     if path.suffix.lower() == ".dae" and find_spec("collada") is None:
         raise FileError(path, "is COLLADA, which requires the package pycollada; install it")
@@ -92,38 +110,6 @@ def read_mesh(path: Path) -> Triangles:
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise FileError(path, "has triangles with vertices that do not exist")
     return mesh
-
-
-def _packages(name: str, folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield the folders that may be a package: first by folder name, then by the name in package.xml."""
-    yield from (folder / name for folder in folders)
-    for folder in folders:
-        yield from (at for at in (folder, *folder.parents) if at.name == name)
-    for folder in folders:
-        try:
-            below = sorted(at for at in folder.iterdir() if at.is_dir())
-        except (OSError, ValueError):
-            below = []
-        yield from (at for at in (folder, *folder.parents, *below) if _package_name(at) == name)
-
-
-def _package_name(folder: Path) -> str:
-    """Return the name in the package.xml of a folder; empty if there is no readable one."""
-    file = folder / "package.xml"
-    if not _is_file(file):
-        return ""
-    try:
-        name = parse_xml(read_text(file), str(file)).findtext("name")
-    except PostureError:
-        return ""
-    return (name or "").strip()
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # the name is too long or empty
-        return False
 
 
 def scale_factor(path: Any, scale: Any) -> float:

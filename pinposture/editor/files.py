@@ -285,7 +285,7 @@ def _with_same_arm(task: Task, current: Task, kept: Path) -> Task:
     arm, other = task.arm, current.arm
     if arm.spec is None or other.spec is None:
         return task
-    ignored = {"urdf": arm.urdf, "package_dirs": ()}
+    ignored: dict[str, object] = {"urdf": arm.urdf, "package_dirs": (), "xacro_args": {}}
     specs = [spec.model_copy(update=ignored) for spec in (arm.spec, other.spec)]
     if arm.urdf == other.urdf and specs[0] == specs[1]:
         return task.edited(arm=other)

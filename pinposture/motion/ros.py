@@ -6,6 +6,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Iterator
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,14 +21,22 @@ from pinposture.motion.joint_files import NANOSECONDS, to_message
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.storage import check_writable, require_suffix, write_text
 
-WORLD = "world"
-"""Parent frame of the base of the arm."""
+WORLDS = ("world", "map")
+"""Names of the frame in which the base of the arm stands, the first that is not the name of a link."""
 
 MAX_DOF = 200
 """Degrees of freedom up to which link frames are written; a `pin.Data` then takes 370 MB."""
 
 BAG_VERSION: Final = 8
 """Version of the metadata of a bag, readable by all distributions since Humble."""
+
+
+def world_frame(arm: Arm) -> str:
+    """Return the name of the world frame in transforms; no link or moving joint of the arm has it."""
+    bodies = (str(frame.name) for frame in arm.model.frames if frame.type == pin.FrameType.BODY)
+    taken = {*bodies, *map(str, arm.model.names)}
+    names = chain(WORLDS, (f"{WORLDS[-1]}_{number}" for number in count(2)))
+    return next(name for name in names if name not in taken)
 
 
 def write_goal(trajectory: JointTrajectory, path: str | Path, goal_time_tolerance: float = 0.0) -> Path:
@@ -69,7 +78,8 @@ def write_bag(
 
     Topics are /joint_states (sensor_msgs/JointState) and /joint_trajectory (trajectory_msgs/JointTrajectory,
     one message at the start). With an arm also /tf (tf2_msgs/TFMessage), with each link in the frame of its
-    parent link and the base in the frame "world"; and, for an arm loaded from a URDF, /robot_description
+    parent link and the base in the frame "world", or "map" if a link is called "world"; and, for an arm
+    loaded from a URDF, /robot_description
     (std_msgs/String). Needs the extra `ros`.
 
     Args:
@@ -228,17 +238,18 @@ class _LinkTree:
         links = {str(each.name): k for k, each in frames if k and each.type == pin.FrameType.BODY}
         if not links:
             raise InvalidValue("arm", arm.name, "an arm with links, as loaded from a URDF")
+        self._world = world_frame(arm)
         # `Frame.parentFrame` is that of the unreduced robot, and wrong if joints are locked.
         joints = () if arm.urdf is None else read_description(arm.urdf).joints
         carriers = {joint.child: joint.parent for joint in joints if joint.parent in links}
-        self._links = {name: (carriers.get(name, WORLD), frame) for name, frame in links.items()}
+        self._links = {name: (carriers.get(name, self._world), frame) for name, frame in links.items()}
 
     def placements(self, row: int) -> Iterator[tuple[str, str, pin.SE3]]:
         """Yield the parent, the link, and the placement of the link in the frame of its parent."""
         pin.framesForwardKinematics(self._model, self._data, self._configurations[row])
         for name, (carrier, frame) in self._links.items():
             placement = self._data.oMf[frame]
-            if carrier == WORLD:
+            if carrier == self._world:
                 yield carrier, name, placement
             else:
                 yield carrier, name, self._data.oMf[self._links[carrier][1]].actInv(placement)

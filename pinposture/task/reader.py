@@ -265,7 +265,7 @@ def _key_of(error: PostureError, table: Mapping[str, Any]) -> str:
         if key in table:
             return key
     if isinstance(error, UnknownName):
-        for key in ("base", "tip", "split", "locked", "couplings"):
+        for key in ("base", "tip", "split", "locked", "couplings", "xacro_args"):
             value = table.get(key)
             if error.name == value or (isinstance(value, list | dict) and error.name in value):
                 return key

@@ -24,10 +24,11 @@ from pydantic import (
 )
 
 from pinposture.arm import Arm, template
+from pinposture.arm.macros import read_arguments
 from pinposture.arm.specification import OF_A_TEMPLATE, OF_A_URDF
 from pinposture.control import CONTROLLERS
 from pinposture.curve import CURVES
-from pinposture.errors import UnknownName, did_you_mean
+from pinposture.errors import InvalidValue, UnknownName, did_you_mean
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
 from pinposture.task.keyframe import CONTINUITIES, OF_A_CURVE, joint_count_misfit
@@ -395,6 +396,16 @@ def _coupling(value: object) -> object:
     return name, numbers[0], _within(2, read_quantity, numbers[1], "angle", "length")
 
 
+def _xacro_args(value: object) -> object:
+    """Read the values of xacro arguments as text."""
+    if not _is_table(value):
+        return value
+    try:
+        return read_arguments(value)
+    except InvalidValue as error:
+        raise _wrong(error.value, error.allowed) from None
+
+
 class ArmTable(TableSpec):
     """The arm, as `ArmSpec`, with units, and with paths as written."""
 
@@ -422,6 +433,8 @@ class ArmTable(TableSpec):
     package_dirs: Annotated[list[str], _check(_is_list_of(_is_text), "a list of folders")] = Field(
         default_factory=list
     )
+    xacro_args: Annotated[dict[str, str], BeforeValidator(_xacro_args), Table] = Field(default_factory=dict)
+    hard_limits: Annotated[bool, _check(lambda value: isinstance(value, bool), "true or false")] = False
     placement: PlacementTable | None = None
     characteristic_length: LengthOrNone = None
 

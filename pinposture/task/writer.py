@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmSpec
+from pinposture.arm.loading import description_text
 from pinposture.arm.specification import roll_pitch_yaw
 from pinposture.arm.urdf_reader import load_text
 from pinposture.collision import Mesh, Scan, Scene
@@ -140,16 +141,20 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
             placement=spec.placement,
             characteristic_length=spec.characteristic_length,
         )
-    source = spec.urdf
+    source, folders, arguments = spec.urdf, spec.package_dirs, spec.xacro_args
     if source is None:
         return spec, None
     if isinstance(source, Path):
         name = relative(source, descriptions.folder)
-        if descriptions.still_holds("arm", name, lambda: load_text(source)[0] == arm.urdf):
+
+        def gives_arm() -> bool:
+            return description_text(source, folders, arguments) == arm.urdf
+
+        if descriptions.still_holds("arm", name, gives_arm):
             return spec, None
     file = settled(descriptions.file.with_suffix(".urdf"))
-    folders = [Path(each) for each in arm.report.package_dirs if settled(each) != file.parent]
-    spec = spec.model_copy(update={"urdf": file, "package_dirs": tuple(folders)})
+    searched = [Path(each) for each in arm.report.package_dirs if settled(each) != file.parent]
+    spec = spec.model_copy(update={"urdf": file, "package_dirs": tuple(searched), "xacro_args": {}})
     if not file.exists():
         return spec, file
     if load_text(file)[0] != arm.urdf:

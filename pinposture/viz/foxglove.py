@@ -23,7 +23,7 @@ from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue, ViewerError
 from pinposture.motion import Motion, Tracker, Trajectory
-from pinposture.motion.ros import WORLD
+from pinposture.motion.ros import world_frame
 from pinposture.placement import Target
 from pinposture.viz import drawing, palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge
@@ -38,8 +38,8 @@ BACKLOG = 20  # length of the queue of states to send; when it is full, the olde
 class FoxgloveViewer(Viewer):
     """An arm in Foxglove; see `pinposture.viz.view`. It has the interface of `Viewer`, except `meshcat`.
 
-    Topics are /tf (the links by name, in the frame "world"), /scene (drawings), /joint_states,
-    /joint_commands and /status. Topics without subscribers or data are not sent.
+    Topics are /tf (the links by name, in the frame "world", or "map" if a link is called "world"), /scene
+    (drawings), /joint_states, /joint_commands and /status. Topics without subscribers or data are not sent.
 
     Attributes:
         tracker: the tracker whose state is shown, or None.
@@ -67,6 +67,7 @@ class FoxgloveViewer(Viewer):
         self.arm, self.target, self.scene, self.ellipsoids = arm, target, scene, ()
         self._playback = None if self.run is None else drawing.playback(self.run, fps, MAX_FRAMES)
         self._messages: Any = messages
+        self._world = world_frame(arm)
         self._draw_arm()
         kinds = {"/tf": channels.FrameTransformsChannel, "/scene": channels.SceneUpdateChannel}
         kinds |= dict.fromkeys(("/joint_states", "/joint_commands"), channels.JointStatesChannel)
@@ -218,7 +219,7 @@ class FoxgloveViewer(Viewer):
         transforms = [
             m.FrameTransform(
                 timestamp=time,
-                parent_frame_id=WORLD,
+                parent_frame_id=self._world,
                 child_frame_id=link,
                 translation=m.Vector3(x=row[0], y=row[1], z=row[2]),
                 rotation=m.Quaternion(x=row[3], y=row[4], z=row[5], w=row[6]),
@@ -236,11 +237,11 @@ class FoxgloveViewer(Viewer):
         entities, (before, around) = [*self._bodies] if again else [], self._drawn
         self._drawn = target, scene
         if again or target is not before:
-            entities.append(self._entity("target", WORLD, **self._outline(target)))
+            entities.append(self._entity("target", self._world, **self._outline(target)))
         if again or scene is not around:
             shown = drawing.shown_obstacles(scene, drawing.scene_points(self.arm, None, target))
             solids = [self._surface(each.surface, palette.OBSTACLE, palette.SEE_THROUGH) for each in shown]
-            entities.append(self._entity("obstacles", WORLD, triangles=solids))
+            entities.append(self._entity("obstacles", self._world, triangles=solids))
         return self._messages.SceneUpdate(entities=entities)
 
     def _draw_arm(self) -> None:
@@ -251,11 +252,13 @@ class FoxgloveViewer(Viewer):
         names = {int(each.parentJoint): each.name for each in reversed(frames)}
         self._links = [names.get(joint, model.names[joint]) for joint in joints]
         self._turns = np.array([places[joint].rotation for joint in joints])
-        self._bodies = [self._entity("base", WORLD, triangles=[self._surface(surfaces.base, palette.BASE)])]
+        self._bodies = [
+            self._entity("base", self._world, triangles=[self._surface(surfaces.base, palette.BASE)])
+        ]
         for body, link, turn, mesh in zip(listed, self._links, self._turns, surfaces.bodies, strict=True):
             shade = palette.MODULES[body.module % len(palette.MODULES)]
             drawn = self._surface(TriangleMesh(mesh.vertices @ turn, mesh.faces), shade)
-            self._bodies.append(self._entity(link, link, triangles=[drawn]))
+            self._bodies.append(self._entity(f"link {link}", link, triangles=[drawn]))
 
     def _outline(self, target: Target | None) -> dict[str, Any]:
         if target is None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import pickle
+from xml.etree import ElementTree
 
 import pinocchio as pin
 import pytest
 from arm.describing import LIMIT, joint, links, one_joint, pinocchio_loads, robot
 
 from pinposture.arm.urdf_reader import Follows, read_description
-from pinposture.errors import URDFError
+from pinposture.errors import FileError, URDFError
 
 
 def test_a_good_description_is_read_field_by_field():
@@ -145,3 +146,50 @@ def test_vectors_on_several_lines_reach_pinocchio_in_one_piece():
     model = pin.buildModelFromXML(read_description(text).text)
     assert list(model.jointPlacements[1].translation) == [1.0, 2.0, 3.0]
     assert pin.rpy.matrixToRpy(model.jointPlacements[1].rotation) == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "declared"),
+    [
+        ("ISO-8859-1", "ISO-8859-1"),
+        ("windows-1252", "windows-1252"),
+        ("cp1251", "windows-1251"),
+        ("utf-16", "utf-16"),
+        ("utf-16-le", "UTF-16"),
+        ("utf-16-be", "UTF-16"),
+        ("utf-16", None),
+        ("utf-8", "utf-16"),  # which it is not
+        ("utf-8", "utf-8"),
+        ("utf-8-sig", "utf-8"),
+        ("utf-8-sig", "ISO-8859-1"),  # the mark decides
+        ("utf-8", None),
+    ],
+)
+def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path, encoding, declared):
+    letter = "ж" if encoding == "cp1251" else "ü"
+    body = robot(links([f"r{letter}ssel"]))
+    declaration = (
+        "" if declared is None else f'<?xml version="1.0" encoding="{declared}" standalone="yes"?>\n'
+    )
+    file = tmp_path / "arm.urdf"
+    file.write_bytes((declaration + body).encode(encoding))
+    description = read_description(file)
+    assert description.links == (f"r{letter}ssel",)
+    ElementTree.fromstring(description.text)  # declares nothing that text is not
+    assert read_description(declaration + body).links == description.links
+
+
+def test_text_that_is_not_in_its_encoding_is_named_with_it(tmp_path):
+    file = tmp_path / "arm.urdf"
+    body = robot(links("ü"))
+    for encoding, content, words in (
+        ("ascii", body.encode("utf-8"), ("is not ascii text (byte", "that it declares")),
+        ("cp1252", body.encode("cp1252").replace(b"\xfc", b"\x81"), ("is not cp1252 text (byte",)),
+        ("utf-8", body.encode("latin-1"), ("is not UTF-8 text (byte",)),
+        ("klingon", body.encode(), ("'klingon', which is unknown", "UTF-8")),
+        ("hex", body.encode(), ("'hex', which is unknown", "UTF-8")),
+    ):
+        file.write_bytes(f'<?xml version="1.0" encoding="{encoding}"?>'.encode() + content)
+        with pytest.raises(FileError) as caught:
+            read_description(file)
+        assert all(word in str(caught.value) for word in (str(file), *words))

@@ -149,7 +149,7 @@ def test_what_cannot_be_found_or_converted_is_named(
     model = pin.Model()
     model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
     refused(model, URDFError, "joint 'ball'", "Spherical")
-    monkeypatch.setitem(sys.modules, "xacrodoc", None)
+    monkeypatch.setitem(sys.modules, "xacro", None)
     refused(xacro, FileError, "pinposture[descriptions]")
 
     def offline(name: str) -> object:

@@ -96,14 +96,63 @@ def test_every_verb_that_loads_an_arm_has_the_options(command, verb):
     text = command(*verb.split(), "--help", env={"COLUMNS": "200"}).out
     assert "--locked" in text
     assert "--package-dir" in text
+    assert "--xacro-arg" in text
+    assert "--hard-limits" in text
+
+
+def test_arguments_and_packages_of_xacro_are_given(command, tmp_path):
+    parts = tmp_path / "ws" / "snake"
+    parts.mkdir(parents=True)
+    (parts / "package.xml").write_text("<package><name>snake</name></package>")
+    robot = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    (parts / "end.xacro").write_text(
+        f'{robot}<joint name="f" type="fixed"><parent link="l"/><child link="t"/>'
+        '<origin xyz="$(arg pitch) 0 $(arg height)"/></joint></robot>'
+    )
+    file = tmp_path / "elsewhere" / "top.urdf.xacro"
+    file.parent.mkdir()
+    file.write_text(
+        f'{robot}<xacro:include filename="$(find snake)/end.xacro"/><link name="b"/><link name="l"/>'
+        '<link name="t"/><joint name="j" type="revolute"><parent link="b"/><child link="l"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    given = ("--xacro-arg", "pitch:=0.3", "--xacro-arg", "height:=0.4")
+    found = command("inspect", file, "--package-dir", tmp_path / "ws", *given, "--json")
+    assert json.loads(found.out)["control_points"][0]["position"] == pytest.approx([0.3, 0.0, 0.4])
+    for options, says in (
+        (given, "$(find snake): no such package"),
+        (("--package-dir", tmp_path / "ws"), "--xacro-arg pitch:=..."),
+        (("--xacro-arg", "pitch=0.3"), "NAME:=VALUE"),
+        (("--xacro-arg", "pitch:=1", "--xacro-arg", "pitch:=2"), "one value of argument 'pitch'"),
+    ):
+        refused = command("inspect", file, *options)
+        assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
+        assert says in refused.err
+
+
+def test_soft_limits_are_told_and_can_be_ignored(command, arm_file, tmp_path):
+    soft = '<safety_controller k_velocity="10" soft_lower_limit="-0.5" soft_upper_limit="0.5"/></joint>'
+    file = tmp_path / "soft.urdf"
+    file.write_text(arm_file.read_text().replace("</joint>", soft, 1))
+    told = command("inspect", file, env={"COLUMNS": "200"})
+    assert "<safety_controller> limit m01_j1_y; --hard-limits ignores them" in told.out
+    found = json.loads(command("inspect", file, "--json").out)
+    assert (found["soft_limited"], found["joints"][0]["upper"]) == (["m01_j1_y"], 0.5)
+    hard = json.loads(command("inspect", file, "--json", "--hard-limits").out)
+    assert hard["soft_limited"] == []
+    assert (
+        hard["joints"][0]["upper"]
+        == json.loads(command("inspect", arm_file, "--json").out)["joints"][0]["upper"]
+    )
 
 
 def test_meshes_are_looked_for_in_the_folders_that_are_given(command, arm_file, tmp_path):
     import trimesh
 
-    (tmp_path / "somewhere" / "parts").mkdir(parents=True)
-    trimesh.creation.box((0.05, 0.02, 0.02)).export(tmp_path / "somewhere" / "parts" / "bar.stl")
-    (tmp_path / "somewhere" / "parts" / "package.xml").write_text(
+    parts = tmp_path / "somewhere" / "src" / "parts"
+    parts.mkdir(parents=True)
+    trimesh.creation.box((0.05, 0.02, 0.02)).export(parts / "bar.stl")
+    (parts / "package.xml").write_text(
         '<?xml version="1.0"?>\n<package format="3"><name>snake_description</name></package>\n'
     )
     file = tmp_path / "arm.urdf"
@@ -114,6 +163,6 @@ def test_meshes_are_looked_for_in_the_folders_that_are_given(command, arm_file, 
     file.write_text(text[:begin] + mesh + text[end:])
     without = command("inspect", file, "--self-collision", "--json")
     assert "snake_description/bar.stl: not found" in without.err
-    for folder in (tmp_path / "somewhere", tmp_path / "somewhere" / "parts"):
+    for folder in (tmp_path / "somewhere", parts.parent, parts):
         found = command("inspect", file, "--self-collision", "--json", "--package-dir", folder)
         assert (found.code, found.err) == (0, "")

@@ -103,6 +103,38 @@ def test_links_are_where_another_library_places_them(
             np.testing.assert_allclose(placed[link], expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("renamed", "world"),
+    [
+        ({"base": "world"}, "map"),
+        ({"m02_l1": "world"}, "map"),
+        ({"tip": "world"}, "map"),
+        ({"base": "world", "m01_l1": "map"}, "map_2"),
+        ({"base": "map"}, "world"),
+    ],
+)
+def test_no_link_is_its_own_parent_and_the_base_placement_is_kept(
+    arm: pp.Arm, tmp_path: Path, renamed: dict[str, str], world: str
+) -> None:
+    text, names = arm.urdf, {"base": arm.report.base, "tip": arm.report.tip}
+    for name, new in renamed.items():
+        text = text.replace(f'"{names.get(name, name)}"', f'"{new}"')
+    other = pp.Arm.load(text, base_placement=arm.base_placement)
+    q = other.random(np.random.default_rng(1))
+    motion = JointTrajectory.from_configurations(other, [q, q], 0.1)
+    message = next(
+        each for topic, _, each in read(write_bag(motion, tmp_path / "m.mcap", other)) if topic == "/tf"
+    )
+    parents = {each.child_frame_id: each.header.frame_id for each in message.transforms}
+    assert all(child != parent for child, parent in parents.items())
+    assert [child for child, parent in parents.items() if parent not in parents] == [other.report.base]
+    placed = {world: np.eye(4)}
+    for each in message.transforms:
+        placed[each.child_frame_id] = placed[each.header.frame_id] @ matrix(each.transform)
+    np.testing.assert_allclose(placed[other.report.base], arm.base_placement.homogeneous, atol=1e-12)
+    np.testing.assert_allclose(placed[other.report.tip][:3, 3], other.at(q).points[-1], atol=1e-12)
+
+
 def test_links_beside_the_chain_are_placed_too(tmp_path: Path) -> None:
     robots = Path(pin.__file__).parents[4] / "share" / "example-robot-data" / "robots"
     file = robots / "panda_description" / "urdf" / "panda.urdf"

@@ -101,6 +101,61 @@ def test_an_arm_that_only_bears_the_name_of_a_template_is_not_taken_for_one(tmp_
         assert_same_arms(again, arm)
 
 
+XACRO = """<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:arg name="extra" default="false"/>
+<link name="b"/><link name="l"/><link name="t"/>
+<joint name="j" type="revolute"><parent link="b"/><child link="l"/><axis xyz="0 0 1"/>
+<limit lower="-2" upper="2" effort="1" velocity="1"/>
+<safety_controller k_velocity="1" soft_lower_limit="-1" soft_upper_limit="1"/></joint>
+<joint name="f" type="fixed"><parent link="l"/><child link="t"/>
+<origin xyz="$(arg pitch) 0 0"/></joint></robot>"""
+
+
+def test_arguments_of_xacro_and_hard_limits_are_kept(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf.xacro"
+    file.write_text(XACRO)
+    for number, hard in enumerate((False, True)):
+        arm = pp.Arm.load(file, xacro_args={"pitch": 0.25, "extra": True}, hard_limits=hard)
+        again, written = saved(arm, tmp_path / f"{number}.toml")
+        assert written["urdf"] == "arm.urdf.xacro"
+        assert written["xacro_args"] == {"pitch": "0.25", "extra": "true"}
+        assert written.get("hard_limits", False) == hard
+        assert_same_arms(again, arm)
+        assert (again.length, again.limits.upper[0]) == (0.25, 2.0 if hard else 1.0)
+        assert again.spec == arm.spec
+    file.write_text(XACRO.replace("$(arg pitch)", "0.5"))  # then the arm as it was is written out
+    with pytest.warns(PostureWarning, match="it is written out"):
+        again, written = saved(arm, tmp_path / "changed.toml")
+    assert written == {"urdf": "changed.urdf", "hard_limits": True}
+    assert_same_arms(again, arm)
+
+
+def test_arguments_of_xacro_in_a_task_file_are_numbers_truth_values_or_text(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf.xacro").write_text(XACRO)
+    file = tmp_path / "task.toml"
+    task_of(six_modules()).save(file)
+    text = file.read_text()
+    table = '[arm]\nurdf = "arm.urdf.xacro"\n'
+    rest = text[text.index("[limits]") :]
+    head = text[: text.index("[arm]")]
+    file.write_text(head + table + "xacro_args = { pitch = 0.5, extra = true }\n" + rest)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        task = pp.Task.load(file)
+    assert task.arm.length == 0.5
+    for given, says in (
+        ("xacro_args = { pitch = 0.5, extre = true }", "arm.xacro_args"),
+        ("xacro_args = 3", "arm.xacro_args: is 3; allowed: a table"),
+        ("xacro_args = { pitch = [1] }", "arm.xacro_args"),
+        ("", "--xacro-arg pitch:=..."),
+        ('xacro_args = { pitch = "0.5" }\nhard_limits = 1', "arm.hard_limits: is 1; allowed: true or false"),
+    ):
+        file.write_text(head + table + given + "\n" + rest)
+        with pytest.raises(FileError) as caught:
+            pp.Task.load(file)
+        assert says in str(caught.value)
+
+
 @pytest.mark.parametrize(("name", "text", "arguments"), AWAKE, ids=[name for name, *_ in AWAKE])
 def test_urdf_text_is_written_beside_the_task(
     tmp_path: Path, name: str, text: str, arguments: dict[str, Any]

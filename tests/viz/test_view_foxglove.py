@@ -125,6 +125,23 @@ def test_links_are_where_pinocchio_places_them(arm: pp.Arm, watch: Any) -> None:
     assert abs(found["time"] - time.time_ns()) < 60e9
 
 
+def test_links_may_have_the_names_of_the_world_and_of_drawings(arm: pp.Arm, watch: Any) -> None:
+    text = arm.urdf
+    for name, new in {"base": "obstacles", "m01_l1": "world", "m01_l2": "target", "m02_l1": "base"}.items():
+        text = text.replace(f'"{name}"', f'"{new}"')
+    other = pp.Arm.load(text, base_placement=arm.base_placement)
+    viewer, first = watch(other, target=pp.Target.from_configuration(other, other.random(1)))
+    q = other.random(2)
+    viewer.show(q)
+    first.snapshot(shows(q))
+    found = Client(viewer).snapshot(lambda found: TOPICS - {"/joint_commands"} <= set(found))
+    frames = {each.child_frame_id: each for each in found["/tf"].transforms}
+    assert {each.parent_frame_id for each in frames.values()} == {"map"}
+    assert {"world", "target", "base"} <= set(frames)
+    ids = [each.id for each in found["/scene"].entities]
+    assert len(ids) == len(set(ids)) == len(frames) + 3
+
+
 def test_who_comes_late_sees_the_arm_as_meshcat_draws_it(arm: pp.Arm, watch: Any) -> None:
     target = pp.Target.from_configuration(arm, arm.random(1))
     scene = pp.Scene({"ball": pp.Sphere(center=(0.0, 0.0, 0.0), radius=0.1)})

@@ -1,0 +1,88 @@
+"""Soft limits: the <safety_controller> of a joint stops it there, inside the limits of its <limit>."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pinposture.arm.urdf_reader import Description, JointDescription, quote_names
+from pinposture.errors import URDFError
+
+ADVICE = "hard_limits=True (--hard-limits) ignores soft limits"
+"""How to ignore soft limits."""
+
+
+def with_soft_limits(description: Description) -> Description:
+    """Return a description in which soft limits narrow the position limits of joints.
+
+    Continuous and fixed joints keep theirs.
+
+    Raises:
+        URDFError: soft limits leave a joint no range, or are crossed.
+    """
+    joints = tuple(_narrowed(joint, description.source) for joint in description.joints)
+    return replace(description, joints=joints)
+
+
+def _narrowed(joint: JointDescription, source: str) -> JointDescription:
+    if joint.soft is None or joint.type not in ("revolute", "prismatic") or not joint.moves:
+        return joint
+    lower, upper = max(joint.lower, joint.soft.lower), min(joint.upper, joint.soft.upper)
+    if lower < upper:
+        return replace(joint, lower=lower, upper=upper)
+    words = f"{joint.soft.lower:g} to {joint.soft.upper:g}"
+    if joint.soft.lower > joint.soft.upper:
+        reason = f"<safety_controller> soft limits are {words}; allowed: lower <= upper (0 if not given)"
+    else:
+        hard = f"{joint.lower:g} to {joint.upper:g}"
+        reason = f"<safety_controller> soft limits are {words}, and leave no range within {hard}"
+    raise URDFError(source, f"joint {joint.name!r}", f"{reason}; {ADVICE}")
+
+
+def soft_limited(narrowed: Description, read: Description, names: list[str]) -> tuple[str, ...]:
+    """Return those of some joints whose limits are narrower than they were read."""
+    before = {joint.name: (joint.lower, joint.upper) for joint in read.joints}
+    chosen = set(names)
+    return tuple(
+        joint.name
+        for joint in narrowed.joints
+        if joint.name in chosen and (joint.lower, joint.upper) != before[joint.name]
+    )
+
+
+def soft_limit_warnings(read: Description, names: list[str]) -> list[str]:
+    """Describe soft limits of some joints that are not what they seem.
+
+    Args:
+        read: the description as it was read, with hard limits.
+        names: names of the joints.
+    """
+    chosen = set(names)
+    soft = {joint.name: joint.soft for joint in read.joints if joint.soft and joint.name in chosen}
+    by_name = {joint.name: joint for joint in read.joints}
+    messages = []
+    endless = [name for name in soft if by_name[name].type == "continuous"]
+    if endless:
+        messages.append(
+            f"soft limits of {_joints(endless)} are not used, as continuous joints have no limits"
+        )
+    limited = {name: each for name, each in soft.items() if name not in endless}
+    halves = [name for name, each in limited.items() if each.one_sided]
+    if halves:
+        messages.append(
+            f"<safety_controller> of {_joints(halves)} gives one of two soft limits; the other is 0, as in "
+            f"URDF ({ADVICE})"
+        )
+    beyond = [
+        name
+        for name, each in limited.items()
+        if each.lower < by_name[name].lower or each.upper > by_name[name].upper
+    ]
+    if beyond:
+        messages.append(
+            f"soft limits of {_joints(beyond)} are beyond the limits of <limit>, which apply where they are"
+        )
+    return messages
+
+
+def _joints(names: list[str]) -> str:
+    return ("joint " if len(names) == 1 else "joints ") + quote_names(names)
