@@ -26,7 +26,8 @@ def with_soft_limits(description: Description) -> Description:
 def _narrowed(joint: JointDescription, source: str) -> JointDescription:
     if joint.soft is None or joint.type not in ("revolute", "prismatic") or not joint.moves:
         return joint
-    lower, upper = max(joint.lower, joint.soft.lower), min(joint.upper, joint.soft.upper)
+    lower = max(joint.lower, joint.soft.lower)
+    upper = min(joint.upper, joint.soft.upper)
     if lower < upper:
         return replace(joint, lower=lower, upper=upper)
     words = f"{joint.soft.lower:g} to {joint.soft.upper:g}"
