@@ -52,6 +52,7 @@ ORDER = (
     ("errors",),
     ("storage",),
     ("_validation",),
+    ("units",),
     ("specification",),
     ("kernels",),
     ("curve",),

@@ -1,4 +1,4 @@
-"""How arms, targets, runs and motions show themselves in a notebook: a table and a picture.
+"""How arms, curves, targets, runs and others show themselves in a notebook: a table, and a picture of some.
 
 Importing the package under IPython registers what is here with its display. Other packages do not know of it.
 """
@@ -13,18 +13,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pinposture.units import length_text
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pinposture.arm import Arm
-    from pinposture.motion import JointTrajectory, Motion, Trajectory
+    from pinposture.collision import Scene
+    from pinposture.control import Limits
+    from pinposture.control.reach import ReachedPosture
+    from pinposture.curve import Curve
+    from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory
     from pinposture.placement import Target
+    from pinposture.task import Task
 
 DPI = 80
 """Resolution of pictures; 1200 pixels at 120, so that a picture is as wide as a cell."""
 
 MAX_LISTED = 4
 """Largest number of warnings that are listed."""
+
+MAX_OBSTACLES = 12
+"""Largest number of obstacles that are listed."""
 
 
 def register(shell: Any) -> None:
@@ -44,12 +54,12 @@ def show_arm(arm: Arm) -> str:
         ("base, tip", f"{arm.base}, {arm.tip}"),
         ("modules", f"{arm.n_modules}, {arm.segmentation.reason}"),
         ("degrees of freedom", f"{len(arm.columns)}, {'planar' if arm.dimension == 2 else 'spatial'}"),
-        ("length", f"{arm.length:.4g} m"),
+        ("length", length_text(arm.length)),
     ]
-    for kind, of_kind, unit in (("turns", turning, "rad"), ("slides", ~turning, "m")):
+    for kind, of_kind, unit in (("angle", turning, "rad"), ("slide", ~turning, "m")):
         if np.any(of_kind):
             low, high = lower[of_kind], upper[of_kind]
-            rows.append((f"limits of {kind}", f"{_span(low)} to {_span(high)} {unit}"))
+            rows.append((f"{kind} limits", f"{_span(low)} to {_span(high)} {unit}"))
     if arm.couplings:
         rows.append(("coupled joints", str(len(arm.couplings))))
     rows += _listed("warning", arm.warnings)
@@ -63,9 +73,9 @@ def show_target(target: Target) -> str:
     if target.method:
         rows.append(("placed", target.method))
     if target.curve is not None:
-        rows.append(("curve", f"{target.curve.length:.4g} m long"))
+        rows.append(("curve", f"{length_text(target.curve.length)} long"))
     if target.residual is not None and count:
-        rows.append(("off by", f"{1e3 * float(target.residual[target.has_target].max()):.3g} mm at most"))
+        rows.append(("off by", f"{length_text(float(target.residual[target.has_target].max()))} at most"))
     rows.append(("configuration", "known" if target.q is not None else "not known"))
     if target.moved:
         rows.append(("curve moved", str(target.moved)))
@@ -81,11 +91,14 @@ def show_run(run: Trajectory) -> str:
     rows = [
         ("status", f"{run.status}: {run.reason}"),
         ("steps", str(run.steps)),
+        *_duration(run),
         (
             "mean point error",
-            f"{run.mean_error[0]:.4g} m at the start, {run.mean_error[-1]:.4g} m at the end",
+            f"{length_text(run.mean_error[0], run.arm.length)} at the start, "
+            f"{length_text(run.mean_error[-1], run.arm.length)} at the end",
         ),
-        ("largest point error", f"{run.point_errors[-1].max():.4g} m at the end"),
+        ("largest point error", f"{length_text(run.point_errors[-1].max(), run.arm.length)} at the end"),
+        *_clearance(run),
     ]
     return _page(f"Run of {run.arm.name} by {controller_name(run)}", rows, plot(run))
 
@@ -99,19 +112,122 @@ def show_motion(motion: Motion) -> str:
         ("duration", f"{motion.dt * motion.run.steps:.4g} s, {motion.run.steps} cycles of {motion.dt:.4g} s"),
         (
             "mean point error",
-            f"{motion.mean_error.max():.4g} m at most, {motion.mean_error[-1]:.4g} m at the end",
+            f"{length_text(motion.mean_error.max(), motion.arm.length)} at most, "
+            f"{length_text(motion.mean_error[-1], motion.arm.length)} at the end",
         ),
-        ("largest point error", f"{motion.run.point_errors.max():.4g} m"),
+        ("largest point error", length_text(motion.run.point_errors.max(), motion.arm.length)),
+        *_clearance(motion.run),
         *_listed("deviation", motion.deviations),
     ]
     return _page(f"Motion of {motion.arm.name}", rows, plot(motion))
 
 
 def show_joints(trajectory: JointTrajectory) -> str:
-    """Return a joint trajectory as HTML: the figure of `plot`."""
+    """Return a joint trajectory as HTML: its size, its largest rates, and the figure of `plot`."""
     from pinposture.viz import plot
 
-    return _page(trajectory.name or "Joint trajectory", (), plot(trajectory))
+    speeds, accelerations = trajectory.peaks
+    unit = " or ".join(each for each in dict.fromkeys(trajectory.units) if each)
+    rows = [
+        ("joints", str(len(trajectory.joint_names))),
+        ("rows", str(len(trajectory.time))),
+        ("duration", f"{trajectory.duration:.4g} s"),
+        ("largest velocity", f"{speeds.max(initial=0.0):.4g} {unit}/s"),
+        ("largest acceleration", f"{accelerations.max(initial=0.0):.4g} {unit}/s²"),
+    ]
+    return _page(trajectory.name or "Joint trajectory", rows, plot(trajectory))
+
+
+def show_figure(figure: Figure) -> str:
+    """Return a figure as HTML; pyplot, which would show it, does not know the figures of the library."""
+    return _picture(figure)
+
+
+def show_curve(curve: Curve) -> str:
+    """Return a curve as HTML: its size, and where it begins and ends."""
+    from pinposture.viz.drawing import CURVE_SAMPLES
+
+    along = curve.at(np.linspace(0.0, curve.length, CURVE_SAMPLES))
+    rows = [
+        ("length", length_text(curve.length)),
+        ("from, to", f"{_point(along[0])}, {_point(along[-1])}"),
+        ("smallest, largest coordinates", f"{_point(along.min(axis=0))}, {_point(along.max(axis=0))}"),
+    ]
+    return _page(type(curve).__name__, rows, None)
+
+
+def show_scene(scene: Scene) -> str:
+    """Return a scene as HTML: its margin and its obstacles."""
+    rows = [
+        ("margin", length_text(scene.margin)),
+        ("self-collision", "avoided" if scene.self_collision else "not checked"),
+        *((name, repr(obstacle)) for name, obstacle in list(scene.obstacles.items())[:MAX_OBSTACLES]),
+    ]
+    if len(scene.obstacles) > MAX_OBSTACLES:
+        rows.append(("", f"and {len(scene.obstacles) - MAX_OBSTACLES} more"))
+    return _page("Scene", rows, None)
+
+
+def show_limits(limits: Limits) -> str:
+    """Return the limits of a step as HTML; each is given for all joints, or for each joint."""
+    units = {
+        "step": "rad or m",
+        "dt": "s",
+        "velocity": "rad/s or m/s",
+        "acceleration": "rad/s² or m/s²",
+        "jerk": "rad/s³ or m/s³",
+        "position_margin": "rad or m",
+    }
+    given = ((name, getattr(limits, name), unit) for name, unit in units.items())
+    rows = [
+        (name.replace("_", " "), f"{_span(np.asarray(value))} {unit}")
+        for name, value, unit in given
+        if value is not None
+    ]
+    return _page("Limits", rows, None)
+
+
+def show_task(task: Task) -> str:
+    """Return a task as HTML: what moves, how, and where."""
+    rows = [
+        ("arm", str(task.arm)),
+        ("controller", task.controller.name),
+        ("scene", "none" if task.scene is None else str(task.scene)),
+        ("motion", str(task)),
+    ]
+    return _page(task.name, rows, None)
+
+
+def show_batch(batch: Batch) -> str:
+    """Return a batch as HTML: its summary in words."""
+    return _page(f"{len(batch)} runs", batch.in_words().items(), None)
+
+
+def show_tracker(tracker: Tracker) -> str:
+    """Return a tracker as HTML: its last report."""
+    report = tracker.report
+    rows = [
+        ("arm", tracker.arm.name),
+        ("status", ": ".join(filter(None, (report.status, report.reason)))),
+    ]
+    if report.mean_error is not None:
+        rows.append(("mean point error", length_text(report.mean_error, tracker.arm.length)))
+    rows += _listed("violated constraint", report.violated_constraints)
+    return _page("Tracker", rows, None)
+
+
+def show_reached(posture: ReachedPosture) -> str:
+    """Return a posture of `reach` as HTML: how good it is, and whether there is a clear path to it."""
+    path = "not asked for" if posture.path is None else posture.path.hindrance or "clear"
+    rows = [
+        ("tip error", length_text(posture.error)),
+        ("clearance", length_text(posture.clearance) if np.isfinite(posture.clearance) else "no obstacles"),
+        ("from limits", f"{posture.limit_distance:.3g} of half the range"),
+        ("manipulability", f"{posture.manipulability:.3g}"),
+        ("score", f"{posture.score:.3g}"),
+        ("path", path),
+    ]
+    return _page("Posture", rows, None)
 
 
 SHOWN: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
@@ -120,8 +236,38 @@ SHOWN: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("pinposture.motion.trajectory", "Trajectory", show_run),
     ("pinposture.motion.trajectory", "Motion", show_motion),
     ("pinposture.motion.joint_trajectory", "JointTrajectory", show_joints),
+    ("pinposture.motion.batch", "Batch", show_batch),
+    ("pinposture.motion.tracker", "Tracker", show_tracker),
+    ("pinposture.curve.curve", "Curve", show_curve),
+    ("pinposture.collision.scene", "Scene", show_scene),
+    ("pinposture.control.limits", "Limits", show_limits),
+    ("pinposture.control.reach", "ReachedPosture", show_reached),
+    ("pinposture.task.task", "Task", show_task),
+    ("matplotlib.figure", "Figure", show_figure),
 )
 """Classes that are shown, by module and name, and what shows them."""
+
+
+def _point(position: np.ndarray) -> str:
+    """Return a position in the world frame [m]."""
+    return f"({', '.join(f'{value:.4g}' for value in position.round(6) + 0.0)}) m"
+
+
+def _duration(run: Trajectory) -> list[tuple[str, str]]:
+    """Return the row on the duration of a run, if it has a cycle time."""
+    if run.limits.dt is None:
+        return []
+    return [("duration", f"{run.steps * run.limits.dt:.4g} s")]
+
+
+def _clearance(run: Trajectory) -> list[tuple[str, str]]:
+    """Return the row on the smallest clearance of a run, if it was in a scene."""
+    from pinposture.motion.trajectory import closest
+
+    found = closest(run)
+    if found is None or found["pair"] is None:
+        return []
+    return [("clearance", f"{length_text(found['smallest'])}, {' to '.join(found['pair'])}")]
 
 
 def _span(values: np.ndarray) -> str:

@@ -449,21 +449,22 @@ def _explain(
     )
     need = f"the arm is {kind}, so the end of a module must move in {directions} across the curve"
     if len(sizes) == 1 and not mobility.can_place(0, n):
-        reason = f"{need}; no group of its joints does that, so the arm is one module"
+        reason = f"{need}; no group of its joints allows that, so the arm is one module"
         return Segmentation(tuple(sizes), reason, None, can_follow=False)
     usual = Counter(sizes).most_common(1)[0][0]
     bounds = np.cumsum([0, *sizes])
     bound = [k for k, (a, b) in enumerate(pairwise(bounds), 1) if not mobility.can_place(a, b)]
     if found is None:
-        does = "this is the largest number of modules that do that" + (
+        does = "this is the largest number of modules that meet this need" + (
             ", and pieces of others" if bound else ""
         )
         parts = [need, f"no pattern of joints repeats; {does}"]
     else:
         first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]
-        often = f"{count_joints(found.period)} repeat" if found.period > 1 else "every joint is like the next"
-        does = "does that" if not bound else "is the most common"
-        parts = [need, f"from {first!r} to {last!r} {often}; a module of {count_joints(usual)} {does}"]
+        often = f"{count_joints(found.period)} at a time" if found.period > 1 else "joint by joint"
+        does = "meets this need" if not bound else "is the most common one"
+        repeats = f"the joints from {first!r} to {last!r} repeat {often}"
+        parts = [need, f"{repeats}; a module of {count_joints(usual)} {does}"]
         others = [f"module {k} has {count_joints(size)}" for k, size in enumerate(sizes, 1) if size != usual]
         if others and not bound:
             listed = ", ".join(others[:4]) + (", ..." if len(others) > 4 else "")

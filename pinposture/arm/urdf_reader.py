@@ -413,7 +413,8 @@ def _read_joint(element: Element, source: str) -> JointDescription:
     name, kind = element.get("name", ""), element.get("type")
     fault = partial(URDFError, source, f"joint {name!r}")
     if kind not in JOINT_TYPES:
-        raise fault(f"type is {kind!r}; allowed: {', '.join(JOINT_TYPES)}")
+        found = "not given" if kind is None else repr(kind)
+        raise fault(f"type is {found}; allowed: {', '.join(JOINT_TYPES)}")
     if name == "universe" and kind != "fixed":
         raise fault("has the name that Pinocchio uses for the world; rename it")
     parent, child = _read_link(element, "parent", fault), _read_link(element, "child", fault)

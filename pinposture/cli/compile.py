@@ -21,10 +21,10 @@ def run(
 ) -> None:
     """Compile all kernels for this machine now, and cache the result beside the library.
 
-    This takes about a minute on two cores, once per installation; if that is not writable, once per user, or
-    in the folder NUMBA_CACHE_DIR. All cores share the work. Otherwise, each kernel is compiled on first use,
-    and the first runs take longer; a note on stderr says so. Kernels that are already compiled are kept. The
-    exit code is 1 if something could not be compiled.
+    This takes one to one and a half minutes on two cores, once per installation; if that is not writable,
+    once per user, or in the folder NUMBA_CACHE_DIR. All cores share the work. Otherwise, each kernel is
+    compiled on first use, and the first runs take longer; a note on stderr says so. Kernels that are already
+    compiled are kept. The exit code is 1 if something could not be compiled.
     """
     begun, total = time.perf_counter(), len(all_kernels())
     missing = compile_missing()

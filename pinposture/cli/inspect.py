@@ -21,6 +21,7 @@ from pinposture.cli.inputs import (
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
 from pinposture.errors import InvalidValue, UnsupportedModule, enumerated
 from pinposture.storage import write_figure
+from pinposture.units import error_text
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -254,12 +255,12 @@ def _following_in_words(about: Mapping[str, Any]) -> dict[str, str]:
     if about.get("curve") is None:
         return {}
     found = about["curve"]
-    away = found["distance_from_curve"]
-    share = away / about["length"]
+    off = error_text(found["largest_residual"], about["length"])
+    away = error_text(found["distance_from_curve"], about["length"])
     words = {
-        "curve": f"{found['name']}: {found['placed_by']} placement, control points at most "
-        f"{found['largest_residual']:.2g} m off the curve",
-        "whole arm": f"its links at most {away:.2g} m from the curve, {share:.2g} of its length",
+        "curve": f"{found['name']}: {found['placed_by']} placement; "
+        f"largest distance of a control point from the curve {off}",
+        "whole arm": f"largest distance of a link from the curve {away}",
     }
     if found["fallback"]:
         words["why not in turn"] = found["fallback"]

@@ -16,6 +16,7 @@ import typer
 
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 from pinposture.storage import check_writable
+from pinposture.units import length_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -299,8 +300,9 @@ def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> s
     if steps:
         after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
     return (
-        f"{clearance['smallest']:.4g} m where it is smallest, {' to '.join(clearance['pair'])}, {after}; "
-        f"{clearance['final']:.4g} m at the end; the margin is {clearance['margin']:.4g} m"
+        f"{length_text(clearance['smallest'])} where it is smallest, {' to '.join(clearance['pair'])}, "
+        f"{after}; {length_text(clearance['final'])} at the end; the margin is "
+        f"{length_text(clearance['margin'])}"
     )
 
 

@@ -35,7 +35,9 @@ from pinposture.cli.output import (
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
     from pinposture.arm import Arm
     from pinposture.collision import Scene
@@ -95,6 +97,8 @@ def run(
     This is a search: finding nothing does not prove that there is nothing. The exit code is 0 if the best
     posture and the path to it are clear, 1 if no clear path was found, 2 if there is no posture.
     """
+    import numpy as np
+
     from pinposture.control.reach import reach
     from pinposture.motion import track
     from pinposture.storage import write_figure, write_text
@@ -125,7 +129,7 @@ def run(
         for number, each in enumerate(found, start=1):
             text = json.dumps(each.q.tolist()) + "\n"
             files.append((f"{number}", output / f"posture_{number}.json", partial(write_text, text=text)))
-        picture = _draw(arm, found, surroundings)
+        picture = _draw(arm, found, np.asarray(place), surroundings)
         files.append(("picture", output / PICTURE, partial(write_figure, figure=picture)))
         if first is not None and not hindrance:
             files += run_files(track(arm, found[0].target, first, scene=surroundings), output)
@@ -179,20 +183,29 @@ def _print_postures(found: Sequence[ReachedPosture]) -> None:
     print_table(headings, rows)
 
 
-def _draw(arm: Arm, found: Sequence[ReachedPosture], scene: Scene | None) -> Figure:
-    """Draw the scene and all postures, with the best on top."""
+def _draw(
+    arm: Arm, found: Sequence[ReachedPosture], goal: NDArray[np.float64], scene: Scene | None
+) -> Figure:
+    """Draw the scene, the goal and all postures, with the best on top."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    from pinposture.viz import palette
     from pinposture.viz.postures import PosturePanel
 
     figure = Figure(figsize=(9.0, 8.0))
     planar = arm.dimension == 2
-    ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
-    panel, colors = PosturePanel(arm, ax), mpl.colormaps["viridis"]
+    if planar:
+        ax = figure.add_subplot()
+    else:  # as large as the figure, since the scales of a space do not fill its axes
+        ax = figure.add_axes((0.0, 0.0, 1.0, 0.9), projection="3d", computed_zorder=False)
+    panel = PosturePanel(arm, ax)
+    colors = mpl.colormaps["viridis"]
     for rank in reversed(range(len(found))):
         color = mpl.colors.to_hex(colors(0.85 * rank / max(len(found) - 1, 1)))
         panel.posture(found[rank].q, color, f"posture {rank + 1}", width=3.0 if rank == 0 else 1.6)
+    style: dict[str, Any] = {"ls": "none", "marker": "*", "ms": 14, "mec": "white", "zorder": 7}
+    panel.line(goal[None, :3], label="goal of the tip", color=palette.MARK, **style)
     panel.finish(scene)
-    ax.legend(loc="upper left", fontsize=9, frameon=False)
+    figure.legend(loc="upper left", fontsize=9, frameon=False, ncols=2)
     return figure

@@ -36,6 +36,7 @@ from pinposture.cli.output import (
 from pinposture.cli.view import show
 from pinposture.errors import PostureError
 from pinposture.storage import write_text
+from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
     from pinposture.motion import Motion
@@ -297,12 +298,14 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
         **shares_in_words(summary),
     }
     if summary["keyframes"]:
-        words["keyframes"] = _keyframes(summary["keyframes"])
+        words["keyframes"] = _keyframes(summary["keyframes"], summary["arm_length"])
     worst = summary["worst_mean_error"]
+    length = summary["arm_length"]
     words["point errors"] = (
-        f"mean at most {worst:.4g} m along the way, at {summary['worst_mean_at']:.4g} s, "
-        f"{worst / summary['arm_length']:.2g} of the arm length; {summary['mean_error']:.4g} m on average, "
-        f"{summary['mean_final_error']:.4g} m at the end; largest {summary['largest_error']:.4g} m"
+        f"largest mean {error_text(worst, length)}, at {summary['worst_mean_at']:.4g} s; "
+        f"{length_text(summary['mean_error'], length)} on average, "
+        f"{length_text(summary['mean_final_error'], length)} at the end; "
+        f"largest {length_text(summary['largest_error'], length)}"
     )
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
@@ -323,7 +326,7 @@ def _duration(summary: Mapping[str, Any]) -> str:
     return text
 
 
-def _keyframes(places: list[dict[str, Any]]) -> str:
+def _keyframes(places: list[dict[str, Any]], arm_length: float) -> str:
     """Describe the named places, one per line, in columns."""
     from pinposture.placement.target import Moved
 
@@ -335,11 +338,12 @@ def _keyframes(places: list[dict[str, Any]]) -> str:
             line += "not reached"
         else:
             passed = "missed" if place["missed"] else "passed"
-            line += f"{passed} {place['reached']:8.4g} s, mean error {place['mean_error']:.2g} m"
+            error = length_text(place["mean_error"], arm_length)
+            line += f"{passed} {place['reached']:8.4g} s, mean error {error}"
         if place["off_curve"] is not None:
-            line += f", at most {place['off_curve']:.2g} m off its curve"
+            line += f", largest distance from its curve {length_text(place['off_curve'], arm_length)}"
         if place["tip_off"] is not None:
-            line += f", tip {place['tip_off']:.2g} m off"
+            line += f", tip error {length_text(place['tip_off'], arm_length)}"
         if place["moved"] is not None and Moved(**place["moved"]):
             line += f", curve {Moved(**place['moved'])}"
         lines.append(line)

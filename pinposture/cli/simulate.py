@@ -29,6 +29,7 @@ from pinposture.cli.output import (
     write_files,
 )
 from pinposture.errors import InvalidValue
+from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -202,12 +203,12 @@ def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
             )
     mean, most = summary["mean_point_error"], summary["largest_point_error"]
     words["posture"] = (
-        f"{mean['rms']:.3g} m off for each point (rms), at most {most['value']:.3g} m "
-        f"({most['point']} at {most['time']:.4g} s, {most['value'] / length:.2g} of the arm length), "
-        f"{mean['end']:.3g} m at the end"
+        f"error of the points: rms {length_text(mean['rms'], length)}, largest "
+        f"{error_text(most['value'], length)} ({most['point']} at {most['time']:.4g} s), "
+        f"mean at the end {length_text(mean['end'], length)}"
     )
     if summary["target_error"] is not None:
-        words["target"] = f"{summary['target_error']['end']:.3g} m off for each point at the end"
+        words["target"] = f"mean error at the end {length_text(summary['target_error']['end'], length)}"
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
     torque = summary["largest_torque"]

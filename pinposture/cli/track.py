@@ -41,6 +41,7 @@ from pinposture.cli.output import (
 )
 from pinposture.cli.view import show
 from pinposture.errors import InvalidValue
+from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
     from pinposture.arm import ArmState
@@ -302,8 +303,8 @@ def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
     away = summary["distance_from_curve"]
     if away is None:
         return {}
-    share = away / summary["arm_length"]
-    return {"whole arm": f"its links at most {away:.2g} m from the curve, {share:.2g} of the arm length"}
+    error = error_text(away, summary["arm_length"])
+    return {"whole arm": f"largest distance of a link from the curve {error}"}
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
@@ -315,11 +316,11 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     words: dict[str, str | tuple[str, str]] = {
         "verdict": (verdict.replace("raise max_steps", "raise --steps"), colour),
         "steps": str(summary["steps"]) + (f", {summary['duration']:.4g} s" if "duration" in summary else ""),
-        "placed by": f"{summary['placed_by']} placement, control points at most {off:.2g} m off the curve, "
-        f"{off / length:.2g} of the arm length",
+        "placed by": f"{summary['placed_by']} placement; largest distance of a control point from the curve "
+        f"{error_text(off, length)}",
         **_whole_arm(summary),
-        "point errors": f"mean {summary['mean_start_error']:.4g} m at the start, {mean:.4g} m at the end, "
-        f"{mean / length:.2g} of the arm length; largest {summary['largest_error']:.4g} m",
+        "point errors": f"mean {length_text(summary['mean_start_error'], length)} at the start, "
+        f"{error_text(mean, length)} at the end; largest {length_text(summary['largest_error'], length)}",
         **shares_in_words(summary),
         "active points": f"{summary['first_active_points']} at the first step, "
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
@@ -327,8 +328,9 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     }
     curve = []
     if summary["curve_length"] is not None and summary["covered_to"] is not None:
-        covered = summary["covered_to"]
-        curve.append(f"{summary['curve_length']:.4g} m long, covered by the arm up to {covered:.4g} m")
+        whole = length_text(summary["curve_length"])
+        covered = length_text(summary["covered_to"])
+        curve.append(f"{whole} long, covered by the arm up to {covered}")
     if summary["moved"] is not None and Moved(**summary["moved"]):
         how = "; --placement as_is keeps it in place"
         curve.append(f"{Moved(**summary['moved'])} to the base of the arm{how}")
@@ -352,8 +354,9 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         counts = [f"{name} in {len(steps)}" for name, steps in summary["violated_steps"].items()]
         words["violated"] = f"{', '.join(counts)} steps; first in step {first_relaxed['step'] + 1}: {what}"
     if summary.get("tip") is not None:
-        distance, turn = summary["tip"]["distance"], summary["tip"]["turn"]
-        words["tip"] = f"{distance:.4g} m off" + ("" if turn is None else f", turned by {turn:.4g} rad")
+        turn = summary["tip"]["turn"]
+        turned = "" if turn is None else f", turned by {turn:.4g} rad"
+        words["tip"] = f"{length_text(summary['tip']['distance'], length)} off{turned}"
     if summary["incomplete"]:
         words["incomplete"] = str(summary["incomplete"])
     return words

@@ -26,6 +26,7 @@ from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import InvalidValue, enumerated, warn_caller
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -250,8 +251,8 @@ class Closest(NamedTuple):
 
 def describe_distance(pair: Sequence[str], distance: float) -> str:
     """Return the distance of a pair [m] in words."""
-    millimetres = 1e3 * abs(distance)
-    words = f"{millimetres:.3g} mm apart" if distance >= 0.0 else f"overlapping by {millimetres:.3g} mm"
+    size = length_text(abs(distance))
+    words = f"{size} apart" if distance >= 0.0 else f"overlapping by {size}"
     return f"{' to '.join(pair)}: {words}"
 
 

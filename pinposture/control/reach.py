@@ -24,6 +24,7 @@ from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.errors import InvalidValue, OutOfReach, ReachError
 from pinposture.placement import Target
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -98,6 +99,13 @@ class ReachedPosture:
     manipulability: float
     path_ratio: float | None
     score: float
+
+    def __repr__(self) -> str:
+        way = "" if self.path is None else f", path {self.path.hindrance or 'clear'}"
+        error = length_text(self.error)
+        return (
+            f"ReachedPosture(tip {error} off, clearance {self.clearance:.3g} m, score {self.score:.3g}{way})"
+        )
 
 
 def reach(

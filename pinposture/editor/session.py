@@ -15,6 +15,7 @@ from pinposture.editor.playback import Playback
 from pinposture.editor.solver import Live, Problem
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
 from pinposture.task import Keyframe, Task
+from pinposture.units import BELOW_ROUNDING, length_text
 
 MAX_HISTORY = 500  # states that are kept for undo
 
@@ -261,8 +262,10 @@ class Session:
             return
         note = ""
         if shape.off != 0.0:
-            count, off = len(shape.points), 1000.0 * shape.off
-            note = f"the curve was replaced by {count} control points (within {off:.2g} mm of it)"
+            within = length_text(shape.off, self.arm.length)
+            count = len(shape.points)
+            how = "exactly" if within == BELOW_ROUNDING else f"within {within} of it"
+            note = f"the curve was replaced by {count} control points ({how})"
         self.propose(reshaped(self.selected, change, shape), what, final, note)
 
     def propose(self, edit: Edit, what: str, final: bool = True, note: str = "") -> None:

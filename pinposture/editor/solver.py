@@ -33,6 +33,7 @@ from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.keyframe import resolve_keyframe
 from pinposture.task.reference import tip_off
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -112,7 +113,7 @@ def _explain(error: Exception) -> str:
     if isinstance(error, CurveLeavesTooSharply):
         return "bends too much at the base: the curve leaves in a direction that the first module cannot take"
     if isinstance(error, CurveEndsEarly | CurveBendsTooMuch):
-        where = f"at module {error.module}, {error.parameter:.3g} m along the curve"
+        where = f"at module {error.module}, {length_text(error.parameter)} along the curve"
         if isinstance(error, CurveEndsEarly):
             return f"too short: the curve ends before the arm does, {where}; draw it longer"
         return f"bends too much, {where}: {error.reason}"
@@ -125,7 +126,7 @@ def _uncovered_rest(arm: Arm, target: Target) -> list[str]:
     rest = target.curve.length - float(target.parameters[target.has_target].max(initial=0.0))
     if rest <= UNREPORTED_REST * float(arm.chain.module_lengths.max()):
         return []
-    return [f"the curve is longer than the arm by {rest:.3g} m (its grey part)"]
+    return [f"the curve is longer than the arm by {length_text(rest)} (its grey part)"]
 
 
 def _joints_at_limits(arm: Arm, target: Target) -> list[str]:
@@ -155,8 +156,8 @@ def _scene_contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
         return []
     body, other = closest.pair
     if closest.distance < 0.0:
-        return [f"in collision: {body} is {-closest.distance:.3g} m inside {other}"]
-    return [f"nearer than the margin: {body} is {closest.distance:.3g} m from {other}"]
+        return [f"in collision: {body} is {length_text(-closest.distance)} inside {other}"]
+    return [f"nearer than the margin: {body} is {length_text(closest.distance)} from {other}"]
 
 
 def _self_contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
@@ -166,7 +167,7 @@ def _self_contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
     if closest.pair is None or closest.distance >= -CONTACT_DEPTH * arm.length:
         return []
     body, other = closest.pair
-    return [f"in collision with itself: {body} is {-closest.distance:.3g} m inside {other}"]
+    return [f"in collision with itself: {body} is {length_text(-closest.distance)} inside {other}"]
 
 
 class VerdictCache:

@@ -18,6 +18,7 @@ from pinposture.control import Limits
 from pinposture.errors import InvalidValue
 from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory
 from pinposture.placement import Target
+from pinposture.units import error_text, length_text
 
 # The motions of many runs, concatenated.
 
@@ -240,12 +241,13 @@ class Batch:
     def in_words(self) -> dict[str, str]:
         """Return a readable summary as names and texts."""
         ends = ", ".join(f"{n} {status}" for status, n in Counter(self.status.tolist()).most_common())
+        median_error = float(np.median(self.mean_error))
         words = {
             "verdict": self.verdict,
             "runs": f"{len(self)}: {ends}",
             "steps": _spread(self.steps, ".0f"),
-            "mean error": f"{_spread(self.mean_error, '.2g')} m for each point, "
-            f"{self.mean_error.max() / self.arm.length:.2g} of the arm length",
+            "mean error": f"median {length_text(median_error, self.arm.length)}, "
+            f"largest {error_text(float(self.mean_error.max()), self.arm.length)}",
             "paths": f"{_spread(self.path_length_ratio, '.3g')} times as long as straight ones",
         }
         moved = [each.moved for each in self.targets if each.moved]
@@ -253,8 +255,8 @@ class Batch:
         if far is not None:
             words["curve"] = f"{far} to the base of the arm" + (" at most" if len(self.targets) > 1 else "")
         if self.scene is not None:
-            words["clearance"] = f"{self.clearance.min():.4g} m where it is smallest, in run " + (
-                f"{int(self.clearance.argmin())}; the margin is {self.scene.margin:.4g} m"
+            words["clearance"] = f"{length_text(self.clearance.min())} where it is smallest, in run " + (
+                f"{int(self.clearance.argmin())}; the margin is {length_text(self.scene.margin)}"
             )
         if not self.converged.all():
             worst = int(np.where(self.converged, -1.0, self.mean_error).argmax())

@@ -19,6 +19,7 @@ from pinposture.control.limits import JerkFilter, require_limits
 from pinposture.errors import InvalidValue, enumerated, warn_caller
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -290,19 +291,20 @@ class ControlLoop:
         if self.filter.moving:
             mean = max(mean, self.record.mean_error_at(self.ahead))
         if mean <= tolerance and not self._cannot_stop():
-            return "converged", _describe_arrival(mean, tolerance)
+            return "converged", _describe_arrival(self.arm, mean, tolerance)
         if self.record.steps >= max_steps:
-            above = f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
+            above = f"mean point error {length_text(mean)}, above the tolerance of {length_text(tolerance)}"
             return "max_steps", f"{above}; raise max_steps to continue"
         idle = self.record.travel_without_progress(PROGRESS_SHARE)
         if idle >= STALL_TRAVEL * (1.0 - STEP_ROUNDING):
-            text = f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel"
-            return "stalled", text
+            error = f"mean point error {length_text(mean)}"
+            return "stalled", f"{error}, no progress in the last {idle:.3g} rad of joint travel"
         return "", ""
 
 
-def _describe_arrival(mean: float, tolerance: float) -> str:
-    return f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
+def _describe_arrival(arm: Arm, mean: float, tolerance: float) -> str:
+    error = length_text(mean, arm.length)
+    return f"mean point error {error}, within the tolerance of {length_text(tolerance)}"
 
 
 def describe_binding_limits(arm: Arm, step: Step) -> str:
@@ -381,7 +383,7 @@ def track(
     status, reason = loop.run(target, tolerance, max_steps, callback)
     loop.brake_to_rest()
     if status == "converged":  # at rest it may be nearer
-        reason = _describe_arrival(loop.record.mean_error, tolerance)
+        reason = _describe_arrival(arm, loop.record.mean_error, tolerance)
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
         reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
     if status in ("stalled", "max_steps"):

@@ -23,6 +23,7 @@ from pinposture.errors import MotionError
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.target import Moved, distance_from_curve
+from pinposture.units import length_text
 
 # Velocities and accelerations relative to limits, computed from the configurations of a motion.
 
@@ -423,8 +424,8 @@ class Trajectory(FinishedMotion):
         return JointTrajectory.from_configurations(self.arm, self.q, step)
 
     def __repr__(self) -> str:
-        first, last = self.mean_error[[0, -1]]
-        return f"Trajectory({self.status}, {self.steps} steps, mean point error {first:.4g} -> {last:.4g} m)"
+        texts = [length_text(error, self.arm.length) for error in self.mean_error[[0, -1]]]
+        return f"Trajectory({self.status}, {self.steps} steps, mean point error {' -> '.join(texts)})"
 
 
 # Motions in time.

@@ -15,6 +15,7 @@ from pinposture._validation import finite_array, finite_vector, is_whole, make_r
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, warn_caller
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -86,8 +87,9 @@ class Target:
             f"{placed} points" if placed == len(self.weights) else f"{placed} of {len(self.weights)} points"
         )
         known = "no configuration" if self.q is None else "a configuration"
-        curve = "" if self.curve is None else f", {self.method or 'on'} a curve of {self.curve.length:.4g} m"
-        return f"Target({count}, {known}{curve})"
+        curve = "" if self.curve is None else f", on a curve of {length_text(self.curve.length)}"
+        method = f", {self.method} placement" if self.method else ""
+        return f"Target({count}, {known}{curve}{method})"
 
     @property
     def has_target(self) -> NDArray[np.bool_]:

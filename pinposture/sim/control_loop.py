@@ -17,6 +17,7 @@ from pinposture.placement import Target
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
 from pinposture.sim.simulation import END_TOLERANCE, Simulation, describe_saturation
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -302,7 +303,7 @@ class Recording:
 
 def _final_error(error: float, tolerance: float, time: float, saturated: Array) -> str:
     """Describe the error at the end, and whether servos were saturated."""
-    off = f"mean point error {error:.3g} m after {time:.6g} s"
+    off = f"mean point error {length_text(error)} after {time:.6g} s"
     if error <= tolerance:
-        return f"{off}, within the tolerance of {tolerance:.3g} m"
-    return f"{off}, above the tolerance of {tolerance:.3g} m{describe_saturation(saturated)}"
+        return f"{off}, within the tolerance of {length_text(tolerance)}"
+    return f"{off}, above the tolerance of {length_text(tolerance)}{describe_saturation(saturated)}"

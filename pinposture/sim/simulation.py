@@ -15,6 +15,7 @@ from pinposture.collision import Scene
 from pinposture.motion.files import Format, check_shapes, register
 from pinposture.motion.trajectory import FinishedMotion, closest, ending
 from pinposture.sim.model import Servos
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -118,11 +119,12 @@ class Simulation(FinishedMotion):
             return None
         time, point = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
         farthest = (
-            f"{self.arm.control_points[int(point)]} was {self.point_errors[time, point]:.3g} m off its path"
+            f"{self.arm.control_points[int(point)]} was {length_text(self.point_errors[time, point])} "
+            "off its path"
         )
         text = (
-            f"{farthest} at {self.time[time]:.4g} s (mean of all points up to {mean[row]:.3g} m, "
-            f"allowed {allowed:.3g} m){describe_saturation(self.saturated)}"
+            f"{farthest} at {self.time[time]:.4g} s (mean of all points up to {length_text(mean[row])}, "
+            f"allowed {length_text(allowed)}){describe_saturation(self.saturated)}"
         )
         return PathDeviation(row, float(mean[row]), text)
 

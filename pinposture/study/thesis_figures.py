@@ -7,7 +7,7 @@ print [mm]; None is for the screen.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import count
 from typing import Any
 
@@ -21,6 +21,7 @@ from matplotlib.ticker import NullFormatter
 
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
+from pinposture.units import ROUNDING
 from pinposture.viz import palette
 from pinposture.viz.panels import (
     mark_projection,
@@ -40,6 +41,9 @@ STACKED_BELOW = 120.0
 
 PRINT_TYPE = 7.0
 """Largest type in print [pt]."""
+
+HEAD_LENGTH = 46
+"""Longest line above a panel [characters]: a third of the width of a figure."""
 
 SHOWN_POSTURES = 14
 """Number of intermediate postures shown; the first ones are closer together than the last."""
@@ -83,22 +87,25 @@ def draw_errors(runs: Mapping[str, Trajectory], title: str, width: float | None 
     Raises:
         InvalidValue: no run.
     """
-    _first(runs)
+    first = _first(runs)
     figure, stacked = _figure(0.6 + 3.3 * len(runs), title, width, 3)
     grid = figure.add_gridspec(3 * len(runs), 1) if stacked else figure.add_gridspec(len(runs), 3)
     letters = count()
     columns: tuple[list[Axes], ...] = ([], [], [])
-    for row, (name, run) in enumerate(runs.items()):
+    colors = palette.distinct_colors(run.controller for run in runs.values())
+    for row, ((name, run), color) in enumerate(zip(runs.items(), colors, strict=True)):
         panels = [figure.add_subplot(grid[3 * row + column]) for column in range(3)]
         plot_point_errors(run, panels[0])
-        plot_posture_error(run, panels[1])
-        plot_point_count(run, panels[2])
+        plot_posture_error(run, panels[1], color)
+        plot_point_count(run, panels[2], color)
         heads = ("control point errors", "posture error", "control points used")
         for panel, head, column in zip(panels, heads, columns, strict=True):
             _head(panel, f"{name}: {head}", next(letters))
             column.append(panel)
     for column in columns[:2]:
-        _share_values(column)
+        _share_values(column, ROUNDING * first.arm.length)
+    for column in columns:
+        _share_steps(column)
     return _finished(figure, width)
 
 
@@ -140,15 +147,19 @@ def draw_planar(
     lines += [f"{name} alone: posture error {_change(run)}" for name, run in (compared or {}).items()]
     words.text(0.02, 0.0, "\n".join(lines), fontsize=9, color=palette.INK, va="bottom", linespacing=1.5)
     finals = []
+    shared: list[Axes] = []
     colors = dict(zip(runs, palette.distinct_colors(run.controller for run in runs.values()), strict=True))
     for row, (name, run) in enumerate(runs.items(), start=1):
         beside = rows[row].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.05))
         cells = rows[row].subgridspec(3, 1, height_ratios=(1.0, 2.2, 1.0)) if stacked else beside
         ax = figure.add_subplot(cells[0])
-        plot_used_points(run, ax)
+        plot_used_points(run, ax, colors[name])
         _head(ax, f"{name}: control points used", next(letters))
-        error = _draw_progress(figure, cells[1], run, name, next(letters), compared or {})
+        panels = _draw_progress(figure, cells[1], run, name, next(letters), compared or {}, colors[name])
+        shared += [ax, *panels]
+        error = panels[0]
         finals.append((figure.add_subplot(cells[2]), name, run))
+    _share_steps(shared)
     if compared:
         errors = error.get_legend_handles_labels()
         handles, labels = handles + errors[0], labels + [f"{label}: posture error" for label in errors[1]]
@@ -163,23 +174,32 @@ def draw_planar(
     return _finished(figure, width)
 
 
-def _share_values(panels: list[Axes]) -> None:
-    """Give panels a common vertical scale, logarithmic if any of theirs is."""
+def _share_values(panels: list[Axes], floor: float) -> None:
+    """Give panels a common vertical scale, logarithmic if any of theirs is; smaller values do not count."""
     drawn = [np.asarray(line.get_ydata(), dtype=float) for panel in panels for line in panel.get_lines()]
-    positive = np.concatenate([values[values > 0.0] for values in drawn])
+    positive = np.concatenate([values[values > floor] for values in drawn])
     if not len(positive):
         return
-    least = max(float(positive.min()), float(positive.max()) * 10.0**-palette.MAX_DECADES)
+    top = float(positive.max())
+    least = max(float(positive.min()), top * 10.0**-palette.MAX_DECADES)
     logarithmic = any(panel.get_yscale() == "log" for panel in panels)
     limits = [panel.get_ylim() for panel in panels if not logarithmic or panel.get_yscale() == "log"]
-    low, high = min(each[0] for each in limits), max(each[1] for each in limits)
+    low = min(each[0] for each in limits)
+    high = max(each[1] for each in limits)
     for panel in panels:
         if logarithmic:
             panel.set_yscale("log", nonpositive="clip")
             panel.yaxis.set_minor_formatter(NullFormatter())
-            panel.set_ylim(min(low, least / 1.8), max(high, float(positive.max()) * 1.8))
+            panel.set_ylim(min(low, least / 1.8), max(high, top * (top / least) ** palette.HEADROOM))
         else:
             panel.set_ylim(low, high)
+
+
+def _share_steps(panels: Sequence[Axes]) -> None:
+    """Give panels a common horizontal scale, that of the longest run."""
+    longest = max(panel.get_xlim()[1] for panel in panels)
+    for panel in panels:
+        panel.set_xlim(right=longest)
 
 
 def _draw_progress(
@@ -189,27 +209,28 @@ def _draw_progress(
     name: str,
     letter: int,
     compared: Mapping[str, Trajectory],
-) -> Axes:
-    """Draw posture error above number of points and index; return the axes of the posture error."""
+    color: str,
+) -> tuple[Axes, Axes]:
+    """Draw posture error above number of points and index; return the axes of both."""
     cells = place.subgridspec(2, 1, height_ratios=(1.35, 1.0))
-    error, points = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
+    error = figure.add_subplot(cells[0])
+    points = figure.add_subplot(cells[1])
     for label, other in compared.items():
         plot_posture_error(other, error, label=f"{label} alone")
-    plot_posture_error(run, error, label=name if compared else None)
-    plot_points_and_index(run, points)
+    plot_posture_error(run, error, color, label=name if compared else None)
+    plot_points_and_index(run, points, color)
     low, high = error.get_ylim()
     logarithmic = error.get_yscale() == "log"  # room for text above and below
     error.set_ylim(low * (0.1 if logarithmic else 1.0), high * (4.0 if logarithmic else 1.1))
-    error.set_xlim(0.0, max(each.steps for each in (run, *compared.values())) + 1.0)
-    points.set_xlim(0.0, run.steps + 1.0)
+    _share_steps([error, points])
     if not compared:  # otherwise the other runs may be much longer
         error.set_xlabel("")
         error.tick_params(labelbottom=False)
     if (run.method == "projection").any():
         mark_projection(run, points)
-        points.set_xlabel("step (red: steps by Projection)", fontsize=9)
+        points.set_xlabel(f"{points.get_xlabel()} (red: steps by Projection)", fontsize=9)
     _head(error, f"{name}: posture error, points, index", letter)
-    return error
+    return error, points
 
 
 def _draw_way(run: Trajectory, ax: Axes, color: str) -> None:
@@ -253,7 +274,8 @@ def _change(run: Trajectory) -> str:
 
 
 def _head(ax: Axes, text: str, letter: int) -> None:
-    ax.set_title(f"({chr(ord('a') + letter)}) {text}", fontsize=9, loc="left", color=palette.INK)
+    words = textwrap.fill(f"({chr(ord('a') + letter)}) {text}", HEAD_LENGTH)
+    ax.set_title(words, fontsize=9, loc="left", color=palette.INK)
 
 
 def _first(runs: Mapping[str, Trajectory]) -> Trajectory:

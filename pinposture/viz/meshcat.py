@@ -38,6 +38,7 @@ from pinposture.errors import InvalidValue, ViewerError
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
+from pinposture.units import length_text
 from pinposture.viz import drawing, palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge, tube
 from pinposture.viz.drawing import ROOT, Timeline, Track, playback, require_fitting
@@ -464,14 +465,17 @@ def captions(shown: Timeline) -> list[str]:
     listed, run = [], shown.run
     for row in shown.rows:
         text = _step_text(shown, row) if shown.motion is None else _motion_text(shown.motion, row)
-        listed.append(text + (f", clearance {run.clearance[row]:.3g} m" if has_clearance(run) else ""))
+        listed.append(text + (f", clearance {length_text(run.clearance[row])}" if has_clearance(run) else ""))
     return listed
 
 
 def _step_text(shown: Timeline, row: int) -> str:
     """Describe a configuration of a run."""
     run = shown.run
-    text = f"step {row} of {run.steps}, {_errors(run.mean_error[row], run.point_errors[row])}"
+    when = f"step {row} of {run.steps}"
+    if run.limits.dt is not None:
+        when = f"{run.limits.dt * row:.2f} of {run.limits.dt * run.steps:.2f} s"
+    text = f"{when}, {_errors_text(run, row)}"
     if run.steps:
         count = int(run.active[min(row, run.steps - 1)].sum())
         text += f", {count} of {run.arm.n_modules} control points active"
@@ -490,11 +494,14 @@ def _motion_text(motion: Motion, row: int) -> str:
         text += ", moving to the first posture"
     elif count:
         text += f", reached {motion.waypoints[count - 1].name} ({count} of {len(motion.waypoints)})"
-    return f"{text}, {_errors(motion.mean_error[row], motion.run.point_errors[row])}"
+    return f"{text}, {_errors_text(motion.run, row)}"
 
 
-def _errors(mean: float, errors: Array) -> str:
-    return f"mean point error {mean:.3g} m (largest {errors.max():.3g} m)"
+def _errors_text(run: Trajectory, row: int) -> str:
+    """Describe the errors of the control points in a configuration of a run."""
+    mean = length_text(run.mean_error[row], run.arm.length)
+    largest = length_text(run.point_errors[row].max(), run.arm.length)
+    return f"mean point error {mean} (largest {largest})"
 
 
 def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) -> str:

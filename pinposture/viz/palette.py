@@ -25,9 +25,10 @@ from pinposture.arm import Arm
 from pinposture.control import registry
 from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import ENDINGS
+from pinposture.units import BELOW_ROUNDING
 
 START = "#0072B2"  # initial posture
-FINAL = "#D55E00"  # final posture of a controller without a colour of its own
+FINAL = "#6A51A3"  # final posture of a controller without a colour of its own
 TARGET = "#000000"  # target curve and target points
 REST = "#9A9A9A"  # the target curve beyond the reach of the arm, and other secondary items
 CONTROLLER_COLORS = {  # by controller name
@@ -108,6 +109,7 @@ def rgb(color: str) -> tuple[float, float, float]:
 
 
 LOG_DECADES = 1.5  # decades spanned by the values from which the axis is logarithmic
+HEADROOM = 0.1  # share of a logarithmic axis above the largest value, where its text stands
 MAX_DECADES = 12.0  # maximum number of decades on such an axis; smaller values are rounding errors
 
 
@@ -141,14 +143,18 @@ def add_grid(ax: Axes) -> None:
     ax.set_axisbelow(True)
 
 
-def scale_values(ax: Axes) -> None:
+def scale_values(ax: Axes, floor: float = 0.0) -> None:
     """Fit the vertical axis to the lines drawn; it is logarithmic for values of several orders of magnitude.
 
-    On a logarithmic axis, a line leaves the picture at the bottom where its value is exactly 0.
+    On a logarithmic axis, a line leaves the picture at the bottom where its value is 0.
+
+    Args:
+        ax: the axes.
+        floor: smaller values are rounding errors, and count as 0.
     """
     drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()]
     values = np.concatenate([*drawn, np.zeros(0)])
-    positive = values[values > 0.0]
+    positive = values[values > floor]
     top = float(positive.max()) if len(positive) else 1.0
     if not len(positive) or np.log10(top / positive.min()) < LOG_DECADES:
         ax.set_yscale("linear")
@@ -156,7 +162,8 @@ def scale_values(ax: Axes) -> None:
         return
     ax.set_yscale("log", nonpositive="clip")
     ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.set_ylim(max(float(positive.min()), top * 10.0**-MAX_DECADES) / 1.8, top * 1.8)
+    least = max(float(positive.min()), top * 10.0**-MAX_DECADES)
+    ax.set_ylim(least / 1.8, top * max(1.8, (top / least) ** HEADROOM))
 
 
 def scale_counts(ax: Axes, largest: int) -> None:
@@ -165,7 +172,7 @@ def scale_counts(ax: Axes, largest: int) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
-def mark_value(ax: Axes, x: float, value: float, color: str, where: str) -> None:
+def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: float = 0.0) -> None:
     """Annotate the value [m] at the "start" or "end" of a line, or its "least" value.
 
     The last value is in the right margin (above the axis if below its range), the least above its point.
@@ -180,7 +187,7 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str) -> None
     right, up, ha, va = styles[where]
     taken = [text.get_window_extent().padded(2.0) for text in ax.texts]
     written = ax.annotate(
-        f"{value:.3g} m",
+        BELOW_ROUNDING if abs(value) < floor else f"{value:.3g} m",
         place,
         xycoords=scale,
         xytext=(right, up),
@@ -319,7 +326,9 @@ def limits_text(run: Trajectory) -> str:
 
 
 def ending_text(run: Trajectory) -> str:
-    """Return how and after how many steps a run ended, as a phrase that follows the controller name."""
+    """Return how and when a run ended, in seconds or steps, as a phrase that follows the controller name."""
+    if run.limits.dt is not None:
+        return f"{ENDINGS[run.status]} after {run.limits.dt * run.steps:.4g} s"
     return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
 
 

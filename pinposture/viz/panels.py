@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Motion, Trajectory
-from pinposture.motion.trajectory import limit_shares
+from pinposture.motion.trajectory import closest, limit_shares
+from pinposture.units import BELOW_ROUNDING, ROUNDING
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
 from pinposture.viz.postures import (
@@ -28,6 +29,22 @@ from pinposture.viz.postures import (
 )
 
 Array = NDArray[np.float64]
+
+
+def places_of(run: Trajectory) -> Array:
+    """Return where the configurations of a run are on a horizontal axis, (steps + 1,).
+
+    These are times [s] if the run has a cycle time, else numbers of steps.
+    """
+    return np.arange(run.steps + 1, dtype=np.float64) * (run.limits.dt or 1.0)
+
+
+def format_run_axes(ax: Axes, run: Trajectory, label: str) -> None:
+    """Format axes over the time of a run, or over its steps if it has no cycle time; see `places_of`."""
+    if run.limits.dt is None:
+        palette.format_step_axes(ax, label)
+    else:
+        palette.format_time_axes(ax, label)
 
 
 def marker(count: int) -> str:
@@ -51,7 +68,7 @@ def chooses_points(run: Trajectory) -> bool:
 
 
 def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
-    """Plot the posture error [m] over steps, annotated with its first and last values.
+    """Plot the posture error [m] over time or steps, annotated with its first and last values.
 
     Args:
         run: the run.
@@ -63,7 +80,7 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
 
 
 def plot_mean_error(run: Trajectory, ax: Axes) -> None:
-    """Plot the mean error of the control points [m] over steps, annotated as by `plot_posture_error`."""
+    """Plot the mean error of the control points [m], annotated as by `plot_posture_error`."""
     _plot_errors([(run, None, None)], ax, "mean point error [m]", lambda run: run.mean_error)
 
 
@@ -77,18 +94,25 @@ def _plot_errors(
     colors = [palette.controller_color(run.controller) if color is None else color for run, _, color in runs]
     for (run, label, _), color in zip(runs, colors, strict=True):
         style: dict[str, Any] = {"lw": 1.8, "marker": marker(run.steps + 1), "clip_on": bool(run.steps)}
-        ax.plot(np.arange(run.steps + 1), errors(run), color=color, label=label, **style)
-    palette.format_step_axes(ax, name)
-    palette.scale_values(ax)
+        ax.plot(places_of(run), errors(run), color=color, label=label, **style)
+    format_run_axes(ax, runs[0][0], name)
+    palette.scale_values(ax, ROUNDING * runs[0][0].arm.length)
     for (run, label, _), color in zip(runs, colors, strict=True):
         if label is None:
-            palette.mark_value(ax, 0, float(errors(run)[0]), color, "start")
+            _mark_error(ax, run, errors(run), 0, color)
         if run.steps:
-            palette.mark_value(ax, run.steps, float(errors(run)[-1]), color, "end")
+            _mark_error(ax, run, errors(run), run.steps, color)
+
+
+def _mark_error(ax: Axes, run: Trajectory, errors: Array, row: int, color: str) -> None:
+    """Annotate the first or the last error [m] of a run."""
+    place = float(places_of(run)[row])
+    floor = ROUNDING * run.arm.length
+    palette.mark_value(ax, place, float(errors[row]), color, "end" if row else "start", floor)
 
 
 def plot_point_errors(run: Trajectory, ax: Axes) -> None:
-    """Plot the error [m] of every control point with a target over steps.
+    """Plot the error [m] of every control point with a target over time or steps.
 
     Lines are coloured by the position of the control point along the arm, with a colour bar.
 
@@ -100,9 +124,9 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
     colors, norm = palette.colors_along(m)
     style: dict[str, Any] = {"lw": 1.0, "marker": marker(run.steps + 1), "ms": 3}
     for k in targeted:
-        ax.plot(np.arange(run.steps + 1), run.point_errors[:, k], color=colors(norm(k + 1)), **style)
-    palette.format_step_axes(ax, "point errors [m]")
-    palette.scale_values(ax)
+        ax.plot(places_of(run), run.point_errors[:, k], color=colors(norm(k + 1)), **style)
+    format_run_axes(ax, run, "point errors [m]")
+    palette.scale_values(ax, ROUNDING * run.arm.length)
     palette.add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
     if len(targeted) < m:
         _note(ax, f"{m - len(targeted)} of {m} control points have no target")
@@ -125,10 +149,11 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
         _plot_on_second_axis(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
 
 
-def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
+def plot_points_and_index(run: Trajectory, ax: Axes, color: str | None = None) -> None:
     """Plot the number of active control points in each step and, if recorded, the manipulability index."""
-    plot_point_count(run, ax)
-    ax.yaxis.label.set_color(palette.controller_color(run.controller))
+    color = palette.controller_color(run.controller) if color is None else color
+    plot_point_count(run, ax, color)
+    ax.yaxis.label.set_color(color)
     if has_singular_values(run) or not run.steps:
         _plot_on_second_axis(run, ax, run.index, "manipulability index")
 
@@ -138,8 +163,8 @@ def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None, place:
     color = palette.controller_color(run.controller) if color is None else color
     style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker(run.steps)}
     style["transform"] = ax.transData + ScaledTranslation(0.0, 1.6 / 72.0 * place, ax.figure.dpi_scale_trans)
-    ax.plot(np.arange(1, run.steps + 1), run.active.sum(axis=1), color=color, **style)
-    palette.format_step_axes(ax, "active control points")
+    ax.plot(places_of(run)[1:], run.active.sum(axis=1), color=color, **style)
+    format_run_axes(ax, run, "active control points")
     palette.scale_counts(ax, run.arm.n_modules)
 
 
@@ -147,29 +172,31 @@ def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -
     """Plot a value per step as a dashed line with its own axis on the right."""
     other = ax.twinx()
     style: dict[str, Any] = {"lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker(run.steps), "ms": 3}
-    other.plot(np.arange(1, run.steps + 1), values, color=palette.INK, **style)
+    other.plot(places_of(run)[1:], values, color=palette.INK, **style)
     palette.scale_values(other)
     other.set_ylabel(label, fontsize=9, color=palette.INK)
     other.tick_params(labelsize=8)
     other.spines[["top", "left", "bottom"]].set_visible(False)
 
 
-def plot_used_points(run: Trajectory, ax: Axes) -> None:
+def plot_used_points(run: Trajectory, ax: Axes, color: str | None = None) -> None:
     """Draw a dot for each active control point in each step."""
+    color = palette.controller_color(run.controller) if color is None else color
     steps, points = np.nonzero(run.active)
     style: dict[str, Any] = {"ls": "none", "marker": "o", "mew": 0.0}
     style["ms"] = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
-    ax.plot(steps + 1, points + 1, color=palette.controller_color(run.controller), **style)
-    palette.format_step_axes(ax, "control point, from base to tip")
-    ax.set_xlim(0.0, run.steps + 1.0)
+    places = places_of(run)
+    ax.plot(places[steps + 1], points + 1, color=color, **style)
+    format_run_axes(ax, run, "control point, from base to tip")
+    ax.set_xlim(0.0, places[-1] + places[min(1, run.steps)])
     ax.set_ylim(0.0, run.arm.n_modules + 1.0)
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
 def mark_projection(run: Trajectory, ax: Axes) -> None:
     """Mark the steps that a switching controller left to Projection, by red dots on the axis."""
-    steps = np.flatnonzero(run.method == "projection") + 1
-    _mark_on_axis(ax, steps, "projection", marker="o", ms=3.2, mew=0.0)
+    places = places_of(run)[1:][run.method == "projection"]
+    _mark_on_axis(ax, places, "projection", marker="o", ms=3.2, mew=0.0)
 
 
 def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **style: Any) -> None:
@@ -190,20 +217,23 @@ def plot_clearance(
     ax: Axes,
     color: str | None = None,
     label: str | None = None,
-    time: Array | None = None,
 ) -> None:
-    """Plot the smallest distance [m] to an obstacle, or between parts of the arm, over steps or time.
+    """Plot the smallest distance [m] to an obstacle, or between parts of the arm, over time or steps.
 
-    Its minimum is annotated; a dashed line shows the margin of the scene.
+    Its minimum is annotated, and the legend names the pair that comes closest; a dashed line shows the margin
+    of the scene.
 
     Args:
         run: a run in a scene.
         ax: axes to draw into. Existing lines remain and count for the scale.
         color: colour of the line; None: that of the controller.
-        label: label of the line in a legend.
-        time: time of each configuration, (steps + 1,) [s]; None: plot over steps.
+        label: label of the line in a legend; None: the pair that comes closest to each other.
     """
-    places = np.arange(run.steps + 1) if time is None else time
+    places = places_of(run)
+    if label is None:
+        least_clearance = closest(run)
+        pair = None if least_clearance is None else least_clearance["pair"]
+        label = None if pair is None else f"closest: {' to '.join(pair)}"
     color = palette.controller_color(run.controller) if color is None else color
     values = np.where(np.isfinite(run.clearance), run.clearance, np.nan)
     ax.plot(places, values, color=color, lw=1.6, label=label, marker=marker(run.steps + 1))
@@ -212,7 +242,7 @@ def plot_clearance(
         if margin not in [line.get_label() for line in ax.get_lines()]:
             ends = [0.0, places[-1] or 1.0]
             ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=DASHES, label=margin)
-    (palette.format_step_axes if time is None else palette.format_time_axes)(ax, "clearance [m]")
+    format_run_axes(ax, run, "clearance [m]")
     palette.scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
     low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
@@ -225,9 +255,9 @@ def plot_clearance(
     add_legend(ax)
 
 
-def mark_rising_steps(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
+def mark_rising_steps(run: Trajectory, ax: Axes) -> None:
     """Shade the steps of a run in which the controller allows the posture error to rise."""
-    places = np.arange(run.steps + 1) if time is None else time
+    places = places_of(run)
     steps = np.flatnonzero(run.error_increasing)
     if len(steps):
         blocks = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
@@ -238,9 +268,9 @@ def mark_rising_steps(run: Trajectory, ax: Axes, time: Array | None = None) -> N
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **style)
 
 
-def mark_violations(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
+def mark_violations(run: Trajectory, ax: Axes) -> None:
     """Mark steps that violate constraints on the axis; the legend quotes the first violation."""
-    places = np.arange(run.steps + 1) if time is None else time
+    places = places_of(run)
     steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
     if len(steps):
         first = str(run.violated_constraints[steps[0]])
@@ -264,17 +294,17 @@ def add_legend(ax: Axes) -> None:
 LEGEND_LENGTH = 48  # length of all labels from which a legend has one column [characters]
 LETTER_WIDTH = 4.6  # mean letter width of the names above the axes [pt]
 MIN_NAME_DISTANCE = 18.0  # [pt]
-NO_ERROR = 1e-9  # posture error shown as 0, in arm lengths
 DASHES = (0, (4, 2))
 
 
 def plot_error(motion: Motion, ax: Axes) -> None:
     """Plot the mean and largest error of the control points of a motion over time, with violated constraints.
 
-    Errors below `NO_ERROR` are not shown.
+    Errors below rounding are not shown.
     """
-    run, color = motion.run, palette.controller_color(motion.run.controller)
-    floor = NO_ERROR * motion.arm.length
+    run = motion.run
+    color = palette.controller_color(run.controller)
+    floor = ROUNDING * motion.arm.length
     largest = run.point_errors.max(axis=1)
     style: dict[str, Any] = {"color": color, "marker": marker(run.steps + 1)}
     values, most = (np.where(each > floor, each, 0.0) for each in (motion.mean_error, largest))
@@ -286,17 +316,17 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     if not most.any():
         ax.set_yticks([0.0])
         where: dict[str, Any] = {"transform": ax.transAxes, "ha": "center", "va": "center"}
-        text = f"below {floor:.2g} m throughout"
+        text = f"{BELOW_ROUNDING} throughout"
         ax.text(0.5, 0.5, text, fontsize=9, color=color, backgroundcolor="white", **where)
     else:
         low, high = ax.get_ylim()  # leave room below the names for the first value
         ax.set_ylim(low, high * (high / low) ** 0.12 if low > 0.0 else 1.1 * high)
         if values[0]:
-            palette.mark_value(ax, 0, float(values[0]), color, "start")
+            _mark_error(ax, run, values, 0, color)
         if values[-1] and run.steps:
-            palette.mark_value(ax, float(motion.time[-1]), float(values[-1]), color, "end")
-    mark_rising_steps(run, ax, motion.time)
-    mark_violations(run, ax, motion.time)
+            _mark_error(ax, run, values, run.steps, color)
+    mark_rising_steps(run, ax)
+    mark_violations(run, ax)
     if motion.start_index:
         style = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
         ax.axvspan(0.0, motion.time[motion.start_index], label="moving to the first posture", **style)
@@ -385,7 +415,7 @@ def plot_motion(motion: Motion) -> Figure:
     if palette.is_slowed(motion):
         draws.append(plot_plan_time)
     if has_clearance(run):
-        draws.append(lambda motion, ax: plot_clearance(motion.run, ax, time=motion.time))
+        draws.append(lambda motion, ax: plot_clearance(motion.run, ax))
     figure, postures, rows = palette.new_figure(motion.arm, len(draws))
     plot_places(motion, postures)
     for draw, panel in zip(draws, rows, strict=True):
@@ -507,7 +537,7 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
     palette.share_axis(rows)
     if run.switches:
         mark_projection(run, rows[-1])
-        rows[-1].set_xlabel("step (red: steps by Projection)")
+        rows[-1].set_xlabel(f"{rows[-1].get_xlabel()} (red: steps by Projection)")
     palette.add_title(figure, [f"{palette.controller_name(run)} {palette.ending_text(run)}: {run.reason}"])
     palette.add_footnote(
         figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(run)
@@ -536,6 +566,8 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
         same = run.target.points.shape == first.target.points.shape
         if not (same and np.allclose(run.target.points, first.target.points, rtol=0.0, atol=1e-9)):
             raise InvalidValue("runs", label, f"runs towards the same target as {first_label!r}")
+        if (run.limits.dt is None) != (first.limits.dt is None):
+            raise InvalidValue("runs", label, f"runs with a cycle time, or without one as {first_label!r}")
     colors = palette.distinct_colors(run.controller for run in runs.values())
     drawn = [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)]
     near = any(has_clearance(run) for run in runs.values())

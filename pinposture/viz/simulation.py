@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pinposture.sim import Simulation
+from pinposture.units import ROUNDING
 from pinposture.viz import palette
 from pinposture.viz.panels import add_legend, marker
 
@@ -58,9 +59,10 @@ def _plot_point_errors(simulation: Simulation, ax: Axes) -> None:
             simulation.time, values, color=color, lw=1.8, label=label, marker=marker(len(simulation.time))
         )
     palette.format_time_axes(ax, "mean point error [m]")
-    palette.scale_values(ax)
+    floor = ROUNDING * simulation.arm.length
+    palette.scale_values(ax, floor)
     for values, color in lines.values():
-        palette.mark_value(ax, simulation.time[-1], float(values[-1]), color, "end")
+        palette.mark_value(ax, simulation.time[-1], float(values[-1]), color, "end", floor)
     add_legend(ax)
 
 

@@ -230,7 +230,7 @@ WARNED = {
         {},
         3,
         1,
-        ["no group of its joints does that, so the arm is one module"],
+        ["no group of its joints allows that, so the arm is one module"],
     ),
 }
 

@@ -212,7 +212,9 @@ def test_limits_that_leave_out_zero_do_not_mislead():
 
 def test_the_reason_names_the_pattern_and_the_exception():
     reason = load([*pairs(4), (TURN, Y, LINK)]).segmentation.reason
-    assert "from 'j1' to 'j9' every joint is like the next; a module of 2 joints does that" in reason
+    assert (
+        "the joints from 'j1' to 'j9' repeat joint by joint; a module of 2 joints meets this need" in reason
+    )
     assert "module 4 has 3 joints" in reason
     assert load(pairs(4)).segmentation.period == 1
     odd = [(TURN, Y, LINK), (TURN, X, SHORT), (TURN, Z, LONG), (TURN, Y, OFFSET), (TURN, Z, LINK)]

@@ -25,11 +25,11 @@ CASES = [
     Case("unknown verb", "tracc", ("'tracc'", "pinposture --help")),
     Case("unknown option", "inspect ARM --depth 3", ("--depth", "pinposture inspect --help")),
     Case("missing option", "track ARM", ("'--curve'", "pinposture track --help")),
-    Case("missing argument", "generate --modules 3", ("TEMPLATE is None", "pinposture generate --list")),
+    Case("missing argument", "generate --modules 3", ("TEMPLATE is not given", "pinposture generate --list")),
     Case("not a number", "track ARM --curve helix --steps many", ("--steps", "integer")),
     # generate
     Case("unknown template", "generate RyRx --modules 3", ("'RyRx'", "did you mean 'RyRz'", "RzRzRz")),
-    Case("modules not given", "generate RyRz", ("--modules is None", "1 to 10000")),
+    Case("modules not given", "generate RyRz", ("--modules is not given", "1 to 10000")),
     Case("no modules", "generate RyRz --modules 0", ("--modules is 0", "1 to 10000")),
     Case("too many modules", "generate RyRz --modules 10001", ("--modules is 10001", "1 to 10000")),
     Case(
@@ -54,7 +54,7 @@ CASES = [
     Case("nothing on stdin", "inspect -", ("stdin", "no URDF", "XML")),
     Case("unknown tip", "inspect ARM --tip tipp", ("'tipp'", "did you mean 'tip'", "base, m01_l1")),
     Case("unknown base", "track ARM --base x --tip tip --curve helix", ("'x'", "base, m01_l1")),
-    Case("base alone", "inspect ARM --base base", ("tip is None", "tip=")),
+    Case("base alone", "inspect ARM --base base", ("tip is not given", "tip=")),
     Case("indivisible", "inspect ARM --modules 5", ("modules", "5", "1, 2, 3, 4, 6, 12")),
     Case("sizes that do not add up", "inspect ARM --modules 5,5", ("[5, 5]", "add up to 12")),
     Case("no sizes", "inspect ARM --modules 2,,2", ("--modules is '2,,2'", "whole numbers or names")),

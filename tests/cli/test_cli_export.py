@@ -130,7 +130,7 @@ def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("-o", "motion.json"), "dt is None; allowed: the duration of a step"),
+        (("-o", "motion.json"), "dt is not given; allowed: the duration of a step"),
         (("-o", "motion.json", "--dt", "0"), "dt is 0.0"),
         (("-o", "motion.json", "--dt", "nan"), "dt is nan"),
         (("-o", "motion.json", "--dt", "x"), "--dt"),

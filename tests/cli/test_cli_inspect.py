@@ -288,7 +288,7 @@ def test_how_the_whole_arm_follows_a_curve_is_told(command, arm_file, tmp_path):
     assert about["distance_from_curve"] == pytest.approx(target.distance_from_curve(arm), rel=1e-9)
     assert about["largest_residual"] == pytest.approx(target.residual.max(), abs=1e-12)
     out = command("inspect", arm_file, "--curve", tmp_path / "bend.json").out
-    assert f"its links at most {about['distance_from_curve']:.2g} m from the curve" in out
+    assert f"largest distance of a link from the curve {1e3 * about['distance_from_curve']:.3g} mm" in out
     assert json.loads(command("inspect", arm_file, "--json").out)["curve"] is None
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.collision import CollisionModel, HalfSpace, Scene, Sphere
+from pinposture.units import length_text
 
 BALL = Sphere((0.2, 0.1, 0.0), 0.04)
 FLOOR = HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0))
@@ -119,8 +120,9 @@ def test_the_table_says_what_the_json_says(command, arm_file, scene_file, passed
     summary, _ = passed
     words = {line.split("  ", 1)[0]: line for line in command(*asked).out.splitlines()}
     told = summary["clearance"]
-    assert f"{told['smallest']:.4g} m where it is smallest, {' to '.join(told['pair'])}" in words["clearance"]
-    assert f"{told['final']:.4g} m at the end" in words["clearance"]
+    smallest, final = (length_text(told[name]) for name in ("smallest", "final"))
+    assert f"{smallest} where it is smallest, {' to '.join(told['pair'])}" in words["clearance"]
+    assert f"{final} at the end" in words["clearance"]
     share = f"{100 * summary['escape_share']:.3g} % of the steps"
     assert share in words["rising"] if summary["escape_share"] else "rising" not in words
     assert f"{summary['path_length_ratio']:.3g} times" in words["paths"]

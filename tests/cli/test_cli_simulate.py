@@ -91,11 +91,11 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
         (["RUN", "--hold", "1e300"], "'--hold'"),
         (["RUN", "--urdf", "ARM"], "--urdf is"),
         (["RUN", "--dt", "0.03"], "dt is 0.03"),
-        (["UNTIMED"], "dt is None"),
+        (["UNTIMED"], "dt is not given"),
         (["RUN", "--frequency", "0"], "frequency is 0"),
         (["RUN", "--hold", "-1"], "hold is -1"),
         (["RUN", "--closed", "--hold", "-1"], "hold is -1"),
-        (["CSV"], "--urdf is None"),
+        (["CSV"], "--urdf is not given"),
         (["RUN", "-o", "CSV"], "is a file"),
     ],
 )

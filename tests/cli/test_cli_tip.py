@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
+from pinposture.units import length_text
 
 START = ",".join(["0.2,-0.1"] * 6)
 
@@ -83,7 +84,7 @@ def test_the_weight_and_the_priority_decide_between_tip_and_shape(track):
 def test_the_table_tells_how_far_off_the_tip_is(command, arm_file):
     asked = ("track", arm_file, "--curve", "line", "--steps", 3, "--tip-pose", "0.2,0,0.1,0,0,0")
     tip = json.loads(command(*asked, "--json").out)["tip"]
-    line = f"{tip['distance']:.4g} m off, turned by {tip['turn']:.4g} rad"
+    line = f"{length_text(tip['distance'])} off, turned by {tip['turn']:.4g} rad"
     assert line in command(*asked).out
 
 

@@ -11,6 +11,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.cli.inputs import read_curve
 from pinposture.curve import CURVES
+from pinposture.units import error_text, length_text
 
 
 def track(command, arm_file, *options):
@@ -67,10 +68,11 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
     assert summary["verdict"] == f"did not reach the target (max_steps): {summary['reason']}"
     assert facts["steps"] == "4"
     first, last = (summary[key] / 6 for key in ("start_error", "final_error"))
-    assert f"mean {first:.4g} m at the start, {last:.4g} m at the end, " in facts["point errors"]
+    said = f"mean {length_text(first)} at the start, {length_text(last)}, "
+    assert facts["point errors"].startswith(said)
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
     largest = np.linalg.norm(run.points[-1] - run.target.points, axis=1).max()
-    assert facts["point errors"].endswith(f"; largest {largest:.4g} m")
+    assert facts["point errors"].endswith(f"; largest {length_text(largest)}")
     assert summary["largest_error"] == pytest.approx(largest)
     assert not {"speed", "acceleration", "jerk"} & set(facts)  # without a duration of steps
     first, last = summary["first_active_points"], summary["last_active_points"]
@@ -130,7 +132,8 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
     distances = target.curve.nearest(target.points)[1]
     assert summary["largest_residual"] == pytest.approx(distances.max(), rel=1e-3, abs=1e-7)
     out = command("track", arm_file, "--curve", "helix", "--method", method, "--steps", 1).out
-    assert f"{target.method} placement, control points at most {summary['largest_residual']:.2g} m" in out
+    off = error_text(summary["largest_residual"], summary["arm_length"])
+    assert f"{target.method} placement; largest distance of a control point from the curve {off}" in out
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -145,7 +148,7 @@ def test_the_summary_tells_how_far_the_whole_arm_is_from_the_curve(command, arm_
     farthest = run.target.curve.nearest(places).distance.max()
     assert summary["distance_from_curve"] == pytest.approx(farthest, rel=1e-3)
     out = command("track", arm_file, "--curve", "helix", "--steps", 3).out
-    assert f"its links at most {summary['distance_from_curve']:.2g} m from the curve" in out
+    assert f"largest distance of a link from the curve {length_text(farthest)}" in out
 
 
 def test_smooth_placement_leaves_the_curve_and_sequential_does_not(command, arm_file):
@@ -271,7 +274,7 @@ def test_the_summary_tells_how_much_of_a_long_curve_the_arm_covers(command, arm_
     assert summary["curve_length"] == pytest.approx(0.7)
     assert summary["covered_to"] == pytest.approx(0.3, rel=0.02)  # a straight arm, to its last control point
     said = words(command(*asked))["curve"].strip()
-    assert said.startswith(f"0.7 m long, covered by the arm up to {summary['covered_to']:.4g} m")
+    assert said.startswith(f"700 mm long, covered by the arm up to {length_text(summary['covered_to'])}")
 
 
 def test_a_run_that_needs_more_steps_names_the_option(command, arm_file):

@@ -76,9 +76,9 @@ def test_an_infinite_step_is_no_limit(track):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--velocity", 1), ("--dt is None", "with --velocity")),
-        (("--acceleration", 1), ("--dt is None", "with --acceleration")),
-        (("--jerk", 1, "--dt", 1), ("--acceleration is None", "required with --jerk")),
+        (("--velocity", 1), ("--dt is not given", "with --velocity")),
+        (("--acceleration", 1), ("--dt is not given", "with --acceleration")),
+        (("--jerk", 1, "--dt", 1), ("--acceleration is not given", "required with --jerk")),
         (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "numbers separated by commas")),
         (("--velocity", 0, "--dt", 1), ("velocity is 0", "positive")),
         (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),

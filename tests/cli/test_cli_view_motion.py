@@ -178,9 +178,9 @@ def test_a_summary_in_words_tells_what_a_person_asks_for():
     assert words["speed"].endswith("% of the limit")
     lines = words["keyframes"].splitlines()
     assert [line.split()[0] for line in lines] == ["straight", "S", "coil", "late"]
-    assert lines[2].split(maxsplit=1)[1] == "planned     1.25 s, passed      2.5 s, mean error 0.001 m"
+    assert lines[2].split(maxsplit=1)[1] == "planned     1.25 s, passed      2.5 s, mean error 1 mm"
     assert lines[3].endswith("not reached")
-    assert "margin is 0.01 m" in words["clearance"]
+    assert "margin is 10 mm" in words["clearance"]
     assert " steps" not in words["clearance"]
     assert words["not as planned"] == "at 1 s it went round\nand again"
 

@@ -104,7 +104,7 @@ def test_a_scene_without_stand_in_radius_survives_too(tmp_path):
             "obstacles is [{'type': 'sphere'}]; allowed: a table of obstacles",
         ),
         ("obstacles.post = 3", "obstacle 'post': obstacle is 3; allowed: a table with a 'type'"),
-        ("[obstacles.post]\nradius = 1", "obstacle 'post': type is None; allowed: sphere, capsule"),
+        ("[obstacles.post]\nradius = 1", "obstacle 'post': type is not given; allowed: sphere, capsule"),
         ("[obstacles.post]\ntype = 'spere'", "no type of obstacle 'post' is called 'spere'"),
         ("[obstacles.post]\ntype = 'spere'", "did you mean 'sphere'"),
         (

@@ -129,7 +129,7 @@ def diagnostics(size=8):
         (Step(np.zeros(3), (), diagnostics(), None), "dq.*8 finite numbers"),
         (Step(np.zeros((8, 1)), (), diagnostics(), None), "dq.*8 finite numbers"),
         (Step(np.full(8, np.nan), (), diagnostics(), None), "dq.*8 finite numbers"),
-        (Step(np.zeros(8), (), None, None), "diagnostics is None"),
+        (Step(np.zeros(8), (), None, None), "diagnostics is not given"),
         (Step(np.zeros(8), (), diagnostics(3), None), "diagnostics.*clipped"),
         (Step(np.zeros(8), None, diagnostics(), None), "active is None.*0 to 3"),
         (Step(np.zeros(8), (4,), diagnostics(), None), r"active is \(4,\)"),

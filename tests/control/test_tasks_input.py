@@ -117,7 +117,7 @@ def test_what_cannot_be_held_is_refused() -> None:
 
 def test_tangents_of_a_curve_need_one() -> None:
     arm = pp.Arm.from_template("RyRz", 4)
-    with pytest.raises(InvalidValue, match=r"^target.curve is None; allowed: .*resolve_targets"):
+    with pytest.raises(InvalidValue, match=r"^target.curve is not given; allowed: .*resolve_targets"):
         Tangents.of_curve(target_of(arm))
     target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (1, 0, 0)))
     for points in (4, -5, "module_01", [0.5]):

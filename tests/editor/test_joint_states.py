@@ -181,7 +181,7 @@ WRONG = {
     '{"position": [1, 2, 3, 4, 5, true]}': r"position[5] is True",
     '{"position": [1, 2, 3, 4, 5, "6"]}': r"position[5] is '6'",
     '{"q": [1, 2, 3]}': "q (length) is 3; allowed: 6",
-    '{"q": [1, 2, 3, 4, 5, null]}': "q[5] is None",
+    '{"q": [1, 2, 3, 4, 5, null]}': "q[5] is not given",
     '{"q": [0, 0, 0, 0, 0, 0], "position": [0, 0, 0, 0, 0, 0]}': "one of them",
     '{"name": "a", "position": [1]}': "a list of joint names",
     '{"name": [3], "position": [1]}': "a list of joint names",

@@ -170,7 +170,7 @@ def test_arguments_that_no_run_would_take_are_refused_at_once(asked, named, says
 
 def test_a_run_that_fails_does_not_lose_the_others(asked: Asked) -> None:
     arm, targets, starts = asked
-    with pytest.warns(PostureWarning, match="1 of 5 runs failed; run 2: InvalidValue: target.q is None"):
+    with pytest.warns(PostureWarning, match="1 of 5 runs failed; run 2: InvalidValue: target.q is not given"):
         batch = pp.track_many(*asked, "joint", jobs=1)
     assert batch.status[2] == "failed"
     assert not batch.converged[2]

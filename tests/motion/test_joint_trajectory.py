@@ -292,7 +292,7 @@ def test_steps_of_a_run_take_what_its_limits_say_or_what_is_given(
 @pytest.mark.parametrize(
     ("known", "given_", "message"),
     [
-        (None, None, "dt is None; allowed: the duration of a step"),
+        (None, None, "dt is not given; allowed: the duration of a step"),
         (0.02, 0.03, "dt is 0.03; allowed: 0.02 s, from the limits of this run, or None"),
         (None, 0.0, "dt is 0.0"),
         (None, "x", "dt is 'x'"),

@@ -21,6 +21,7 @@ import pinposture as pp
 from pinposture import sim
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 from pinposture.motion import JointTrajectory
+from pinposture.units import length_text
 from pinposture.viz.simulation import plot_simulation
 
 DT = 0.02
@@ -132,7 +133,7 @@ def test_an_arm_that_falls_did_not_get_there():
     assert off > 0.1 * four_modules().length  # the servos cannot bear its weight
     assert (weak.status, weak.converged, weak.finished) == ("missed", False, True)
     assert weak.reason == (
-        f"mean point error {off:.3g} m after {weak.time[-1]:.6g} s, above the tolerance of 0.002 m; "
+        f"mean point error {length_text(off)} after {weak.time[-1]:.6g} s, above the tolerance of 2 mm; "
         f"{np.count_nonzero(weak.saturated)} of 8 servos were at their limit"
     )
     assert weak.verdict == f"did not reach the target (missed): {weak.reason}"
@@ -153,7 +154,7 @@ def test_an_arm_that_arrives_after_it_collapsed_on_the_way_is_at_fault():
     mean = ended.point_errors.mean(axis=1).max()
     assert ended.converged and mean > 0.05 * arm.length
     (fault,) = ended.faults
-    assert f"{ended.point_errors.max():.3g} m off its path at " in fault
+    assert f"{length_text(ended.point_errors.max())} off its path at " in fault
     assert fault.endswith(f"{np.count_nonzero(ended.saturated)} of 8 servos were at their limit")
     assert ended.verdict == f"reached the target (converged), but {fault}: {ended.reason}"
     assert replace(ended, tolerance=0.99 * mean / 5.0).faults

@@ -36,7 +36,7 @@ def start() -> Keyframe:
 @pytest.mark.parametrize(
     ("options", "kind", "message"),
     (
-        ({"curve": None}, InvalidValue, "keyframe: curve is None; allowed: a Curve"),
+        ({"curve": None}, InvalidValue, "keyframe: curve is not given; allowed: a Curve"),
         ({"name": 3}, InvalidValue, "name is 3; allowed: text"),
         ({"time": 1.0, "duration": 1.0}, InvalidValue, "keyframe: time and duration"),
         (

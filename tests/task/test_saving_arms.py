@@ -268,7 +268,7 @@ def test_an_arm_keeps_what_it_was_made_from(make: Callable[[], pp.Arm]) -> None:
             "joint_limits is .*; allowed: lower < upper",
         ),
         ({"template": "RyRz"}, "modules"),
-        ({}, "template is None"),
+        ({}, "template is not given"),
     ],
 )
 def test_what_makes_no_arm_is_refused(values: dict[str, Any], message: str) -> None:

@@ -213,7 +213,7 @@ def test_a_taught_posture_gives_way_to_a_tip_where_it_is_asked(arm: pp.Arm) -> N
 
 def test_taught_configurations_that_are_none_are_refused(arm: pp.Arm) -> None:
     with pytest.raises(
-        InvalidValue, match=r"curve is None; allowed: a Curve; or None, with the joints to take"
+        InvalidValue, match=r"curve is not given; allowed: a Curve; or None, with the joints to take"
     ):
         Keyframe()
     for name, value in (("placement", "align"), ("roll", 1.0), ("method", "smooth"), ("trim", True)):

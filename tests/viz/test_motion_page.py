@@ -63,13 +63,13 @@ def test_the_caption_tells_time_place_error_and_clearance(tmp_path):
     near = motion.run.clearance
     assert texts[4] == (
         "0.20 of 3.00 s (0.00 of 1.25 s of the plan), moving to the first posture, mean point error "
-        f"0.001 m (largest 0.001 m), clearance {near[4]:.3g} m"
+        f"1 mm (largest 1 mm), clearance {1e3 * near[4]:.0f} mm"
     )
     assert texts[34].startswith("1.70 of 3.00 s (0.60 of 1.25 s of the plan), reached straight (1 of 3), ")
     assert "reached S (2 of 3)" in texts[35]
     assert "reached coil (3 of 3)" in texts[60]
     even = page_of(some_motion(names=()), tmp_path).constant("run")["texts"]
-    assert even[20] == "1.00 of 3.00 s, mean point error 0.001 m (largest 0.001 m)"
+    assert even[20] == "1.00 of 3.00 s, mean point error 1 mm (largest 1 mm)"
 
 
 def test_targets_of_the_moment_and_of_places_are_drawn_in_colours_that_the_legend_tells(tmp_path):

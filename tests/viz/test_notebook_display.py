@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from html.parser import HTMLParser
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -75,16 +76,16 @@ def arm() -> pp.Arm:
 
 
 def test_every_class_is_where_its_formatter_looks_for_it() -> None:
-    kinds = (pp.Arm, pp.Target, pp.Trajectory, pp.Motion, pp.JointTrajectory)
-    assert [(each.__module__, each.__name__) for each in kinds] == [each[:2] for each in notebook.SHOWN]
+    for module, name, _ in notebook.SHOWN:
+        assert getattr(import_module(module), name).__module__ == module
 
 
 def test_an_arm_shows_what_it_is_and_a_picture(shown: Any, arm: pp.Arm) -> None:
     page = shown(arm)
     rows = table(page)
     assert rows["degrees of freedom"] == "8, spatial"
-    assert rows["length"] == "0.2 m"
-    assert rows["limits of turns"] == f"{arm.limits.lower[0]:.4g} to {arm.limits.upper[0]:.4g} rad"
+    assert rows["length"] == "200 mm"
+    assert rows["angle limits"] == f"{arm.limits.lower[0]:.4g} to {arm.limits.upper[0]:.4g} rad"
     assert picture(page).startswith(b"\x89PNG")
 
 
@@ -109,8 +110,9 @@ def test_a_target_and_a_run_show_how_well_they_did(shown: Any, arm: pp.Arm) -> N
     page = shown(run)
     assert table(page)["status"] == f"converged: {run.reason}"
     first, last = np.linalg.norm(run.points[[0, -1]] - target.points, axis=2)
-    assert table(page)["mean point error"].startswith(f"{first.mean():.4g} m at the start")
-    assert table(page)["largest point error"] == f"{last.max():.4g} m at the end"
+    assert table(page)["mean point error"].startswith(f"{1e3 * first.mean():.3g} mm at the start")
+    assert last.max() < 1e-9 * arm.length
+    assert table(page)["largest point error"] == "below rounding at the end"
     assert table(page)["steps"] == str(run.steps)
     assert picture(page).startswith(b"\x89PNG")
     bare = table(shown(pp.Target.from_points(arm, target.points)))
@@ -125,7 +127,45 @@ def test_motions_and_joint_trajectories_show_their_time(shown: Any, arm: pp.Arm)
     rows = table(shown(motion))
     assert rows["duration"].startswith(f"{motion.dt * motion.run.steps:.4g} s, ")
     joints = motion.joint_trajectory()
-    assert picture(shown(joints)).startswith(b"\x89PNG")
+    page = shown(joints)
+    assert picture(page).startswith(b"\x89PNG")
+    assert table(page)["joints"] == str(arm.nv)
+    assert table(page)["duration"] == f"{joints.duration:.4g} s"
+
+
+def test_a_run_in_a_scene_shows_its_duration_and_what_came_closest(shown: Any, arm: pp.Arm) -> None:
+    scene = pp.Scene({"ball": pp.Sphere((0.4, 0.0, 0.0), 0.05)}, margin=0.01)
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.1))
+    limits = pp.Limits(step=None, dt=0.02, velocity=1.0)
+    run = pp.track(arm, target, arm.straight(), limits=limits, scene=scene)
+    rows = table(shown(run))
+    assert rows["duration"] == f"{0.02 * run.steps:.4g} s"
+    least = min(pp.CollisionModel(arm, scene).minimum(q) for q in run.q)
+    assert rows["clearance"] == f"{1e3 * least.distance:.0f} mm, {' to '.join(least.pair)}"
+
+
+def test_a_figure_shows_its_picture(shown: Any, arm: pp.Arm) -> None:
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.1))
+    assert picture(shown(pp.plot(pp.track(arm, target, arm.straight())))).startswith(b"\x89PNG")
+
+
+def test_what_a_user_makes_shows_a_table(shown: Any, arm: pp.Arm) -> None:
+    limits = pp.Limits(step=None, dt=0.02, velocity=1.0)
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.1))
+    tracker = pp.Tracker(arm, limits=limits)
+    tracker.update(target)
+    tracker.step(arm.straight())
+    assert table(shown(limits))["velocity"] == "1 rad/s or m/s"
+    assert table(shown(tracker))["status"] == "moving"
+    assert table(shown(pp.Curve.line((0, 0, 0), (2, 0, 0))))["length"] == "2 m"
+    scene = pp.Scene({"<b>": pp.Sphere((0.4, 0.0, 0.0), 0.05)}, margin=0.01)
+    assert table(shown(scene))["margin"] == "10 mm"
+    assert table(shown(scene))["<b>"].startswith("Sphere(")
+    batch = pp.track_many(arm, target, np.zeros((2, arm.nq)), limits=limits)
+    assert table(shown(batch))["runs"] == "2: 2 converged"
+    (reached,) = pp.reach(arm, (0.1, 0.05, 0.05))
+    assert table(shown(reached))["path"] == "not asked for"
+    assert len(repr(reached)) < 120
 
 
 @pytest.mark.process

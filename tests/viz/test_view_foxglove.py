@@ -306,7 +306,7 @@ def test_what_does_not_fit_is_refused(arm: pp.Arm, monkeypatch: pytest.MonkeyPat
         taken = f"ws://127.0.0.1:{viewer._server.port}"
         with pytest.raises(ViewerError, match="in use"):
             pp.view(arm, viewer="foxglove", url=taken)
-        with pytest.raises(InvalidValue, match="run is None"):
+        with pytest.raises(InvalidValue, match="run is not given"):
             viewer.play()
     for _ in range(100):  # it is free again, as soon as the server has stopped
         with suppress(ViewerError):

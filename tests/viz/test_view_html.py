@@ -15,6 +15,7 @@ import umsgpack
 
 from pinposture import Arm, Curve, Target, Trajectory, resolve_targets, save_html, track
 from pinposture.errors import FileError, InvalidValue
+from pinposture.units import length_text
 from pinposture.viz.body import body_poses
 
 
@@ -106,7 +107,7 @@ def test_each_configuration_shown_is_described(tmp_path):
     texts = page.constant("run")["texts"]
     assert len(texts) == run.steps + 1
     errors = np.linalg.norm(run.points[3] - run.target.points, axis=1)
-    assert f"mean point error {errors.mean():.3g} m (largest {errors.max():.3g} m)" in texts[3]
+    assert f"mean point error {length_text(errors.mean())} (largest {length_text(errors.max())})" in texts[3]
     assert f"{run.active[3].sum()} of 6 control points" in texts[3]
 
 

@@ -117,7 +117,7 @@ def test_the_page_holds_every_kind_of_obstacle_and_says_how_near_they_are(scene,
     check_all(drawn_in(page_commands(path)))
     text = path.read_text(encoding="utf-8")
     assert "</span>obstacle" in text
-    assert ", clearance 0.1 m" in text
+    assert ", clearance 100 mm" in text
     plain = pp.save_html(arm, still(arm, None), tmp_path / "plain.html")
     assert drawn_in(page_commands(plain)) == []
     assert not re.search("obstacle<|clearance 0", plain.read_text(encoding="utf-8"))

@@ -295,7 +295,7 @@ def test_zeros_stay_in_the_data_of_a_logarithmic_axis():
     plot_posture_error(wide, ax)
     assert ax.get_yscale() == "log"
     assert ax.get_lines()[0].get_ydata()[-1] == 0.0
-    assert ax.texts[-1].get_text() == "0 m"
+    assert ax.texts[-1].get_text() == "below rounding"
     assert 0.0 < ax.get_ylim()[0] < wide.posture_error[wide.posture_error > 0].min()
 
 
@@ -387,7 +387,7 @@ def test_several_runs_in_one_panel_all_fit():
         (lambda: pp.view(helix()), r"arm is Target.*an Arm; pp\.view\(arm, target=target\)"),
         (lambda: pp.view(six_modules(), helix()), r"run is Target.*or None; pp\.view\(arm, target=target\)"),
         (lambda: pp.view(six_modules(), scene="a.toml"), r"scene is 'a.toml'.*pp\.Scene\.load"),
-        (lambda: pp.animate(six_modules(), None), "run is None; allowed: a Trajectory or a Motion"),
+        (lambda: pp.animate(six_modules(), None), "run is not given; allowed: a Trajectory or a Motion"),
         (
             lambda: pp.animate(six_modules(), some_run(), pp.Curve.line((0, 0), (1, 0))),
             "target is Curve.*resolve",

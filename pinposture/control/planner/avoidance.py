@@ -16,6 +16,7 @@ from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -155,8 +156,8 @@ MAX_HALVINGS = 6
 def describe_lost_margin(pair: Sequence[str], distance: float, margin: float) -> str:
     """Return the message on a pair that is closer than the margin [m]."""
     if distance < 0.0:
-        return f"margin: {' and '.join(pair)} overlap by {-1e3 * distance:.3g} mm"
-    return f"margin: {' and '.join(pair)} are {1e3 * distance:.3g} mm apart, less than {1e3 * margin:.3g} mm"
+        return f"margin: {' and '.join(pair)} overlap by {length_text(-distance)}"
+    return f"margin: {' and '.join(pair)} are {length_text(distance)} apart, less than {length_text(margin)}"
 
 
 class PathClearance(NamedTuple):

@@ -21,11 +21,11 @@ from pinposture.editor.ui.parts import (
     Typed,
     color,
     framed_html,
-    length_text,
     on_change,
     put,
     quaternions,
 )
+from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius

@@ -45,7 +45,6 @@ from pinposture.editor.ui.parts import (
     Post,
     color,
     framed_html,
-    length_text,
     on_choice,
     put,
     round_number,
@@ -57,6 +56,7 @@ from pinposture.errors import CurveError
 from pinposture.motion.deadline import NOT_DONE
 from pinposture.placement.target import arm_axis
 from pinposture.task import Task
+from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
 
@@ -160,7 +160,9 @@ def _is_off(session: Session, live: Live) -> bool:
 
 def _heading(session: Session, live: Live) -> str:
     """Return what the arm is doing, and how near it is to what it should do."""
-    error, distance = length_text(live.mean_error), live.verdict.distance_from_curve
+    length = session.arm.length
+    error = length_text(live.mean_error, length)
+    distance = live.verdict.distance_from_curve
     if session.playback.q is not None:
         playback = session.playback
         head = "Playing the motion" if playback.playing else f"Motion at {playback.time:.1f} s"
@@ -173,11 +175,11 @@ def _heading(session: Session, live: Live) -> str:
     elif live.status != "converged":
         head = f"Stopped, {error} to go"
     elif distance is not None:
-        head = f"On the curve to within {length_text(distance)}"
+        head = f"On the curve to within {length_text(distance, length)}"
     else:
         head = f"On target to within {error}"
     if live.tip_error is not None:
-        head += f", tip {length_text(live.tip_error)} off"
+        head += f", tip {length_text(live.tip_error, length)} off"
     if session.nearest is not None:
         clearance = session.nearest.distance
         head += f", {length_text(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"

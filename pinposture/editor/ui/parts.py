@@ -22,7 +22,6 @@ Color = tuple[int, int, int]
 Post: TypeAlias = Callable[..., None]
 """`Editor.post`: posts a request to the loop."""
 
-SMALLEST_LENGTH = 1e-9  # smaller ones are shown as 0 [m]
 TYPING_PAUSE = 0.8  # after the last key before a typed value counts [s]
 
 
@@ -53,13 +52,6 @@ def round_number(value: float) -> float:
 def coordinate_digits(length: float) -> int:
     """Return the number of decimals of coordinates [m]: 3, or more for an arm of less than a metre."""
     return max(3, 3 - int(np.floor(np.log10(length) + 1e-9)))  # 0.999... m counts as 1 m
-
-
-def length_text(length: float) -> str:
-    """Return a length [m] in words: in millimetres below a metre."""
-    if length < SMALLEST_LENGTH:
-        return "0 mm"
-    return f"{1000.0 * length:.3g} mm" if length < 1.0 else f"{length:.3g} m"
 
 
 def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -> str:

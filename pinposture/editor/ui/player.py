@@ -23,10 +23,11 @@ from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, limits_per_step
 from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
-from pinposture.editor.ui.parts import Post, length_text, on_change, on_choice, put, round_number
+from pinposture.editor.ui.parts import Post, on_change, on_choice, put, round_number
 from pinposture.motion import Motion
 from pinposture.motion.trajectory import limit_shares
 from pinposture.task import Task
+from pinposture.units import length_text
 from pinposture.viz import palette
 
 Array = NDArray[np.float64]
@@ -40,7 +41,6 @@ SETTLING_PERIOD, SETTLING_PLOTS = 3.0, 2  # the same after a browser connects, a
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
 PLOT_HEIGHT, LEGEND_HEIGHT = 90, 30  # the latter of two lines [pixels]
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
-SMALLEST_SHOWN_ERROR = 1e-9  # smaller ones are shown as 0, in arm lengths
 MAX_SHARE = 1.2  # of limits that is shown
 OUTSIDE = 1e3  # value of lines outside of the picture
 SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
@@ -256,7 +256,7 @@ class Plots:
         put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
 
     def _in_words(self, error: float) -> str:
-        return length_text(0.0 if error < SMALLEST_SHOWN_ERROR * self._length else error)
+        return length_text(error, self._length)
 
 
 def _lines(color: str) -> tuple[uplot.Series, ...]:

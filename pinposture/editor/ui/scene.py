@@ -31,7 +31,6 @@ from pinposture.editor.ui.parts import (
     color,
     coordinate_digits,
     framed_html,
-    length_text,
     on_change,
     on_choice,
     on_click,
@@ -39,6 +38,7 @@ from pinposture.editor.ui.parts import (
     put_at,
     quaternions,
 )
+from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import TriangleMesh as Surface
 from pinposture.viz.body import is_hollow, surface
