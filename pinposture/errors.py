@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,13 @@ def _rebuild(cls: type[PostureError], args: tuple[Any, ...], data: dict[str, Any
 
 
 class PostureError(Exception):
-    """Base class of the errors of this package."""
+    """Base class of the errors of this package.
+
+    Attributes:
+        reasons: all reasons of a refusal that has several, which its message lists; else empty.
+    """
+
+    reasons: tuple[PostureError, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Errors cross process borders in studies; the default would call __init__ with the message.
@@ -27,6 +34,38 @@ class PostureError(Exception):
 
     def __str__(self) -> str:  # KeyError and OSError would format the message in their own ways
         return str(self.args[0]) if self.args else ""
+
+
+def gather(*checks: Callable[[], object]) -> list[PostureError]:
+    """Make independent checks; return the errors that they raise, in order."""
+    found = []
+    for check in checks:
+        try:
+            check()
+        except PostureError as error:
+            found.append(error)
+    return found
+
+
+def raise_together(errors: Sequence[PostureError]) -> None:
+    """Raise the only error, or one like the first whose message lists all; do nothing without errors."""
+    listed = [each for error in errors for each in (error.reasons or (error,))]
+    if len(listed) == 1:
+        raise listed[0]
+    if listed:
+        combined = copy(listed[0])
+        combined.args = (numbered([str(each) for each in listed]),)
+        combined.reasons = tuple(listed)
+        raise combined from listed[0]
+
+
+def numbered(reasons: Sequence[str]) -> str:
+    """Return one reason as it is, several with their number and counted."""
+    if len(reasons) == 1:
+        return reasons[0]
+    return " ".join(
+        [f"{len(reasons)} reasons:", *(f"({k}) {each}" for k, each in enumerate(reasons, start=1))]
+    )
 
 
 class PostureWarning(UserWarning):

@@ -23,6 +23,9 @@ WALL_TOLERANCE = 0.008
 
 SAMPLES_PER_RADIUS = 50  # number of samples of the axis per pipe radius
 
+PIPE_MARGIN = 0.005
+"""Default distance that the arm keeps from the walls [m]."""
+
 MIN_SIDES = 6
 """Minimum number of sides; with fewer, the overlap of rings at their corners would narrow a bend."""
 
@@ -92,7 +95,7 @@ def pipe(
     radius: float,
     sides: int = 6,
     thickness: float = 0.005,
-    margin: float = 0.005,
+    margin: float = PIPE_MARGIN,
     self_collision: bool = False,
     arm_radius: float | None = None,
 ) -> Scene:

@@ -22,7 +22,7 @@ from pinposture.control.limits import Limits
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
-from pinposture.errors import InvalidValue, OutOfReach, ReachError
+from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, raise_together
 from pinposture.placement import Target
 from pinposture.units import length_text
 
@@ -165,7 +165,6 @@ def reach(
     task, limits = _tip_task(arm, goal, direction), Limits() if limits is None else limits
     first = None if start is None else arm.checked_start(start, "start")
     _check_in_reach(arm, task, allowed_error, scene)
-    _check_orientation(arm, task, allowed_error)
     until = began + (budget if first is None else 0.5 * budget)
     search = _Search(arm, task, scene, limits, allowed_error)
     postures = search.find(first, count + SPARE, np.random.default_rng(seed), until)
@@ -247,12 +246,26 @@ def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) ->
 
 def _check_in_reach(arm: Arm, task: EndEffector, tolerance: float, scene: Scene | None) -> None:
     """Refuse goals that no posture can reach."""
-    require_within_reach(arm, task, tolerance)
     place = _place_of(task)
+    raise_together(
+        gather(
+            lambda: require_within_reach(arm, task, tolerance),
+            lambda: _check_plane(arm, place, tolerance),
+            lambda: _check_outside(scene, place),
+            lambda: _check_orientation(arm, task, tolerance),
+        )
+    )
+
+
+def _check_plane(arm: Arm, place: Array, tolerance: float) -> None:
     offset = place - arm.chain.points[-1]
     across = float(np.linalg.norm(offset - arm.plane.T @ (arm.plane @ offset)))
     if across > tolerance:
-        raise OutOfReach(place, f"it is {across:.4g} m off the plane in which the arm moves")
+        reason = f"it is {across:.4g} m off the plane in which the arm moves; allowed: {tolerance:.2g} m"
+        raise OutOfReach(place, reason)
+
+
+def _check_outside(scene: Scene | None, place: Array) -> None:
     inside = () if scene is None else obstacles_around(scene, place)
     if inside:
         raise ReachError(place, f"it is inside {', '.join(inside)}")
@@ -273,7 +286,10 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
         off = float(np.linalg.norm(change @ axis if turns else change))
     if off * arm.characteristic_length > tolerance:
         how = "turns about one axis" if turns else "does not turn"
-        raise OutOfReach(_place_of(task), f"the tip {how}, and cannot take this orientation")
+        reason = (
+            f"the tip {how}, and cannot take this orientation: it is off by at least {off:.3g} (allowed: "
+        )
+        raise OutOfReach(_place_of(task), f"{reason}{tolerance / arm.characteristic_length:.2g})")
 
 
 def _with_path(

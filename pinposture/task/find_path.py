@@ -18,7 +18,7 @@ from pinposture.collision.bodies import bodies_of
 from pinposture.collision.distances import PairDistances, TreeKinematics
 from pinposture.collision.obstacles import solid, solids
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, OutOfReach, ReachError
+from pinposture.errors import InvalidValue, OutOfReach, PostureError, ReachError, raise_together
 from pinposture.placement.target import arm_axis
 from pinposture.task.follow_leader import FedArm
 
@@ -108,10 +108,19 @@ def find_path(
         raise InvalidValue("arm", arm, "an arm whose modules all bend")
     link = float(np.linalg.norm(np.diff(body.at(body.straight()).links, axis=0), axis=1).max())
     thickness = max((solid(each.shape).radius for each in bodies_of(arm, scene.arm_radius)), default=0.0)
-    space = _FreeSpace(scene, scene.margin + thickness + sharpest * link**2 / 8.0)
-    for name, place in (("start", begin), ("goal", end)):
-        if not space.is_free(place[None]):
-            raise ReachError(end, f"the {name} is within {space.radius:.4g} m of an obstacle")
+    bulge = sharpest * link**2 / 8.0
+    space = _FreeSpace(scene, scene.margin + thickness + bulge)
+    needed = (
+        f"a path needs {space.radius:.4g} m on all sides: {thickness:.4g} m for the radius of the arm, "
+        f"{scene.margin:.4g} m for the margin, {bulge:.4g} m for the arc over a link"
+    )
+    crowded = [
+        f"the {name} is {text}"
+        for name, place in (("start", begin), ("goal", end))
+        if (text := space.crowding(place))
+    ]
+    if crowded:
+        raise ReachError(end, f"{'; '.join(crowded)}; {needed}")
     rng = np.random.default_rng(seed)
     found: list[Curve] = []
     why = "the tree did not reach the goal within the budget"
@@ -128,7 +137,7 @@ def find_path(
         if perf_counter() >= until:
             break
     if not found:
-        raise ReachError(end, f"no path was found: {why}")
+        raise ReachError(end, f"no path was found: {why}; {needed}")
     return min(found, key=lambda curve: curve.length)
 
 
@@ -153,6 +162,7 @@ def _follower(arm: Arm) -> _Follower:
     """Return the follower of an arm: on its feed, or fixed at its base."""
     if len(arm.chain.joints) > 1 and not arm.chain.revolute[0] and arm.chain.revolute[1]:
         fed = FedArm(arm)
+        raise_together(fed.misfits)
         return _Follower(fed.body, fed.tip, fed.axis, min(fed.travel, fed.length))
     return _Follower(arm, arm.chain.base, arm_axis(arm), arm.length)
 
@@ -160,20 +170,23 @@ def _follower(arm: Arm) -> _Follower:
 def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> None:
     """Refuse a start and a goal that no curve for the arm can connect."""
     body, plane = follower.body, follower.body.plane
-    for name, vector in (
-        ("goal", end - follower.entry),
-        ("start", begin - follower.entry),
-        ("direction", ahead),
-    ):
+    ends = {"goal": end - follower.entry, "start": begin - follower.entry, "direction": ahead}
+    misfits: list[PostureError] = []
+    for name, vector in ends.items():
         across = float(np.linalg.norm(vector - plane.T @ (plane @ vector)))
-        if across > SAME_PLACE * max(body.length, 1.0):
-            raise OutOfReach(end, f"the {name} is {across:.4g} m off the plane in which the arm moves")
+        most = SAME_PLACE * max(body.length, 1.0)
+        if across > most:
+            reason = (
+                f"the {name} is {across:.4g} m off the plane in which the arm moves; allowed: {most:.2g} m"
+            )
+            misfits.append(OutOfReach(end, reason))
     apart = float(np.linalg.norm(end - begin))
     if apart <= SAME_PLACE * body.length:
-        raise InvalidValue("goal", end.tolist(), "a position away from the start")
+        misfits.append(InvalidValue("goal", end.tolist(), "a position away from the start"))
     if apart > follower.longest:
         reason = f"it is {apart:.4g} m from the start; the arm can follow {follower.longest:.4g} m"
-        raise OutOfReach(end, reason)
+        misfits.append(OutOfReach(end, f"{reason}; {apart - follower.longest:.4g} m are missing"))
+    raise_together(misfits)
 
 
 def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest: float) -> str:
@@ -213,7 +226,9 @@ class _FreeSpace:
         for number, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
             joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"slide_{number}")
         self._kinematics = TreeKinematics(model)
-        fixed = [piece for each in scene.obstacles.values() for piece in solids(each)]
+        pieces = [(name, piece) for name, each in scene.obstacles.items() for piece in solids(each)]
+        fixed = [piece for _, piece in pieces]
+        self._names = [name for name, _ in pieces]
         ball = solid(Sphere((0.0, 0.0, 0.0), radius))
         self._distances = PairDistances([ball], [joint], fixed, [(0, 1 + k) for k in range(len(fixed))])
         self._empty = not fixed
@@ -224,6 +239,16 @@ class _FreeSpace:
             return True
         placements = self._kinematics.place(np.zeros(3), np.ascontiguousarray(points))
         return self._distances.minimum(placements, 0.0)[0] >= 0.0
+
+    def crowding(self, point: Array) -> str:
+        """Say how close a point (3,) [m] is to an obstacle, and what is missing; empty if it is free."""
+        if self.is_free(point[None]):
+            return ""
+        placements = self._kinematics.place(np.zeros(3), np.ascontiguousarray(point[None]))
+        distance, pair = self._distances.minimum(placements)
+        apart = distance + self.radius
+        where = f"{apart:.4g} m from" if apart > 0.0 else f"{-apart:.4g} m inside"
+        return f"{where} {self._names[pair]!r}, {-distance:.4g} m too close"
 
 
 class _Arc(NamedTuple):

@@ -15,8 +15,19 @@ from scipy.spatial import cKDTree
 
 from pinposture._validation import require_instance, require_known, require_positive
 from pinposture.arm import Arm
+from pinposture.collision import Capsule, Cylinder, Scene, Sphere
+from pinposture.collision.bodies import bodies_of
+from pinposture.collision.pipe import PIPE_MARGIN
 from pinposture.curve import Curve
-from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnsupportedModule
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    InvalidValue,
+    PostureError,
+    TargetError,
+    UnsupportedModule,
+    gather,
+    raise_together,
+)
 from pinposture.placement import Target
 from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve
@@ -68,46 +79,36 @@ class FedArm:
         length: length of the body, from its first joint to the tip [m].
         run_up: length of the straight line from the first joint of the body to the tip at the start [m].
         max_tip_lead: largest lead or lag of the tip relative to the feed along the route, plus a link [m].
+        misfits: why it cannot follow a path: a feed that is not along the axis, a start that is not straight.
 
     Raises:
-        InvalidValue: not an arm on a feed, a feed without limits, coupled joints, or a start that is not
-            straight.
+        InvalidValue: not an arm on a feed, a feed without limits, or coupled joints.
     """
 
     def __init__(self, arm: Arm, start: ArrayLike | None = None) -> None:
         require_instance("arm", arm, Arm, FEED_REQUIREMENT)
+        raise_together(_not_fed(arm))
         chain = arm.chain
-        if arm.couplings:
-            name, leader, *_ = arm.couplings[0]
-            allowed = "an arm without coupled joints"
-            raise InvalidValue(f"joint {name!r}", f"follows {leader!r}", allowed)
-        if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
-            kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
-            first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))
-            raise InvalidValue("first joints of the arm", first, FEED_REQUIREMENT)
         column, feed = int(chain.columns[0]), repr(chain.joints[0])
         lower, upper = float(arm.limits.lower[column]), float(arm.limits.upper[column])
-        if not (np.isfinite(lower) and np.isfinite(upper)):
-            raise InvalidValue(f"limits of the feed {feed}", (lower, upper), "finite positions [m]")
         columns = np.delete(np.arange(arm.nv), column)
         rest = arm.positions(arm.neutral() if start is None else arm.checked(start, "start"))
         body, links = _without_feed(arm, rest)
         axis, stretched = arm_axis(body), body.positions(body.straight())
         along = float(chain.axes[0] @ axis)
+        self.misfits: list[PostureError] = []
         if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
             angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
             beside = np.linalg.norm(np.cross(chain.axes[0], body.at(body.straight()).points[-1] - chain.base))
             text = f"{angle:.3g} degrees off the straight arm, whose tip is {1e3 * beside:.3g} mm beside it"
-            allowed = f"{FEED_REQUIREMENT}; choose a tip on the axis"
-            raise InvalidValue(f"axis of the feed {feed}", text, allowed)
+            tolerance = f"{np.degrees(FEED_AXIS_TOLERANCE):.2g} degrees"
+            allowed = f"{FEED_REQUIREMENT}, to within {tolerance}; choose a tip on the axis"
+            self.misfits.append(InvalidValue(f"axis of the feed {feed}", text, allowed))
         if start is None:
             rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
             body, links = _without_feed(arm, rest)
         else:
-            bent = np.abs(rest[columns] - stretched) / body.joint_units
-            if bent.max() > STRAIGHT_START_TOLERANCE or not arm.within_limits(arm.configuration(rest)):
-                allowed = "the straight arm, within its limits, at any position of the feed"
-                raise InvalidValue("start", start, allowed)
+            self.misfits += _not_straight(arm, rest, columns, stretched)
         self.arm, self.body, self.links = arm, body, links
         self.start: Array = arm.configuration(rest)
         self.column, self.columns, self.axis = column, columns, axis
@@ -118,6 +119,42 @@ class FedArm:
         self.length = body.length
         self.run_up = float((self.tip - body.chain.base) @ axis)
         self.max_tip_lead = TIP_LEAD * body.length + float(links.chain.module_lengths.max())
+
+
+def _not_fed(arm: Arm) -> list[PostureError]:
+    """Return why an arm is not one on a feed; empty if it is."""
+    chain, found = arm.chain, list[PostureError]()
+    if arm.couplings:
+        name, leader, *_ = arm.couplings[0]
+        found.append(InvalidValue(f"joint {name!r}", f"follows {leader!r}", "an arm without coupled joints"))
+    if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
+        kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
+        first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))
+        return [*found, InvalidValue("first joints of the arm", first, FEED_REQUIREMENT)]
+    column = int(chain.columns[0])
+    edges = float(arm.limits.lower[column]), float(arm.limits.upper[column])
+    if not np.all(np.isfinite(edges)):
+        found.append(InvalidValue(f"limits of the feed {chain.joints[0]!r}", edges, "finite positions [m]"))
+    return found
+
+
+def _not_straight(arm: Arm, start: Array, columns: NDArray[np.intp], straight: Array) -> list[PostureError]:
+    """Return why joint positions (nv,) are not a start: bent joints, and joints beyond their limits."""
+    found = list[PostureError]()
+    bent = np.abs(start[columns] - straight) / arm.joint_units[columns]
+    if bent.max() > STRAIGHT_START_TOLERANCE:
+        worst = int(columns[np.argmax(bent)])
+        number = int(np.sum(bent > STRAIGHT_START_TOLERANCE))
+        text = f"{number} of {len(bent)} joints bent, most {arm.joint_names[worst]}, by {bent.max():.4g}"
+        allowed = f"the straight arm, to within {STRAIGHT_START_TOLERANCE:g} (rad or module lengths)"
+        found.append(InvalidValue("start", text, f"{allowed}, at any position of the feed"))
+    over = np.maximum(start - arm.limits.upper, arm.limits.lower - start)
+    if not arm.within_limits(arm.configuration(start)):
+        worst = int(np.argmax(over))
+        text = f"{arm.joint_names[worst]} at {start[worst]:.4g}, {over[worst]:.4g} beyond its limit"
+        low, high = arm.limits.lower[worst], arm.limits.upper[worst]
+        found.append(InvalidValue("start", text, f"from {low:.4g} to {high:.4g}"))
+    return found
 
 
 def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
@@ -170,9 +207,10 @@ class Route:
         path: the path in the world, from the tip of the arm at the start.
         moved: how the path was moved from its position as drawn.
         whole: the path, with a straight line from the first joint that bends before it and one after it.
+        misfits: why the arm cannot follow it: those of the arm, and a path that does not begin at the tip.
 
     Raises:
-        InvalidValue: not an arm on a feed, not a curve, or a path that does not begin at the tip.
+        InvalidValue: not an arm on a feed, or not a curve.
         UnknownName: no such placement.
     """
 
@@ -182,19 +220,14 @@ class Route:
         require_instance("path", path, Curve, "a Curve")
         require_known("placement", placement, PATH_PLACEMENTS)
         self.fed = fed = FedArm(arm, start)
+        self.misfits = list(fed.misfits)
         placed, moved = place_curve(fed.body, path, placement, 0.0)
         if placement == "align":
             placed = placed.moved(np.eye(3), fed.tip - placed.start)
             x, y, z = (fed.tip - path.start).tolist()
             moved = moved._replace(translation=(x, y, z))
         else:
-            gap = float(np.linalg.norm(path.start - fed.tip))
-            angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
-            if gap > LINE_TOLERANCE * fed.length or angle > MAX_ENTRY_ANGLE:
-                x, y, z = fed.tip
-                found = f"{gap:.4g} m from the tip, {np.degrees(angle):.3g} degrees off the axis of the arm"
-                allowed = f"a path from ({x:.6g}, {y:.6g}, {z:.6g}) straight on; "
-                raise InvalidValue("start of the path", found, allowed + "placement='align' moves it there")
+            self.misfits += _off_the_entry(fed, path)
         self.path, self.moved = placed, moved
         behind, end = _prepend_line(placed, fed.axis, fed.run_up), placed.tangent(placed.length)
         self.whole = _prepend_line(behind.reversed(), -end, fed.max_tip_lead).reversed()
@@ -206,6 +239,30 @@ class Route:
         distances = np.linalg.norm(self.path.at(s) - (self.path.start + s[:, None] * fed.axis), axis=1)
         off = np.flatnonzero(distances > LINE_TOLERANCE * fed.length)
         return fed.length + float(s[max(int(off[0]) - 1, 0)] if len(off) else s[-1])
+
+
+def _off_the_entry(fed: FedArm, path: Curve) -> list[PostureError]:
+    """Return why a path does not begin at the tip, in the direction of the arm; empty if it does."""
+    found = list[PostureError]()
+    aligned = "without obstacles, placement='align' moves the path there"
+    ahead = np.asarray(fed.tip - path.start)
+    most = LINE_TOLERANCE * fed.length
+    gap = float(np.linalg.norm(ahead))
+    if gap > most:
+        shift = ", ".join(f"{each:.6g}" for each in ahead)
+        tip = ", ".join(f"{each:.6g}" for each in fed.tip)
+        allowed = (
+            f"within {most:.2g} m of the tip, at ({tip}); move it by ({shift}) m, or the base of the arm "
+            f"the other way if obstacles are where they are; {aligned}"
+        )
+        found.append(InvalidValue("start of the path", f"{gap:.4g} m from the tip", allowed))
+    angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
+    if angle > MAX_ENTRY_ANGLE:
+        direction = ", ".join(f"{each:.6g}" for each in fed.axis)
+        allowed = f"within {np.degrees(MAX_ENTRY_ANGLE):.2g} degrees of the arm, ({direction}); {aligned}"
+        text = f"{np.degrees(angle):.3g} degrees off the axis of the arm"
+        found.append(InvalidValue("first direction of the path", text, allowed))
+    return found
 
 
 def _prepend_line(curve: Curve, direction: Array, length: float) -> Curve:
@@ -370,6 +427,9 @@ def _bounded_step(hessian: Array, gradient: Array, lower: Array, upper: Array) -
 
 # The motion of the feed, and its postures.
 
+DEPTH_ROUNDING = 1.0 + 1e-9
+"""Ratio of a depth to the largest allowed one that is due to rounding."""
+
 RAMP_SHARE = 0.1
 """Share of the depth over which the feed accelerates, and over which it decelerates."""
 
@@ -439,13 +499,21 @@ def follow_leader(
             than its links require; all name the arc length of the path.
         UnsupportedModule: sequential placement of a module for which no solver exists.
     """
-    require_positive("interval", interval)
-    require_positive("speed", speed)
-    require_known("method", method, PATH_METHODS)
-    route = Route(arm, path, placement, start)
+    misfits = gather(
+        lambda: require_positive("interval", interval),
+        lambda: require_positive("speed", speed),
+        lambda: require_known("method", method, PATH_METHODS),
+        lambda: None if depth is None else require_positive("depth", depth),
+    )
+    try:
+        route = Route(arm, path, placement, start)
+    except PostureError as error:
+        raise_together([*misfits, error])
+    raise_together([*misfits, *route.misfits, *_too_deep(route, depth)])
     fed = route.fed
     stride = MAX_STRIDE * float(fed.links.chain.module_lengths.min())
-    depths, interval = advance(_checked_depth(route, depth), speed, interval, stride)
+    deepest = _depth(route, depth)
+    depths, interval = advance(deepest, speed, interval, stride)
     placing: ClosestPlacement | SequentialPlacement
     placing = ClosestPlacement(route) if method == "closest" else SequentialPlacement(route)
     offsets = np.zeros((len(depths), arm.nv))
@@ -504,25 +572,30 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
     return depth * gone, interval
 
 
-def _checked_depth(route: Route, depth: float | None) -> float:
-    """Return the depth [m]; raise InvalidValue with the reason if it is too large."""
-    path = route.path
-    slack = 1.0 + 1e-9
-    reasons = (
+def _too_deep(route: Route, depth: float | None) -> list[PostureError]:
+    """Return why the arm cannot go to a depth [m], or to the end of the path; empty if it can."""
+    path, asked = route.path, route.path.length if depth is None else depth
+    limits = [
         (path.length, f"the path is {path.length:.6g} m long"),
         (route.fed.travel, f"the feed has {route.fed.travel:.6g} m of travel from the start"),
-        (route.max_straight_depth, "beyond, the end of the straight feed would leave the path"),
+    ]
+    if not route.misfits:
+        limits.append((route.max_straight_depth, "beyond, the end of the straight feed would leave the path"))
+    exceeded = [(most, why) for most, why in limits if asked > most * DEPTH_ROUNDING]
+    if not exceeded:
+        return []
+    allowed = "; ".join(
+        f"at most {most:.6g} m: {why}, {asked - most:.4g} m are missing" for most, why in exceeded
     )
-    most, why = min(reasons, key=lambda reason: reason[0])
-    if depth is None:
-        if path.length <= most * slack:
-            return most
-        allowed = f"at most {most:.6g} m: {why}; depth= follows a part of it"
-        raise InvalidValue("length of the path [m]", path.length, allowed)
-    require_positive("depth", depth)
-    if depth > most * slack:
-        raise InvalidValue("depth", depth, f"at most {most:.6g} m: {why}")
-    return min(float(depth), most)
+    if depth is not None:
+        return [InvalidValue("depth", depth, allowed)]
+    return [InvalidValue("length of the path [m]", path.length, f"{allowed}; depth= follows a part of it")]
+
+
+def _depth(route: Route, depth: float | None) -> float:
+    """Return the depth to which the arm goes [m]."""
+    most = min(route.path.length, route.fed.travel, route.max_straight_depth)
+    return most if depth is None else min(float(depth), most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -597,8 +670,8 @@ class Leader(NamedTuple):
     pipe: float | None = None
 
 
-def check_leader(leader: Leader, arm: Arm) -> None:
-    """Refuse values that do not define a motion, and sizes out of proportion to the arm.
+def check_leader(leader: Leader, arm: Arm, scene: Scene | None = None) -> None:
+    """Refuse values that do not define a motion, sizes out of proportion to the arm, and a narrow pipe.
 
     Raises:
         InvalidValue: names the attribute.
@@ -619,6 +692,21 @@ def check_leader(leader: Leader, arm: Arm) -> None:
         raise InvalidValue("length of the path [m]", leader.path.length, allowed)
     if leader.pipe is not None and leader.pipe < narrowest:
         raise InvalidValue("pipe", leader.pipe, f"{narrowest:.4g} m or more, 1/{MAX_SIZE_RATIO} of the arm")
+    if leader.pipe is not None:
+        _require_wider(leader.pipe, arm, scene)
+
+
+def _require_wider(radius: float, arm: Arm, scene: Scene | None) -> None:
+    """Refuse a pipe that is narrower than the thinnest round body of the arm and the margin."""
+    margin = PIPE_MARGIN if scene is None else scene.margin
+    bodies = bodies_of(arm, None if scene is None else scene.arm_radius)
+    round_ones = [each.shape.radius for each in bodies if isinstance(each.shape, Sphere | Capsule | Cylinder)]
+    thinnest = min(round_ones, default=0.0)
+    missing = thinnest + margin - radius
+    if missing > 1e-9 * arm.length:
+        parts = f"the arm has a radius of {1e3 * thinnest:.4g} mm and needs a margin of {1e3 * margin:.4g} mm"
+        allowed = f"{thinnest + margin:.4g} m or more: {parts}; {1e3 * missing:.4g} mm are missing"
+        raise InvalidValue("pipe", radius, allowed)
 
 
 PIECES_PER_LINK = 8
@@ -701,6 +789,7 @@ def path_deviation(
         UnknownName: no such placement.
     """
     route = Route(arm, path, placement, start)
+    raise_together(route.misfits)
     rows = np.asarray(q, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != arm.nq or len(rows) == 0:
         raise InvalidValue("q (shape)", rows.shape, f"(1 or more, {arm.nq})")

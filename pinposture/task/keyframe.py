@@ -22,7 +22,7 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, warn_caller
+from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, raise_together, warn_caller
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
@@ -156,13 +156,19 @@ def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
     """
     if len(keyframes) < 2 or not all(isinstance(each, Keyframe) for each in keyframes):
         raise InvalidValue("keyframes", keyframes, "two or more of Keyframe(...)")
+    misfits: list[PostureError] = []
     for index, keyframe in enumerate(keyframes):
+        where = title(keyframes, index)
         if keyframe.region is not None and keyframe.region[1] >= arm.n_modules:
             reason = f"its region is {keyframe.region}; the arm has control points 0 to {arm.n_modules - 1}"
-            raise TaskError(title(keyframes, index), reason)
+            misfits.append(TaskError(where, reason))
         misfit = "" if keyframe.curve is None else length_misfit(arm, keyframe.curve)
         if misfit:
-            raise TaskError(title(keyframes, index), f"the curve {misfit}")
+            misfits.append(TaskError(where, f"the curve {misfit}"))
+        misfit = joints_misfit(arm, keyframe) if keyframe.curve is None else ""
+        if misfit:
+            misfits.append(TaskError(where, f"joints {misfit}"))
+    raise_together(misfits)
 
 
 @contextmanager
@@ -446,10 +452,16 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
     Raises:
         TargetError: as `resolve_targets`; names the keyframe.
     """
-    keyframes, targets = with_fitting_joints(arm, keyframes), []
+    keyframes = with_fitting_joints(arm, keyframes)
+    targets: list[Target] = []
+    failures: list[PostureError] = []
     for index, keyframe in enumerate(keyframes):
-        with naming(title(keyframes, index)):
-            targets.append(_target(arm, keyframe, keyframe.method))
+        try:
+            with naming(title(keyframes, index)):
+                targets.append(_target(arm, keyframe, keyframe.method))
+        except PostureError as failure:
+            failures.append(failure)
+    raise_together(failures)
     curved = [k for k, keyframe in enumerate(keyframes) if keyframe.curve is not None]
     free = [k for k in curved if keyframes[k].joints is None]
     methods = {targets[k].method for k in free or curved}

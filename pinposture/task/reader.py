@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, cast
 
@@ -24,7 +24,14 @@ from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import CURVES, Curve
-from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
+from pinposture.errors import (
+    FileError,
+    InvalidValue,
+    PostureError,
+    TaskError,
+    UnknownName,
+    numbered,
+)
 from pinposture.placement.target import length_misfit
 from pinposture.storage import parse_json, parse_toml, read_text, require_suffix, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
@@ -115,6 +122,18 @@ def _check_size(path: Path, place: Place, value: Any) -> None:
 
 Spec = TypeVar("Spec")
 Made = TypeVar("Made")
+Key = TypeVar("Key", bound=Hashable)
+
+
+def _mistakes(found: Mapping[str, Any]) -> list[tuple[Place, str]]:
+    """Return place and reason of each mistake that a validator found."""
+    inside, cause = found["loc"], found.get("ctx", {}).get("error")
+    if found["type"] == "missing":
+        return [(inside[:-1], f"the key {inside[-1]!r} is missing")]
+    if cause is None:
+        return [(inside, f"is {shown(found['input'])}; allowed: {found['msg']}")]
+    causes = getattr(cause, "all", (cause,))
+    return [((*inside, *getattr(each, "within", ())), str(each)) for each in causes]
 
 
 class Document:
@@ -173,16 +192,31 @@ class Document:
         try:
             spec: Spec = TypeAdapter(kind).validate_python({} if value is None else value, context=context)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            inside, cause = first["loc"], first.get("ctx", {}).get("error")
-            if first["type"] == "missing":
-                reason, inside = f"the key {inside[-1]!r} is missing", inside[:-1]
-            elif cause is None:
-                reason = f"is {shown(first['input'])}; allowed: {first['msg']}"
-            else:
-                reason, inside = str(cause), (*inside, *getattr(cause, "within", ()))
-            raise self.fault((*where, *inside), reason) from None
+            mistakes = [each for found in error.errors(include_url=False) for each in _mistakes(found)]
+            raise self.together(
+                [self.fault((*where, *inside), reason) for inside, reason in mistakes]
+            ) from None
         return spec
+
+    def make_all(self, parts: Mapping[Key, Callable[[], Any]]) -> dict[Key, Any]:
+        """Make independent parts; raise one error with the mistakes in all of them."""
+        made: dict[Key, Any] = {}
+        errors: list[PostureError] = []
+        for key, make in parts.items():
+            try:
+                made[key] = make()
+            except PostureError as error:
+                errors.append(error)
+        if errors:
+            raise self.together(errors)
+        return made
+
+    def together(self, errors: Sequence[PostureError]) -> FileError:
+        """Return one error with all reasons of several."""
+        listed = [each for error in errors for each in (error.reasons or (error,))]
+        error = FileError(self.path, numbered([getattr(each, "reason", str(each)) for each in listed]))
+        error.reasons = tuple(listed) if len(listed) > 1 else ()
+        return error
 
     @contextmanager
     def blaming(self, where: Place, key: str | None = None) -> Iterator[None]:
@@ -346,17 +380,17 @@ def make_curve(document: Document, where: Place, spec: str | dict[str, Any]) -> 
     return curve
 
 
-def _make_leader(document: Document, spec: LeaderSpec, placement: Any, arm: Arm) -> Leader:
-    """Make the leader; `placement` is the default."""
+def _make_leader(document: Document, spec: LeaderSpec, scene: Scene | None, arm: Arm) -> Leader:
+    """Make the leader; the scene decides on the default of its placement."""
     values = {key: getattr(spec, key) for key in LeaderSpec.model_fields}
     values["path"] = path = make_curve(document, ("leader", "path"), spec.path)
-    leader = Leader(**{**values, "placement": spec.placement or placement})
+    leader = Leader(**{**values, "placement": spec.placement or usual_placement(scene)})
     longest = MAX_SIZE_RATIO * arm.length
     if path.length > longest:
         reason = f"is {path.length:.4g} m long; allowed: {longest:.4g} m, {MAX_SIZE_RATIO} times the arm"
         raise document.fault(("leader", "path"), reason)
     with document.blaming(("leader",)):
-        check_leader(leader, arm)
+        check_leader(leader, arm, scene)
     return leader
 
 
@@ -465,7 +499,7 @@ def check_task(task: TaskParts) -> None:
         allowed = "a mapping from curves, tips, a scene or obstacles to their descriptions"
         raise InvalidValue("described", described, allowed)
     if isinstance(task.motion, Leader):
-        check_leader(task.motion, task.arm)
+        check_leader(task.motion, task.arm, task.scene)
         for key, only in (("continuity", CONTINUITIES[0]), ("repeat", 1)):
             if getattr(task, key) != only:
                 raise InvalidValue(key, getattr(task, key), f"{only!r}, of a leader")
@@ -511,29 +545,21 @@ def read_task(document: Document, arm: Arm | None = None) -> TaskParts:
     arm = make_arm(document, read_arm(document)) if arm is None else arm
     spec: TaskSpec = document.read(TaskSpec, (), {"arm": arm})
     scene = make_scene(document, ("scene",), spec.scene)
-    placement = usual_placement(scene)
-    motion: tuple[Keyframe, ...] | Leader
-    if spec.kind == "follow_leader":
-        leads = document.read(LeaderSpec, ("leader",)) if spec.leader is None else spec.leader
-        motion = _make_leader(document, leads, placement, arm)
-    else:
-        motion = tuple(
-            _make_keyframe(document, ("keyframes", number), each, placement, arm)
-            for number, each in enumerate(spec.keyframes)
-        )
-        if len(motion) < 2:
-            found = "none" if not motion else "only one"
-            reason = f"there is {found}; allowed: two or more, each begun by [[keyframes]]"
-            raise document.fault(("keyframes",), reason)
-    for name, reason in _around_base(scene, arm):
-        raise document.fault(("scene", "obstacles", name), reason)
+    parts: dict[str, Callable[[], Any]] = {
+        "motion": lambda: _make_motion(document, spec, scene, arm),
+        "limits": lambda: _make_limits(document, spec.limits, arm),
+        "controller": lambda: _make_controller(document, spec.controller),
+        "start": lambda: _make_start(document, spec.start, arm),
+        "base": lambda: _check_base(document, scene, arm),
+    }
+    made = document.make_all(parts)
     return TaskParts(
         arm=arm,
-        motion=motion,
-        limits=_make_limits(document, spec.limits, arm),
-        controller=_make_controller(document, spec.controller),
+        motion=made["motion"],
+        limits=made["limits"],
+        controller=made["controller"],
         scene=scene,
-        start=_make_start(document, spec.start, arm),
+        start=made["start"],
         continuity=cast(Literal["velocity", "acceleration"], spec.continuity),
         formats=tuple(each for each in RESULT_FORMATS if each in spec.output.formats),
         name=document.path.stem if spec.name is None else spec.name,
@@ -541,3 +567,30 @@ def read_task(document: Document, arm: Arm | None = None) -> TaskParts:
         described=document.described,
         repeat=spec.repeat,
     )
+
+
+def _make_motion(
+    document: Document, spec: TaskSpec, scene: Scene | None, arm: Arm
+) -> tuple[Keyframe, ...] | Leader:
+    if spec.kind == "follow_leader":
+        leads = document.read(LeaderSpec, ("leader",)) if spec.leader is None else spec.leader
+        return _make_leader(document, leads, scene, arm)
+    if len(spec.keyframes) < 2:
+        found = "none" if not spec.keyframes else "only one"
+        reason = f"there is {found}; allowed: two or more, each begun by [[keyframes]]"
+        raise document.fault(("keyframes",), reason)
+    placement = usual_placement(scene)
+    makers = {
+        number: partial(_make_keyframe, document, ("keyframes", number), each, placement, arm)
+        for number, each in enumerate(spec.keyframes)
+    }
+    return tuple(document.make_all(makers).values())
+
+
+def _check_base(document: Document, scene: Scene | None, arm: Arm) -> None:
+    """Refuse obstacles where the base of the arm is."""
+    around = _around_base(scene, arm)
+    if around:
+        raise document.together(
+            [document.fault(("scene", "obstacles", name), reason) for name, reason in around]
+        )

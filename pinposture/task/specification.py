@@ -156,6 +156,18 @@ class Misplaced(ValueError):
         self.within = within
 
 
+class Mistakes(ValueError):
+    """Several mistakes in a value.
+
+    Attributes:
+        all: the mistakes.
+    """
+
+    def __init__(self, mistakes: Sequence[Misplaced]) -> None:
+        super().__init__(*mistakes)
+        self.all = tuple(mistakes)
+
+
 # Kinds of values.
 
 Read = TypeVar("Read")
@@ -340,9 +352,9 @@ class TableSpec(BaseModel):
         if not isinstance(values, Mapping):
             raise _wrong(values, "a table")
         allowed = cls.check_keys(values)
-        for key in values:
-            if key not in cls.model_fields:
-                raise _unknown_key(key, allowed)
+        unknown = [_unknown_key(key, allowed) for key in values if key not in cls.model_fields]
+        if unknown:
+            raise Mistakes(unknown)
         return values
 
     @classmethod
@@ -468,7 +480,9 @@ class ArmTable(TableSpec):
     @field_validator("link_lengths")
     @classmethod
     def _for_each_joint(cls, value: object, info: ValidationInfo) -> tuple[float, ...]:
-        joints = len(template(info.data["template"]).joints) if info.data.get("template") else 0
+        if "template" not in info.data:  # it is refused
+            return ()
+        joints = len(template(info.data["template"]).joints) if info.data["template"] else 0
         return tuple(_read_quantities(value, ["length"] * joints))
 
 

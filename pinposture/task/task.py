@@ -34,6 +34,7 @@ from pinposture.storage import settled
 from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, placed, usual_placement, with_fitting_joints
 from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.passage import require_passage, require_wide_pipe
 from pinposture.task.reader import Document, TaskParts, check_task, read_task
 from pinposture.task.reference import (
     Mark,
@@ -210,12 +211,19 @@ class Task(TaskParts):
         return outlook(reference, self.surroundings(reference))
 
     def surroundings(self, reference: Reference) -> Scene | None:
-        """Return the obstacles to avoid: the scene, and the pipe around the path if there is one."""
+        """Return the obstacles to avoid: the scene, and the pipe around the path if there is one.
+
+        Raises:
+            PostureError: the pipe bends too much, or is too narrow for the arm and the margin.
+        """
         path = reference.marks[0].target.curve if reference.marks else None
         if not isinstance(self.motion, Leader) or self.motion.pipe is None or path is None:
             return self.scene
         with self._naming("leader", "pipe"):
             walls = pipe(path, self.motion.pipe)
+            if self.scene is not None:
+                walls = replace(self.scene, obstacles=walls.obstacles, velocities={})
+            require_wide_pipe(reference, walls, self.motion.pipe)
             if self.scene is None:
                 return walls
             return replace(self.scene, obstacles={**self.scene.obstacles, **walls.obstacles})
@@ -252,6 +260,12 @@ class Task(TaskParts):
             raise self._file_error(self._document, error, where) from error
 
     def _file_error(self, document: Document, error: PostureError, where: Place) -> FileError:
+        """Return an error with the line of each of its reasons."""
+        if not error.reasons:
+            return self._located(document, error, where)
+        return document.together([self._located(document, each, where) for each in error.reasons])
+
+    def _located(self, document: Document, error: PostureError, where: Place) -> FileError:
         message = str(error)
         if isinstance(self.motion, Leader):
             key = error.name if isinstance(error, InvalidValue) else ""
@@ -505,6 +519,7 @@ def perform(
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     start = reference.start if q0 is None else arm.checked_start(q0, "q0")
+    require_passage(reference, scene, MAX_MEAN_LAG * arm.length / arm.n_modules)
     guide = ReferencePath(reference, limits)
     loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress)

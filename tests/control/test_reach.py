@@ -255,3 +255,21 @@ def test_bad_input_is_named(arm, changed, named):
     given = {"arm": arm, "goal": (0.3, 0.1, 0.1), **changed}
     with pytest.raises(pp.PostureError, match=f"^{named}"):
         pp.reach(given.pop("arm"), given.pop("goal"), **given)
+
+
+def test_all_reasons_why_a_goal_cannot_be_reached_are_named_at_once():
+    """Farther than the arm, off its plane, inside a ball, and turned about an axis that it does not have."""
+    arm = pp.Arm.from_template("Rz", modules=6)
+    goal = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.0, 0.0), np.array([3.0, 0.0, 0.2]))
+    scene = pp.Scene({"ball": pp.Sphere((3.0, 0.0, 0.0), 0.5)})
+    with pytest.raises(pp.errors.OutOfReach) as caught:
+        pp.reach(arm, goal, scene=scene)
+    assert len(caught.value.reasons) == 4
+    for words in (
+        "4 reasons: (1)",
+        "3.007 m from the base",
+        "0.2 m off the plane",
+        "inside ball",
+        "turns about one axis",
+    ):
+        assert words in str(caught.value)

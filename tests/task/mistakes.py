@@ -215,5 +215,5 @@ feed = { stroke = "30 cm" }\n -> :: leader.path: first joints of the arm | feed 
 "5 cm/s" -> 1e-9 :: leader.speed: is 1e-09; allowed: a speed for at most 1000000 rows; this one needs 6e+08
 "45 mm" -> "1e5 m" :: leader.pipe: radius
 [leader] -> [start]§\njoints = [0, 1, 0, 0, 0, 0, 0, 0, 0, ]\n[leader] :: start: start is | straight
-depth = 0.1 -> placement = "as_is" :: leader.path: start of the path is | straight on @ path =
+pipe = "45 mm" -> placement = "as_is" :: leader.path: start of the path is | base of the arm @ path =
 """

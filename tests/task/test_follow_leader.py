@@ -348,10 +348,14 @@ REFUSED = {
     "short feed": (
         {"path": lambda: Curve.line((0, 0, 0), (0.7, 0, 0))},
         InvalidValue,
-        "at most 0.6 m: the feed has 0.6 m of travel from the start; depth= follows a part of it",
+        "at most 0.6 m: the feed has 0.6 m of travel from the start, 0.1 m are missing; depth= follows",
     ),
     "bend at the feed": ({"path": lambda: arc(0.2, 2.3)}, InvalidValue, "straight feed would leave"),
-    "elsewhere": ({"placement": "as_is"}, InvalidValue, "m from the tip, 90 degrees off the axis of the arm"),
+    "elsewhere": (
+        {"placement": "as_is"},
+        InvalidValue,
+        "90 degrees off the axis of the arm'; allowed: within 0.057 degrees",
+    ),
     "no feed": (
         {"arm": lambda: Arm.from_modules(HINGES)},
         InvalidValue,
@@ -386,6 +390,48 @@ def test_what_cannot_be_followed_is_refused(change, error, words):
     with pytest.raises(error) as caught:
         follow_leader(**asked)
     assert words in str(caught.value)
+
+
+def test_all_reasons_are_named_at_once_with_what_is_allowed_and_what_is_missing():
+    """Amounts are those of the construction: lengths, a shift of (1, 2, 3) mm, a turn of 0.87 degrees."""
+    arm = hinged()
+    tip = arm.at(arm.neutral()).points[-1]
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, np.radians(0.87))
+    path = Curve.line((0, 0, 0), (0.9, 0, 0)).moved(turn, tip + (1e-3, 2e-3, 3e-3))
+    with pytest.raises(InvalidValue) as caught:
+        follow_leader(arm, path, 0.0, -0.1, placement="as_is", depth=1.0)
+    words = (
+        "5 reasons: (1) interval is 0.0",
+        "(2) speed is -0.1",
+        "(3) start of the path is '0.003742 m from the tip'; allowed: within 4e-06 m of the tip, at (0.43,",
+        "move it by (-0.001, -0.002, -0.003) m, or the base of the arm the other way",
+        "(4) first direction of the path is '0.87 degrees off the axis of the arm'",
+        "allowed: within 0.057 degrees of the arm, (1, 0, 0)",
+        "(5) depth is 1.0; allowed: at most 0.9 m: the path is 0.9 m long, 0.1 m are missing",
+        "at most 0.6 m: the feed has 0.6 m of travel from the start, 0.4 m are missing",
+    )
+    for each in words:
+        assert each in str(caught.value)
+    assert [type(each) for each in caught.value.reasons] == [InvalidValue] * 5
+
+
+def test_a_start_names_the_joint_that_is_bent_and_the_one_beyond_its_limit():
+    start = hinged().neutral()
+    start[0], start[3] = 0.7, 0.02
+    with pytest.raises(InvalidValue) as caught:
+        follow_leader(hinged(), arc(0.2, 0.5), 0.1, 0.1, start=start)
+    assert "1 of 8 joints bent, most m04_j1_z, by 0.02'; allowed: the straight arm, to within 1e-06" in str(
+        caught.value
+    )
+    assert "m01_j1_x at 0.7, 0.1 beyond its limit'; allowed: from 0 to 0.6" in str(caught.value)
+
+
+def test_an_arm_without_a_feed_names_all_that_is_missing():
+    arm = Arm.from_modules([continuum_section(3), *HINGES])
+    with pytest.raises(InvalidValue) as caught:
+        follow_leader(arm, arc(0.2, 0.5), 0.1, 0.1)
+    assert [each.name for each in caught.value.reasons][1] == "first joints of the arm"
+    assert "follows" in str(caught.value.reasons[0])
 
 
 @pytest.mark.parametrize("method", ["closest", "sequential"])

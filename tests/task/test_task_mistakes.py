@@ -215,3 +215,33 @@ def test_whatever_is_changed_there_is_a_task_or_one_line(folder: Path, data: st.
         str(error).encode()
     else:
         assert np.all(np.isfinite(reference.offsets))
+
+
+def test_all_mistakes_are_named_at_once_each_with_its_line(tmp_path: Path) -> None:
+    """Unknown keys of one table and of others, then values, then what does not fit the arm."""
+    text = (Path(__file__).parents[2] / "examples" / "tasks" / "keyframes.toml").read_text()
+    file = tmp_path / "task.toml"
+
+    def reasons(*changes: tuple[str, str]) -> list[str]:
+        changed = text
+        for old, new in changes:
+            changed = changed.replace(old, new, 1)
+        file.write_text(changed)
+        with pytest.raises(FileError) as caught:
+            pp.Task.load(file).reference()
+        found = re.split(r" ?\(\d\) ", str(caught.value))
+        assert found[0] == f"{file}: {len(found) - 1} reasons:"
+        return found[1:]
+
+    assert reasons(("cycle =", "cycel ="), ("velocity =", "velocty =")) == [
+        "line 11: limits.cycel: there is no such key (did you mean 'cycle'?); allowed: "
+        "cycle, step, velocity, acceleration, jerk, position_margin",
+        "line 12: limits.velocty: there is no such key (did you mean 'velocity'?); allowed: "
+        "cycle, step, velocity, acceleration, jerk, position_margin",
+    ]
+    found = reasons(('"20 ms"', '"20 mm"'), ('"1 s"', '"1 m"'), ('"0.5 s"', "true"))
+    assert [each.split(":")[0] for each in found] == ["line 21", "line 34", "line 11"]
+    found = reasons(('"10 cm"', '"-1 cm"'), ('"16 cm"', '"-1 cm"'), ('"90 deg/s"', "-1"))
+    assert [each.split(":")[0] for each in found] == ["line 28", "line 41", "line 12"]
+    found = reasons(("b = [1, 0, 0]", "b = [0.1, 0, 0]"), ('"16 cm"', '"1 cm"'))
+    assert [each.split(":")[0] for each in found] == ["line 15", "line 38"]
