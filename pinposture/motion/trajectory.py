@@ -442,8 +442,9 @@ class Waypoint(NamedTuple):
         mean_error: mean distance of the control points from their targets at that time [m]; None if never.
             It can be as large as the motion in half a cycle.
         off_curve: largest distance of the targets of the control points from the curve of the waypoint, if
-            the arm cannot take the curve exactly [m]; None without a curve. After following a leader, the
-            largest distance of any part of the arm from the path on the way.
+            the arm cannot take the curve exactly, or of the tip from the end of a curve that is not to be
+            trimmed [m]; None without a curve. After following a leader, the largest distance of any part of
+            the arm from the path on the way.
         tip_off: error of the tip task at that time [m]; None without a tip task, or if never reached.
         moved: how its curve was moved from its original position; None without a curve.
         speed: largest share of the velocity limits for the motion to it.

@@ -176,6 +176,12 @@ def slid_positions(arm: Arm, length: float) -> Array:
     return np.asarray((1.0 - share) * postures[k - 1] + share * postures[k])
 
 
+def _module_lengths(arm: Arm, positions: Array) -> Array:
+    """Return the distance of each control point from the previous one at joint positions (nv,), (m,) [m]."""
+    points = arm.chain.flattened(arm.kinematics.forward(positions).points)
+    return np.asarray(np.linalg.norm(np.diff(points, axis=0, prepend=arm.chain.base[None]), axis=1))
+
+
 def transported_turns(tangents: Array) -> Array:
     """Return the rotation vectors (n - 1, 3) from each unit tangent (n, 3) to the next [rad].
 
@@ -308,6 +314,22 @@ class FitProblem:
         gaps = np.diff(parameters, prepend=self._start)
         return np.asarray(np.concatenate([positions[self.columns], gaps]) / self._units)
 
+    def with_slides(self, positions: Array) -> FitProblem:
+        """Return the same problem with the slides at given positions, those of (nv,) [m]."""
+        arm, n = self._arm, self._joints
+        if not np.any(arm.slides):
+            return self
+        held = copy(self)
+        fixed = np.flatnonzero(arm.slides[self.columns])
+        held._rest = np.where(arm.slides, positions, self._rest)
+        lengths = _module_lengths(arm, np.where(arm.roaming, 0.0, held._rest)) / arm.length
+        held.lower = self.lower.copy()
+        held.upper = self.upper.copy()
+        held.lower[fixed] = held.upper[fixed] = positions[self.columns[fixed]] / self._units[fixed]
+        held.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths)
+        held.upper[n:] = np.maximum(self.upper[n:], MAX_SPACING * np.maximum(lengths, lengths.mean()))
+        return held
+
     def solve(self, curve: Samples | Curve, guess: Array, evaluations: int) -> Array:
         """Minimise from an initial guess, with a limited number of evaluations."""
 
@@ -363,10 +385,8 @@ class SlidingFit(FitProblem):
         super().__init__(arm, start, bending, base)
         chain, n = arm.chain, self._joints
         extended, slid = arm.positions(arm.straight()), slid_positions(arm, to_end * (length - start))
-        points = [chain.flattened(arm.kinematics.forward(each).points) for each in (extended, slid)]
-        longest, lengths = (
-            np.linalg.norm(np.diff(p, axis=0, prepend=chain.base[None]), axis=1) for p in points
-        )
+        longest = _module_lengths(arm, extended)
+        lengths = _module_lengths(arm, slid)
         self.reach = float(longest.sum())
         longest = MAX_SPACING * np.maximum(longest, longest.mean()) / arm.length
         self.upper[n:] = np.maximum(self.upper[n:], longest)

@@ -28,7 +28,7 @@ from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import is_compiled, unit_arrays
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
-from pinposture.placement.target import beginning, length_misfit
+from pinposture.placement.target import beginning, fitting_slides, length_misfit
 from pinposture.task.reference import AnchoredCurve, BentCurve
 
 Array = NDArray[np.float64]
@@ -64,8 +64,9 @@ class Keyframe:
         joints: joint positions as of `Arm.positions`, (nv,) [rad or m]. Without a curve, they are the
             posture. With a curve, they select one of several configurations that fit it equally well, as
             least squares may find; those that do not fit the arm are then ignored with a warning.
-        trim: whether a curve may be longer than the arm, which takes its first part; if not, one that is
-            longer by more than a module draws a warning.
+        trim: whether a curve may be longer than the arm, which takes its first part; if not, the distance of
+            the tip from its end counts as distance from the curve, and one that is longer by more than a
+            module, or a tenth of one if the arm has slides to extend, draws a warning.
         speed: largest share of the velocity limits for the motion to this keyframe, in (0, 1].
 
     Raises:
@@ -381,6 +382,10 @@ STRICT_TIP_TOLERANCE = 1e-4
 """Largest error of a tip task with priority, in arm lengths."""
 
 
+SLIDING_REST = 0.1
+"""Length of a curve that an arm with slides may leave uncovered without a warning, in module lengths."""
+
+
 class Resolved(NamedTuple):
     """A keyframe resolved for an arm.
 
@@ -528,9 +533,18 @@ def _warn_of_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolve
     """Warn of a curve that is longer than the arm covers, unless it is to be trimmed."""
     anchored, covered = cast(AnchoredCurve, resolved.anchored), float(resolved.parameters[-1])
     length = anchored.curve.length - anchored.parameter
-    if not keyframes[index].trim and length - covered > float(arm.chain.module_lengths.max()):
+    allowed = float(arm.chain.module_lengths.max()) * (SLIDING_REST if np.any(fitting_slides(arm)) else 1.0)
+    if not keyframes[index].trim and length - covered > allowed:
         text = f"the arm takes the first {covered:.4g} m of its curve of {length:.4g} m"
         warn_caller(f"{title(keyframes, index)}: {text}; set trim to accept this")
+
+
+def end_off(arm: Arm, keyframe: Keyframe, target: Target) -> float:
+    """Return the distance of the tip from the end of its curve [m]; 0 if it does not have to be there."""
+    if target.curve is None or keyframe.trim or not target.has_target[-1]:
+        return 0.0
+    tip = arm.chain.flattened(target.points[-1:])[0]
+    return float(np.linalg.norm(tip - target.curve.at(target.curve.length)))
 
 
 def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str) -> Array:
@@ -652,33 +666,37 @@ class LeastSquaresFollower:
     """Least squares of the whole arm, from a nearby guess.
 
     The unknowns are those of `least_squares`: joint positions, and arc lengths between control points, in
-    units of the problem.
+    units of the problem. Slides are given: least squares leave open how far the arm extends along a curve.
     """
 
     def __init__(self, arm: Arm, method: str) -> None:
         lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
         self.problem = FitProblem(arm, 0.0, STIFFNESS[method] * float(np.median(lengths)))
 
-    def error(self, curve: BentCurve, unknowns: Array) -> float:
-        """Return the root mean square distance from the curve, including bending, in arm lengths."""
-        residual, _ = self.problem.evaluate(curve, unknowns)
-        return float(np.sqrt(residual @ residual / self.problem.points))
-
-    def follow(self, curve_at: Callable[[int], BentCurve], rows: range, first: Array, travel: float) -> Array:
+    def follow(
+        self,
+        curve_at: Callable[[int], BentCurve],
+        problem_at: Callable[[int], FitProblem],
+        rows: range,
+        first: Array,
+        travel: float,
+    ) -> Array:
         """Follow the curves of rows from unknowns that fit the first; return unknowns (r, n + m).
 
         Args:
             curve_at: the curve of a row.
+            problem_at: the problem of a row, with its slides.
             rows: the rows.
             first: unknowns of the first row, (n + m,).
             travel: largest motion of the joints over all rows [rad, or arm lengths].
         """
         found = np.empty((len(rows), len(first)))
         found[0] = first
-        _, jacobian = self.problem.evaluate(curve_at(rows[0]), first)
+        begin = problem_at(rows[0])
+        jacobian = begin.evaluate(curve_at(rows[0]), first)[1]
         weight = VISCOSITY**2 * len(rows) / TYPICAL_ROWS * stiffness(self.problem, jacobian.T @ jacobian)
-        for i in range(1, len(rows)):
+        for i, row in enumerate(rows[1:], start=1):
             guess = found[i - 1] + (found[i - 1] - found[i - 2] if i > 1 else 0.0)
-            curve = curve_at(rows[i])
-            found[i] = refined(self.problem, curve, guess, found[i - 1], weight, travel / len(rows))
+            before, most = found[i - 1], travel / len(rows)
+            found[i] = refined(problem_at(row), curve_at(row), guess, before, weight, most)
         return found

@@ -15,7 +15,7 @@ from pinposture._validation import require_known, require_positive, require_whol
 from pinposture.arm import Arm
 from pinposture.control.reach import require_within_reach
 from pinposture.errors import InvalidValue, OutOfReach, warn_caller
-from pinposture.placement.least_squares import refined
+from pinposture.placement.least_squares import FitProblem, refined
 from pinposture.task.keyframe import (
     CONTINUITIES,
     MOST_CYCLES,
@@ -26,6 +26,7 @@ from pinposture.task.keyframe import (
     SequentialFollower,
     Stretch,
     check_keyframes,
+    end_off,
     interpolate,
     lap_of,
     naming,
@@ -72,7 +73,14 @@ CROSSFADE_STARTS, COST_ROWS = 13, 33
 
 
 class StretchCurves:
-    """The curves of a stretch, computed on demand."""
+    """The curves of a stretch, computed on demand.
+
+    Args:
+        bending: converts vectors to curves.
+        vectors: those of the keyframes, (k, d).
+        stretch: the stretch.
+        continuity: one of `CONTINUITIES`.
+    """
 
     def __init__(self, bending: Bending, vectors: Array, stretch: Stretch, continuity: str) -> None:
         self._bending, self._vectors, self._stretch = bending, vectors, stretch
@@ -227,38 +235,56 @@ class RowSolver:
     def _follow(
         self, stretch: Stretch, curves: StretchCurves, before: Array, report: Callable[[int], None]
     ) -> Array:
-        """Return joint positions of a stretch by least squares, given those at its start."""
+        """Return joint positions of a stretch by least squares, given those at its start.
+
+        Slides move from their position at one keyframe to that at the next, so that the arm extends with the
+        curve, and the hinges place it on the curve.
+        """
         problem, keyframes = self._follower.problem, self._motion.keyframes
         begin = int(stretch.rows[0])
+        end = int(stretch.rows[-1])
+        keyed = np.array([each.positions for each in keyframes[stretch.first : stretch.last + 1]])
+        slid = interpolate(stretch, keyed, self._continuity, range(begin, end + 1))
+        slid[stretch.rows - begin] = keyed  # to the last bit
+
+        def problem_at(row: int) -> FitProblem:
+            return problem.with_slides(slid[row - begin])
+
         start = PieceEnd(begin, problem.joined(before, keyframes[stretch.first].parameters), True)
-        others = np.delete(np.arange(self._arm.nv), problem.columns)
-        rows = np.empty((int(stretch.rows[-1]) - begin + 1, self._arm.nv))
+        others = np.setdiff1d(np.flatnonzero(~self._arm.slides), problem.columns)
+        rows = np.empty((end - begin + 1, self._arm.nv))
         rows[0] = before
         for k in range(stretch.first + 1, stretch.last + 1):
             resolved, row = keyframes[k], int(stretch.rows[k - stretch.first])
             own = problem.joined(self._unwrapped(resolved.positions, before), resolved.parameters)
-            end = PieceEnd(row, own, self._sequential is not None or resolved.fixed)
-            unknowns = self._follow_piece(curves, start, end)
-            piece = rows[start.row - begin :]
+            goal = PieceEnd(row, own, self._sequential is not None or resolved.fixed)
+            unknowns = self._follow_piece(curves, problem_at, start, goal)
             for i in range(1, len(unknowns)):
-                piece[i] = problem.split(unknowns[i])[0]
-            piece[1 : len(unknowns), others] = before[others]
-            before = piece[len(unknowns) - 1].copy()
-            start = end._replace(unknowns=unknowns[-1], pinned=True)
+                rows[start.row - begin + i] = problem_at(start.row + i).split(unknowns[i])[0]
+            rows[start.row - begin + 1 : row - begin + 1, others] = before[others]
+            before = rows[row - begin].copy()
+            start = goal._replace(unknowns=unknowns[-1], pinned=True)
             report(row)
         return rows
 
-    def _follow_piece(self, curves: StretchCurves, start: PieceEnd, end: PieceEnd) -> Array:
+    def _follow_piece(
+        self,
+        curves: StretchCurves,
+        problem_at: Callable[[int], FitProblem],
+        start: PieceEnd,
+        end: PieceEnd,
+    ) -> Array:
         """Return unknowns of all rows from one keyframe to the next, (r, n + m)."""
-        follower, numbers = self._follower, range(start.row, end.row + 1)
+        follow, numbers = self._follower.follow, range(start.row, end.row + 1)
         count = len(numbers)
         first, last = curves.at(start.row), curves.at(end.row)
-        fitted = refined(follower.problem, first, start.unknowns)
+        fitted = refined(problem_at(start.row), first, start.unknowns)
         shift, zero = start.unknowns - fitted, np.zeros(len(fitted))
         travel = max(MIN_TRAVEL, TRAVEL_RATIO * float(np.abs(end.unknowns - fitted).max()))
-        forward = follower.follow(curves.at, numbers, fitted, travel)
-        goal = end.unknowns if end.pinned else refined(follower.problem, last, forward[-1])
-        left, best = goal - forward[-1], follower.error(last, end.unknowns)
+        forward = follow(curves.at, problem_at, numbers, fitted, travel)
+        arrival = problem_at(end.row)
+        goal = end.unknowns if end.pinned else refined(arrival, last, forward[-1])
+        left, best = goal - forward[-1], arrival.distance(last, end.unknowns)
         met = float(np.abs(left).max()) <= MAX_SHIFT
         forward += ramp(count, shift, left if met else zero)
 
@@ -266,7 +292,10 @@ class RowSolver:
         sampled_curves = curves.of(start.row + sampled)
 
         def errors(rows: Array) -> list[float]:
-            return [follower.error(c, x) for c, x in zip(sampled_curves, rows[sampled], strict=True)]
+            return [
+                problem_at(start.row + i).distance(curve, rows[i])
+                for i, curve in zip(sampled.tolist(), sampled_curves, strict=True)
+            ]
 
         def cost(rows: Array) -> float:
             return sum(error**2 for error in errors(rows))
@@ -275,8 +304,8 @@ class RowSolver:
         excess, module = between[-1] - best, 1.0 / self._arm.n_modules
         if met and excess <= EQUAL_ERROR and max(between) <= best + MAX_EXTRA_ERROR * module:
             return forward
-        arrived = refined(follower.problem, last, end.unknowns)
-        backward = follower.follow(curves.at, numbers[::-1], arrived, travel)[::-1]
+        arrived = refined(arrival, last, end.unknowns)
+        backward = follow(curves.at, problem_at, numbers[::-1], arrived, travel)[::-1]
         backward = backward + ramp(count, zero, end.unknowns - arrived)
         starts = np.unique(np.linspace(0, count - 1 - window(count), CROSSFADE_STARTS).astype(np.int64))
         mixed = [crossfade(forward, backward, int(at)) for at in starts]
@@ -380,7 +409,8 @@ def keyframe_reference(
         if index == len(tour):  # returned to the first
             target = marks[0].target
         name = keyframe.name or title(keyframes, index % len(tour))
-        marks.append(Mark(name, row, target, keyframe.tip, keyframe.speed))
+        off = end_off(arm, keyframe, target)
+        marks.append(Mark(name, row, target, keyframe.tip, keyframe.speed, end_off=off))
     weights = _weights(rows, [mark.target.weights for mark in marks])
     lap = Reference(arm, interval / per_cycle, start, offsets, weights, tuple(marks))
     return lap if repeat == 1 else _repeated(lap, len(tour), int(rows.left[len(tour) - 1]), repeat)

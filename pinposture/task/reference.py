@@ -43,6 +43,7 @@ class Mark(NamedTuple):
         tip: its tip task; None without one.
         speed: largest share of the velocity limits for the motion to it from the previous mark.
         way: the path that the arm has to follow on the way to it; None if only the posture counts.
+        end_off: distance of the tip from the end of the curve [m]; 0 if it does not have to be there.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Mark(NamedTuple):
     tip: EndEffector | None = None
     speed: float = 1.0
     way: Way | None = None
+    end_off: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,12 +113,13 @@ class Reference:
 def off_curve(mark: Mark) -> float | None:
     """Return the largest distance of the targets of a mark from its curve [m]; None without a curve.
 
-    It is that on the way to it if the arm has to follow the curve all the way.
+    It is that on the way to it if the arm has to follow the curve all the way, and includes the distance of
+    the tip from the end of the curve if it has to be there.
     """
     if mark.way is not None:
         return mark.way.planned
     residual = mark.target.residual
-    return None if residual is None else float(residual[mark.target.has_target].max())
+    return None if residual is None else max(float(residual[mark.target.has_target].max()), mark.end_off)
 
 
 def tip_off(tip: EndEffector | None, target: Target, state: ArmState) -> float | None:
@@ -133,7 +136,8 @@ class Outlook(NamedTuple):
     Attributes:
         name: name of the posture.
         planned: its planned time [s].
-        off_curve: largest distance of a target from its curve [m]; None without a curve.
+        off_curve: largest distance of a target from its curve, or of the tip from the end of a curve that is
+            not to be trimmed [m]; None without a curve.
         tip_off: error of the tip task [m]; None without one.
         clearance: smallest distance to an obstacle [m], negative in penetration; None without a scene.
         pair: the two that are that close; None without a scene.

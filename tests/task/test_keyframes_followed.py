@@ -10,8 +10,10 @@ from scipy.spatial import KDTree
 from task.keyed_arms import S_CURVE, coil, five_postures, positions, snake, straight
 
 import pinposture as pp
+from pinposture.errors import PostureWarning
 from pinposture.task.keyframes import Keyframe, keyframe_reference
 from pinposture.task.reference import AnchoredCurve, Bending, Reference, crossfade
+from pinposture.task.reference import off_curve as planned_off_curve
 
 J = pp.JointSpec
 ARMS = {
@@ -46,7 +48,7 @@ def promises(reference: Reference) -> None:
 def midway(reference: Reference, index: int) -> tuple[np.ndarray, int]:
     """Points that trace the curve in the middle of the time from one rest to the next; and the row."""
     arm, (first, last) = reference.arm, reference.marks[index : index + 2]
-    bending, vectors = Bending(arm, 1.2 * arm.length), []
+    bending, vectors = Bending(arm, 1.2 * max(arm.length, first.target.parameters[-1])), []
     for mark in (first, last):
         vectors.append(
             bending.vector(AnchoredCurve(mark.target.curve, 0.0), vectors[-1] if vectors else None)
@@ -145,3 +147,101 @@ def test_a_crossfade_begins_with_one_motion_and_ends_with_the_other() -> None:
         assert np.all(faded[start + 20 :] == 1.0)
         assert np.all(np.diff(faded, axis=0) >= 0.0)
         assert np.abs(np.diff(faded, 2, axis=0)).max() < 6.0 / 20**2  # that of 10 t^3 - 15 t^4 + 6 t^5
+
+
+# Arms with slides, which extend to the end of each curve.
+
+FEED = pp.ModuleTemplate("feed", (pp.JointSpec("x", type="prismatic", lower=0.0, upper=1.0),), (0.05,))
+TELESCOPE = pp.ModuleTemplate(
+    "telescope",
+    (J("y"), J("z"), pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.06)),
+    (0.025, 0.0, 0.05),
+)
+BENDS = pp.template("RyRz")
+SLIDING_ARMS = {
+    "feed at the base": lambda: pp.Arm.from_modules([FEED, *[BENDS] * 4]),
+    "feed in the middle": lambda: pp.Arm.from_modules([*[BENDS] * 3, FEED, *[BENDS] * 3]),
+    "feed at the tip": lambda: pp.Arm.from_modules([*[BENDS] * 4, FEED]),
+    "telescope": lambda: pp.Arm.from_modules([TELESCOPE] * 8),
+}
+
+
+def tip(reference: Reference, row: int) -> np.ndarray:
+    return np.asarray(reference.arm.at(reference.configuration(row)).points[-1])
+
+
+@pytest.mark.parametrize("continuity", ("velocity", "acceleration"))
+@pytest.mark.parametrize("name", SLIDING_ARMS)
+def test_slides_extend_and_retract_from_curve_to_curve(name: str, continuity: str) -> None:
+    arm = SLIDING_ARMS[name]()
+    retracted = float(np.linalg.norm(arm.at(arm.neutral()).points[-1]))
+    stroke = float(arm.limits.upper[arm.slides].sum())
+    lengths = [retracted + share * stroke for share in (0.1, 0.8, 0.3)]
+    keyframes = [
+        Keyframe(straight(length), duration=None if index == 0 else 2.0)
+        for index, length in enumerate(lengths)
+    ]
+    reference = keyframe_reference(arm, keyframes, 0.05, continuity)
+    rows = [mark.row for mark in reference.marks]
+    for mark, length in zip(reference.marks, lengths, strict=True):
+        off = np.linalg.norm(tip(reference, mark.row) - (length, 0.0, 0.0))
+        assert off <= 1e-4 * arm.length
+        assert planned_off_curve(mark) == pytest.approx(off, abs=1e-9)
+    along = np.array([tip(reference, row)[0] for row in range(reference.rows)])
+    for begin, end, sign in ((rows[0], rows[1], 1.0), (rows[1], rows[2], -1.0)):
+        assert np.all(sign * np.diff(along[begin : end + 1]) >= -1e-6 * arm.length)
+
+
+def test_a_long_feed_extends_with_twenty_modules() -> None:
+    arm = pp.Arm.from_modules([replace(FEED, link_lengths=(0.0,)), *[BENDS] * 20])
+    keyframes = [Keyframe(straight(1.2)), Keyframe(straight(1.9), duration=5.0)]
+    motion = pp.move_through(arm, keyframes, limits=pp.Limits(step=None, dt=0.05, velocity=1.0))
+    tips = [motion.run.points[place.row, -1, 0] for place in motion.waypoints]
+    assert motion.run.status == "converged"
+    assert np.allclose(tips, (1.2, 1.9), atol=1e-4)
+
+
+def test_a_curved_shape_is_taken_with_its_slides_as_alone() -> None:
+    arm = SLIDING_ARMS["telescope"]()
+    bow = pp.Curve.helix(0.5, 0.0, 0.3, axis=(0, 0, 1))
+    keyframes = [Keyframe(straight(0.65)), Keyframe(bow, duration=2.0), Keyframe(straight(0.8), duration=2.0)]
+    keyframes = [replace(each, placement="align") for each in keyframes]
+    reference = keyframe_reference(arm, keyframes, 0.05)
+    promises(reference)
+    for mark, keyframe in zip(reference.marks, keyframes, strict=True):
+        alone = pp.resolve_targets(arm, keyframe.curve, placement="align")
+        assert np.linalg.norm(mark.target.points - alone.points, axis=1).max() < 1e-4 * arm.length
+
+
+def test_a_base_without_limits_moves_from_curve_to_curve() -> None:
+    axes = tuple(pp.JointSpec(axis, type="prismatic", lower=-1e9, upper=1e9) for axis in "xyz")
+    base = pp.ModuleTemplate("base", axes, (0.0, 0.0, 0.05))
+    arm = pp.Arm.from_modules([base, *[BENDS] * 6])
+    starts = np.array([(0.0, 0.0, 0.0), (0.3, 0.2, 0.1), (0.5, -0.1, 0.0)])
+    keyframes = [
+        Keyframe(
+            pp.Curve.line(start, start + (1.0, 0.0, 0.0)),
+            duration=None if index == 0 else 2.0,
+            placement="as_is",
+            trim=True,
+        )
+        for index, start in enumerate(starts)
+    ]
+    reference = keyframe_reference(arm, keyframes, 0.05)
+    for mark, start in zip(reference.marks, starts, strict=True):
+        assert np.allclose(arm.positions(reference.configuration(mark.row))[:3], start, atol=1e-9)
+        assert mark.target.residual.max() < 1e-9
+    half = positions(reference)[reference.marks[1].row // 2, :3]
+    assert np.all((half > starts[0]) & (half < starts[1]))
+
+
+def test_the_end_of_a_curve_counts_unless_it_is_trimmed() -> None:
+    arm = SLIDING_ARMS["feed at the base"]()
+    first, long = Keyframe(straight(0.5)), Keyframe(straight(1.5), duration=3.0)
+    reach = arm.length + 1.0
+    with pytest.warns(PostureWarning, match="takes the first 1.25 m of its curve of 1.5 m"):
+        reference = keyframe_reference(arm, [first, long], 0.05)
+    assert planned_off_curve(reference.marks[1]) == pytest.approx(1.5 - reach, abs=1e-4)
+    for change in ({"trim": True}, {"region": (0, 2), "trim": True}):
+        other = keyframe_reference(arm, [first, replace(long, **change)], 0.05)
+        assert planned_off_curve(other.marks[1]) < 1e-6
