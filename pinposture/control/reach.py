@@ -74,7 +74,7 @@ class ReachedPosture:
     """A clear posture with the tip at its goal.
 
     Attributes:
-        q: the configuration, (nq,) [rad or m].
+        q: the configuration, (nq,) [rad or m], at the end of the path if there is one.
         target: the posture as a target, for `plan` and `track`.
         path: the path to it from the start; None without a start. If no clear path was found, its
             `hindrance` names the pair that comes too close.
@@ -295,13 +295,40 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
 def _with_path(
     arm: Arm, posture: ReachedPosture, start: Array, scene: Scene | None, limits: Limits, budget: float
 ) -> ReachedPosture:
-    """Return the posture with the path to it, the path ratio and the updated score."""
+    """Return the posture at the turns at which its path ends, with the path, its ratio and its score."""
     path = plan(arm.at(start), posture.target, scene, limits, budget=budget)
+    q = arm.nearest_turns(posture.q, path.configurations[-1])
+    limit_distance = _limit_distance(arm, q)
+    score = posture.score + (limit_distance - posture.limit_distance) / 3.0
     units = arm.joint_units
     direct = float(np.linalg.norm(path.offsets[-1] / units))
     length = float(np.linalg.norm(np.diff(path.offsets / units, axis=0), axis=1).sum())
     ratio = max(length / direct, 1.0) if direct > 1e-9 else 1.0
-    return replace(posture, path=path, path_ratio=ratio, score=(3.0 * posture.score + 1.0 / ratio) / 4.0)
+    q.flags.writeable = False
+    return replace(
+        posture,
+        q=q,
+        target=replace(posture.target, q=q),
+        path=path,
+        limit_distance=limit_distance,
+        path_ratio=ratio,
+        score=(3.0 * score + 1.0 / ratio) / 4.0,
+    )
+
+
+def _half_ranges(arm: Arm) -> tuple[Array, Array]:
+    """Middle and half range of each joint, (nv,) [rad or m]; the latter is infinite without limits."""
+    lower = np.where(arm.unlimited, 0.0, arm.limits.lower)
+    upper = np.where(arm.unlimited, 0.0, arm.limits.upper)
+    return 0.5 * (lower + upper), np.where(arm.unlimited, inf, 0.5 * (upper - lower))
+
+
+def _limit_distance(arm: Arm, q: Array) -> float:
+    """Return the smallest distance of a joint of the chain from its limit, in half ranges, in [0, 1]."""
+    middle, half = _half_ranges(arm)
+    columns = arm.columns[half[arm.columns] > 0.0]
+    shares = np.abs(arm.positions(q) - middle)[columns] / half[columns]
+    return float(np.clip(1.0 - shares.max(initial=0.0), 0.0, 1.0))
 
 
 # The search for postures.
@@ -515,10 +542,8 @@ class _Search:
     @cached_property
     def _ranges(self) -> tuple[Array, Array]:
         """Middle and half range of each joint, (n,) [rad or m]; the latter is infinite without limits."""
-        lower, upper = self.arm.limits.lower[self.columns], self.arm.limits.upper[self.columns]
-        endless = self.arm.unlimited[self.columns]
-        lower, upper = np.where(endless, 0.0, lower), np.where(endless, 0.0, upper)
-        return 0.5 * (lower + upper), np.where(endless, inf, 0.5 * (upper - lower))
+        middle, half = _half_ranges(self.arm)
+        return middle[self.columns], half[self.columns]
 
     def _manipulability(self, state: ArmState) -> Array:
         """Return the gradient of the logarithm of the manipulability measure of the tip, (n,).
@@ -542,9 +567,7 @@ class _Search:
         clearance = inf if self.model is None else self.model.minimum(q).distance
         if error > self.tolerance or clearance < self.margin or not arm.within_limits(q):
             return None
-        middle, half = self._ranges
-        shares = np.abs(at.positions[self.columns] - middle) / half
-        limit_distance = float(np.clip(1.0 - shares.max(initial=0.0), 0.0, 1.0))
+        limit_distance = _limit_distance(arm, q)
         index = at.ellipsoids(-1)[0].index
         score = (min(max(clearance, 0.0) / (AMPLE * arm.length), 1.0) + limit_distance + index) / 3.0
         distance = float(np.linalg.norm(at.points[-1] - _place_of(self.task)))

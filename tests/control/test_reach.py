@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -273,3 +274,25 @@ def test_all_reasons_why_a_goal_cannot_be_reached_are_named_at_once():
         "turns about one axis",
     ):
         assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("upper", [4.0, 9.0])
+def test_the_posture_is_at_the_turns_at_which_its_path_ends(upper):
+    text = pp.Arm.from_template("RyRz", 4).urdf
+    arm = pp.Arm.load(re.sub(r'lower="[^"]*" upper="[^"]*"', f'lower="{-upper}" upper="{upper}"', text))
+    assert np.all(arm.multi_turn)
+    turned = 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        start = rng.uniform(-upper, upper, arm.nq)
+        goal = arm.at(rng.uniform(-1.0, 1.0, arm.nq)).points[-1]
+        for posture in pp.reach(arm, goal, start=start, count=2, seed=seed):
+            end = start + posture.path.offsets[-1]
+            np.testing.assert_allclose(posture.q, end, atol=1e-9)
+            np.testing.assert_array_equal(posture.target.q, posture.q)
+            assert posture.limit_distance == pytest.approx(1.0 - np.abs(end).max() / upper, abs=1e-9)
+            turned += int(np.abs(end).max() > np.pi)
+            reserve = min(max(posture.clearance, 0.0) / (0.05 * arm.length), 1.0)
+            criteria = reserve, posture.limit_distance, posture.manipulability, 1.0 / posture.path_ratio
+            assert posture.score == pytest.approx(np.mean(criteria))
+    assert turned
