@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +19,7 @@ from pinposture.arm.configurations import NO_LIMIT, ConfigurationSpace
 from pinposture.arm.couplings import CoupledJoints, couple_joints, find_couplings, with_couplings
 from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.macros import read_arguments
+from pinposture.arm.model_builder import build_model
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
 from pinposture.arm.soft_limits import soft_limit_warnings, soft_limited, with_soft_limits
 from pinposture.arm.sources import Source, find_urdf
@@ -29,7 +29,6 @@ from pinposture.arm.urdf_reader import (
     JointDescription,
     is_urdf_text,
     leading_joint,
-    parse_xml,
     quote_names,
     read_description,
 )
@@ -124,10 +123,7 @@ def load_model(
     locks = _checked_locks(description, locked or {})
     coupled = _moving_joints(description, base, tip, locks)
     names = [joint.name for joint in coupled.moving]
-    try:
-        model = pin.buildModelFromXML(_without_turns(description.text, coupled))
-    except (ValueError, RuntimeError) as error:
-        raise URDFError(description.source, "<robot>", f"was rejected by Pinocchio: {error}") from None
+    model = build_model(description.text, description.source, _coupled_turns(coupled))
     model = _lock_others(model, description, names, locks)
     _set_limits(model, coupled.moving)
     model = couple_joints(model, coupled)
@@ -255,24 +251,13 @@ def _moving_joints(
     return coupled
 
 
-def _without_turns(text: str, coupled: CoupledJoints) -> str:
-    """Return a description in which coupled continuous joints are revolute.
+def _coupled_turns(coupled: CoupledJoints) -> set[str]:
+    """Return the names of coupled continuous joints.
 
-    A ratio of positions has no meaning for angles modulo a turn.
+    They count turns, because a ratio of positions has no meaning for angles modulo a turn.
     """
     names = {each.joint for each in coupled.couplings} | {each.leader for each in coupled.couplings}
-    turning = {joint.name for joint in coupled.moving if joint.type == "continuous"} & names
-    if not turning:
-        return text
-    robot = parse_xml(text, "URDF text")
-    for element in robot.findall("joint"):
-        if element.get("name") in turning:
-            element.set("type", "revolute")
-            if element.find("limit") is None:
-                ElementTree.SubElement(element, "limit", effort="0", velocity="0")
-            for limit in element.findall("limit"):
-                limit.attrib.update(lower=repr(-NO_LIMIT), upper=repr(NO_LIMIT))
-    return ElementTree.tostring(robot, encoding="unicode")
+    return {joint.name for joint in coupled.moving if joint.type == "continuous"} & names
 
 
 def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -> str:

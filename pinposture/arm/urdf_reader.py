@@ -458,11 +458,15 @@ def _read_link(element: Element, role: str, fault: MakeError) -> str:
     return link
 
 
+def is_finite_number(text: str) -> bool:
+    """Return whether Pinocchio reads a text as a finite number."""
+    return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
+
+
 def _read_number(text: str, what: str, fault: MakeError) -> float:
-    number = float(text) if _NUMBER.fullmatch(text) else math.nan
-    if not math.isfinite(number):
+    if not is_finite_number(text):
         raise fault(f"{what} is {text[:40]!r}; allowed: a finite number, no blank after it")
-    return number
+    return float(text)
 
 
 def _read_vector(element: Element, tag: str, attribute: str, default: Vector, fault: MakeError) -> Vector:

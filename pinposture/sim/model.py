@@ -22,6 +22,7 @@ from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.mjcf import load_mujoco
+from pinposture.arm.model_builder import build_model
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
@@ -347,10 +348,7 @@ def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
         raise InvalidValue("arm", arm, allowed)
     text, source = load_text(arm.urdf)
     _check_inertials(text, source)
-    try:
-        model = pin.buildModelFromXML(text_for_pinocchio(text))
-    except (ValueError, RuntimeError) as error:
-        raise URDFError(source, "<robot>", f"was rejected by Pinocchio: {error}") from None
+    model = build_model(text_for_pinocchio(text), source)
     fixed = [joint.id for joint in list(model.joints)[1:] if joint.nv != 1]
     if fixed:
         model = pin.buildReducedModel(model, fixed, pin.neutral(model))

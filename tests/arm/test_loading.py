@@ -209,3 +209,40 @@ def test_a_speed_limit_of_zero_is_reported_for_models_too():
     arm, messages = loaded(model)
     assert messages == ["the velocity limit of joints 'j1', 'j3' is 0; treated as no limit"]
     np.testing.assert_array_equal(arm.limits.velocity, [np.inf, 1.0, np.inf, 1.0])
+
+
+INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+CAPSULE = '<collision><geometry><capsule radius="0.01" length="0.03"/></geometry></collision>'
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        CAPSULE,
+        "<collision/><visual/>",
+        '<visual><geometry><torus radius="1"/></geometry></visual>',
+        '<visual><geometry><box size="1 1"/></geometry><material/></visual>',
+        '<visual><geometry><box size="1 1 1"/></geometry><material name="none"/></visual>',
+        '<inertial><mass valu="1"/></inertial>',
+        '<inertial><mass value="1"/></inertial>',
+        f'<inertial><mass value="heavy"/>{INERTIA}</inertial>',
+        f'<inertial><origin xyz="0 0"/><mass value="1"/>{INERTIA}</inertial>',
+    ],
+)
+def test_loading_prints_nothing(capfd: pytest.CaptureFixture[str], inside: str) -> None:
+    text = arm_text(pairs(2))
+    material = '<material name="a"><color rgba="2 0"/></material><material name="b"/><gazebo reference="x"/>'
+    changed = text.replace('<link name="l1"/>', f'<link name="l1">{inside}</link>')
+    changed = changed.replace("</robot>", f"{material}</robot>")
+    assert inside in changed
+    arm = pp.Arm.load(changed)
+    assert capfd.readouterr() == ("", "")
+    assert arm.urdf == changed
+    q = arm.random(0)
+    np.testing.assert_array_equal(arm.at(q).points, pp.Arm.load(text).at(q).points)
+
+
+def test_masses_are_in_the_model_as_in_that_of_pinocchio() -> None:
+    text = pp.Arm.from_template("RyRz", 3).urdf
+    for mine, its in zip(pp.Arm.load(text).model.inertias, pin.buildModelFromXML(text).inertias, strict=True):
+        np.testing.assert_array_equal(mine.matrix(), its.matrix())
