@@ -235,7 +235,8 @@ def _moving_joints(
         if joint.name in locked:
             continue
         if joint.excluded is not None:
-            raise URDFError(description.source, element, joint.excluded)
+            before = f"; tip={joint.parent!r} ends the arm before it" if moving else ""
+            raise URDFError(description.source, element, joint.excluded + before)
         if not joint.moves:
             continue
         if joint.type not in CHAIN_JOINTS:

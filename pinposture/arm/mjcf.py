@@ -129,6 +129,11 @@ def mjcf_to_urdf(source: str | Path, label: str) -> str:
                 model = mujoco.MjModel.from_xml_string(source.lstrip("\ufeff"))
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             raise FileError(label, f"was rejected by MuJoCo ({' '.join(str(error).split())})") from None
+        try:
+            bytes(model.names).decode()
+        except UnicodeDecodeError:
+            reason = "has names that are not UTF-8, the only encoding that MuJoCo reads; save it as UTF-8"
+            raise FileError(label, reason) from None
         compiled = _Compiled(mujoco, model, _read_names(mujoco, model))
         text = _write(compiled, _mesh_files(compiled, source))
         description = read_description(text, label)
@@ -306,7 +311,7 @@ def _read_tendon(compiled: _Compiled, tendon: int, ties: _Ties) -> None:
     driven = set(model.actuator_trnid[direct, 0].tolist())
     shared = [joint for joint in joints if _leader(joint, ties.follows) not in driven]
     listed = quote_names([compiled.names.joints[joint] for joint in joints])
-    what = f"is driven by tendon {name}, which moves {listed} together and none of them alone"
+    what = f"has no actuator of its own, but is driven by tendon {name}, which moves {listed}"
     _exclude(compiled, [joint for joint in shared if joint not in driven], what, "the tendon", ties)
 
 
@@ -367,7 +372,7 @@ def _exclude(compiled: _Compiled, joints: Iterable[int], what: str, cause: str, 
 def _write(compiled: _Compiled, meshes: Mapping[int, str]) -> str:
     model, names = compiled.model, compiled.names
     ties = _read_ties(compiled)
-    title = bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")
+    title = bytes(model.names).split(b"\0", 1)[0].decode()
     robot = ET.Element("robot", name=title.strip() or "robot")
     ET.SubElement(robot, "link", name=names.bodies[0])
     for body in range(1, model.nbody):

@@ -359,7 +359,7 @@ REFUSED = {
     "tendon that drives two joints": (
         CORD + PULL,
         "j1",
-        "driven by tendon 'cord', which moves 'j1', 'j2' together",
+        "driven by tendon 'cord', which moves 'j1', 'j2'; lock",
     ),
     "limited tendon": (CORD.replace('"cord"', '"cord" range="0 1"'), "j1", "range (0 to 1) of tendon 'cord'"),
     "limited spatial tendon": (STRING, "j1", "range (0 to 1) of tendon 'string'"),
@@ -397,7 +397,7 @@ def test_joints_with_actuators_of_their_own_may_have_a_tendon() -> None:
 
 def test_ball_joints_and_mocap_bodies_are_refused_and_a_floating_base_is_fixed() -> None:
     ball = document(body("b1", joint("j1"), body("b2", '<joint name="k" type="ball"/>', CHAIN)))
-    with pytest.raises(URDFError, match="joint 'k': is a ball joint"):
+    with pytest.raises(URDFError, match=r"joint 'k': is a ball joint, .*; tip='b1' ends the arm before it"):
         pp.Arm.load(ball)
     assert quiet(ball, base="b2", tip="tip").joint_names == ("j3",)
     first = document(body("b1", '<joint name="k" type="ball"/>', CHAIN))
@@ -690,6 +690,17 @@ def test_the_root_decides_what_a_file_is(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(extended)
     assert quiet(tmp_path / "arm.xml").nv == 4
     assert not mjcf.is_mjcf("<!-- " * 5000 + "<robot>")
+
+
+def test_names_are_utf_8_as_mujoco_reads_them(tmp_path: Path) -> None:
+    xml = two_joints().replace("b2", "größer")
+    file = tmp_path / "arm.xml"
+    file.write_bytes(xml.encode())
+    assert "größer" in (quiet(file).urdf or "")
+    for code in ("ISO-8859-1", "windows-1252"):
+        file.write_bytes(f'<?xml version="1.0" encoding="{code}"?>{xml}'.encode(code))
+        with pytest.raises(FileError, match="not UTF-8, the only encoding that MuJoCo reads"):
+            pp.Arm.load(file)
 
 
 def test_an_arm_from_mjcf_is_saved_with_its_description(tmp_path: Path) -> None:
