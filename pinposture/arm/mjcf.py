@@ -529,36 +529,35 @@ def _write_inertia(link: ET.Element, model: Any, body: int) -> None:
 
 
 def _mesh_files(compiled: _Compiled, source: str | Path) -> dict[int, str]:
-    """Return the file of each mesh that we can read and that is used as it is in the file, by index."""
+    """Return the file of each mesh that we can read and that is used as it is in the file, by index.
+
+    Early versions of MuJoCo do not tell the folder of a file; then there are none.
+    """
     model, mujoco = compiled.model, compiled.mujoco
-    folder = source.absolute().parent if isinstance(source, Path) else None
+    if isinstance(source, str) or model.nmesh == 0:
+        return {}
+    folder = source.absolute().parent
     paths = bytes(model.paths)
-    straight = _straight_meshes(mujoco, source) if model.nmesh else set()
+    straight = _straight_meshes(mujoco, source)
     files: dict[int, str] = {}
     for mesh, start in enumerate(model.mesh_pathadr.tolist()):
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_MESH, mesh)
-        if start < 0 or name not in straight:
+        path = Path(paths[start:].split(b"\0", 1)[0].decode(errors="replace")) if start >= 0 else Path()
+        if not path.is_absolute() or path.suffix.lower() not in MESH_FILES or not path.is_file():
             continue
-        path = Path(paths[start:].split(b"\0", 1)[0].decode(errors="replace")).absolute()
-        if path.suffix.lower() not in MESH_FILES or not path.is_file():
+        if mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_MESH, mesh) not in straight:
             continue
-        if folder is not None and path.is_relative_to(folder):
-            files[mesh] = path.relative_to(folder).as_posix()
-        else:
-            files[mesh] = f"file://{quote(str(path))}"
+        inside = path.is_relative_to(folder)
+        files[mesh] = path.relative_to(folder).as_posix() if inside else f"file://{quote(str(path))}"
     return files
 
 
-def _straight_meshes(mujoco: Any, source: str | Path) -> set[str]:
+def _straight_meshes(mujoco: Any, source: Path) -> set[str]:
     """Return the names of the meshes that no reference position or orientation moves.
 
-    The compiled model does not tell. Empty if MuJoCo cannot read the source in this way, as it needs ".xml".
+    The compiled model does not tell. Empty if the name of the file does not end in ".xml", as this needs.
     """
     try:
-        if isinstance(source, Path):
-            spec = mujoco.MjSpec.from_file(str(source.absolute()))
-        else:
-            spec = mujoco.MjSpec.from_string(source.lstrip("\ufeff"))
+        spec = mujoco.MjSpec.from_file(str(source.absolute()))
     except ValueError:
         return set()
     return {mesh.name for mesh in spec.meshes if not np.any(mesh.refpos) and not np.any(mesh.refquat[1:])}

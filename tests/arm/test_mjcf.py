@@ -604,7 +604,8 @@ def test_meshes_are_where_mujoco_has_them(wedge: Path, kind: str) -> None:
     file = wedge / "arm.xml"
     file.write_text(MESH.format(asset=asset))
     model, arm = mujoco.MjModel.from_xml_path(str(file)), quiet(file)
-    assert ('filename="meshes/wedge' in arm.urdf) is read
+    read = read and bytes(model.paths).startswith(b"/")  # early versions of MuJoCo tell no folder
+    assert ('filename="meshes/wedge' in (arm.urdf or "")) is read
     q = arm.configuration([0.3, 0.7])
     data = put_into_mujoco(model, arm, q)
     mujoco.mj_kinematics(model, data)
