@@ -67,8 +67,15 @@ ARCHIVES: dict[str, Format] = {}
 _REGISTERED_BY = {"pinposture-simulation": "pinposture.sim"}
 """Packages that register formats on import."""
 
-_TEXT_FILES = {".csv": (write_table, read_table), ".json": (write_ros_message, read_ros_message)}
+_MESSAGE = (write_ros_message, read_ros_message)
+_TEXT_FILES = {".csv": (write_table, read_table), ".json": _MESSAGE, ".yaml": _MESSAGE, ".yml": _MESSAGE}
 """Writers and readers of the text formats of joint trajectories."""
+
+_NOT_READ = {
+    ".mcap": "is a bag, which is written and not read; export the motion as .npz, .csv or .json as well",
+    ".toml": "is no result; tasks and scenes are read by pp.Task.load and pp.Scene.load",
+}
+"""Why files with these suffixes are not read, and what to do."""
 
 
 def register(form: Format) -> None:
@@ -82,7 +89,7 @@ def save(result: Any, path: str | Path) -> Path:
     A `Trajectory`, `Motion`, `Batch` or `Simulation` is written as a `.npz` archive that includes the arm,
     the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless; ".csv"
     omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`, with times in
-    whole nanoseconds.
+    whole nanoseconds, as are ".yaml" and ".yml", with the same text.
 
     Args:
         result: the result.
@@ -143,6 +150,8 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         return _TEXT_FILES[suffix][1](path)
     if not path.is_file():
         raise FileError(path, "is a directory; name a file in it" if path.is_dir() else "no such file")
+    if suffix in _NOT_READ:
+        raise FileError(path, _NOT_READ[suffix])
     if wanted is not None and suffix in _TEXT_FILES:
         advice = "`pp.load(path)` reads joint trajectories, `pinposture simulate` performs them"
         raise FileError(path, f"is not a saved {wanted.noun}; {advice}")

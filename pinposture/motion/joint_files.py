@@ -1,4 +1,4 @@
-"""Text files of joint trajectories: CSV tables, and ROS 2 messages in JSON."""
+"""Text files of joint trajectories: CSV tables, and ROS 2 messages in JSON or YAML."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 import json
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from math import floor, inf, isfinite, nan
@@ -20,7 +21,7 @@ from pinposture.errors import FileError, InvalidValue, did_you_mean
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 from pinposture.storage import parse_json, read_text, require_suffix, write_text
 
-SUFFIXES = (".npz", ".csv", ".json")
+SUFFIXES = (".npz", ".csv", ".json", ".yaml", ".yml")
 """Suffixes of files that can be written and read."""
 
 
@@ -122,7 +123,7 @@ def to_message(trajectory: JointTrajectory) -> dict[str, Any]:
 
 
 def write_ros_message(trajectory: JointTrajectory, path: Path) -> None:
-    """Write the message.
+    """Write the message in JSON, which is also YAML.
 
     Raises:
         FileError: the file cannot be written.
@@ -139,7 +140,8 @@ def read_ros_message(path: Path) -> JointTrajectory:
     Raises:
         FileError: the file is missing or contains something else; names the point, 0-based.
     """
-    content = parse_json(path, read_text(path))
+    text = read_text(path)
+    content = parse_json(path, text) if path.suffix.lower() == ".json" else _parse_yaml(path, text)
     if isinstance(content, dict) and "trajectory" in content:
         content = content["trajectory"]
     _check_fields(path, "the message", content, MESSAGE)
@@ -162,6 +164,33 @@ def read_ros_message(path: Path) -> JointTrajectory:
             tables[name].append(_numbers(path, k, name, point.get(name, []), len(joints)))
     values = [np.array(tables[name]) for name in POINT_ARRAYS[:3]]
     return with_computed_rates(path, joints, np.array([time / NANOSECONDS for time in times]), values)
+
+
+def _parse_yaml(path: Path, text: str) -> Any:
+    """Return the content of a YAML text with one document, as `ros2 topic echo --once` prints it.
+
+    Raises:
+        FileError: it is malformed; names the line. It is not JSON as well, and PyYAML is not installed.
+    """
+    with suppress(ValueError, RecursionError):
+        return json.loads(text)
+    try:
+        import yaml
+    except ImportError:
+        raise FileError(
+            path, "is YAML and not JSON, which needs another package; pip install pyyaml"
+        ) from None
+    try:
+        documents = [each for each in yaml.safe_load_all(text) if each is not None]
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = "" if mark is None else f"line {mark.line + 1}: "
+        raise FileError(path, f"{line}{getattr(error, 'problem', None) or 'is not YAML'}") from error
+    except (ValueError, RecursionError) as error:
+        raise FileError(path, f"cannot be read as YAML ({error})") from error
+    if len(documents) != 1:
+        raise FileError(path, f"has {len(documents)} documents; allowed: one message")
+    return documents[0]
 
 
 def _check_fields(path: Path, what: str, value: Any, fields: tuple[str, ...]) -> None:
@@ -216,7 +245,7 @@ def _finite(value: Any) -> float:
 
 
 def _short(value: Any) -> str:
-    text = json.dumps(value)
+    text = json.dumps(value, default=str)
     return text if len(text) < 60 else text[:57] + "..."
 
 

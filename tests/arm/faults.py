@@ -81,7 +81,7 @@ FAULTS = {
     "no type": (
         robot(links("ab") + joint("j", "a", "b").replace('type="fixed"', "")),
         "joint 'j'",
-        "None",
+        "not given",
         False,
     ),
     "unknown type": (one_joint("ball"), "joint 'j'", "revolute, continuous, prismatic, fixed", False),

@@ -14,6 +14,7 @@ from motion.joint_motions import FILES, TABLES, arm, assert_same, motions, of_ar
 
 import pinposture as pp
 from pinposture.errors import FileError, InvalidValue
+from pinposture.motion.joint_files import SUFFIXES
 from pinposture.motion.joint_trajectory import JointTrajectory
 
 PAGE = Path(__file__).parents[2] / "docs/trajectories.md"
@@ -152,3 +153,46 @@ def test_joints_of_another_arm_are_named(tmp_path: Path) -> None:
     path = pp.save(of_arm(1), tmp_path / "a.csv")
     with pytest.raises(InvalidValue, match="unknown: 'j1', 'j2'"):
         pp.load(path, JointTrajectory).matched(pp.Arm.from_template("RyRz", 2))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_suffix_that_is_written_is_read(tmp_path, suffix):
+    rng = np.random.default_rng(3)
+    motion = pp.JointTrajectory.from_positions(("a", "b"), rng.normal(size=(5, 2)), np.arange(5) * 0.125)
+    for name in (f"motion{suffix}", f"motion{suffix.upper()}"):
+        again = pp.load(pp.save(motion, tmp_path / name), pp.JointTrajectory)
+        assert again.joint_names == motion.joint_names
+        for part in ("time", "positions", "velocities", "accelerations"):
+            np.testing.assert_array_equal(getattr(again, part), getattr(motion, part))
+
+
+def test_messages_in_yaml_are_read_as_ros_prints_them(tmp_path):
+    yaml = pytest.importorskip("yaml")
+    motion = pp.JointTrajectory.from_positions(("a", "b"), [[0.0, 1.0], [0.5, 1e-7]], [0.0, 0.5])
+    message = json.loads(pp.save(motion, tmp_path / "m.json").read_text())
+    file = tmp_path / "m.yaml"
+    for content, end in ((message, ""), (message, "---\n"), ({"trajectory": message}, "")):
+        file.write_text("# as printed\n" + yaml.safe_dump(content) + end)
+        np.testing.assert_array_equal(pp.load(file).positions, motion.positions)
+    for text, says in (
+        ("a: [1\n b: 2]", "line 2"),
+        ("--- {}\n--- {}", "2 documents"),
+        ("joint_names: !!python/object:os.system", "line 1"),
+        ("joint_names: [a]\npoints: 2026-01-01", "points"),
+        ("", "0 documents"),
+    ):
+        file.write_text(text)
+        with pytest.raises(FileError) as caught:
+            pp.load(file)
+        assert says in str(caught.value)
+    message["points"][0]["positions"] = ["2026-01-01", 1]
+    file.write_text(yaml.safe_dump(message).replace("'", ""))
+    with pytest.raises(FileError, match=r"points\[0\].positions\[0\]"):
+        pp.load(file)
+
+
+@pytest.mark.parametrize(("name", "says"), [("m.mcap", "bag"), ("t.toml", "pp.Task.load")])
+def test_what_is_written_and_not_read_as_a_result_is_said(tmp_path, name, says):
+    (tmp_path / name).write_text("")
+    with pytest.raises(FileError, match=says):
+        pp.load(tmp_path / name)

@@ -388,3 +388,11 @@ def test_the_tracker_node_drives_the_arm_to_the_curve_and_to_another(tmp_path: P
     for _ in range(10):
         node.cycle()
     np.testing.assert_allclose(node.published[-1].data, held, atol=1e-12)
+
+
+@pytest.mark.parametrize("suffix", [".json", ".yaml", ".yml", ".YAML"])
+def test_goals_are_read_back(motion: JointTrajectory, tmp_path: Path, suffix: str) -> None:
+    again = pp.load(write_goal(motion, tmp_path / f"goal{suffix}", goal_time_tolerance=0.5))
+    assert again.joint_names == motion.joint_names
+    for name in ("time", "positions", "velocities", "accelerations"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(motion, name))
