@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import replace
 
@@ -57,7 +56,7 @@ def crossing() -> tuple[pp.Arm, np.ndarray]:
 def test_a_shape_that_is_taken_is_green() -> None:
     kind, head, _ = told_of(Keyframe(straight_line()))
     assert kind == "good"
-    assert re.fullmatch(r"On the curve to within 0(\.\d+)? mm", head)
+    assert head == "On the curve"
 
 
 def test_a_motion_that_is_paused_is_not_said_to_play() -> None:

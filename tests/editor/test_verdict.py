@@ -47,7 +47,7 @@ def test_too_short() -> None:
     assert verdict.target is None
     # four modules of a sixth are placed; the fifth would end at 5/6, beyond 0.7
     assert "too short" in verdict.reason
-    assert "at module 5, 0.2 m along the curve" in verdict.reason
+    assert "at module 5, 200 mm along the curve" in verdict.reason
 
 
 def test_bends_too_much() -> None:
@@ -81,7 +81,7 @@ def test_too_long_is_said_and_taken(trim: bool) -> None:
     verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), trim=trim), None)
     assert verdict.target is not None
     assert len(verdict.notes) == 1
-    assert verdict.notes[0].startswith("the curve is longer than the arm by 0.15 m")
+    assert verdict.notes[0].startswith("the curve is longer than the arm by 150 mm")
     whole = Keyframe(pp.Curve.line((0, 0, 0), (L + MODULE, 0, 0)), trim=trim)
     assert judge(six_modules(), whole, None).notes == ()
 
@@ -102,7 +102,7 @@ def test_in_collision_by_how_much() -> None:
     assert verdict.target is not None
     assert verdict.collision
     assert verdict.notes[0].startswith("in collision: ")
-    assert verdict.notes[0].endswith("is 0.005 m inside ball")
+    assert verdict.notes[0].endswith("is 5 mm inside ball")
 
 
 def test_nearer_than_the_margin() -> None:
@@ -110,7 +110,7 @@ def test_nearer_than_the_margin() -> None:
     verdict = judge(six_modules(), Keyframe(straight_line()), scene)
     assert verdict.collision
     assert verdict.notes[0].startswith("nearer than the margin: ")
-    assert "is 0.005 m from ball" in verdict.notes[0]
+    assert "is 5 mm from ball" in verdict.notes[0]
     far = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.04, 0), 0.02)}, arm_radius=0.005, margin=0.01)
     assert not judge(six_modules(), Keyframe(straight_line()), far).collision
 

@@ -56,7 +56,7 @@ from pinposture.errors import CurveError
 from pinposture.motion.deadline import NOT_DONE
 from pinposture.placement.target import arm_axis
 from pinposture.task import Task
-from pinposture.units import length_text
+from pinposture.units import BELOW_ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
 
@@ -175,15 +175,21 @@ def _heading(session: Session, live: Live) -> str:
     elif live.status != "converged":
         head = f"Stopped, {error} to go"
     elif distance is not None:
-        head = f"On the curve to within {length_text(distance, length)}"
+        head = f"On the curve{_within(distance, length)}"
     else:
-        head = f"On target to within {error}"
+        head = f"On target{_within(live.mean_error, length)}"
     if live.tip_error is not None:
         head += f", tip {length_text(live.tip_error, length)} off"
     if session.nearest is not None:
         clearance = session.nearest.distance
         head += f", {length_text(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"
     return head
+
+
+def _within(error: float, arm_length: float) -> str:
+    """Return how exact something is, as the end of a phrase; nothing if it is exact but for rounding."""
+    text = length_text(error, arm_length)
+    return "" if text == BELOW_ROUNDING else f" to within {text}"
 
 
 def _lap(task: Task, playback: Playback) -> str:
