@@ -104,8 +104,8 @@ SCENE -> [scene]\nfile = "none.toml" :: scene.file | none.toml: no such file
 SCENE -> [scene]\nfile = "broken.toml" :: scene.file | broken.toml | line 1
 margin = "5 mm" -> file = "scene.toml"\nmargin = "5 mm" :: scene.margin: there is no such key; allowed: file
 "sphere" -> "spher" :: scene.obstacles.ball | 'spher' | did you mean 'sphere' @ [scene.obstacles.ball]
-type = "sphere"\n -> :: scene.obstacles.ball: type is None | sphere @ [scene.obstacles.ball]
-radius = 0.1\n -> :: scene.obstacles.ball: radius is None | center, radius @ [scene.obstacles.ball]
+type = "sphere"\n -> :: scene.obstacles.ball: type is not given | sphere @ [scene.obstacles.ball]
+radius = 0.1\n -> :: scene.obstacles.ball: radius is not given | center, radius @ [scene.obstacles.ball]
 radius = 0.1 -> radius = 0 :: scene.obstacles.ball.radius: is 0; allowed: a length
 radius = 0.1 -> radius = "1 kg" :: scene.obstacles.ball.radius: is '1 kg' | 'kg'
 [0.0, 0.0, "-50 cm"] -> [0, 0] :: scene.obstacles.ball.center: is [0, 0]
