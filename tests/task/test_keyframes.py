@@ -6,6 +6,7 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from arms import template_arm
 from hypothesis import given
@@ -16,6 +17,7 @@ from scipy.spatial.distance import pdist, squareform
 from task.keyed_arms import S_CURVE, coil, five_postures, positions, snake, straight
 
 import pinposture as pp
+from pinposture.task.keyframe import resolve_keyframe
 from pinposture.task.keyframes import Keyframe, keyframe_reference
 from pinposture.task.reference import Reference
 
@@ -195,6 +197,42 @@ def test_tips_are_served_and_the_rest_of_the_motion_stays(arm: pp.Arm) -> None:
     assert np.ptp(reference.offsets[held], axis=0).max() == 0.0
     q = positions(reference)
     assert np.all((q >= arm.limits.lower) & (q <= arm.limits.upper))
+
+
+@pytest.mark.parametrize("name", ("RyRz", "RyRz, 20 modules", "Rz", "narrow"))
+@given(st.integers(0, 10_000), st.booleans())
+@examples(4)
+def test_a_tip_with_priority_goes_wherever_reach_brings_it(name: str, seed: int, posed: bool) -> None:
+    narrow = pp.ModuleTemplate("narrow", tuple(J(axis, lower=-0.4, upper=0.4) for axis in "yz"), (0.05, 0.05))
+    arm = {
+        "RyRz": lambda: template_arm("RyRz", 10),
+        "RyRz, 20 modules": lambda: template_arm("RyRz", 20),
+        "Rz": lambda: template_arm("Rz", 12),
+        "narrow": lambda: pp.Arm.from_modules([narrow] * 6),
+    }[name]()
+    state = arm.at(arm.random(np.random.default_rng(seed)))
+    pose = pin.SE3(state.rotations[-1], state.points[-1])
+    reached = pp.reach(arm, pose if posed else state.points[-1])
+    tip = (
+        pp.EndEffector(pose=pose, priority=True) if posed else pp.EndEffector(state.points[-1], priority=True)
+    )
+    line = Keyframe(straight(1.2 * arm.length), trim=True, placement="align", tip=tip)
+    target = resolve_keyframe(arm, line)
+    found = arm.at(target.q)
+    assert arm.within_limits(target.q)
+    assert np.linalg.norm(found.points[-1] - state.points[-1]) <= 1e-5 * arm.length
+    if posed:
+        assert np.abs(found.rotations[-1] - state.rotations[-1]).max() <= 1e-4
+    assert len(reached) == 1
+
+
+def test_an_arm_moves_its_tip_where_priority_asks(arm: pp.Arm) -> None:
+    line, place = straight(1.2), np.array((0.5, 0.2, 0.2))
+    tip = pp.EndEffector(position=place, priority=True)
+    keyframes = [Keyframe(line, trim=True), Keyframe(line, duration=5.0, trim=True, tip=tip)]
+    motion = pp.move_through(arm, keyframes)
+    assert motion.run.status == "converged"
+    assert np.linalg.norm(motion.run.points[-1, -1] - place) <= 1e-5
 
 
 def test_progress_is_told(small: pp.Arm) -> None:
