@@ -35,6 +35,7 @@ from pinposture.arm.urdf_writer import (
     numbers_text,
 )
 from pinposture.errors import FileError, PostureError, URDFError
+from pinposture.storage import read_xml
 
 Array = NDArray[np.float64]
 
@@ -51,7 +52,8 @@ PLACEMENT_TOLERANCE = 1e-9
 
 REPORT = "the file is not used; please report it"
 
-_ROOT = re.compile(r"(?:\s|<\?(?:(?!\?>).)*\?>|<!--(?:(?!-->).)*-->|<!DOCTYPE[^>]*>)*<mujoco", re.DOTALL)
+_COMMENT = r"<!--(?:(?!-->).)*-->"
+_ROOT = re.compile(rf"(?:\s|<\?(?:(?!\?>).)*\?>|{_COMMENT}|<!DOCTYPE[^>]*>)*<mujoco", re.DOTALL)
 
 
 class MujocoMissing(PostureError, ImportError):
@@ -117,10 +119,11 @@ def mjcf_to_urdf(source: str | Path, label: str) -> str:
 
     Raises:
         MujocoMissing: MuJoCo is not installed.
-        FileError: MuJoCo rejects the source.
+        FileError: MuJoCo rejects the source, or there is more than one model in it.
         URDFError: MuJoCo's kinematics or limits differ from those of the URDF.
     """
     mujoco = load_mujoco(f"{label}: MJCF")
+    _require_one_model(read_xml(source) if isinstance(source, Path) else source, label)
     with _quiet(mujoco):
         try:
             if isinstance(source, Path):
@@ -140,6 +143,14 @@ def mjcf_to_urdf(source: str | Path, label: str) -> str:
         _compare_limits(compiled, description)
         _compare_kinematics(compiled, description)
     return text
+
+
+def _require_one_model(text: str, label: str) -> None:
+    """Raise FileError if there is content after the first root element, which MuJoCo would ignore."""
+    _, _, after = re.sub(_COMMENT, "", text, flags=re.DOTALL).partition("</mujoco>")
+    if after.strip():
+        reason = f"has content after </mujoco>, which MuJoCo ignores: {after.strip()[:40]!r}"
+        raise FileError(label, f"{reason}; keep one model, and <attach> or <include> others")
 
 
 @contextmanager

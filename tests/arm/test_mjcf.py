@@ -647,6 +647,7 @@ def test_without_mujoco_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatc
         ('<mujoco><asset><mesh file="lost.stl"/></asset></mujoco>', "lost.stl"),
         ("<mujoco><worldbody>", "rejected by MuJoCo"),
         (document(body("b", "<joint/>", geom="")), "mass and inertia of moving bodies"),
+        (two_joints() + two_joints(), "has content after </mujoco>, which MuJoCo ignores: '<mujoco model="),
     ],
 )
 def test_what_mujoco_rejects_is_refused_with_its_reason(tmp_path: Path, xml: str, words: str) -> None:
@@ -691,6 +692,7 @@ def test_the_root_decides_what_a_file_is(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(extended)
     assert quiet(tmp_path / "arm.xml").nv == 4
     assert not mjcf.is_mjcf("<!-- " * 5000 + "<robot>")
+    assert quiet(f"<!-- was: <mujoco></mujoco> -- -->{two_joints()}<!-- end -->").nv == 2
 
 
 def test_names_are_utf_8_as_mujoco_reads_them(tmp_path: Path) -> None:
