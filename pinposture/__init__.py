@@ -54,9 +54,10 @@ if TYPE_CHECKING:
     from pinposture.motion.track_many import track_many
     from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
     from pinposture.task.find_path import find_path
-    from pinposture.task.follow_leader import follow_leader, path_deviation
+    from pinposture.task.follow_leader import Leader, follow_leader, path_deviation
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
+    from pinposture.task.phases import Phase, TipGoal, Withdrawal
     from pinposture.task.task import Task, move_through, perform
     from pinposture.viz import animate, plot, plot_arm, plot_comparison, save_html, view
 
@@ -83,10 +84,12 @@ __all__ = [
     "JointSpec",
     "JointTrajectory",
     "Keyframe",
+    "Leader",
     "Limits",
     "Mesh",
     "ModuleTemplate",
     "Motion",
+    "Phase",
     "PointFilter",
     "PostureError",
     "PostureWarning",
@@ -102,8 +105,10 @@ __all__ = [
     "Target",
     "Task",
     "TimedPath",
+    "TipGoal",
     "Tracker",
     "Trajectory",
+    "Withdrawal",
     "animate",
     "find_path",
     "fit_points",
@@ -187,7 +192,11 @@ _PACKAGES = {
     "placement": ("PointFilter", "Target", "fit_points", "resolve_targets"),
     "task": (
         "Keyframe",
+        "Leader",
+        "Phase",
         "Task",
+        "TipGoal",
+        "Withdrawal",
         "find_path",
         "follow_leader",
         "keyframe_reference",

@@ -137,6 +137,7 @@ def _now() -> str:
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes",
     "pinposture run examples/tasks/around.toml --json",
     "pinposture run examples/tasks/pipe.toml --check",
+    "pinposture run examples/tasks/inspection.toml -o out/inspection",
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes --view",
 )
 def run(
@@ -160,7 +161,7 @@ def run(
     as_json: JsonOption = False,
     view: ViewOption = False,
 ) -> None:
-    """Perform a task file: take postures at their times, or follow the leader.
+    """Perform a task file: take postures at their times, follow the leader, or do both in phases.
 
     Between postures the curve changes smoothly, and the arm follows it within its limits; if these do not
     allow the times of the file, it takes longer, and the summary says by how much. docs/tasks.md describes

@@ -166,7 +166,8 @@ def reach(
     require_positive("budget", budget)
     allowed_error = TIP_TOLERANCE * arm.length if tolerance is None else tolerance
     require_positive("tolerance", allowed_error)
-    task, limits = _tip_task(arm, goal, direction), Limits() if limits is None else limits
+    task = tip_task(arm, goal, direction)
+    limits = Limits() if limits is None else limits
     first = None if start is None else arm.checked_start(start, "start")
     _check_in_reach(arm, task, allowed_error, scene)
     until = began + (budget if first is None else 0.5 * budget)
@@ -192,15 +193,17 @@ def reach_from(
     start: ArrayLike,
     scene: Scene | None = None,
     limits: Limits | None = None,
+    direction: ArrayLike | None = None,
 ) -> ReachedPosture | None:
     """Find a clear posture with the tip at a goal by one descent, fast enough to drag the goal.
 
     Args:
         arm: the arm.
-        place: the goal of the tip, (3,) [m], world frame.
+        place: the goal of the tip, (3,) [m], world frame, or a pose, as for `reach`.
         start: the initial posture, (nq,).
         scene: the obstacles and their margin; None: no obstacles.
         limits: the margin to position limits; `Limits()` if None.
+        direction: as for `reach`.
 
     Returns:
         The posture, without a path; None if the descent misses the goal or violates the margin.
@@ -210,7 +213,8 @@ def reach_from(
         OutOfReach: the goal is out of reach.
         ReachError: the goal is inside an obstacle.
     """
-    task, tolerance = _tip_task(arm, place, None), TIP_TOLERANCE * arm.length
+    task = tip_task(arm, place, direction)
+    tolerance = TIP_TOLERANCE * arm.length
     _check_in_reach(arm, task, tolerance, scene)
     search = _Search(arm, task, scene, Limits() if limits is None else limits, tolerance)
     state = arm.at(arm.checked_start(start, "start")).compiled
@@ -241,7 +245,7 @@ def bring_to_goal(arm: Arm, task: EndEffector, state: ArmState) -> tuple[ArmStat
     return search.bring_near(state, waves, np.random.default_rng(0))
 
 
-def _tip_task(arm: Arm, goal: Any, direction: ArrayLike | None) -> EndEffector:
+def tip_task(arm: Arm, goal: Any, direction: ArrayLike | None) -> EndEffector:
     """Return the task of bringing the tip to the goal."""
     if isinstance(goal, pin.SE3) or np.shape(goal) == (4, 4):
         if direction is not None:

@@ -25,6 +25,7 @@ from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import MOST_CYCLES, OF_A_CURVE, lap_of
+from pinposture.task.phases import is_phased
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,9 @@ def keyframes_of(task: Task) -> tuple[Keyframe, ...]:
     """
     if isinstance(task.motion, Leader):  # which is a tuple, too
         raise TaskError("the task", "follows a leader; only tasks of keyframes can be edited")
-    return task.motion
+    if is_phased(task.motion):
+        raise TaskError("the task", "is divided into phases; only tasks of keyframes can be edited")
+    return cast("tuple[Keyframe, ...]", task.motion)
 
 
 def list_keyframes(task: Task, index: int) -> list[Keyframe]:

@@ -1,18 +1,23 @@
 """Motions over time: keyframes, and following the leader."""
 
 from pinposture.task.find_path import find_path
-from pinposture.task.follow_leader import Deviation, follow_leader, path_deviation
+from pinposture.task.follow_leader import Deviation, Leader, follow_leader, path_deviation
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.phases import Phase, TipGoal, Withdrawal
 from pinposture.task.reference import Mark, Reference
 from pinposture.task.task import Task, move_through, perform
 
 __all__ = [
     "Deviation",
     "Keyframe",
+    "Leader",
     "Mark",
+    "Phase",
     "Reference",
     "Task",
+    "TipGoal",
+    "Withdrawal",
     "find_path",
     "follow_leader",
     "keyframe_reference",

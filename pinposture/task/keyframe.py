@@ -158,6 +158,15 @@ def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
     """
     if len(keyframes) < 2 or not all(isinstance(each, Keyframe) for each in keyframes):
         raise InvalidValue("keyframes", keyframes, "two or more of Keyframe(...)")
+    check_each_keyframe(keyframes, arm)
+
+
+def check_each_keyframe(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
+    """Refuse keyframes that do not fit an arm.
+
+    Raises:
+        TaskError: as `check_keyframes`.
+    """
     misfits: list[PostureError] = []
     for index, keyframe in enumerate(keyframes):
         where = title(keyframes, index)

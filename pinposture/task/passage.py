@@ -122,9 +122,7 @@ def _closest(reference: Reference, scene: Scene, rows: NDArray[np.int64], distan
     row = int(rows[np.argmin(distances)])
     closest = CollisionModel(reference.arm, scene).minimum(reference.configuration(row))
     pair = " and ".join(closest.pair or ())
-    apart = (
-        f"{pair} come within {1e3 * closest.distance:.3g} mm at {reference.interval * row:.4g} s of the plan"
-    )
+    apart = f"{pair} come within {1e3 * closest.distance:.3g} mm at {reference.times[row]:.4g} s of the plan"
     return f"{apart}; the margin is {1e3 * scene.margin:.3g} mm"
 
 
@@ -160,7 +158,7 @@ def _in_words(gap: Gap, reference: Reference, scene: Scene, shift: float, row: i
     radius = max(solid(each.shape).radius for each in bodies if each.name == gap.body)
     return (
         f"the gap at {' and '.join(gap.obstacles)} is too narrow for {gap.body} "
-        f"at {reference.interval * row:.4g} s of the plan: "
+        f"at {reference.times[row]:.4g} s of the plan: "
         f"its radius is {1e3 * radius:.4g} mm and the margin {1e3 * scene.margin:.4g} mm, but "
         f"{1e3 * gap.room:.4g} mm are left within {1e3 * shift:.3g} mm of the path: "
         f"{1e3 * (scene.margin - gap.room):.4g} mm are missing"

@@ -44,6 +44,15 @@ from pinposture.task.keyframe import (
     title,
     usual_placement,
 )
+from pinposture.task.phases import (
+    Phase,
+    PhaseMotion,
+    TipGoal,
+    Withdrawal,
+    check_phases,
+    is_phased,
+    keyed,
+)
 from pinposture.task.specification import (
     LONGEST_CYCLE,
     RESULT_FORMATS,
@@ -52,9 +61,11 @@ from pinposture.task.specification import (
     KeyframeSpec,
     LeaderSpec,
     LimitsSpec,
+    PhaseSpec,
     SceneSpec,
     StartSpec,
     TaskSpec,
+    TipGoalSpec,
     TipSpec,
     place_in_words,
     shown,
@@ -380,16 +391,16 @@ def make_curve(document: Document, where: Place, spec: str | dict[str, Any]) -> 
     return curve
 
 
-def _make_leader(document: Document, spec: LeaderSpec, scene: Scene | None, arm: Arm) -> Leader:
+def _make_leader(document: Document, where: Place, spec: LeaderSpec, scene: Scene | None, arm: Arm) -> Leader:
     """Make the leader; the scene decides on the default of its placement."""
     values = {key: getattr(spec, key) for key in LeaderSpec.model_fields}
-    values["path"] = path = make_curve(document, ("leader", "path"), spec.path)
+    values["path"] = path = make_curve(document, (*where, "path"), spec.path)
     leader = Leader(**{**values, "placement": spec.placement or usual_placement(scene)})
     longest = MAX_SIZE_RATIO * arm.length
     if path.length > longest:
         reason = f"is {path.length:.4g} m long; allowed: {longest:.4g} m, {MAX_SIZE_RATIO} times the arm"
-        raise document.fault(("leader", "path"), reason)
-    with document.blaming(("leader",)):
+        raise document.fault((*where, "path"), reason)
+    with document.blaming(where):
         check_leader(leader, arm, scene)
     return leader
 
@@ -463,7 +474,7 @@ class TaskParts:
     """The content of a task file; for the attributes see `pinposture.task.Task`."""
 
     arm: Arm
-    motion: tuple[Keyframe, ...] | Leader
+    motion: tuple[Keyframe, ...] | tuple[Phase, ...] | Leader
     limits: Limits
     controller: Controller = field(default_factory=Geodesic)
     scene: Scene | None = None
@@ -503,9 +514,17 @@ def check_task(task: TaskParts) -> None:
         for key, only in (("continuity", CONTINUITIES[0]), ("repeat", 1)):
             if getattr(task, key) != only:
                 raise InvalidValue(key, getattr(task, key), f"{only!r}, of a leader")
+    elif is_phased(task.motion):
+        phases = task.motion
+        check_phases(phases, task.arm, task.scene)
+        for phase in phases:
+            _check_points(keyed(phase), task.arm)
+        if task.repeat != 1:
+            raise InvalidValue("repeat", task.repeat, "1, of phases")
     else:
-        check_keyframes(task.motion, task.arm)
-        _check_points(task.motion, task.arm)
+        keyframes = cast("tuple[Keyframe, ...]", task.motion)
+        check_keyframes(keyframes, task.arm)
+        _check_points(keyframes, task.arm)
     if task.scene is not None and not isinstance(task.scene, Scene):
         raise InvalidValue("scene", task.scene, "a Scene, or None")
     for name, reason in _around_base(task.scene, task.arm):
@@ -571,20 +590,55 @@ def read_task(document: Document, arm: Arm | None = None) -> TaskParts:
 
 def _make_motion(
     document: Document, spec: TaskSpec, scene: Scene | None, arm: Arm
-) -> tuple[Keyframe, ...] | Leader:
+) -> tuple[Keyframe, ...] | tuple[Phase, ...] | Leader:
     if spec.kind == "follow_leader":
         leads = document.read(LeaderSpec, ("leader",)) if spec.leader is None else spec.leader
-        return _make_leader(document, leads, scene, arm)
+        return _make_leader(document, ("leader",), leads, scene, arm)
+    if spec.kind == "phases":
+        return _make_phases(document, spec.phases, scene, arm)
     if len(spec.keyframes) < 2:
         found = "none" if not spec.keyframes else "only one"
         reason = f"there is {found}; allowed: two or more, each begun by [[keyframes]]"
         raise document.fault(("keyframes",), reason)
+    return _make_keyframes(document, (), spec.keyframes, scene, arm)
+
+
+def _make_keyframes(
+    document: Document, where: Place, specs: tuple[KeyframeSpec, ...], scene: Scene | None, arm: Arm
+) -> tuple[Keyframe, ...]:
     placement = usual_placement(scene)
     makers = {
-        number: partial(_make_keyframe, document, ("keyframes", number), each, placement, arm)
-        for number, each in enumerate(spec.keyframes)
+        number: partial(_make_keyframe, document, (*where, "keyframes", number), each, placement, arm)
+        for number, each in enumerate(specs)
     }
     return tuple(document.make_all(makers).values())
+
+
+def _make_phases(
+    document: Document, specs: tuple[PhaseSpec, ...], scene: Scene | None, arm: Arm
+) -> tuple[Phase, ...]:
+    if not specs:
+        raise document.fault(("phases",), "there is none; allowed: one or more, each begun by [[phases]]")
+    makers = {
+        number: partial(_make_phase, document, ("phases", number), each, scene, arm)
+        for number, each in enumerate(specs)
+    }
+    return tuple(document.make_all(makers).values())
+
+
+def _make_phase(document: Document, where: Place, spec: PhaseSpec, scene: Scene | None, arm: Arm) -> Phase:
+    motion: PhaseMotion
+    if spec.leader is not None:
+        motion = _make_leader(document, (*where, "leader"), spec.leader, scene, arm)
+    elif spec.reach is not None:
+        with document.blaming((*where, "reach")):
+            motion = TipGoal(**{key: getattr(spec.reach, key) for key in TipGoalSpec.model_fields})
+    elif spec.withdraw is not None:
+        motion = Withdrawal(spec.withdraw.speed)
+    else:
+        motion = _make_keyframes(document, where, spec.keyframes, scene, arm)
+    with document.blaming(where):
+        return Phase(motion, spec.name)
 
 
 def _check_base(document: Document, scene: Scene | None, arm: Arm) -> None:

@@ -69,6 +69,8 @@ class Reference:
             [rad or m]; the first is zero.
         weights: whether each control point has a target, as in `Target`, (N + 1, m).
         marks: the named rows, in order; one for each keyframe.
+        durations: time from each row to the next, (N,) [s]; None if it is the interval. The interval is then
+            the shortest of them.
     """
 
     arm: Arm
@@ -77,6 +79,7 @@ class Reference:
     offsets: Array
     weights: Array
     marks: tuple[Mark, ...] = ()
+    durations: Array | None = None
 
     def __post_init__(self) -> None:
         rows, arm = len(self.offsets), self.arm
@@ -98,11 +101,13 @@ class Reference:
     @property
     def duration(self) -> float:
         """Duration if nothing slows the motion [s]."""
-        return self.interval * (self.rows - 1)
+        return float(self.times[-1])
 
     @cached_property
     def times(self) -> Array:
         """Time of each row if nothing slows the motion, (N + 1,) [s]."""
+        if self.durations is not None:
+            return np.append(0.0, np.cumsum(self.durations))
         return np.asarray(self.interval * np.arange(self.rows, dtype=np.float64))
 
     def configuration(self, row: int) -> Array:
@@ -175,14 +180,15 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
         q = reference.configuration(mark.row)
         room, pair = (None, None) if clearance is None else clearance.minimum(q)
         tip = tip_off(mark.tip, mark.target, arm.at(q))
-        planned, moved = mark.row * reference.interval, mark.target.moved
+        planned = float(reference.times[mark.row])
+        moved = mark.target.moved
         found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, pair, moved))
     return found
 
 
 def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, Outlook]:
     """Return the named postures that do not keep the margin of a scene, by their names in messages."""
-    keyed = bool(reference.marks) and reference.marks[0].row == 0
+    keyed = bool(reference.marks) and reference.marks[0].row == 0 and reference.durations is None
     places = [] if scene is None else enumerate(outlook(reference, scene), start=1)
     named = {f"keyframe {k} {place.name!r}" if keyed else place.name: place for k, place in places}
     return {where: place for where, place in named.items() if scene and place.crowding(scene.margin)}

@@ -648,6 +648,53 @@ class LeaderSpec(TableSpec):
     pipe: LengthOrNone = None
 
 
+class TipGoalSpec(TableSpec):
+    """A goal of the tip, as `TipGoal`."""
+
+    position: Position
+    direction: Annotated[
+        tuple[float, ...] | None,
+        _check(lambda value: _is_list_of(_is_finite)(value) and len(value) == 3, "three numbers"),
+    ] = None
+    rotation: Rotation = None
+    duration: Annotated[float | None, _positive("time")] = None
+    hold: Annotated[float, _quantity("time")] = 0.0
+    budget: Annotated[float, _positive("time")] = 5.0
+
+
+class WithdrawalSpec(TableSpec):
+    """The way out, as `Withdrawal`."""
+
+    speed: Annotated[float | None, _positive("speed")] = None
+
+
+PHASES = ("leader", "reach", "keyframes", "withdraw")
+"""Keys of a phase, of which each has one."""
+
+
+class PhaseSpec(TableSpec):
+    """A part of the motion. The context "arm" is needed to read it."""
+
+    name: Text = ""
+    leader: LeaderSpec | None = None
+    reach: TipGoalSpec | None = None
+    keyframes: Annotated[
+        tuple[KeyframeSpec, ...],
+        _check(_is_list_of(_is_table), "a list of tables, each begun by [[phases.keyframes]]"),
+    ] = ()
+    withdraw: WithdrawalSpec | None = None
+
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
+        """Refuse a phase without a motion, or with several."""
+        given = [key for key in PHASES if key in values]
+        if len(given) > 1:
+            raise Misplaced(f"does not go with {given[0]!r}; a phase has one motion", given[1])
+        if not given and all(key in cls.model_fields for key in values):
+            raise ValueError(f"needs one of the keys {', '.join(map(repr, PHASES))}")
+        return cls.model_fields
+
+
 class OutputSpec(TableSpec):
     """How to save the result."""
 
@@ -674,7 +721,7 @@ class TaskSpec(TableSpec):
     """A whole task file, except for the arm, which is the context "arm" for reading the rest."""
 
     version: Any = VERSION
-    kind: Annotated[str, _one_of("keyframes", "follow_leader")] = "keyframes"
+    kind: Annotated[str, _one_of("keyframes", "follow_leader", "phases")] = "keyframes"
     name: TextOrNone = None
     continuity: Annotated[str, _one_of(*CONTINUITIES)] = "velocity"
     repeat: Annotated[
@@ -687,6 +734,9 @@ class TaskSpec(TableSpec):
         _check(_is_list_of(_is_table), "a list of tables, each begun by [[keyframes]]"),
     ] = ()
     leader: LeaderSpec | None = None
+    phases: Annotated[
+        tuple[PhaseSpec, ...], _check(_is_list_of(_is_table), "a list of tables, each begun by [[phases]]")
+    ] = ()
     limits: LimitsSpec = LimitsSpec()
     controller: ControllerSpec = ControllerSpec()
     start: StartSpec = StartSpec()
@@ -700,11 +750,16 @@ class TaskSpec(TableSpec):
         if version is True or version != VERSION:
             raise Misplaced(f"is {shown(version)}; allowed: {VERSION}", "version")
         _within("kind", _read_word, kind, _KEYS_OF_KIND)
-        others = {key: other for other, keys in _KEYS_OF_KIND.items() if other != kind for key in keys}
+        own = _KEYS_OF_KIND[kind]
+        others = {key: other for other, keys in _KEYS_OF_KIND.items() for key in keys if key not in own}
         for key, other in others.items():
             if key in values:
                 raise Misplaced(f"goes with kind = {other!r}; the kind is {kind!r}", key)
         return [key for key in cls.model_fields if key not in others]
 
 
-_KEYS_OF_KIND = {"keyframes": ("keyframes", "continuity", "repeat"), "follow_leader": ("leader",)}
+_KEYS_OF_KIND = {
+    "keyframes": ("keyframes", "continuity", "repeat"),
+    "follow_leader": ("leader",),
+    "phases": ("phases", "continuity"),
+}

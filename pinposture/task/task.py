@@ -20,7 +20,6 @@ from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
-from pinposture.collision.pipe import pipe
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
@@ -34,7 +33,14 @@ from pinposture.storage import settled
 from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, placed, usual_placement, with_fitting_joints
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.passage import require_passage, require_wide_pipe
+from pinposture.task.passage import require_passage
+from pinposture.task.phases import (
+    is_phased,
+    phased_reference,
+    surrounded,
+    with_pipe,
+    with_placements,
+)
 from pinposture.task.reader import Document, TaskParts, check_task, read_task
 from pinposture.task.reference import (
     Mark,
@@ -53,6 +59,7 @@ from pinposture.task.writer import layout_of, write_task
 Array = NDArray[np.float64]
 
 _KEYFRAME = re.compile(r"keyframe (\d+)")
+_PHASE = re.compile(r"phase (\d+)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +75,8 @@ class Task(TaskParts):
 
     Attributes:
         arm: the arm.
-        motion: two or more keyframes, or the path to follow. By default, curves stay as drawn if the scene
-            has obstacles, and are aligned otherwise.
+        motion: two or more keyframes, the path to follow, or one or more of `Phase`. By default, curves stay
+            as drawn if the scene has obstacles, and are aligned otherwise.
         limits: limits of a control cycle, with `dt`.
         controller: the controller, or its name.
         scene: the obstacles to avoid; None without any.
@@ -97,7 +104,8 @@ class Task(TaskParts):
     def __post_init__(self) -> None:
         self._set("controller", controller_named(self.controller))
         if not isinstance(self.motion, Leader):
-            self._set("motion", _as_tuple("keyframes", self.motion, "two or more of Keyframe(...)"))
+            allowed = "two or more of Keyframe(...), or one or more of Phase(...)"
+            self._set("motion", _as_tuple("keyframes", self.motion, allowed))
         formats = _as_tuple("formats", self.formats, f"some of {', '.join(RESULT_FORMATS)}")
         self._set("formats", formats)
         scans = _as_tuple("scans", self.scans, "paths of files")
@@ -107,8 +115,11 @@ class Task(TaskParts):
         self._set("scans", tuple(map(settled, scans)))
         check_task(self)
         placement: Any = usual_placement(self.scene)
-        if not isinstance(self.motion, Leader):
-            self._set("motion", placed(with_fitting_joints(self.arm, self.motion), placement))
+        if is_phased(self.motion):
+            self._set("motion", with_placements(self.motion, self.arm, self.scene))
+        elif not isinstance(self.motion, Leader):
+            keyframes = cast("tuple[Keyframe, ...]", self.motion)
+            self._set("motion", placed(with_fitting_joints(self.arm, keyframes), placement))
         elif self.motion.placement is None:
             self._set("motion", self.motion._replace(placement=placement))
         self._set("formats", tuple(each for each in RESULT_FORMATS if each in formats))
@@ -122,8 +133,12 @@ class Task(TaskParts):
         motion = self.motion
         if isinstance(motion, Leader):
             does = f"follow {motion.path}"
-        else:
+        elif is_phased(motion):
             names = ", ".join(each.name or str(number) for number, each in enumerate(motion, 1))
+            does = f"{len(motion)} phases: {textwrap.shorten(names, 70, placeholder=' ...')}"
+        else:
+            keyframes = cast("tuple[Keyframe, ...]", motion)
+            names = ", ".join(each.name or str(number) for number, each in enumerate(keyframes, 1))
             does = f"{len(motion)} keyframes: {textwrap.shorten(names, 70, placeholder=' ...')}"
         laps = f", {self.repeat} times" if self.repeat > 1 else ""
         around = f"{self.scene}, " if self.scene else ""
@@ -197,7 +212,18 @@ class Task(TaskParts):
                 arguments = self.motion._asdict()
                 del arguments["pipe"]
                 return follow_leader(self.arm, interval=dt, start=self.start, progress=progress, **arguments)
-            return keyframe_reference(self.arm, self.motion, dt, self.continuity, progress, self.repeat)
+            if is_phased(self.motion):
+                return phased_reference(
+                    self.arm,
+                    self.motion,
+                    self.limits,
+                    self.scene,
+                    self.start,
+                    self.continuity,
+                    progress,
+                )
+            keyframes = cast("tuple[Keyframe, ...]", self.motion)
+            return keyframe_reference(self.arm, keyframes, dt, self.continuity, progress, self.repeat)
 
     def outlook(self, reference: Reference) -> list[Outlook]:
         """Predict how well the arm can reach the postures; clearances are those at the postures.
@@ -216,17 +242,14 @@ class Task(TaskParts):
         Raises:
             PostureError: the pipe bends too much, or is too narrow for the arm and the margin.
         """
+        if is_phased(self.motion):
+            with self._naming():
+                return surrounded(self.motion, reference, self.scene)
         path = reference.marks[0].target.curve if reference.marks else None
         if not isinstance(self.motion, Leader) or self.motion.pipe is None or path is None:
             return self.scene
         with self._naming("leader", "pipe"):
-            walls = pipe(path, self.motion.pipe)
-            if self.scene is not None:
-                walls = replace(self.scene, obstacles=walls.obstacles, velocities={})
-            require_wide_pipe(reference, walls, self.motion.pipe)
-            if self.scene is None:
-                return walls
-            return replace(self.scene, obstacles={**self.scene.obstacles, **walls.obstacles})
+            return with_pipe(self.scene, path, self.motion.pipe, reference)
 
     def perform(
         self,
@@ -243,7 +266,7 @@ class Task(TaskParts):
             PostureError: as `reference` and `perform`, or the arm would start inside an obstacle.
         """
         reference = self.reference() if reference is None else reference
-        start = None if isinstance(self.motion, Leader) else self.start
+        start = None if isinstance(self.motion, Leader) or is_phased(self.motion) else self.start
         scene = self.surroundings(reference)
         with self._naming():
             require_room(reference, scene)
@@ -276,6 +299,11 @@ class Task(TaskParts):
                     where or ("leader", key), f"is {shown(error.value)}; allowed: {error.allowed}"
                 )
             return document.fault(where or ("leader", "path"), message)
+        if is_phased(self.motion):
+            found = _PHASE.match(message)
+            place: Place = ("phases", int(found[1]) - 1) if found else ("phases",)
+            line = document.line(place)
+            return FileError(document.path, message if line is None else f"line {line}: {message}")
         if isinstance(error, InvalidValue) and error.name == "repeat":
             return document.fault(("repeat",), f"is {shown(error.value)}; allowed: {error.allowed}")
         number = _KEYFRAME.match(message)  # the message begins with its subject
@@ -334,9 +362,8 @@ class ReferencePath:
         reference: the reference.
         times: planned time of each of its rows, (N + 1,) [s].
         path: its configurations as a path through joint space, within the position limits.
-        most: rows per cycle, if nothing slows the motion.
-        timed: the path at the largest speed that limits and marks allow, up to `most`, and slower where a
-            jerk limit would lead the arm past a mark.
+        timed: the path at the largest speed that limits and marks allow, up to that of the plan, and slower
+            where a jerk limit would lead the arm past a mark.
 
     Raises:
         InvalidValue: limits so tight that it would take too many cycles.
@@ -346,7 +373,7 @@ class ReferencePath:
         arm, bounds = reference.arm, limits.for_arm(reference.arm)
         self.reference, self.times = reference, reference.times
         self._rows = np.arange(reference.rows, dtype=np.float64)
-        self.most = cycle_of(limits) / reference.interval
+        self._dt = cycle_of(limits)
         self._lower, self._upper = bounds.edges - arm.positions(reference.start)
         offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
         # Joints that do not move the arm stay where they are.
@@ -354,7 +381,9 @@ class ReferencePath:
         q = arm.integrate(reference.start, offsets[0])
         first = Target(arm.at(q).compiled.points, reference.weights[0], q)
         self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
-        self._limits, self._rates = limits, np.full(reference.rows - 1, self.most)
+        self._limits = limits
+        durations = reference.interval if reference.durations is None else reference.durations
+        self._rates = np.full(reference.rows - 1, self._dt / durations)
         self._retime()
         cycles = JerkFilter(arm, limits).cycles
         if any(mark.speed < 1.0 for mark in reference.marks):
@@ -447,6 +476,10 @@ class ReferencePath:
     def time(self, place: float | Array) -> Array:
         """Return the planned time at places [s]."""
         return np.asarray(np.interp(place, self._rows, self.times))
+
+    def cycles(self, place: float, row: int) -> int:
+        """Return the planned number of cycles from a place to a row."""
+        return ceil((float(self.times[row]) - float(self.time(place))) / self._dt - ROW_TOLERANCE)
 
     def next(self, place: float, speed: float) -> float:
         """Return the place after the next cycle; the previous one advanced by `speed`."""
@@ -646,7 +679,9 @@ class _Performance:
         reached, error = (row - begun) * cycle_of(run.limits), float(errors[row - first])
         tip = tip_off(mark.tip, mark.target, reference.arm.at(run.q[row]))
         if mark.way is not None:
-            off = mark.way.distance(run.q[begun : row + 1])
+            since = max([other.row for other in reference.marks if other.row < mark.row], default=0)
+            first = begun + int(np.searchsorted(places[begun : row + 1], since))
+            off = mark.way.distance(run.q[min(first, row) : row + 1])
             missed = missed or off > self._max_distance(mark.way)
         return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed, missed)
 
@@ -762,7 +797,7 @@ class _Performance:
             mark = guide.next_mark(self._place)
             left = self._place
             # A shorter path does not advance the plan faster.
-            due = loop.record.steps + ceil((mark.row - self._place) / guide.most)
+            due = loop.record.steps + guide.cycles(self._place, mark.row)
             status, reason = self._go_to(float(mark.row), due)
             if status != "converged":
                 self._note(left, f"the arm left the path, and did not reach {mark.name} by another")

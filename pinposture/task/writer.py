@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +26,7 @@ from pinposture.errors import FileError, PostureError, warn_caller
 from pinposture.storage import check_writable, relative, require_suffix, settled, write_text
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import Keyframe, usual_placement
+from pinposture.task.phases import Phase, TipGoal, Withdrawal, is_phased, keyed
 from pinposture.task.reader import (
     TASK_SUFFIXES,
     Document,
@@ -47,7 +48,9 @@ from pinposture.task.specification import (
     LeaderSpec,
     ObstacleSpec,
     SceneSpec,
+    TipGoalSpec,
     TipSpec,
+    WithdrawalSpec,
     shown,
 )
 from pinposture.task.toml import TomlLayout, Usual, drop_defaults, toml_text
@@ -188,6 +191,21 @@ def write_leader(leader: Leader, default: str, descriptions: Descriptions) -> di
     return LeaderSpec.without_defaults(values)
 
 
+def write_phase(phase: Phase, default: str, descriptions: Descriptions) -> dict[str, Any]:
+    """Return the table of a phase without defaults; `default` is that of placements."""
+    table: dict[str, Any] = {"name": phase.name} if phase.name else {}
+    motion = phase.motion
+    if isinstance(motion, Leader):
+        table["leader"] = write_leader(motion, default, descriptions)
+    elif isinstance(motion, TipGoal):
+        table["reach"] = TipGoalSpec.without_defaults(vars(motion))
+    elif isinstance(motion, Withdrawal):
+        table["withdraw"] = WithdrawalSpec.without_defaults(vars(motion))
+    else:
+        table["keyframes"] = [write_keyframe(each, default, descriptions) for each in motion]
+    return table
+
+
 def write_curve(curve: Curve) -> dict[str, Any]:
     """Describe a curve by its control points, or by its knots and coefficients."""
     if curve.control_points is not None:
@@ -318,8 +336,21 @@ def _differences(task: TaskParts, parts: TaskParts) -> list[str]:
         same["motion"] = task.motion == parts.motion
     else:
         count = len(task.motion) == len(parts.motion)
-        same["motion"] = count and all(map(_same_keyframe, task.motion, parts.motion))
+        same["motion"] = count and all(map(_same_part, task.motion, parts.motion))
     return [key for key, equal in same.items() if not equal]
+
+
+def _same_part(one: Keyframe | Phase, other: Keyframe | Phase) -> bool:
+    """Whether two keyframes or two phases are the same, as far as a file can tell."""
+    if isinstance(one, Keyframe) and isinstance(other, Keyframe):
+        return _same_keyframe(one, other)
+    if not isinstance(one, Phase) or not isinstance(other, Phase):
+        return False
+    mine = keyed(one)
+    its = keyed(other)
+    if not mine or not its:
+        return one == other
+    return one.name == other.name and len(mine) == len(its) and all(map(_same_keyframe, mine, its))
 
 
 def _same_keyframe(one: Keyframe, other: Keyframe) -> bool:
@@ -431,7 +462,7 @@ def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict
     placement = usual_placement(task.scene)
     contents: dict[str, Any] = {
         "version": VERSION,
-        "kind": "follow_leader" if isinstance(task.motion, Leader) else "keyframes",
+        "kind": _kind(task),
         "name": task.name if task.name != descriptions.file.stem else Usual(task.name),
     }
     if task.continuity != "velocity":
@@ -450,14 +481,23 @@ def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict
         contents["scene"] = known or write_scene(task.scene, descriptions)
     if isinstance(task.motion, Leader):
         contents["leader"] = write_leader(task.motion, placement, descriptions)
+    elif is_phased(task.motion):
+        contents["phases"] = [write_phase(each, placement, descriptions) for each in task.motion]
     else:
-        contents["keyframes"] = [write_keyframe(each, placement, descriptions) for each in task.motion]
+        keyframes = cast("tuple[Keyframe, ...]", task.motion)
+        contents["keyframes"] = [write_keyframe(each, placement, descriptions) for each in keyframes]
     if task.formats != RESULT_FORMATS:
         contents["output"] = {"formats": task.formats}
     if task.scans:
         contents["editor"] = {"scans": task.scans}
     plain: dict[str, Any] = plain_data(contents, descriptions.folder)
     return plain
+
+
+def _kind(task: TaskParts) -> str:
+    if isinstance(task.motion, Leader):
+        return "follow_leader"
+    return "phases" if is_phased(task.motion) else "keyframes"
 
 
 def _text(

@@ -19,7 +19,7 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 
 
-class Phase(NamedTuple):
+class SwitchingPhase(NamedTuple):
     """State of a switching controller between two steps.
 
     Attributes:
@@ -37,14 +37,14 @@ class Phase(NamedTuple):
     failovers: int
 
 
-INITIAL_PHASE = Phase("selection", np.inf, 0.0, 0.0, 0)
+INITIAL_PHASE = SwitchingPhase("selection", np.inf, 0.0, 0.0, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingMemory(Memory):
     """The memory of `Switching`, which includes its phase."""
 
-    phase: Phase = INITIAL_PHASE
+    phase: SwitchingPhase = INITIAL_PHASE
 
 
 HandBack = Literal["after_stay", "when_possible"]
@@ -147,7 +147,7 @@ class Switching:
         left = float(np.linalg.norm(task_errors(ahead, target), axis=1).sum())
         return left < error * (1.0 - self.progress * min(travel / self.patience, 1.0))
 
-    def _failover(self, phase: Phase, target: Target) -> Phase:
+    def _failover(self, phase: SwitchingPhase, target: Target) -> SwitchingPhase:
         """Switch to Projection, for twice as long as the last time if the target has a configuration."""
         stint = self.stay * 2.0 ** (min(phase.failovers, 60) if target.q is not None else 0)
         return phase._replace(method="projection", left=stint, failovers=phase.failovers + 1)
@@ -158,7 +158,7 @@ class Switching:
         target: Target,
         limits: Limits,
         memory: Memory | None,
-        phase: Phase,
+        phase: SwitchingPhase,
         travel: float,
         why: str,
     ) -> Step:
@@ -179,7 +179,7 @@ class Switching:
         target: Target,
         limits: Limits,
         memory: Memory | None,
-        phase: Phase,
+        phase: SwitchingPhase,
         held: Step,
         why: str,
     ) -> Step:
@@ -212,6 +212,6 @@ class Switching:
         )
 
 
-def _labelled(step: Step, phase: Phase, switched: str) -> Step:
+def _labelled(step: Step, phase: SwitchingPhase, switched: str) -> Step:
     diagnostics = step.diagnostics._replace(method=phase.method, switched=switched)
     return step._replace(diagnostics=diagnostics, memory=SwitchingMemory(step.dq, phase=phase))

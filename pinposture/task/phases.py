@@ -1,0 +1,506 @@
+"""Phases of a task, one after the other: along a path, to a goal of the tip, through keyframes, and out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from math import ceil
+from typing import Any, Literal, TypeAlias, TypeGuard
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinposture._validation import as_number, finite_vector, require_instance, require_positive
+from pinposture._validation import direction as unit_vector
+from pinposture.arm import Arm
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.pipe import pipe
+from pinposture.control import JointPath, Limits, plan
+from pinposture.control.limits import cycle_of
+from pinposture.control.planner.objective import Objective
+from pinposture.control.reach import reach, reach_from, tip_task
+from pinposture.control.tasks import EndEffector, link_axes
+from pinposture.errors import InvalidValue, PostureError, TaskError, gather, raise_together
+from pinposture.placement import Target
+from pinposture.task.follow_leader import Leader, check_leader, follow_leader
+from pinposture.task.keyframe import (
+    Keyframe,
+    check_each_keyframe,
+    placed,
+    usual_placement,
+    with_fitting_joints,
+)
+from pinposture.task.keyframes import PEAK_SPEED_RATIO, ROW_STEP, Progress, keyframe_reference
+from pinposture.task.passage import require_wide_pipe
+from pinposture.task.reference import Mark, Reference, smooth_step
+
+Array = NDArray[np.float64]
+
+
+MIN_CYCLES = 20
+"""Fewest control cycles of a motion along a planned path."""
+
+DRAG_SHARE, MIN_DRAG_STEPS = 0.25, 8
+"""Distance between goals on the straight line to a goal of the tip, in modules, and their smallest number."""
+
+DRAG_MARGIN = 1.1
+"""Clearance sought at these goals, in margins, so that the smooth motion between them keeps the margin."""
+
+
+@dataclass(frozen=True)
+class TipGoal:
+    """A goal of the tip; the rest of the arm is free, and keeps clear of obstacles.
+
+    Attributes:
+        position: where the tip has to be, (3,) [m], world frame.
+        direction: direction of the last link there, (3,), world frame; None for any.
+        rotation: roll, pitch and yaw of the last link, (3,) [rad], in place of a direction; None for any.
+        duration: time for the motion [s]; None: as fast as the limits allow.
+        hold: how long to stay there [s].
+        budget: time for the search [s], as for `reach`.
+
+    Raises:
+        InvalidValue: an invalid value, or both a direction and a rotation.
+    """
+
+    position: tuple[float, ...]
+    direction: tuple[float, ...] | None = None
+    rotation: tuple[float, ...] | None = None
+    duration: float | None = None
+    hold: float = 0.0
+    budget: float = 5.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", tuple(finite_vector("position", self.position, 3).tolist()))
+        if self.direction is not None:
+            unit_vector("direction", self.direction)
+            object.__setattr__(self, "direction", tuple(map(float, self.direction)))
+        if self.rotation is not None:
+            object.__setattr__(self, "rotation", tuple(finite_vector("rotation", self.rotation, 3).tolist()))
+        if self.direction is not None and self.rotation is not None:
+            raise InvalidValue("direction", self.direction, "None where a rotation is given")
+        if self.duration is not None:
+            require_positive("duration", self.duration)
+        as_number("hold", self.hold, "a finite number >= 0 [s]", lambda number: number >= 0.0)
+        require_positive("budget", self.budget)
+
+    def task(self, arm: Arm) -> EndEffector:
+        """Return the goal as a task of the tip."""
+        place: Any = np.array(self.position)
+        if self.rotation is not None:
+            place = pin.SE3(pin.rpy.rpyToMatrix(*self.rotation), place)
+        return tip_task(arm, place, self.direction)
+
+
+@dataclass(frozen=True)
+class Withdrawal:
+    """The way out: back to where the last path was entered last, and out along it in reverse.
+
+    Attributes:
+        speed: largest speed of the feed [m/s]; that of the way in if None.
+
+    Raises:
+        InvalidValue: a speed that is not positive.
+    """
+
+    speed: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.speed is not None:
+            require_positive("speed", self.speed)
+
+
+PhaseMotion: TypeAlias = "Leader | TipGoal | tuple[Keyframe, ...] | Withdrawal"
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a motion, which begins at rest where the one before it ended, and ends at rest.
+
+    Attributes:
+        motion: a `Leader` moves the straight arm along a path; a `TipGoal` brings the tip to a position or a
+            pose; keyframes are taken in order, at times from the beginning of the phase; a `Withdrawal` moves
+            out along the path of the last leader. The first phase of all begins with its first keyframe; in
+            others, the first keyframe has a time or a duration.
+        name: a name; if empty, messages use the number of the phase.
+
+    Raises:
+        InvalidValue: a motion or name of another type.
+    """
+
+    motion: PhaseMotion
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        require_instance("name", self.name, str, "text, or empty for the number of the phase")
+        motion: Any = self.motion
+        if isinstance(motion, Leader | TipGoal | Withdrawal):
+            return
+        if not isinstance(motion, list | tuple) or not all(isinstance(each, Keyframe) for each in motion):
+            allowed = "a Leader, a TipGoal, one or more of Keyframe(...), or a Withdrawal"
+            raise InvalidValue("motion", motion, allowed)
+        if not motion:
+            raise InvalidValue("motion", motion, "one or more of Keyframe(...)")
+        object.__setattr__(self, "motion", tuple(motion))
+
+
+def phase_title(phases: Sequence[Phase], index: int) -> str:
+    """Return the title of a phase in messages: its number from 1, and its name if it has one."""
+    name = phases[index].name
+    return f"phase {index + 1} {name!r}" if name else f"phase {index + 1}"
+
+
+def is_phased(motion: object) -> TypeGuard[tuple[Phase, ...]]:
+    """Whether the motion of a task is divided into phases."""
+    return isinstance(motion, tuple) and any(isinstance(each, Phase) for each in motion)
+
+
+def keyed(phase: Phase) -> tuple[Keyframe, ...]:
+    """Return the keyframes of a phase; none if it is another one."""
+    motion = phase.motion
+    return motion if isinstance(motion, tuple) and not isinstance(motion, Leader) else ()
+
+
+def check_phases(phases: tuple[Phase, ...], arm: Arm, scene: Scene | None) -> None:
+    """Refuse phases that do not define a motion of an arm.
+
+    Raises:
+        TaskError: names the phase.
+    """
+    if not all(isinstance(each, Phase) for each in phases):
+        raise InvalidValue("motion", phases, "only phases, or only keyframes")
+    raise_together(gather(*(_check(phases, index, arm, scene) for index in range(len(phases)))))
+
+
+def _check(phases: tuple[Phase, ...], index: int, arm: Arm, scene: Scene | None) -> Any:
+    phase = phases[index]
+
+    def check() -> None:
+        with _naming(phases, index):
+            if isinstance(phase.motion, Leader):
+                check_leader(phase.motion, arm, scene)
+            if keyed(phase):
+                check_each_keyframe(keyed(phase), arm)
+            if index == 0 and len(keyed(phase)) == 1:
+                raise InvalidValue("keyframes", 1, "two or more, as it is the first phase")
+            if isinstance(phase.motion, Withdrawal) and _open_leader(phases[:index]) is None:
+                raise InvalidValue("withdrawal", phase.motion, "one after a leader that does not return")
+
+    return check
+
+
+def _open_leader(before: Sequence[Phase]) -> Leader | None:
+    """Return the leader whose path the arm is still in after some phases."""
+    inside: Leader | None = None
+    for phase in before:
+        if isinstance(phase.motion, Leader):
+            inside = None if phase.motion.and_back else phase.motion
+        elif isinstance(phase.motion, Withdrawal):
+            inside = None
+    return inside
+
+
+def with_placements(phases: tuple[Phase, ...], arm: Arm, scene: Scene | None) -> tuple[Phase, ...]:
+    """Return the phases with the usual placement where a path or curve has none of its own."""
+    placement = usual_placement(scene)
+
+    def own(phase: Phase) -> Phase:
+        motion = phase.motion
+        if isinstance(motion, Leader) and motion.placement is None:
+            return replace(phase, motion=motion._replace(placement=placement))
+        if keyed(phase):
+            return replace(phase, motion=placed(with_fitting_joints(arm, keyed(phase)), placement))
+        return phase
+
+    return tuple(map(own, phases))
+
+
+@contextmanager
+def _naming(phases: Sequence[Phase], index: int) -> Iterator[None]:
+    """Name the phase in errors."""
+    try:
+        yield
+    except PostureError as error:
+        raise TaskError(phase_title(phases, index), str(error)) from error
+
+
+def phased_reference(
+    arm: Arm,
+    phases: tuple[Phase, ...],
+    limits: Limits,
+    scene: Scene | None = None,
+    start: Array | None = None,
+    continuity: Literal["velocity", "acceleration"] = "velocity",
+    progress: Progress | None = None,
+) -> Reference:
+    """Plan phases one after the other, each from where the one before it ends; the arm is at rest in between.
+
+    Args:
+        arm: the arm.
+        phases: one or more.
+        limits: the limits of a step, with dt.
+        scene: the obstacles that goals of the tip and ways back to a path avoid.
+        start: the initial configuration, (nq,); that of the first phase if None.
+        continuity: as for `keyframe_reference`.
+        progress: called with the number of postures of a phase found so far, and their total number.
+
+    Returns:
+        The reference. Its marks are named after the phases.
+
+    Raises:
+        TaskError: the arm cannot perform a phase; names it.
+    """
+    planner = _Planner(arm, limits, scene, start, continuity, progress)
+    for index, phase in enumerate(phases):
+        with _naming(phases, index):
+            planner.append(phase, phase.name or f"phase {index + 1}")
+    return planner.joined()
+
+
+def surrounded(phases: Sequence[Phase], reference: Reference, scene: Scene | None) -> Scene | None:
+    """Return the scene with the pipes of the leaders, around their paths as placed.
+
+    Raises:
+        TaskError: a pipe is too narrow, or bends too much; names the phase.
+    """
+    paths = list(
+        {id(mark.way): mark.target.curve for mark in reference.marks if mark.way is not None}.values()
+    )
+    leaders = [index for index, phase in enumerate(phases) if isinstance(phase.motion, Leader)]
+    for index, path in zip(leaders, paths, strict=False):
+        leader = phases[index].motion
+        if isinstance(leader, Leader) and leader.pipe is not None and path is not None:
+            with _naming(phases, index):
+                scene = with_pipe(scene, path, leader.pipe, reference)
+    return scene
+
+
+def with_pipe(scene: Scene | None, path: Any, radius: float, reference: Reference) -> Scene:
+    """Return a scene with a pipe around the path of a reference.
+
+    Raises:
+        InvalidValue: the pipe bends too much, or is too narrow for the arm and the margin.
+    """
+    walls = pipe(path, radius)
+    if scene is None:
+        require_wide_pipe(reference, walls, radius)
+        return walls
+    require_wide_pipe(reference, replace(scene, obstacles=walls.obstacles, velocities={}), radius)
+    return replace(scene, obstacles={**scene.obstacles, **walls.obstacles})
+
+
+class _Planner:
+    """Plans phases in order."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        limits: Limits,
+        scene: Scene | None,
+        start: Array | None,
+        continuity: Literal["velocity", "acceleration"],
+        progress: Progress | None,
+    ) -> None:
+        self._arm, self._limits, self._scene = arm, limits, scene
+        self._continuity, self._progress = continuity, progress
+        self._dt = cycle_of(limits)
+        self._q = start
+        self._pieces: list[Reference] = []
+        self._inside: tuple[Leader, Reference] | None = None
+
+    def append(self, phase: Phase, name: str) -> None:
+        """Plan a phase from the configuration in which the last one ended."""
+        motion = phase.motion
+        if isinstance(motion, Leader):
+            self._follow(motion, name)
+        elif isinstance(motion, TipGoal):
+            self._reach(motion, name)
+        elif isinstance(motion, Withdrawal):
+            self._withdraw(motion, name)
+        else:
+            self._take(motion, name)
+
+    def joined(self) -> Reference:
+        """Return all phases as one reference."""
+        first = self._pieces[0]
+        offsets, weights = [np.zeros((1, self._arm.nv))], [first.weights[:1]]
+        marks: list[Mark] = []
+        for piece in self._pieces:
+            row = sum(map(len, offsets)) - 1
+            offsets.append(offsets[-1][-1] + piece.offsets[1:])
+            weights.append(piece.weights[1:])
+            marks += [mark._replace(row=mark.row + row) for mark in piece.marks]
+        durations = np.concatenate([np.diff(piece.times) for piece in self._pieces])
+        return Reference(
+            arm=self._arm,
+            interval=float(durations.min()),
+            start=first.start,
+            offsets=np.concatenate(offsets),
+            weights=np.concatenate(weights),
+            marks=tuple(marks),
+            durations=durations,
+        )
+
+    def _add(self, piece: Reference, name: str) -> None:
+        """Add a piece; its marks are named after the phase."""
+        named = tuple(
+            mark._replace(name=name if mark.name in ("", name) else f"{name}: {mark.name}")
+            for mark in piece.marks
+        )
+        self._pieces.append(replace(piece, marks=named))
+        self._q = piece.configuration(piece.rows - 1)
+
+    def _follow(self, leader: Leader, name: str) -> None:
+        arguments = leader._asdict()
+        radius = arguments.pop("pipe")
+        arguments["placement"] = leader.placement or usual_placement(self._scene)
+        reference = follow_leader(
+            self._arm, interval=self._dt, start=self._q, progress=self._progress, **arguments
+        )
+        path = reference.marks[0].target.curve
+        if radius is not None:
+            self._scene = with_pipe(self._scene, path, radius, reference)
+        self._inside = None if leader.and_back else (leader, reference)
+        self._add(reference, name)
+
+    def _reach(self, goal: TipGoal, name: str) -> None:
+        path = self._drag(goal) or self._search(goal)
+        piece = self._along(path, goal.duration, goal.hold)
+        mark = _mark(name, piece)._replace(tip=goal.task(self._arm), row=piece.rows - 1)
+        self._add(replace(piece, marks=(mark,)), name)
+
+    def _drag(self, goal: TipGoal) -> JointPath | None:
+        """Return the path on which the tip moves straight to its goal; None if it is not clear."""
+        arm, start = self._arm, self._begin()
+        scene = None if self._scene is None else replace(self._scene, margin=DRAG_MARGIN * self._scene.margin)
+        state = arm.at(start)
+        now = pin.SE3(state.rotations[-1], state.points[-1])
+        link = now.rotation @ link_axes(arm).links[-1]
+        there = np.array(goal.position)
+        spacing = DRAG_SHARE * arm.length / arm.n_modules
+        steps = max(ceil(float(np.linalg.norm(there - now.translation)) / spacing), MIN_DRAG_STEPS)
+        q, offsets = start, [np.zeros(arm.nv)]
+        for share in np.arange(1, steps + 1) / steps:
+            place: Any = (1.0 - share) * now.translation + share * there
+            direction = None
+            if goal.rotation is not None:
+                posed = pin.SE3(pin.rpy.rpyToMatrix(*goal.rotation), there)
+                place = pin.SE3(pin.SE3.Interpolate(now, posed, float(share)).rotation, place)
+            if goal.direction is not None:
+                direction = (1.0 - share) * link + share * np.array(unit_vector("direction", goal.direction))
+            try:
+                found = reach_from(arm, place, q, scene, self._limits, direction)
+            except PostureError:  # a place on the way, or a direction, that there is not
+                return None
+            if found is None:
+                return None
+            offsets.append(offsets[-1] + arm.difference(q, found.q))
+            q = found.q
+        rows = np.array(offsets)
+        if scene is not None:
+            clear = CollisionModel(arm, scene).minimum_on_motions(start, rows).distance
+            if clear < scene.margin / DRAG_MARGIN:
+                return None
+        return JointPath(Objective(arm, Target.from_configuration(arm, q)), start, rows)
+
+    def _search(self, goal: TipGoal) -> JointPath:
+        """Return the clear path to a posture found by `reach`."""
+        posed = pin.SE3(pin.rpy.rpyToMatrix(*(goal.rotation or (0.0, 0.0, 0.0))), np.array(goal.position))
+        place = posed.translation if goal.rotation is None else posed
+        found = reach(
+            self._arm,
+            place,
+            direction=goal.direction,
+            scene=self._scene,
+            start=self._begin(),
+            budget=goal.budget,
+            limits=self._limits,
+        )
+        path = found[0].path
+        if path is None or path.hindrance:
+            hindrance = "" if path is None else path.hindrance
+            reason = f"no clear path was found: {hindrance}; raise the budget, or choose a nearer goal"
+            raise TaskError("the way to its posture", reason)
+        return path
+
+    def _take(self, keyframes: tuple[Keyframe, ...], name: str) -> None:
+        if self._q is not None and self._pieces:
+            keyframes = (Keyframe(joints=tuple(self._arm.positions(self._q))), *keyframes)
+        keyframes = placed(keyframes, usual_placement(self._scene))
+        piece = keyframe_reference(self._arm, keyframes, self._dt, self._continuity, self._progress)
+        self._add(replace(piece, marks=piece.marks[1:] if self._pieces else piece.marks), name)
+
+    def _withdraw(self, withdrawal: Withdrawal, name: str) -> None:
+        if self._inside is None:
+            raise InvalidValue("withdrawal", withdrawal, "one after a leader that does not return")
+        leader, entered = self._inside
+        arm = self._arm
+        start = self._begin()
+        inside = entered.configuration(entered.rows - 1)
+        if np.abs(arm.difference(start, inside)).max() > 1e-9:
+            path = plan(
+                arm.at(start), Target.from_configuration(arm, inside), self._scene, self._limits, budget=5.0
+            )
+            pieces = self._reversed(entered) if path.hindrance else [self._along(path, None, 0.0)]
+            for piece in pieces:
+                marks = (_mark("back on the path", piece),) if piece is pieces[-1] else ()
+                self._add(replace(piece, marks=marks), name)
+        slower = 1.0 if withdrawal.speed is None else leader.speed / withdrawal.speed
+        target = Target.from_configuration(arm, entered.start)
+        way = entered.marks[-1]
+        out = Mark("outside", entered.rows - 1, replace(target, curve=way.target.curve), way=way.way)
+        self._inside = None
+        self._add(replace(_in_reverse(entered), interval=slower * entered.interval, marks=(out,)), name)
+
+    def _reversed(self, entered: Reference) -> list[Reference]:
+        """Return the pieces since an insertion in reverse, the last first."""
+        since = max(
+            k for k, piece in enumerate(self._pieces) if np.shares_memory(piece.offsets, entered.offsets)
+        )
+        return [_in_reverse(piece) for piece in self._pieces[:since:-1]]
+
+    def _begin(self) -> Array:
+        """Return the configuration in which the next phase begins."""
+        return self._arm.straight() if self._q is None else self._q
+
+    def _along(self, path: JointPath, duration: float | None, hold: float) -> Reference:
+        """Return a motion from rest to rest along a path, and the rest after it."""
+        arm = self._arm
+        travel = np.append(
+            0.0, np.cumsum(np.abs(np.diff(path.offsets, axis=0) / arm.joint_units).max(axis=1))
+        )
+        if duration is None:
+            moved = np.abs(np.diff(path.offsets, axis=0)).sum(axis=0)
+            bound = self._limits.for_arm(arm).bound
+            cycles = PEAK_SPEED_RATIO * float((moved / np.where(np.isfinite(bound), bound, ROW_STEP)).max())
+            duration = self._dt * max(cycles, MIN_CYCLES)
+        rows = max(ceil(duration / self._dt), MIN_CYCLES, ceil(PEAK_SPEED_RATIO * travel[-1] / ROW_STEP))
+        share = smooth_step(np.linspace(0.0, 1.0, rows + 1))
+        places = np.interp(share * travel[-1], travel, np.arange(len(travel), dtype=np.float64))
+        offsets = np.array([path.smooth_offset(float(place)) for place in places])
+        held = round(hold / self._dt)
+        offsets = np.vstack([offsets, np.repeat(offsets[-1:], held, axis=0)])
+        durations = np.append(np.full(rows, duration / rows), np.full(held, self._dt))
+        weights = np.ones((len(offsets), arm.n_modules))
+        start = path.configuration(0)
+        return Reference(arm, float(durations.min()), start, offsets - offsets[0], weights, (), durations)
+
+
+def _in_reverse(piece: Reference) -> Reference:
+    """Return a piece from its end to its beginning, without marks."""
+    return replace(
+        piece,
+        start=piece.configuration(piece.rows - 1),
+        offsets=piece.offsets[::-1] - piece.offsets[-1],
+        weights=piece.weights[::-1],
+        marks=(),
+        durations=None if piece.durations is None else piece.durations[::-1],
+    )
+
+
+def _mark(name: str, piece: Reference) -> Mark:
+    """Return the mark at the end of a piece."""
+    q = piece.configuration(piece.rows - 1)
+    return Mark(name, piece.rows - 1, Target.from_configuration(piece.arm, q))
