@@ -76,11 +76,18 @@ LIBRARY = frozenset({"pinposture", "functools", "contextlib"})
 """Modules that warnings do not point to: this package, and those that call it from within itself."""
 
 
+MAX_REMEMBERED = 1000
+"""Number of warnings of a module that Python remembers, not to repeat them; a loop may give millions."""
+
+
 def warn_caller(message: str) -> None:
     """Issue a PostureWarning that points to the line outside of this package from which it was called."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in LIBRARY:
         level, frame = level + 1, frame.f_back
+    given: dict[object, object] = frame.f_globals.get("__warningregistry__", {})
+    if len(given) > MAX_REMEMBERED:
+        given.clear()
     warnings.warn(message, PostureWarning, stacklevel=level)
 
 

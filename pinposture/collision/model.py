@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import SMALLEST_LENGTH, finite_vector, require_instance
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
+from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.distances import (
     Contacts,
@@ -31,6 +32,7 @@ from pinposture.units import length_text
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
 IndexPair: TypeAlias = tuple[int, int]
+_ModelKey: TypeAlias = tuple[Scene, frozenset[str]]
 
 MAX_MODELS = 16
 """Maximum number of collision models cached per arm."""
@@ -123,22 +125,19 @@ def _self_pairs(model: pin.Model, carriers: Sequence[int]) -> Iterator[IndexPair
                 yield (second, first) if other >= joint else (first, second)
 
 
-def _choose_pairs(
-    objects: CollisionObjects, scene: Scene, free: Collection[int]
-) -> tuple[list[IndexPair], dict[IndexPair, str]]:
-    """Choose the pairs to check; return them and the pairs excluded with a reason.
+def _choose_pairs(objects: CollisionObjects, scene: Scene) -> tuple[list[IndexPair], dict[IndexPair, str]]:
+    """Return the pairs that could be checked, and those of them, and others, that are excluded with a reason.
 
     A pair is the indices of two bodies, or of a body and a solid (or piece of a scan or mesh) among the
     obstacles, counted after the bodies. Excluded without a reason are pairs of bodies on the same or adjacent
-    joints, and pairs of obstacles with bodies that no joint moves. Excluded with a reason are
+    joints, and pairs of obstacles with bodies that no joint moves. Excluded with a reason, unless the
+    obstacle moves, are
 
     * obstacles that the arm is mounted on: within the margin of a stationary end of a body;
     * bodies nearer to each other than twice the margin in the straight or neutral posture, such as thick or
       short links, telescoping tubes, and overlapping meshes: the arm could not even be straight;
     * pairs within the margin in every posture tried, such as an obstacle beside the base. If the last body is
       among them, the arm is inside the obstacle, and these pairs are kept.
-
-    No pair with a moving obstacle, whose indices are in `free`, is excluded.
     """
     arm, count = objects.arm, len(objects.joints)
     mounted = _mounted_pairs(objects, scene.margin)
@@ -153,13 +152,12 @@ def _choose_pairs(
         found = near.near(objects.kinematics.place(q), limit).pairs
         touching |= {(int(near.first[k]), int(near.second[k])) for k in found}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
-    excluded = {pair: why for pair, why in excluded.items() if pair[1] not in free}
-    left = [pair for pair in (*against, *own) if pair not in excluded]
+    candidates = [*against, *own]
+    left = [pair for pair in candidates if pair not in excluded]
     close = _always_close(objects, left, scene.margin)
-    close = [pair for pair in close if pair[1] not in free]
     overlapping = _always_close(objects, close, 0.0)
     excluded |= dict.fromkeys(close, ALWAYS_CLOSE) | dict.fromkeys(overlapping, ALWAYS_OVERLAPPING)
-    return [pair for pair in left if pair not in close], excluded
+    return candidates, excluded
 
 
 def _always_close(objects: CollisionObjects, pairs: Sequence[IndexPair], margin: float) -> list[IndexPair]:
@@ -284,6 +282,48 @@ class Distances(NamedTuple):
     pair: Pair | None
 
 
+class _Choice(NamedTuple):
+    """What the models of an arm and a scene have in common, whatever obstacles move.
+
+    Attributes:
+        objects: the arm among the obstacles.
+        bodies: names of the bodies of the arm.
+        names: names of the bodies, and of the obstacle of each solid.
+        candidates: as `_choose_pairs` returns them.
+        excluded: as `_choose_pairs` returns them.
+        distances: the distances, of no pair.
+    """
+
+    objects: CollisionObjects
+    bodies: tuple[str, ...]
+    names: tuple[str, ...]
+    candidates: NDArray[np.int64]
+    excluded: dict[IndexPair, str]
+    distances: PairDistances
+
+    @classmethod
+    def of(cls, arm: Arm, scene: Scene) -> _Choice:
+        """Return the choice for an arm and a scene whose obstacles have not moved yet; it takes long."""
+        bodies = bodies_of(arm, scene.arm_radius)
+        named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
+        objects = CollisionObjects(
+            arm,
+            kinematics=TreeKinematics(arm.model),
+            joints=[body.joint for body in bodies],
+            solids=[solid(body.shape) for body in bodies],
+            fixed=[each for _, each in named],
+        )
+        own = tuple(body.name for body in bodies)
+        names = (*own, *(name for name, _ in named))
+        candidates, excluded = _choose_pairs(objects, scene)
+        listed = np.array(candidates, dtype=np.int64).reshape(-1, 2)
+        return cls(objects, own, names, listed, excluded, objects.distances(()))
+
+    def excluded_while(self, moving: Collection[str]) -> dict[IndexPair, str]:
+        """Return the excluded pairs while some obstacles move."""
+        return {pair: why for pair, why in self.excluded.items() if self.names[pair[1]] not in moving}
+
+
 class CollisionModel:
     """Distances of an arm from a scene and from itself. May be shared between threads.
 
@@ -325,15 +365,19 @@ class CollisionModel:
         """
         require_instance("arm", arm, Arm, "an Arm")
         require_instance("scene", scene, Scene, "a Scene")
-        models: dict[tuple[Scene, frozenset[str]], CollisionModel] = arm.cache.setdefault(cls, {})
-        key = scene.first, scene.moving
-        if key not in models:
-            made = super().__new__(cls)
-            made._prepare(arm, scene.first, scene.moving)
-            if len(models) >= MAX_MODELS:
-                models.clear()
-            models[key] = made
-        return models[key]._in_moment(scene)
+        models: RecentValues[tuple[Scene, frozenset[str]], CollisionModel] = recent_values(
+            arm, cls, MAX_MODELS
+        )
+        model = models.get((scene.first, scene.moving))
+        if model is None:
+            choices: RecentValues[Scene, _Choice] = recent_values(arm, _Choice, MAX_MODELS)
+            choice = choices.get(scene.first)
+            if choice is None:
+                choice = choices.keep(scene.first, _Choice.of(arm, scene.first))
+            model = super().__new__(cls)
+            model._prepare(choice, scene.first, scene.moving)
+            models.keep((scene.first, scene.moving), model)
+        return model._in_moment(scene)
 
     def __repr__(self) -> str:
         return f"CollisionModel({len(self.bodies)} bodies, {len(self.pairs)} pairs, {self.scene})"
@@ -355,6 +399,7 @@ class CollisionModel:
         other = object.__new__(CollisionModel)
         other.__dict__.update(self.__dict__)
         other.__dict__.pop("_by_velocity", None)
+        other._moment = None  # or each moment would keep all those before it
         return other
 
     def _elsewhere(self, moved: Mapping[str, Obstacle]) -> PairDistances:
@@ -373,39 +418,38 @@ class CollisionModel:
             velocities[self._numbers[name]] = velocity
         return velocities
 
-    def _prepare(self, arm: Arm, scene: Scene, moving: frozenset[str]) -> None:
-        self.scene, self._moment = scene, None
+    def _prepare(self, choice: _Choice, scene: Scene, moving: frozenset[str]) -> None:
+        arm, names = choice.objects.arm, choice.names
+        self.scene, self.bodies, self._moment = scene, choice.bodies, None
         self._model, self._plane = arm.model, np.array(arm.plane)
-        self._space, self._kinematics = ConfigurationSpace(arm.model), TreeKinematics(arm.model)
+        self._space, self._kinematics = ConfigurationSpace(arm.model), choice.objects.kinematics
         self._arm_length = arm.length
-        bodies = bodies_of(arm, scene.arm_radius)
-        named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
-        fixed = [each for _, each in named]
         self._numbers = {name: [] for name in scene.obstacles}
-        for number, (name, _) in enumerate(named):
+        for number, name in enumerate(names[len(choice.bodies) :]):
             self._numbers[name].append(number)
         self._velocities = self._velocities_in(scene)
-        self.bodies = tuple(body.name for body in bodies)
-        names = (*self.bodies, *(name for name, _ in named))
-        free = {len(bodies) + k for k, (name, _) in enumerate(named) if name in moving}
-        joints = [body.joint for body in bodies]
-        objects = CollisionObjects(
-            arm, self._kinematics, joints, [solid(body.shape) for body in bodies], fixed
-        )
-        chosen, excluded = _choose_pairs(objects, scene, free)
+        excluded = choice.excluded_while(moving)
         left_out = (ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         self.excluded_pairs = tuple(dict.fromkeys(left_out))
-        apart = f"nothing keeps them apart (margin {scene.margin:g} m)"
+        self._warn_of_excluded_pairs()
+        chosen = choice.candidates
+        if excluded:
+            kept = [pair not in excluded for pair in map(tuple, chosen.tolist())]
+            chosen = chosen[np.array(kept, dtype=np.bool_)]
+        self._distances = choice.distances.among(chosen)
+        first, second = self._distances.first, self._distances.second
+        self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
+        joints, fixed = choice.objects.joints, choice.objects.fixed
+        self._carriers = np.array([*joints, *[0] * len(fixed)], dtype=np.int64)
+
+    def _warn_of_excluded_pairs(self) -> None:
+        apart = f"nothing keeps them apart (margin {self.scene.margin:g} m)"
         for reason, so in ((ALWAYS_CLOSE, apart), (ALWAYS_OVERLAPPING, "these collisions are ignored")):
             pairs = [
                 f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == reason
             ]
             if pairs:
                 warn_caller(f"{enumerated(pairs, MAX_LISTED_PAIRS)}: {reason}; {so}")
-        self._distances = objects.distances(chosen)
-        first, second = self._distances.first, self._distances.second
-        self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
-        self._carriers = np.array([*joints, *[0] * len(fixed)], dtype=np.int64)
 
     def nearest(self, state: ArmState, within: float) -> Distances:
         """Return the pairs nearer than a distance, and the derivatives of their distances.

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.errors import InvalidValue, warn_caller
 
 Array = NDArray[np.float64]
@@ -413,13 +414,19 @@ class Limits:
 
     def for_arm(self, arm: Arm) -> JointBounds:
         """Return the bounds for the joints of an arm, cached with the arm."""
-        known: dict[tuple[object, ...], JointBounds] = arm.cache.setdefault(JointBounds, {})
+        known: RecentValues[tuple[object, ...], JointBounds] = recent_values(arm, JointBounds, _MAX_CACHED)
         bounds = known.get(self._key)
         if bounds is None:
-            if len(known) >= _MAX_CACHED:
-                known.clear()
-            rates = (self.step, self.velocity, self.acceleration)
-            bounds = known[self._key] = joint_bounds(arm, *rates, self.dt, self.position_margin, self.jerk)
+            bounds = joint_bounds(
+                arm,
+                step=self.step,
+                velocity=self.velocity,
+                acceleration=self.acceleration,
+                dt=self.dt,
+                position_margin=self.position_margin,
+                jerk=self.jerk,
+            )
+            known.keep(self._key, bounds)
             if self.velocity is not None:
                 _warn_of_speed(arm, self.velocity)
         return bounds
@@ -551,20 +558,23 @@ _MAX_CACHED = 16  # limits cached per arm
 
 
 def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
-    """Warn once about velocity limits above those of the arm, which they replace."""
+    """Warn about velocity limits above those of the arm, which they replace, once per arm and worst joint."""
     speed, known = np.broadcast_to(velocity, arm.nv), arm.limits.velocity
     faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SPEED_ROUNDING) * known))
-    warned: set[bytes] = arm.cache.setdefault(_warn_of_speed, set())
-    if not len(faster) or speed.tobytes() in warned:
+    if not len(faster):
         return
-    warned.add(speed.tobytes())
     worst = int(faster[np.argmax(speed[faster] / known[faster])])
+    in_degrees = bool(speed[worst] > IN_DEGREES * known[worst])
+    warned: set[tuple[int, bool]] = arm.cache.setdefault(_warn_of_speed, set())
+    if (worst, in_degrees) in warned:
+        return
+    warned.add((worst, in_degrees))
     unit, more = "m/s" if arm.slides[worst] else "rad/s", len(faster) - 1
     text = (
         f"velocity {speed[worst]:.4g} {unit} is above the {known[worst]:.4g} {unit} that the description "
         f"of the arm allows joint {arm.joint_names[worst]!r}" + (f", and {more} others" if more else "")
     )
-    if speed[worst] > IN_DEGREES * known[worst]:
+    if in_degrees:
         text += "; is it in degrees?"
     warn_caller(text)
 

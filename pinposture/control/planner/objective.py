@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_positive
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.control.controller import task_errors
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
@@ -101,13 +102,10 @@ class _Layout(NamedTuple):
 
 def _layout_of(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
     """Return the layout, cached with the arm."""
-    known: dict[tuple[float, bytes], _Layout] = arm.cache.setdefault(_layout_of, {})
+    known: RecentValues[tuple[float, bytes], _Layout] = recent_values(arm, _layout_of, MAX_LAYOUTS)
     key = relative_position_weight, weights.tobytes()
-    if key not in known:
-        if len(known) >= MAX_LAYOUTS:
-            known.clear()
-        known[key] = _lay_out(arm, weights, relative_position_weight)
-    return known[key]
+    layout = known.get(key)
+    return known.keep(key, _lay_out(arm, weights, relative_position_weight)) if layout is None else layout
 
 
 def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
