@@ -1,10 +1,14 @@
-"""A control loop that runs for long, while everything goes wrong that does in a laboratory.
+"""Control loops that run for long, while everything changes that does in a laboratory.
 
     python benchmarks/soak.py --steps 100000
+    python benchmarks/soak.py --scenario obstacles --steps 1000000
+    python benchmarks/soak.py --all --steps 20000
 
-Targets jump at random, among them straight and folded ones and ones out of reach, or arrive late; cycles are
-late; measurements are missing, not finite, or wrong by radians; now and then somebody pushes the arm. Drives
-lag behind and sag. Every output is checked: finite, within the limits of speed, acceleration and position.
+In the scenario `faults`, targets jump at random, among them straight and folded ones and ones out of reach, or
+arrive late; cycles are late; measurements are missing, not finite, or wrong by radians; now and then somebody
+pushes the arm. Drives lag behind and sag. Each of the others changes one thing, again and again: see
+`SCENARIOS`. Every output is checked: finite, within the limits of speed, acceleration and position. Memory is
+read ten times on the way, and the time of a cycle is compared between the first and the last tenth.
 """
 
 from __future__ import annotations
@@ -15,12 +19,16 @@ import json
 import resource
 import sys
 import time
+import warnings
 from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Tracker
 
 DT, LAG, SAG = 0.01, 0.05, 0.02
@@ -50,10 +58,237 @@ def targets(arm: pp.Arm, rng: np.random.Generator, count: int) -> list[pp.Target
     return made
 
 
-def main() -> None:  # noqa: PLR0915
-    """Run the loop and print what was found."""
+class Loop:
+    """A control loop; a scenario changes its attributes before each cycle.
+
+    Attributes:
+        arm: the arm.
+        rng: source of all random numbers.
+        tracker: the tracker.
+        targets: postures to jump between.
+        first: the scene at the start; None: there are no obstacles.
+        q: configuration of the arm, (nq,) [rad].
+        measured: what is measured of it; None: nothing.
+        scene: the scene to pass to the next cycle; None: none.
+        duration: time since the cycle before [s].
+    """
+
+    def __init__(self, given: argparse.Namespace, scenario: str) -> None:
+        self.rng = np.random.default_rng(given.seed)
+        self.arm = pp.Arm.from_template("RyRz", modules=given.modules)
+        acceleration = None if given.free else ACCELERATION
+        limits = pp.Limits(step=None, velocity=SPEED, dt=DT, acceleration=acceleration, jerk=given.jerk)
+        self.first = scene_of(self.arm, self.rng) if scenario in IN_SCENES else None
+        controller: str | pp.Geodesic = given.controller
+        if scenario == "tip":
+            tip = pp.EndEffector(position=0.5 * self.arm.at(self.arm.straight()).points[-1], weight=0.1)
+            controller = pp.Geodesic(tasks=(tip,))
+        self.tracker = Tracker(self.arm, controller, limits, scene=self.first, deadline=given.deadline)
+        self.targets = targets(self.arm, self.rng, 240)
+        self.q = smooth_configuration(self.arm, self.rng, 0.5)
+        self.sag = SAG * self.rng.normal(size=self.arm.nv)
+        self.measured: np.ndarray | None = self.q
+        self.scene: pp.Scene | None = None
+        self.duration = DT
+
+    def jump(self, chance: float) -> None:
+        """Set another target, with some probability."""
+        if self.rng.random() < chance:
+            self.tracker.update(self.targets[self.rng.integers(len(self.targets))])
+
+    def cycle(self, change: Callable[[Loop, int], None], number: int) -> tuple[np.ndarray, float]:
+        """Run a cycle; return its step, and how long it took [s]."""
+        self.measured, self.scene, self.duration = self.q + self._noise(), None, DT
+        change(self, number)
+        begun = time.perf_counter()
+        dq = self.tracker.step(self.measured, self.duration, scene=self.scene)
+        taken = time.perf_counter() - begun
+        self.q = self.q + (self.tracker.command + self.sag - self.q) * (DT / LAG)
+        return dq, taken
+
+    def _noise(self) -> np.ndarray:
+        return 1e-4 * self.rng.normal(size=self.arm.nv)
+
+
+def scene_of(arm: pp.Arm, rng: np.random.Generator, points: int = 0) -> pp.Scene:
+    """Return three balls and a post at random around an arm, and a scanned wall of some points."""
+    away = rng.uniform(0.4, 0.7, (3, 3)) * rng.choice([-1.0, 1.0], (3, 3)) * arm.length
+    obstacles: dict[str, object] = {
+        f"ball {k}": pp.Sphere(place, 0.05 * arm.length) for k, place in enumerate(away)
+    }
+    place = arm.length * np.array([0.5, rng.uniform(0.4, 0.6), -1.0])
+    obstacles["post"] = pp.Cylinder(place, place + [0.0, 0.0, 2.0 * arm.length], 0.03 * arm.length)
+    if points:
+        wall = rng.uniform(-1.0, 1.0, (points, 3)) * [1.0, 1.0, 0.01] + [0.0, 0.0, -1.2]
+        obstacles["wall"] = pp.Scan(arm.length * wall)
+    return pp.Scene(obstacles, margin=0.005 * arm.length)
+
+
+# The scenarios: what changes before a cycle.
+
+
+def faults(loop: Loop, number: int) -> None:
+    """Jumping targets, missing and wrong measurements, late cycles, pushes."""
+    loop.jump(0.005)
+    rng, q = loop.rng, loop.q
+    chance = rng.random()
+    if chance < 0.01:
+        loop.measured = None
+    elif chance < 0.02:
+        loop.measured = np.where(rng.random(loop.arm.nv) < 0.1, np.nan, q)
+    elif chance < 0.03:
+        loop.measured = q + rng.normal(size=loop.arm.nv)
+    elif chance < 0.0302:
+        loop.q = q + 0.5 * rng.normal(size=loop.arm.nv)
+    loop.duration = 3.0 * DT if rng.random() < 0.01 else DT
+
+
+def obstacles(loop: Loop, number: int) -> None:
+    """Obstacles that are measured anew in every cycle, some with velocities."""
+    loop.jump(0.005)
+    away = 0.05 * np.sin(0.01 * number)
+    moved = {f"ball {k}": (0.0, 0.0, away) for k in range(1 + number // 100 % 3)}
+    velocities = {"ball 0": (0.0, 0.0, 0.05)} if number // 500 % 2 else None
+    loop.scene = loop.first.moved(moved, velocities)
+
+
+def drifting(loop: Loop, number: int) -> None:
+    """Obstacles whose velocities are given now and then; the tracker moves them on."""
+    loop.jump(0.005)
+    if number % 200 == 0:
+        sign = 1.0 if number // 200 % 2 else -1.0
+        before = loop.tracker.scene.moved({}, {"ball 0": (0.0, 0.0, 0.05 * sign)})
+        loop.scene = before.after(DT)
+
+
+def scenes(loop: Loop, number: int) -> None:
+    """Scenes with other obstacles, every half second; a scan among them, every five seconds."""
+    loop.jump(0.005)
+    if number % 50 == 0:
+        loop.scene = scene_of(loop.arm, loop.rng, points=5000 if number % 500 == 0 else 0)
+
+
+def limits(loop: Loop, number: int) -> None:
+    """Other limits every half second, among them of jerk, and cycles of all durations."""
+    loop.jump(0.005)
+    loop.duration = DT * loop.rng.choice([1e-3, 0.1, 0.5, 1.0, 1.0, 1.0, 3.0])
+    if number % 50 == 0:
+        velocity, acceleration = SPEED * loop.rng.uniform(0.2, 1.0), ACCELERATION * loop.rng.uniform(0.2, 1.0)
+        jerk = loop.rng.choice([None, 50.0, 200.0])
+        loop.tracker.limits = pp.Limits(
+            step=None, velocity=velocity, acceleration=acceleration, jerk=jerk, dt=DT
+        )
+
+
+def jumps(loop: Loop, number: int) -> None:
+    """New targets ten times a second: configurations, points, velocities, and curves through an approximation."""
+    if number % 10:
+        return
+    arm, rng = loop.arm, loop.rng
+    q = smooth_configuration(arm, rng, rng.uniform(0.1, 1.0))
+    kind = number // 10 % 3
+    if kind == 0:
+        loop.tracker.update(pp.Target.from_configuration(arm, q), velocity=0.1 * rng.normal(size=arm.nv))
+    elif kind == 1:
+        loop.tracker.update(pp.Target.from_points(arm, arm.at(q).points * rng.uniform(0.9, 1.1)))
+    else:
+        points = arm.at(q).points
+        curve = pp.Curve.spline(points + 0.005 * arm.length * rng.normal(size=points.shape), through=True)
+        try:
+            loop.tracker.update(pp.resolve_targets(arm, curve, placement="align"))
+        except PostureError:
+            loop.jump(1.0)
+
+
+def follow(loop: Loop, number: int) -> None:
+    """A target that moves in every cycle."""
+    wanted = 0.3 * np.sin(0.01 * number + np.arange(loop.arm.nv))
+    loop.tracker.update(pp.Target.from_configuration(loop.arm, wanted))
+
+
+def tip(loop: Loop, number: int) -> None:
+    """A task of the tip beside targets that jump."""
+    loop.jump(0.005)
+
+
+def restarts(loop: Loop, number: int) -> None:
+    """Restarts, at rest or in motion, every half second."""
+    loop.jump(0.005)
+    if number % 50 == 0:
+        loop.tracker.restart(loop.q, 1e-3 * loop.rng.normal(size=loop.arm.nv) if number % 100 else None)
+
+
+SCENARIOS = {
+    each.__name__: each
+    for each in (faults, obstacles, drifting, scenes, limits, jumps, follow, tip, restarts)
+}
+IN_SCENES = ("obstacles", "drifting", "scenes")
+
+
+def resident() -> float:
+    """Return the memory of this process now [MB]; on other systems than Linux, the most it ever had."""
+    pages = Path("/proc/self/statm")
+    if pages.exists():
+        return int(pages.read_text().split()[1]) * resource.getpagesize() / 2**20
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def run(given: argparse.Namespace, scenario: str) -> dict[str, object]:
+    """Run a scenario, and return what was found."""
+    loop = Loop(given, scenario)
+    change, arm, steps = SCENARIOS[scenario], loop.arm, given.steps
+    gc.collect()
+    gc.freeze()  # or a pause of some 90 ms would come when the collector goes through all there is
+    taken, outcome = np.empty(steps), Counter[str]()
+    before, fastest, hardest, beyond = np.zeros(arm.nv), 0.0, 0.0, -np.inf
+    changed, roughest, last, memory, flagged = np.zeros(arm.nv), 0.0, DT, [], 0
+    for step in range(steps):
+        dq, taken[step] = loop.cycle(change, step)
+        if given.pause:
+            time.sleep(given.pause)
+        outcome[loop.tracker.report.status] += 1
+        if not np.all(np.isfinite(dq)):
+            raise SystemExit(f"step {step}: not finite")
+        duration = min(max(loop.duration, 1e-3 * DT), DT)
+        jumped = (dq / duration - before / last) * DT
+        told = bool(loop.tracker.report.violated_constraints) or scenario == "restarts"
+        flagged += told
+        fastest = max(fastest, float(np.abs(dq).max()) / duration)
+        if not told:
+            hardest = max(hardest, float(np.abs(jumped).max()) / DT / max(duration, last))
+            roughest = max(roughest, float(np.abs(jumped - changed).max()) / DT**3)
+        beyond = max(beyond, float((np.abs(loop.tracker.command) - arm.limits.upper).max()))
+        before, changed, last = dq, jumped, duration
+        if (step + 1) % max(steps // 10, 1) == 0:
+            memory.append(resident())
+    overrun, tenth = min(given.deadline, OVERRUN), max(steps // 10, 1)
+    acceleration = None if given.free or scenario == "limits" else hardest / ACCELERATION
+    return {
+        "scenario": scenario,
+        "steps": steps,
+        "controller": loop.tracker._steps.controller.name,
+        "largest speed, of its limit": fastest / SPEED,
+        "largest acceleration that was not reported, of its limit": acceleration,
+        "largest jerk, of its limit": roughest / given.jerk if given.jerk else None,
+        "steps that reported a violated constraint": flagged,
+        "farthest beyond a position limit [rad]": beyond,
+        **{f"microseconds p{q:g}": 1e6 * float(np.percentile(taken, q)) for q in (50, 99, 99.9)},
+        "microseconds max": 1e6 * float(taken[10:].max()),
+        "median in the first and last tenth [us]": [
+            round(1e6 * float(np.median(part))) for part in (taken[:tenth], taken[-tenth:])
+        ],
+        f"overruns of {1e3 * overrun:g} ms": int(np.sum(taken > overrun)),
+        "memory [MB], ten times on the way": [round(each, 1) for each in memory],
+        **{f"cycles {status}": count for status, count in sorted(outcome.items())},
+    }
+
+
+def main() -> None:
+    """Run the loops and print what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--scenario", choices=SCENARIOS, default="faults")
+    parser.add_argument("--all", action="store_true", help="all scenarios, one after the other")
     parser.add_argument("--modules", type=int, default=20)
     parser.add_argument("--controller", default="geodesic")
     parser.add_argument("--seed", type=int, default=0)
@@ -67,67 +302,11 @@ def main() -> None:  # noqa: PLR0915
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     sys.setswitchinterval(given.switch)
-    rng = np.random.default_rng(given.seed)
-    arm = pp.Arm.from_template("RyRz", modules=given.modules)
-    acceleration = None if given.free else ACCELERATION
-    limits = pp.Limits(step=None, velocity=SPEED, dt=DT, acceleration=acceleration, jerk=given.jerk)
-    tracker = Tracker(arm, given.controller, limits, deadline=given.deadline)
-    listed = targets(arm, rng, 240)
-    gc.collect()
-    gc.freeze()  # or a pause of some 90 ms would come when the collector goes through all there is
-    q = smooth_configuration(arm, rng, 0.5)
-    sag = SAG * rng.normal(size=arm.nv)
-    taken, outcome = np.empty(given.steps), Counter[str]()
-    before, fastest, hardest, beyond, memory = np.zeros(arm.nv), 0.0, 0.0, -np.inf, []
-    changed, roughest = np.zeros(arm.nv), 0.0
-    for step in range(given.steps):
-        if rng.random() < 0.005:
-            tracker.update(listed[rng.integers(len(listed))])
-        measured: np.ndarray | None = q + 1e-4 * rng.normal(size=arm.nv)
-        chance = rng.random()
-        if chance < 0.01:
-            measured = None
-        elif chance < 0.02:
-            measured = np.where(rng.random(arm.nv) < 0.1, np.nan, q)
-        elif chance < 0.03:
-            measured = q + rng.normal(size=arm.nv)
-        elif chance < 0.0302:
-            q = q + 0.5 * rng.normal(size=arm.nv)
-        late = 3.0 * DT if rng.random() < 0.01 else DT
-        begun = time.perf_counter()
-        dq = tracker.step(measured, late)
-        taken[step] = time.perf_counter() - begun
-        if given.pause:
-            time.sleep(given.pause)
-        outcome[tracker.report.status] += 1
-        if not np.all(np.isfinite(dq)):
-            raise SystemExit(f"step {step}: not finite")
-        fastest = max(fastest, float(np.abs(dq).max()) / DT)
-        hardest = max(hardest, float(np.abs(dq - before).max()) / DT**2)
-        roughest = max(roughest, float(np.abs(dq - before - changed).max()) / DT**3)
-        command, changed = tracker.command, dq - before
-        beyond = max(beyond, float((np.abs(command) - arm.limits.upper).max()))
-        before = dq
-        q = q + (command + sag - q) * (DT / LAG)
-        if (step + 1) % max(given.steps // 10, 1) == 0:
-            memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    overrun = min(given.deadline, OVERRUN)
-    found = {
-        "steps": given.steps,
-        "controller": given.controller,
-        "largest speed, of its limit": fastest / SPEED,
-        "largest acceleration, of its limit": None if given.free else hardest / ACCELERATION,
-        "largest jerk, of its limit": roughest / given.jerk if given.jerk else None,
-        "farthest beyond a position limit [rad]": beyond,
-        "microseconds p50": 1e6 * float(np.percentile(taken, 50)),
-        "microseconds p99": 1e6 * float(np.percentile(taken, 99)),
-        "microseconds p99.9": 1e6 * float(np.percentile(taken, 99.9)),
-        "microseconds max": 1e6 * float(taken[10:].max()),
-        f"overruns of {1e3 * overrun:g} ms": int(np.sum(taken > overrun)),
-        "memory [MB], ten times on the way": [round(each) for each in memory],
-        **{f"cycles {status}": count for status, count in sorted(outcome.items())},
-    }
-    print(json.dumps(found, indent=2) if given.json else "\n".join(f"{k:40} {v}" for k, v in found.items()))
+    warnings.simplefilter("ignore", PostureWarning)
+    for scenario in SCENARIOS if given.all else (given.scenario,):
+        found = run(given, scenario)
+        text = "\n".join(f"{k:58} {v}" for k, v in found.items()) + "\n"
+        print(json.dumps(found, indent=2) if given.json else text, flush=True)
 
 
 if __name__ == "__main__":

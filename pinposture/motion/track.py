@@ -226,7 +226,8 @@ class ControlLoop:
         dq, self.memory = self.filter.apply(step.dq), step.memory
         self.state = self.ahead = self.arm.at(self.arm.integrate(self.state.q, dq))
         if self.filter.cycles > 1:
-            step = step._replace(dq=dq)
+            rises = self.record.error_rises_at(self.state)
+            step = step._replace(dq=dq, diagnostics=step.diagnostics._replace(error_increasing=rises))
             self.ahead = self.arm.at(self.arm.integrate(self.state.q, self.filter.ahead))
         self.record.append(self.state, step, self.limits.travel(self.state), target)
 
