@@ -4,9 +4,9 @@
     python benchmarks/soak.py --scenario obstacles --steps 1000000
     python benchmarks/soak.py --all --steps 20000
 
-In the scenario `faults`, targets jump at random, among them straight and folded ones and ones out of reach, or
-arrive late; cycles are late; measurements are missing, not finite, or wrong by radians; now and then somebody
-pushes the arm. Drives lag behind and sag. Each of the others changes one thing, again and again: see
+In the scenario `faults`, targets jump at random, among them straight and folded ones and ones out of reach,
+or arrive late; cycles are late; measurements are missing, not finite, or wrong by radians; now and then
+somebody pushes the arm. Drives lag behind and sag. Each of the others changes one thing, again and again: see
 `SCENARIOS`. Every output is checked: finite, within the limits of speed, acceleration and position. Memory is
 read ten times on the way, and the time of a cycle is compared between the first and the last tenth.
 """
@@ -181,7 +181,7 @@ def limits(loop: Loop, number: int) -> None:
 
 
 def jumps(loop: Loop, number: int) -> None:
-    """New targets ten times a second: configurations, points, velocities, and curves through an approximation."""
+    """New targets ten times a second: configurations with velocities, points, and curves."""
     if number % 10:
         return
     arm, rng = loop.arm, loop.rng

@@ -22,8 +22,9 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory
-from pinposture.control.limits import JerkFilter, cycle_of
+from pinposture.control.limits import cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
+from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 
 INTERFACES, PLANNING = ("position", "velocity"), ("process", "thread")
 
-MIN_CYCLE = 1e-3
+MIN_CYCLE = 1e-4
 """Shortest duration of a cycle, relative to the nominal one."""
 
 REST_TOLERANCE = 1e-9
@@ -44,8 +45,8 @@ REST_TOLERANCE = 1e-9
 MARGIN_ROUNDING = 1e-3
 """Share of the margin to obstacles whose loss is not reported."""
 
-ACCELERATION_ROUNDING = 1e-6
-"""Relative excess over the acceleration limit that is not reported."""
+BRAKES_FIRST = "other limits of jerk take effect at rest; the arm brakes within the former ones"
+"""Reason for which the arm holds after a change of limits."""
 
 ARRIVAL_TOLERANCE = 1e-6
 """Mean distance of the control points from their targets at which the arm has converged, in arm lengths."""
@@ -83,6 +84,24 @@ class Report(NamedTuple):
         return f"Report({self.status}{why}{error}{violated})"
 
 
+class Decision(NamedTuple):
+    """What to do in a cycle.
+
+    Attributes:
+        step: the step of the controller; None if it computed none.
+        memory: its memory after the step to take, `memory.dq`: that of the controller, or one that brakes.
+        reason: why the arm holds, stalls or evades; else empty.
+        compensated: the target for the command; None if the controller was not asked.
+        evading: whether the arm evades obstacles while it holds.
+    """
+
+    step: Step | None
+    memory: Memory
+    reason: str
+    compensated: Target | None
+    evading: bool
+
+
 class Tracker:
     """Moves an arm towards its latest target, one step per cycle, in closed loop.
 
@@ -107,7 +126,6 @@ class Tracker:
 
     Attributes:
         arm: the arm.
-        limits: the limits of each step; `dt` is the nominal cycle time.
         report: the result of the last cycle.
         scene: the latest obstacles.
 
@@ -165,8 +183,11 @@ class Tracker:
         ):
             if not (is_number(value) and value > 0.0):
                 raise InvalidValue(name, value, "a number > 0, or inf")
-        self.arm, self.limits = arm, limits
-        limits.for_arm(arm)  # refuse limits of another arm now
+        self.arm = arm
+        self._limits, self._period = limits, period
+        self._smooth = SmoothSteps(arm, limits)
+        self._rates = RateCheck(arm, period)
+        self._former: Limits | None = None
         controller, self.scene = in_scene(controller_named(controller), scene)
         self._steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
@@ -176,18 +197,39 @@ class Tracker:
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
-        self._filter = JerkFilter(arm, limits)
-        self._timeout, self._period = timeout, period
+        self._timeout = timeout
         self._target: Target | None = None
         self._age = 0.0
         self._memory: Memory | None = None
-        self._output: Array | None = None
+        self._decision: Decision | None = None
         self._dt = period
         self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
 
     def __repr__(self) -> str:
         return f"Tracker({self.arm.name!r}, {self._steps.controller.name!r}, {self.report})"
+
+    @property
+    def limits(self) -> Limits:
+        """The limits of each step; `dt` is the nominal cycle time. They may be replaced between steps.
+
+        A limit of jerk that is added, removed or replaced by one that needs another smoothing, and a cycle
+        time that changes with one, take effect once the arm is at rest: it brakes within the former limits,
+        and `report.violated_constraints` names steps beyond the new ones. All others take effect at once.
+
+        Raises:
+            InvalidValue: on assignment, limits without dt, or of another arm; the former ones stay.
+        """
+        return self._limits
+
+    @limits.setter
+    def limits(self, limits: Limits) -> None:
+        period, smooth = cycle_of(limits), SmoothSteps(self.arm, limits)
+        former = self._limits if self._former is None else self._former
+        same = smooth.like(self._smooth) and (period == cycle_of(former) or not smooth.active)
+        self._limits, self._former = limits, None if same else former
+        if same:
+            self._period = period
 
     @property
     def command(self) -> Array:
@@ -256,8 +298,8 @@ class Tracker:
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
         self._feedback.restart(read_start(self.arm, q_measured), moved is not None)
         self._memory, self._dt = None if moved is None else Memory(moved), self._period
-        self._filter.restart(moved)
-        self._output = moved
+        self._smooth.restart(moved)
+        self._rates.restart(moved)
 
     def step(
         self,
@@ -293,18 +335,40 @@ class Tracker:
             scene = self.scene.after(passed)
         if scene is not None and scene is not self.scene:
             controller, self.scene = in_scene(self._steps.controller, scene)
-            if self._filter.cycles > 1 and scene.velocities:  # obstacles where the filtered steps meet them
-                controller, _ = in_scene(controller, scene.after(self._filter.delay * self._period))
+            if self._smooth.active and scene.velocities:  # obstacles where the filtered steps meet them
+                controller, _ = in_scene(controller, scene.after(self._smooth.delay * self._period))
             self._steps.controller = controller
+        if self._former is not None and self._is_at_rest():
+            self._take_limits()
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
-        limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
         feedback = self._feedback.update(q_measured, points, dt)
-        memory = None if self._feedback.restarted else self._rescaled_memory(dt)
-        if memory is None:
-            self._filter.restart()
-            self._output = None
+        if self._feedback.restarted or self._memory is None:
+            self._memory = None
+            self._smooth.restart()
+            self._rates.restart()
         self._age += passed
+        share = dt / self._period
+        needed = self._smooth.needs_step(share) or self._decision is None
+        decision = self._decide(feedback, dt) if needed or self._decision is None else self._decision
+        dq = self._smooth.advance(share, decision.memory.dq if needed else None)
+        self._memory, self._decision = decision.memory, decision
+        self._feedback.apply_step(dq)
+        self.report = self._make_report(feedback, decision, dq, passed)
+        return np.array(dq)
+
+    def _decide(self, feedback: FeedbackState, dt: float) -> Decision:
+        """Return the step of the controller for a cycle of a duration [s], or one that brakes.
+
+        With a limit of jerk it is a step of a nominal cycle, and only some shorter cycles need one.
+        """
+        limits, memory = self._limits if self._former is None else self._former, self._memory
+        if not self._smooth.active:
+            limits = limits if dt == self._period else replace(limits, dt=dt)
+            memory = self._rescaled_memory(dt)
+            self._dt = dt
         step, reason, compensated = None, feedback.reason or self._target_problem(), None
+        if not reason and self._former is not None:
+            reason = BRAKES_FIRST
         state = self._ahead(feedback.state)
         if state is not None and self._target is not None and not reason:
             compensated = self._feedback.compensate(self._target)
@@ -315,28 +379,26 @@ class Tracker:
                 reason = str(error)  # unusable input, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
-        evading = False
-        if step is None or reason:
-            held, evading = self._hold(None if feedback.reason else state, limits, memory)
-            memory = held if step is None else step.memory.with_motion_of(held)
-        else:
-            memory = step.memory
-        dq = self._filter.apply(memory.dq)
-        before = np.zeros(self.arm.nv) if self._output is None else self._output * (dt / self._dt)
-        self._memory, self._dt, self._output = memory, dt, dq
-        self._feedback.apply_step(dq)
-        if step is not None and self._filter.moving:
-            reason = ""  # the jerk filter has not settled yet
-        stopped = "evading" if evading else "stalled" if step is not None else "holding"
-        status = stopped if reason else "moving"
-        self.report = self._make_report(feedback, step, status, reason, compensated, dq, dq - before)
-        return np.array(dq)
+        if step is not None and not reason:
+            return Decision(step, step.memory, "", compensated, False)
+        held, evading = self._hold(None if feedback.reason else state, limits, memory)
+        memory = held if step is None else step.memory.with_motion_of(held)
+        return Decision(step, memory, reason, compensated, evading)
+
+    def _is_at_rest(self) -> bool:
+        """Whether the arm does not move, and no step that is still to come moves it."""
+        return self._memory is None or not (self._smooth.moving or bool(np.any(self._memory.dq)))
+
+    def _take_limits(self) -> None:
+        """Let the latest limits take effect, at rest."""
+        self._former, self._period = None, cycle_of(self._limits)
+        self._smooth, self._dt = SmoothSteps(self.arm, self._limits), self._period
 
     def _ahead(self, state: ArmState | None) -> ArmState | None:
         """Return the state before the jerk filter, from which the controller steps."""
-        if state is None or self._filter.cycles == 1:
+        if state is None or not self._smooth.active:
             return state
-        return self.arm.at(self.arm.integrate(state.q, self._filter.ahead))
+        return self.arm.at(self.arm.integrate(state.q, self._smooth.ahead))
 
     def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> tuple[Memory, bool]:
         """Brake and hold, or evade approaching obstacles, which needs a measured state.
@@ -358,7 +420,6 @@ class Tracker:
         """Return the memory of the controller, its last step scaled to the duration of this cycle."""
         if self._memory is None or dt == self._dt:
             return self._memory
-        self._filter.rescale(dt / self._dt)
         return replace(self._memory, dq=self._memory.dq * (dt / self._dt), stopping=None)
 
     def _target_problem(self) -> str:
@@ -374,19 +435,15 @@ class Tracker:
         """A state for braking, for which only the limits of the arm matter."""
         return self.arm.at(self.arm.neutral())
 
-    def _make_report(
-        self,
-        feedback: FeedbackState,
-        step: Step | None,
-        status: str,
-        reason: str,
-        compensated: Target | None,
-        dq: Array,
-        change: Array,
-    ) -> Report:
+    def _make_report(self, feedback: FeedbackState, decision: Decision, dq: Array, passed: float) -> Report:
+        step, reason = decision.step, feedback.reason or decision.reason
+        if step is not None and self._smooth.moving and not feedback.reason:
+            reason = ""  # the jerk filter has not settled yet
+        stopped = "evading" if decision.evading else "stalled" if step is not None else "holding"
+        status = stopped if reason else "moving"
         still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
-        if compensated is not None and feedback.state is not None and still:
-            distance = _mean_distance(feedback.state.compiled.points, compensated)
+        if decision.compensated is not None and feedback.state is not None and still:
+            distance = _mean_distance(feedback.state.compiled.points, decision.compensated)
             if distance <= ARRIVAL_TOLERANCE * self.arm.length:
                 status, reason = "converged", ""
         target, points = self._target, self._feedback.points
@@ -394,16 +451,19 @@ class Tracker:
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
         relaxed += self._lost_clearance()
-        most = self.limits.for_arm(self.arm).acceleration
-        if self.scene is not None and most is not None and BRAKING_HARDER not in relaxed:
+        period = cycle_of(self._limits)
+        duration = min(max(passed, MIN_CYCLE * period), period)
+        for exceeded in self._rates.exceeded(dq, duration, self._limits.for_arm(self.arm)):
             # Also while the jerk filter spreads such a step over later cycles, or the arm waits for a path.
-            relaxed += (BRAKING_HARDER,) * bool(np.any(np.abs(change) > (1.0 + ACCELERATION_ROUNDING) * most))
+            harder = self.scene is not None and exceeded.startswith("acceleration")
+            text = BRAKING_HARDER if harder else exceeded
+            relaxed += (text,) * (text not in relaxed)
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
 
     def _lost_clearance(self) -> tuple[str, ...]:
         """Return a message if the arm comes too close to something, as the jerk filter can cut a corner."""
         command = self._feedback.command
-        if self._filter.cycles == 1 or self.scene is None or command is None:
+        if not self._smooth.active or self.scene is None or command is None:
             return ()
         closest = CollisionModel(self.arm, self.scene).minimum(command)
         if closest.distance >= (1.0 - MARGIN_ROUNDING) * self.scene.margin:

@@ -59,6 +59,19 @@ def test_all_limits_hold_and_the_arm_arrives(
         assert f"mean point error {run.posture_error[-1] / arm.n_modules:.3g} m is within" in run.reason
 
 
+@examples(15)
+@given(seed=st.integers(0, 10_000), jerk=st.sampled_from([5.0, 20.0, 60.0]))
+def test_the_posture_error_rises_only_on_flagged_steps(arm: pp.Arm, seed: int, jerk: float) -> None:
+    rng = np.random.default_rng(seed)
+    start, goal = (smooth_configuration(arm, rng, 0.9) for _ in range(2))
+    target = pp.Target.from_points(arm, arm.at(goal).points)
+    run = pp.track(arm, target, start, limits=limited(jerk, 2.0, 10.0), max_steps=1500)
+    errors = [float(np.linalg.norm(arm.at(q).points - target.points, axis=1).sum()) for q in run.q]
+    rise = np.diff(errors)
+    assert np.all(rise[~run.error_increasing] <= 1e-11 * arm.length)
+    assert not run.steps or run.error_increasing.mean() < 1.0
+
+
 @pytest.mark.parametrize("jerk", [20.0, 50.0, 200.0])
 @pytest.mark.parametrize("distance", [1.5, 2.5])
 def test_a_long_motion_of_one_joint_takes_little_longer_than_the_shortest(
@@ -149,6 +162,117 @@ def test_cycles_of_other_durations_keep_speed_and_arrive(arm: pp.Arm) -> None:
         assert np.abs(dq).max() <= limits.velocity * min(dt, DT) * (1.0 + 1e-9)
         q = tracker.command
     np.testing.assert_allclose(q, goal, atol=1e-5)
+
+
+class Measured:
+    """Speed, acceleration and jerk of steps by finite differences, relative to limits that may change.
+
+    The acceleration is the change of the mean speed divided by the longer of two cycles; the jerk is the
+    third derivative of the cubic through four positions.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.times, self.positions = [-3.0 * DT, -2.0 * DT, -DT, 0.0], [np.zeros(joints)] * 4
+
+    def exceeded(self, step: np.ndarray, duration: float, limits: pp.Limits) -> list[str]:
+        self.times = [*self.times[1:], self.times[-1] + duration]
+        self.positions = [*self.positions[1:], self.positions[-1] + step]
+        durations, steps = np.diff(self.times), np.diff(self.positions, axis=0)
+        speeds = steps / durations[:, None]
+        acceleration = np.abs(speeds[2] - speeds[1]) / max(durations[1:])
+        weights = [
+            1.0 / np.prod([here - other for other in self.times if other != here]) for here in self.times
+        ]
+        jerk = 6.0 * np.abs(np.array(weights) @ (np.array(self.positions) - self.positions[-1]))
+        shortest = durations.min()
+        found = []
+        if np.abs(speeds[2]).max() > limits.velocity * (1.0 + 1e-9) + 1e-15 / shortest:
+            found.append("velocity")
+        if acceleration.max() > limits.acceleration * (1.0 + 1e-5) + 1e-14 / shortest**2:
+            found.append("acceleration")
+        if limits.jerk is not None and jerk.max() > limits.jerk * (1.0 + 1e-5) + 1e-14 / shortest**3:
+            found.append("jerk")
+        return found
+
+
+@examples(12)
+@given(
+    seed=st.integers(0, 10_000),
+    jerk=st.sampled_from([None, 20.0, 100.0, 3000.0]),
+    shortest=st.sampled_from([1e-4, 1e-2, 0.3, 0.9]),
+    changes=st.booleans(),
+    interface=st.sampled_from(["position", "velocity"]),
+)
+def test_limits_hold_in_cycles_of_all_durations_or_steps_beyond_them_are_named(
+    arm: pp.Arm, seed: int, jerk: float | None, shortest: float, changes: bool, interface: str
+) -> None:
+    rng, q = np.random.default_rng(seed), arm.neutral()
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=5.0, jerk=jerk, dt=DT)
+    tracker, measured = pp.Tracker(arm, limits=limits, interface=interface), Measured(arm.nv)
+    named = 0
+    for cycle in range(250):
+        if cycle % 60 == 0:
+            goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.9))
+            tracker.update(pp.Target.from_configuration(arm, goal))
+        if changes and cycle % 40 == 39:
+            velocity, acceleration = rng.uniform(0.5, 2.0), rng.uniform(2.0, 10.0)
+            wanted = rng.choice([None, 20.0, 100.0, 3000.0])
+            limits = tracker.limits = replace(
+                limits,
+                velocity=velocity,
+                acceleration=acceleration,
+                jerk=wanted,
+                dt=DT * rng.choice([1.0, 2.0]),
+            )
+        duration = limits.dt * (rng.uniform(shortest, 1.0) if rng.random() < 0.7 else 1.0)
+        dq = tracker.step(q, duration)
+        told = " ".join(tracker.report.violated_constraints)
+        for kind in measured.exceeded(dq, duration, limits):
+            assert kind in told and changes
+            named += 1
+        q = arm.integrate(q, dq)
+    assert named < 200
+    for _ in range(900):
+        q = arm.integrate(q, tracker.step(q))
+    np.testing.assert_allclose(q, goal, atol=1e-5)
+    assert tracker.limits is limits and tracker.report.status == "converged"
+
+
+@pytest.mark.parametrize("before", [None, 200.0])
+@pytest.mark.parametrize("after", [None, 20.0, 50.0])
+def test_a_limit_that_is_set_in_motion_is_kept_once_the_arm_has_stopped(
+    arm: pp.Arm, before: float | None, after: float | None
+) -> None:
+    limits = pp.Limits(step=None, velocity=2.0, acceleration=4.0, jerk=before, dt=DT)
+    tracker, q, steps = pp.Tracker(arm, limits=limits), arm.neutral(), []
+    goal = smooth_configuration(arm, np.random.default_rng(2), 0.9)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    reasons, told = [], []
+    for cycle in range(1500):
+        if cycle == 20:
+            tracker.limits = replace(limits, jerk=after)
+        steps.append(tracker.step(q))
+        q = arm.integrate(q, steps[-1])
+        reasons.append(tracker.report.reason)
+        told.append(bool(tracker.report.violated_constraints))
+    np.testing.assert_allclose(q, goal, atol=1e-5)
+    braking = [cycle for cycle, reason in enumerate(reasons) if "former" in reason]
+    assert len(braking) < 60 and (not braking or braking[0] == 20)
+    assert bool(braking) == (before != after)
+    since = (braking[-1] if braking else 20) + 4
+    assert not any(told[since:])
+    if after is not None:
+        assert np.abs(np.diff(steps[since:], 2, axis=0)).max() <= after * DT**3 * (1.0 + 1e-6)
+
+
+def test_limits_are_checked_when_they_are_set(arm: pp.Arm) -> None:
+    tracker = pp.Tracker(arm, limits=limited(60.0))
+    known = tracker.limits
+    wrong = [None, pp.Limits(), pp.Limits(velocity=np.ones(5), dt=DT), limited(1e-12), "fast"]
+    for limits in wrong:
+        with pytest.raises(InvalidValue):
+            tracker.limits = limits
+        assert tracker.limits is known
 
 
 def test_a_tracker_that_starts_in_motion_goes_on_smoothly(arm: pp.Arm) -> None:

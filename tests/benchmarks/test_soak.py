@@ -1,0 +1,87 @@
+"""Loops of every kind keep nothing of the cycles before: objects are counted, in small."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+import pinposture as pp
+from pinposture.collision import CollisionModel
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+SCENARIOS = ("faults", "obstacles", "drifting", "scenes", "limits", "jumps", "follow", "tip", "restarts")
+
+
+@pytest.fixture
+def soak(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import soak
+
+    return soak
+
+
+@pytest.mark.soak
+@pytest.mark.filterwarnings("ignore::pinposture.errors.PostureWarning")
+@pytest.mark.parametrize(
+    ("scenario", "jerk"), [*((name, None) for name in SCENARIOS), ("obstacles", 100.0), ("limits", 100.0)]
+)
+def test_a_loop_keeps_nothing_of_the_cycles_before(soak, scenario: str, jerk: float | None) -> None:
+    assert set(SCENARIOS) == set(soak.SCENARIOS)
+    given = argparse.Namespace(
+        seed=0, modules=4, free=False, jerk=jerk, controller="geodesic", deadline=float("inf")
+    )
+    loop, change = soak.Loop(given, scenario), soak.SCENARIOS[scenario]
+    # Caches hold 16 values: those of scenes, which change every 50 cycles, are full after 800.
+    first = {"scenes": 850, "tip": 20}.get(scenario, 200)
+    count = {"tip": 20}.get(scenario, 150)
+    objects, kilobytes, cycle = [], [], 0
+    tracemalloc.start(1)
+    try:
+        for part in (first, count, count, count):
+            for _ in range(part):
+                loop.cycle(change, cycle)
+                cycle += 1
+            gc.collect()
+            objects.append(len(gc.get_objects()))
+            kilobytes.append(tracemalloc.get_traced_memory()[0] / 1024)
+    finally:
+        tracemalloc.stop()
+    # Plans and scans come and go; a cycle that kept anything of weight would add thousands of both.
+    assert min(objects[2:]) < max(objects[:2]) + 300 + 2 * count
+    assert min(kilobytes[2:]) < max(kilobytes[:2]) + 300 + 2 * count
+
+
+def test_models_of_moments_do_not_hold_each_other() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=3)
+    scene = pp.Scene({"ball": pp.Sphere((0.1, 0.2, 0.1), 0.03), "far": pp.Sphere((1.0, 0.0, 0.0), 0.1)})
+    made = [CollisionModel(arm, scene.moved({"ball": (0.0, 0.0, 0.001 * k)})) for k in range(20)]
+    assert made[-1] is CollisionModel(arm, made[-1].scene)
+    del made[:-1]
+    gc.collect()
+    ours = [
+        each for each in gc.get_objects() if isinstance(each, CollisionModel) and each._model is arm.model
+    ]
+    assert len(ours) <= 2  # that of the scene, and that of the last moment
+
+
+def test_a_model_of_moving_obstacles_checks_the_same_pairs_as_one_made_for_them() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=5)
+    around = {
+        "foot": pp.Box((0.0, 0.0, -0.02), (0.1, 0.1, 0.02)),  # the arm is mounted on it
+        "beside": pp.Sphere((0.0, 0.02, 0.0), 0.01),
+        "ball": pp.Sphere((0.1, 0.1, 0.0), 0.02),
+    }
+    scene = pp.Scene(around, margin=0.005, self_collision=True)
+    still = CollisionModel(arm, scene)
+    assert {each.second for each in still.excluded_pairs} >= {"foot", "beside"}
+    moved = CollisionModel(arm, scene.moved({"foot": (0.0, 0.0, 0.0)}))
+    own = len([pair for pair in still.pairs if pair[1] not in around])
+    movable = len({pair[0] for pair in moved.pairs if pair[1] == "foot"})
+    assert movable == len({pair[0] for pair in still.pairs if pair[1] == "ball"})
+    assert "foot" not in {each.second for each in moved.excluded_pairs}
+    assert "beside" in {each.second for each in moved.excluded_pairs}
+    assert len([pair for pair in moved.pairs if pair[1] not in around]) == own
