@@ -420,9 +420,13 @@ class CollisionModel:
 
     def _prepare(self, choice: _Choice, scene: Scene, moving: frozenset[str]) -> None:
         arm, names = choice.objects.arm, choice.names
-        self.scene, self.bodies, self._moment = scene, choice.bodies, None
-        self._model, self._plane = arm.model, np.array(arm.plane)
-        self._space, self._kinematics = ConfigurationSpace(arm.model), choice.objects.kinematics
+        self.scene = scene
+        self.bodies = choice.bodies
+        self._moment = None
+        self._model = arm.model
+        self._plane = np.array(arm.plane)
+        self._space = ConfigurationSpace(arm.model)
+        self._kinematics = choice.objects.kinematics
         self._arm_length = arm.length
         self._numbers = {name: [] for name in scene.obstacles}
         for number, name in enumerate(names[len(choice.bodies) :]):

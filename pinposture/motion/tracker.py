@@ -224,10 +224,12 @@ class Tracker:
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
-        period, smooth = cycle_of(limits), SmoothSteps(self.arm, limits)
+        period = cycle_of(limits)
+        smooth = SmoothSteps(self.arm, limits)
         former = self._limits if self._former is None else self._former
         same = smooth.like(self._smooth) and (period == cycle_of(former) or not smooth.active)
-        self._limits, self._former = limits, None if same else former
+        self._limits = limits
+        self._former = None if same else former
         if same:
             self._period = period
 
@@ -391,8 +393,9 @@ class Tracker:
 
     def _take_limits(self) -> None:
         """Let the latest limits take effect, at rest."""
-        self._former, self._period = None, cycle_of(self._limits)
-        self._smooth, self._dt = SmoothSteps(self.arm, self._limits), self._period
+        self._former = None
+        self._period = self._dt = cycle_of(self._limits)
+        self._smooth = SmoothSteps(self.arm, self._limits)
 
     def _ahead(self, state: ArmState | None) -> ArmState | None:
         """Return the state before the jerk filter, from which the controller steps."""
