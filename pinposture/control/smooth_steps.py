@@ -16,7 +16,7 @@ PLACE_ROUNDING = 1e-9
 RATE_ROUNDING = 1e-6
 """Relative excess over a limit that is not reported."""
 
-STEP_ROUNDING = 1e-15
+DISPLACEMENT_ROUNDING = 1e-15
 """Rounding of a step [rad or m], which short cycles amplify."""
 
 
@@ -139,16 +139,16 @@ class RateCheck:
         if bounds.dt is None:
             return ()
         shortest = min(earlier, before, duration)
-        words = self._compare("velocity", speed, bounds.bound / bounds.dt, STEP_ROUNDING / shortest)
+        words = self._compare("velocity", speed, bounds.bound / bounds.dt, DISPLACEMENT_ROUNDING / shortest)
         if bounds.acceleration is None:
             return words
         most = bounds.acceleration / bounds.dt**2
         words += self._compare(
-            "acceleration", change / max(before, duration), most, STEP_ROUNDING / shortest**2
+            "acceleration", change / max(before, duration), most, DISPLACEMENT_ROUNDING / shortest**2
         )
         if bounds.jerk is not None:
             most = bounds.jerk / bounds.dt**3
-            words += self._compare("jerk", jerk, most, STEP_ROUNDING / shortest**3)
+            words += self._compare("jerk", jerk, most, DISPLACEMENT_ROUNDING / shortest**3)
         return words
 
     def _compare(self, kind: str, rate: Array, most: Array, rounding: float) -> tuple[str, ...]:
