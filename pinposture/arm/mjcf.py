@@ -504,24 +504,27 @@ class _Drive(NamedTuple):
 
 
 def _drive(compiled: _Compiled, actuator: int) -> _Drive:
+    """Read the ranges of an actuator: of its force, or of its control where that is a force or a speed."""
     model, mujoco = compiled.model, compiled.mujoco
     gear = abs(float(model.actuator_gear[actuator, 0]))
     if gear == 0.0:
         return _Drive(0.0, np.inf)
-    effort, command, velocity = np.inf, np.inf, np.inf
+    effort, velocity = np.inf, np.inf
     if model.actuator_forcelimited[actuator]:
         effort = _largest(model.actuator_forcerange[actuator])
-    if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED:
-        # From MuJoCo 4 on, actuators may have several inputs.
-        entry = int(model.actuator_ctrladr[actuator]) if hasattr(model, "actuator_ctrladr") else actuator
-        if model.actuator_ctrllimited[entry]:
-            command = _largest(model.actuator_ctrlrange[entry])
-        gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        bias = tuple(model.actuator_biasprm[actuator, :3].tolist())
-        if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE:
-            effort = min(effort, gain * command if gain > 0.0 else 0.0)
-        elif bias == (0.0, 0.0, -gain):  # a velocity servo
-            velocity = command / gear
+    # From MuJoCo 4 on, actuators may have several inputs.
+    entry = int(model.actuator_ctrladr[actuator]) if hasattr(model, "actuator_ctrladr") else actuator
+    fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+    if fixed and model.actuator_ctrllimited[entry]:
+        command = _largest(model.actuator_ctrlrange[entry])
+        gain = float(model.actuator_gainprm[actuator, 0])
+        bias = model.actuator_biasprm[actuator, :3].tolist()
+        integrates = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        if model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_NONE:
+            to_speed = bias[:2] == [0.0, -gain] if integrates else bias == [0.0, 0.0, -gain]
+            velocity = command / gear if to_speed else np.inf
+        elif not integrates:
+            effort = min(effort, abs(gain) * command)
     return _Drive(effort * gear, velocity)
 
 

@@ -461,6 +461,13 @@ def test_effort_and_speed_follow_from_actuators() -> None:
     arm = quiet(servo)
     np.testing.assert_allclose(arm.model.velocityLimit, [2.0, 0.5])
     assert arm.model.effortLimit[0] == 7.0
+    integrated = two_joints(
+        after='<actuator><intvelocity joint="j1" kp="5" ctrlrange="-2 2" actrange="-1 1"/>'
+        '<general joint="j2" dyntype="integrator" gainprm="3" ctrlrange="-2 2" actrange="-1 1"/></actuator>'
+    )
+    arm = quiet(integrated)
+    assert arm.model.velocityLimit[0] == 2.0
+    assert np.all(arm.model.effortLimit >= 1e8)  # its control is the rate of a force
 
 
 def test_masses_are_those_of_mujoco() -> None:
@@ -714,6 +721,7 @@ def test_an_arm_from_mjcf_is_saved_with_its_description(tmp_path: Path) -> None:
     arm = quiet(file)
     run = pp.track(arm, pp.Target.from_configuration(arm, np.full(4, 0.2)), np.zeros(4))
     saved = pp.save(run, tmp_path / "run.npz")
+    assert pp.Arm.from_spec(arm.spec).joint_names == arm.joint_names  # which names the file
     file.unlink()
     again = pp.load(saved, pp.Trajectory)
     np.testing.assert_array_equal(again.q, run.q)
