@@ -218,7 +218,7 @@ def drag_ball(editor: Editor, client: Client, seconds: float) -> dict[str, float
 
     editor.post(add)
     time.sleep(2.0)
-    scene = pp.Scene({"ball": ball})
+    scene = pp.Scene({"ball": ball}, self_collision=False)
     distances: list[float] = []
 
     def is_near(place: np.ndarray) -> bool:

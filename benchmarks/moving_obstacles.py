@@ -77,7 +77,9 @@ def main() -> int:
     asked = parser.parse_args()
     arm = situation_arm()
     judge, times, lowest, hardest, arrived = Judge(arm), [], [], 0.0, 0
-    first = pp.Scene({"ball": pp.Sphere((0, 0, 0), BALL)}, margin=MARGIN, arm_radius=THIN)
+    first = pp.Scene(
+        {"ball": pp.Sphere((0, 0, 0), BALL)}, self_collision=False, margin=MARGIN, arm_radius=THIN
+    )
     console = Console(stderr=True)
     for seed in with_progress(range(asked.draws), "draws", console=console, transient=True):
         q, goal, origin, velocity = draw(arm, judge, seed, asked.speed)

@@ -42,7 +42,7 @@ def draw_scene(arm: pp.Arm, boxes: int, rng: np.random.Generator) -> pp.Scene:
         if np.linalg.norm(center) > 0.25:
             edges, turn = (BOXES[boxes],) * 3, tuple(rng.uniform(-3.0, 3.0, 3))
             obstacles[f"box {len(obstacles) + 1}"] = pp.Box(tuple(center), edges, turn)
-    return pp.Scene(obstacles, margin=MARGIN, arm_radius=0.01)
+    return pp.Scene(obstacles, self_collision=False, margin=MARGIN, arm_radius=0.01)
 
 
 def draw_problem(

@@ -94,7 +94,9 @@ def run(modules: int, situation: str, rng: np.random.Generator) -> None:
         ends = np.concatenate([arm.at(q).points for q in (start, goal)])
         balls = arm.at((start + goal) / 2.0).points[modules // 4 :: modules // 10]
         radii = np.linalg.norm(balls[:, None] - ends, axis=2).min(axis=1) - 0.025
-        scene = Scene({str(i): Sphere(balls[i], radii[i]) for i in np.flatnonzero(radii > 0.005)})
+        scene = Scene(
+            {str(i): Sphere(balls[i], radii[i]) for i in np.flatnonzero(radii > 0.005)}, self_collision=False
+        )
     # Points and chords alone are solved by sweeps; a task calls for the program.
     tasks = (JointPosture(arm.neutral(), weight=1e-4),)
     pp.track(arm, target, start, Geodesic(tasks=tasks), limits, scene, max_steps=STEPS)

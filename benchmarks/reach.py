@@ -97,7 +97,7 @@ def scene_of(problem: Problem) -> Scene:
         obstacles[f"obstacle_{k}"] = (
             Sphere(begin, float(radius)) if begin == end else Capsule(begin, end, float(radius))
         )
-    return Scene(obstacles, margin=MARGIN, arm_radius=ARM_RADIUS)
+    return Scene(obstacles, self_collision=False, margin=MARGIN, arm_radius=ARM_RADIUS)
 
 
 def main() -> int:

@@ -41,7 +41,7 @@ def draw_boxes(
         center = rng.normal(size=3) * 0.45 + (0.4, 0.0, 0.0)
         size = rng.uniform(0.05, 0.3, 3) * (30.0 / count) ** (1.0 / 3.0)
         box = pp.Box(tuple(center), tuple(size), tuple(rng.uniform(-3.0, 3.0, 3)))
-        model = pp.CollisionModel(arm, pp.Scene({"box": box}, margin=MARGIN))
+        model = pp.CollisionModel(arm, pp.Scene({"box": box}, self_collision=False, margin=MARGIN))
         if not model.excluded_pairs and min(model.minimum(q).distance for q in clear) > 2.0 * MARGIN:
             boxes[f"box {len(boxes) + 1}"] = box
     return boxes
@@ -136,7 +136,7 @@ def main() -> None:
             )
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", pp.PostureWarning)
-                scene = pp.Scene(obstacles, margin=MARGIN)
+                scene = pp.Scene(obstacles, self_collision=False, margin=MARGIN)
                 results[f"{count} boxes as {name}"] = measure(arm, scene, start, goal)
     if chosen.json:
         print(json.dumps(results, indent=1))

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pinposture.arm import Arm
+    from pinposture.collision import Scene
     from pinposture.motion import Batch
 
 
@@ -113,9 +114,9 @@ def run(
     if ends_only and output is None:
         raise InvalidValue("--ends-only", ends_only, "only with --output")
     limits = limit_options.read()
-    surroundings = scene_options.read()
     arm = arm_options.read(urdf)
-    configurations = _read_starts(arm, starts, count, seed, degrees)
+    surroundings = scene_options.read(arm)
+    configurations = _read_starts(arm, starts, count, seed, degrees, surroundings)
     targets = [placement_options.place(arm, each, surroundings) for each in curve]
     check_directory(output)
     with count_progress("run") as progress:
@@ -137,10 +138,12 @@ def run(
     words = {
         name: text.replace("raise max_steps", "raise --steps") for name, text in batch.in_words().items()
     }
+    drawn = starts in ("smooth", "random")
+    words["starts"] = f"{starts}, seeds {seed} to {seed + len(configurations) - 1}" if drawn else starts
     blocked = _starts_in_collision(batch)
     if blocked:
         where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
-        words["starts"] = f"{where}; choose others by --starts or --seed"
+        words["starts"] += f"; {where}; choose others by --starts or --seed"
     results = {**batch.to_dict(), "starts_in_collision": blocked, "file": files.get("file")}
     print_result(as_json, {**asked, **results}, words, files.values(), failure)
     end_with(batch.faults)
@@ -157,7 +160,7 @@ def _starts_in_collision(batch: Batch) -> list[int]:
 
 
 def _read_starts(
-    arm: Arm, text: str, count: int | None, seed: int, degrees: bool
+    arm: Arm, text: str, count: int | None, seed: int, degrees: bool, scene: Scene
 ) -> list[NDArray[np.float64]]:
     """Return the start configurations.
 
@@ -167,6 +170,7 @@ def _read_starts(
         count: number of starts to draw; None: 10, or all rows of a file.
         seed: seed of the first start.
         degrees: whether numbers for revolute joints are in degrees.
+        scene: what drawn starts must be clear of, if possible.
 
     Raises:
         UnknownName: neither a kind of start nor a file.
@@ -176,7 +180,8 @@ def _read_starts(
     if text in STARTS:
         if count is not None and not 1 <= count <= MOST_RUNS:
             raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_RUNS}")
-        return [read_start(arm, text, seed + k, degrees) for k in range(10 if count is None else count)]
+        seeds = range(seed, seed + (10 if count is None else count))
+        return [read_start(arm, text, each, degrees, scene).q for each in seeds]
     if Path(text).suffix.lower() not in (".csv", ".npy"):
         raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))
     if count is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 
 import typer
 
@@ -273,14 +273,29 @@ def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
     return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
 
 
-def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.float64]:
-    """Return the start configuration, (nq,).
+class Start(NamedTuple):
+    """The configuration at which a motion starts.
+
+    Attributes:
+        q: the configuration, (nq,).
+        words: how it was chosen.
+    """
+
+    q: NDArray[np.float64]
+    words: str
+
+
+def read_start(arm: Arm, text: str, seed: int, degrees: bool, scene: Scene) -> Start:
+    """Return the start.
+
+    A smooth or random posture that is not clear of the scene is bent less, until it is.
 
     Args:
         arm: the arm.
         text: "straight", "smooth", "random", numbers separated by commas, or the path of a file of numbers.
         seed: seed of smooth and random starts.
         degrees: whether numbers for revolute joints are in degrees.
+        scene: what a smooth or random start must be clear of, if possible.
 
     Raises:
         UnknownName: not one of these.
@@ -298,16 +313,36 @@ def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.floa
         raise InvalidValue("--degrees", degrees, f"only with numbers; the start is {text!r}")
     rng = np.random.default_rng(seed)
     if text == "straight":
-        return arm.straight()
+        return Start(arm.straight(), "the straight arm")
     if text == "random":
-        return arm.random(rng)
+        return _bend_until_clear(arm, arm.random(rng), scene, f"a random posture, seed {seed}")
     if text == "smooth":
-        return smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
+        drawn = smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
+        return _bend_until_clear(arm, drawn, scene, f"a smooth random posture, seed {seed}")
     values = _read_file(Path(text)) if Path(text).suffix.lower() in _READERS else _parsed(text)
     if values is None:
         allowed = (*STARTS, *(f"a {suffix} file" for suffix in _READERS), "numbers separated by commas")
         raise UnknownName("start", text, allowed)
-    return as_configuration(arm, values, "start", degrees)
+    return Start(as_configuration(arm, values, "start", degrees), f"as given by --start {text}")
+
+
+STRAIGHTER = 40
+"""Number of equal steps in which a start that is not clear is bent less, down to the straight arm."""
+
+
+def _bend_until_clear(arm: Arm, q: NDArray[np.float64], scene: Scene, words: str) -> Start:
+    """Return the first start that is clear of a scene on the way from q to the straight arm; else q."""
+    from pinposture.collision import CollisionModel
+
+    model = CollisionModel(arm, scene)
+    way = arm.difference(q, arm.straight())
+    for step in range(STRAIGHTER):
+        share = step / STRAIGHTER
+        start = arm.integrate(q, share * way)
+        if model.minimum(start).distance >= scene.margin:
+            bent = f", bent only {100.0 * (1.0 - share):.3g} % as much, to be clear" if step else ""
+            return Start(start, words + bent)
+    return Start(q, words)
 
 
 def as_configuration(arm: Arm, values: list[float], name: str, degrees: bool) -> NDArray[np.float64]:
@@ -600,7 +635,7 @@ class PlacementOptions:
         str | None,
         TARGET(
             "How the curve is placed: as_is, translate (to the base) or align (also rotated to the arm). "
-            "Default: as_is with obstacles, otherwise align.",
+            "Default: as_is for a file with obstacles, otherwise align.",
             "NAME",
         ),
     ] = None
@@ -628,13 +663,17 @@ class PlacementOptions:
             PostureError: as in `read_curve`, `resolve_targets` and `read_region`.
             InvalidValue: a curve on which not even the first module has a place.
         """
+        from pinposture.curve import CURVES
         from pinposture.placement import resolve_targets
         from pinposture.task.keyframe import usual_placement
 
-        placement = usual_placement(scene) if self.placement is None else self.placement
+        form = read_curve(curve, arm, self.scale)
+        placement = self.placement
+        if placement is None:
+            placement = "align" if curve in CURVES else usual_placement(scene, form)
         target = resolve_targets(
             arm,
-            read_curve(curve, arm, self.scale),
+            form,
             placement=cast(Literal["as_is", "translate", "align"], placement),  # checked by the callee
             roll=self.roll,
             incomplete="partial" if self.partial else "raise",
@@ -657,23 +696,31 @@ SceneOption = Annotated[
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """The obstacles that the arm must keep clear of."""
+    """What the arm must keep clear of."""
 
     scene: SceneOption = None
     self_collision: Annotated[
-        bool, SURROUNDINGS("Also keep the arm clear of itself.", flags="--self-collision")
-    ] = False
+        bool | None,
+        SURROUNDINGS(
+            "Whether the arm must keep clear of itself. Default: as in the scene file, else yes.",
+            flags="--self-collision/--no-self-collision",
+        ),
+    ] = None
 
     @property
     def file(self) -> str | None:
         """The scene file, for a summary."""
         return None if self.scene is None else str(self.scene)
 
-    def read(self) -> Scene | None:
-        """Return the scene of the file, with self-collision if requested; None if there is neither."""
-        from pinposture.collision import Scene
+    @property
+    def given(self) -> bool:
+        """Whether any of these options is given."""
+        return self.scene is not None or self.self_collision is not None
 
-        scene = None if self.scene is None else Scene.load(self.scene)
-        if not self.self_collision:
-            return scene
-        return Scene(self_collision=True) if scene is None else replace(scene, self_collision=True)
+    def read(self, arm: Arm) -> Scene:
+        """Return the scene of the file, or that of the arm alone, with self-collision as requested."""
+        from pinposture.collision import Scene
+        from pinposture.collision.model import arm_alone
+
+        scene = arm_alone(arm) if self.scene is None else Scene.load(self.scene)
+        return scene if self.self_collision is None else replace(scene, self_collision=self.self_collision)

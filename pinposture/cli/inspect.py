@@ -80,8 +80,8 @@ def run(
     """
     if curve is None and scale != 1.0:
         raise InvalidValue("--scale", scale, "only with --curve")
-    surroundings = scene_options.read()
     arm = arm_options.read(urdf)
+    surroundings = scene_options.read(arm) if scene_options.given else None
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
     followed = None if curve is None else _describe_following(arm, curve, scale)

@@ -299,11 +299,15 @@ def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> s
     after = "at the start"
     if steps:
         after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
-    return (
+    words = (
         f"{length_text(clearance['smallest'])} where it is smallest, {' to '.join(clearance['pair'])}, "
-        f"{after}; {length_text(clearance['final'])} at the end; the margin is "
-        f"{length_text(clearance['margin'])}"
+        f"{after}; {length_text(clearance['final'])} at the end; "
     )
+    kinds = {"obstacles": clearance["to_obstacles"], "itself": clearance["to_itself"]}
+    for name, least in kinds.items():
+        if None not in kinds.values() and least["pair"] not in (None, clearance["pair"]):
+            words += f"{length_text(least['smallest'])} from {name}, {' to '.join(least['pair'])}; "
+    return f"{words}the margin is {length_text(clearance['margin'])}"
 
 
 FULL = 1.0 - 1e-6

@@ -105,11 +105,11 @@ def run(
 
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
-    surroundings = scene_options.read()
     arm = arm_options.read(urdf)
+    surroundings = scene_options.read(arm)
     place = read_numbers("--to", to)
     pointing = None if direction is None else read_numbers("--direction", direction)
-    first = None if start is None else read_start(arm, start, seed, degrees)
+    first = None if start is None else read_start(arm, start, seed, degrees, surroundings).q
     check_directory(output)
     with search_progress():
         found = reach(

@@ -186,7 +186,7 @@ def run(
             reference = task.reference(placing)
         scene = task.surroundings(reference)
         for where, place in find_crowded(reference, scene).items():
-            if scene is not None and not place.crowding(0.0):  # of the others, `perform` warns
+            if not place.crowding(0.0):  # of the others, `perform` warns
                 print_note(f"{where}: {place.crowding(scene.margin)}")
         with time_progress() as moving:
             motion = task.perform(reference, moving)
@@ -226,9 +226,9 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
         print_table(headings, rows)
     scene = task.surroundings(reference)
     for each in found:
-        if scene is not None and (crowded := each.crowding(scene.margin)):
+        if crowded := each.crowding(scene.margin):
             print_note(f"{each.name}: {crowded}")
-    end_with([each.name for each in found if each.clearance is not None and each.clearance < 0.0])
+    end_with([each.name for each in found if each.crowding(0.0)])
 
 
 @contextmanager

@@ -112,10 +112,10 @@ def run(
 
     controller_options.check(**vars(tip_options))
     limits = limit_options.read()
-    surroundings = scene_options.read()
     arm = arm_options.read(urdf)
-    q0 = read_start(arm, start, seed, degrees)
-    task = tip_options.read(arm.at(q0))
+    surroundings = scene_options.read(arm)
+    begin = read_start(arm, start, seed, degrees, surroundings)
+    task = tip_options.read(arm.at(begin.q))
     chosen = controller_options.build(task)
     target = placement_options.place(arm, curve, surroundings)
     check_directory(output)  # before the run, which would be lost otherwise
@@ -123,7 +123,7 @@ def run(
         motion = track(
             arm,
             target,
-            q0,
+            begin.q,
             chosen,
             limits=limits,
             scene=surroundings,
@@ -135,7 +135,9 @@ def run(
     summary = {**summarize(motion), "tip": None if task is None else tip_off(task, motion)}
     asked: dict[str, object] = {"urdf": urdf, "curve": curve, "start": start, "seed": seed}
     asked |= {"controller": controller_options.controller, "scene": scene_options.file}
-    print_result(as_json, {**asked, **summary, "files": files}, in_words(summary), files.values(), failure)
+    taken = {"start_taken": begin.words, "start_positions": arm.positions(begin.q).tolist()}
+    told = {**asked, **taken, **summary, "files": files}
+    print_result(as_json, told, in_words(told), files.values(), failure)
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)
@@ -307,14 +309,15 @@ def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
     return {"whole arm": f"largest distance of a link from the curve {error}"}
 
 
-def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
+def in_words(summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return a summary in words; the verdict comes with the colour to print it in."""
     from pinposture.placement.target import Moved
 
     off, length, mean = summary["largest_residual"], summary["arm_length"], summary["mean_error"]
     verdict, colour = verdict_in_colour(summary)
-    words: dict[str, str | tuple[str, str]] = {
+    words: dict[str, Any] = {
         "verdict": (verdict.replace("raise max_steps", "raise --steps"), colour),
+        "start": f"{summary['start_taken']}; the motion begins there",
         "steps": str(summary["steps"]) + (f", {summary['duration']:.4g} s" if "duration" in summary else ""),
         "placed by": f"{summary['placed_by']} placement; largest distance of a control point from the curve "
         f"{error_text(off, length)}",
@@ -347,7 +350,7 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"])
         if summary["start_clearance"] < 0.0:
-            words["start"] = "in collision; choose another one by --start or --seed"
+            words["start"] += "; in collision, choose another one by --start or --seed"
     if summary["violated_constraints"]:
         first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")

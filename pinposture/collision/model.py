@@ -14,7 +14,7 @@ from pinposture._validation import SMALLEST_LENGTH, finite_vector, require_insta
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.recent import RecentValues, recent_values
-from pinposture.collision.bodies import bodies_of
+from pinposture.collision.bodies import STAND_IN_RADIUS, bodies_of
 from pinposture.collision.distances import (
     Contacts,
     MotionSearch,
@@ -24,7 +24,7 @@ from pinposture.collision.distances import (
     TreeKinematics,
 )
 from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
-from pinposture.collision.scene import Scene
+from pinposture.collision.scene import MARGIN, Scene
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import InvalidValue, enumerated, warn_caller
 from pinposture.units import length_text
@@ -83,6 +83,23 @@ class CollisionObjects(NamedTuple):
     def distances(self, pairs: Sequence[IndexPair]) -> PairDistances:
         """Return the distances of pairs of bodies, or of bodies and obstacles; see `PairDistances`."""
         return PairDistances(self.solids, self.joints, self.fixed, pairs)
+
+
+def arm_alone(arm: Arm) -> Scene:
+    """Return the scene of an arm without obstacles, which has only itself to keep clear of.
+
+    Motions without a scene are judged in it, and the commands, task files and the editor plan in it.
+
+    Args:
+        arm: the arm. Its stand-in capsules are no thicker than the margin, so that a short arm is not asked
+            for a clearance that is large for it.
+    """
+    return Scene(margin=min(MARGIN, STAND_IN_RADIUS * float(arm.chain.module_lengths.mean())))
+
+
+def effective_scene(arm: Arm, scene: Scene | None) -> Scene:
+    """Return what an arm must keep clear of: a scene, or if that is None, itself."""
+    return arm_alone(arm) if scene is None else scene
 
 
 def stationary_ends(objects: CollisionObjects) -> list[tuple[int, Array]]:

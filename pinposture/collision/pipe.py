@@ -96,7 +96,7 @@ def pipe(
     sides: int = 6,
     thickness: float = 0.005,
     margin: float = PIPE_MARGIN,
-    self_collision: bool = False,
+    self_collision: bool = True,
     arm_radius: float | None = None,
 ) -> Scene:
     """Create a scene with an open-ended pipe along a curve.

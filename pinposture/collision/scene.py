@@ -39,6 +39,7 @@ from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix, write_text
 
 VERSION = 1
+MARGIN = 0.005  # the clearance to keep unless another one is given [m]
 MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
 PROBE_RADIUS = 1e-6  # radius of the sphere that represents a point [m]
 
@@ -51,14 +52,14 @@ class Scene:
 
     A scene is immutable, comparable and picklable, and independent of arms; `CollisionModel` takes both:
 
-        scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, self_collision=True)
+        scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, margin=0.01)
         scene = pp.Scene.load("scene.toml")
 
     For moving obstacles, create a new scene for each moment with `moved`.
 
     Attributes:
         obstacles: the obstacles by name.
-        self_collision: whether the arm must also keep clear of itself.
+        self_collision: whether the arm must also keep clear of itself; `CollisionModel` says of which pairs.
         margin: the clearance to keep [m].
         arm_radius: radius of stand-in capsules along the links [m], which replace the collision geometry of
             the description. None: use that geometry, and where there is none, capsules with a tenth of the
@@ -67,8 +68,8 @@ class Scene:
     """
 
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
-    self_collision: bool = False
-    margin: float = 0.005
+    self_collision: bool = True
+    margin: float = MARGIN
     arm_radius: float | None = None
     velocities: Mapping[str, Vector] = field(default_factory=dict)
     _first: Scene | None = field(init=False, repr=False, default=None)
@@ -102,6 +103,11 @@ class Scene:
     def first(self) -> Scene:
         """The original scene from which `moved` or `after` derived this one; otherwise the scene itself."""
         return self if self._first is None else self._first
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing to keep clear of: no obstacle, and self-collision is off."""
+        return not (self.obstacles or self.self_collision)
 
     @cached_property
     def moving(self) -> frozenset[str]:
@@ -153,6 +159,10 @@ class Scene:
         for name, velocity in self.velocities.items():
             obstacles[name] = displaced(obstacles[name], pin.SE3(np.eye(3), time * np.array(velocity)))
         return self._at_moment(obstacles, self.velocities)
+
+    def without_obstacles(self) -> Scene:
+        """Return the scene without obstacles: the arm has only itself to keep clear of."""
+        return replace(self, obstacles={}, velocities={})
 
     def without_self_collision(self) -> Scene:
         """Return the scene with self-collision disabled."""
@@ -213,7 +223,7 @@ class Scene:
     def load(cls, path: str | Path) -> Scene:
         """Read a scene from a TOML or JSON file; both have the keys of `to_dict`.
 
-        A `PostureWarning` reports a scene without obstacles that does not check self-collision either.
+        A `PostureWarning` reports a file without obstacles that does not set self-collision either.
 
         Paths of meshes and scans are relative to the folder of the file.
 
@@ -231,7 +241,7 @@ class Scene:
             scene = cls.from_dict(content, str(path.parent))
         except PostureError as error:
             raise FileError(path, str(error)) from error
-        if not (scene.obstacles or scene.self_collision):
+        if not scene.obstacles and "self_collision" not in content:
             warn_caller(f"{path} contains no obstacles")
         return scene
 
@@ -257,7 +267,7 @@ class Scene:
         if len(self.obstacles) > MAX_LISTED_OBSTACLES:
             first, *_, last = self.obstacles
             named = f"{len(self.obstacles)} obstacles, {first} to {last}"
-        itself = ", clear of itself" if self.self_collision else ""
+        itself = "" if self.self_collision else ", self-collision off"
         return f"Scene({named}{itself}, margin={self.margin:g})"
 
     def __eq__(self, other: object) -> bool:

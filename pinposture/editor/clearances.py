@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from threading import Event, Lock, Thread
 from typing import Generic, NamedTuple, TypeVar
 
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scan, Scene
-from pinposture.editor.solver import CONTACT_DEPTH, VerdictCache, arm_alone
+from pinposture.editor.solver import VerdictCache
 from pinposture.errors import PostureError
+from pinposture.motion.trajectory import CONTACT_TOLERANCE
 from pinposture.task import Keyframe
 
 Array = NDArray[np.float64]
@@ -49,7 +51,7 @@ class ClearanceQuery(NamedTuple):
 
     arm: Arm
     q: Array  # its configuration, (nq,)
-    scene: Scene | None  # the obstacles; None if there are none
+    scene: Scene  # the obstacles
     scans: Mapping[str, Scan]  # the scans, by name
 
     def same_as(self, other: ClearanceQuery) -> bool:
@@ -66,15 +68,15 @@ def nearest(query: ClearanceQuery) -> NearestObstacle | None:
     """
     arm, scene = query.arm, query.scene
     state, found = arm.at(query.q), []
-    if scene is not None and scene.obstacles:
+    if scene.obstacles:
         # Without the arm itself: neighbours of neighbouring links are always near, and would hide the rest.
         found.append(_closest_pair(scene.without_self_collision(), state))
-    inside = _closest_pair(arm_alone(scene), state)
-    if inside is not None and inside.distance < -CONTACT_DEPTH * arm.length:
+    inside = _closest_pair(scene.without_obstacles(), state)
+    if inside is not None and inside.distance < -CONTACT_TOLERANCE * arm.length:
         found.append(inside)
-    radius = None if scene is None else scene.arm_radius
+    shown = Scene(self_collision=False, margin=MOUNT_DISTANCE, arm_radius=scene.arm_radius)
     for name, scan in query.scans.items():
-        seen = _closest_pair(Scene({name: scan}, margin=MOUNT_DISTANCE, arm_radius=radius), state)
+        seen = _closest_pair(replace(shown, obstacles={name: scan}), state)
         if seen is not None:
             found.append(seen._replace(margin=0.0))
     return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
@@ -161,7 +163,7 @@ class MarksQuery(NamedTuple):
 
     arm: Arm
     keyframes: tuple[Keyframe, ...]
-    scene: Scene | None  # the obstacles to avoid; None if there are none
+    scene: Scene  # the obstacles to avoid
 
     def same_as(self, other: MarksQuery) -> bool:
         """Whether another query has the same answer."""

@@ -14,7 +14,6 @@ from scipy.interpolate import BSpline
 
 from pinposture._validation import finite_vector, require_whole
 from pinposture.arm import Arm
-from pinposture.collision import Scene
 from pinposture.collision.obstacles import Obstacle
 from pinposture.control import controller_named
 from pinposture.control.limits import cycle_of
@@ -540,7 +539,7 @@ def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = No
     """
 
     def edit(task: Task) -> Task:
-        scene = task.scene or Scene()
+        scene = task.effective_scene
         listed = dict(scene.obstacles)
         if instead is not None and instead != name and name in listed:
             raise InvalidValue("name of an obstacle", name, "a name that no other obstacle has")
@@ -558,7 +557,7 @@ def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = No
 
 def with_scene(**changes: Any) -> Edit:
     """Change values of the scene: its margin, self-collision and so on."""
-    return lambda task: task.edited(scene=replace(task.scene or Scene(), **changes))
+    return lambda task: task.edited(scene=replace(task.effective_scene, **changes))
 
 
 def _gaps(task: Task) -> list[float]:

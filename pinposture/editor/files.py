@@ -381,6 +381,8 @@ def export(motion: Motion, kind: str, stem: str) -> Export:
         content = path.read_bytes()
     size = f"{len(content) / 1000.0:,.0f} kB" if len(content) >= 1000 else f"{len(content)} bytes"
     end = "" if motion.converged else "; it does not arrive at its last posture"
+    if motion.faults:
+        end += f"; not for a robot: {'; '.join(motion.faults)}"
     return Export(
         name, content, f"{name}: {noun} of {motion.time[-1]:.4g} s, {motion.steps} cycles, {size}{end}"
     )

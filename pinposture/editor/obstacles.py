@@ -467,7 +467,7 @@ def _dragged(name: str, obstacle: Obstacle, task: Task, session: Session) -> Sce
     before, here = obstacles_of(session.task)[name], _placement(obstacle, session.arm)
     scene = session.task.scene
     if scene is None or own_shape(obstacle) != own_shape(before):  # it is being resized
-        return replace(task.scene or Scene(), velocities={name: (0.0, 0.0, 0.0)})
+        return replace(task.effective_scene, velocities={name: (0.0, 0.0, 0.0)})
     velocity, passed = np.zeros(3), time.monotonic() - session.asked
     last = None if session.proposal is None else session.proposal.task.scene
     if last is not None and name in last.velocities and 0.0 < passed < DRAG_PAUSE:

@@ -35,7 +35,8 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
     """
     if keyframe is not None and keyframe != session.selected:
         return
-    arm, scene, limits = session.arm, session.task.scene, session.task.limits
+    arm, limits = session.arm, session.task.limits
+    scene = session.task.effective_scene
     try:
         place = edits.into_plane(arm, place)
         found = reach_from(arm, place, start, scene, limits)

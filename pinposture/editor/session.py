@@ -207,7 +207,7 @@ class Session:
             self.keyframe,
             task.controller,
             task.limits,
-            task.scene,
+            task.effective_scene,
             self.at_once,
             self.asked,
             shaping=self.proposal is not None,

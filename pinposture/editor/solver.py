@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import effective_scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, Geodesic, Limits
 from pinposture.errors import (
@@ -29,6 +30,7 @@ from pinposture.errors import (
 )
 from pinposture.motion import Tracker
 from pinposture.motion.deadline import NOT_DONE
+from pinposture.motion.trajectory import CONTACT_TOLERANCE
 from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.keyframe import resolve_keyframe
@@ -42,7 +44,6 @@ NEAR_LIMIT = 1e-3  # distance to a position limit at which a joint is at it, in 
 FULL_SPEED = 0.999  # share of its speed limit at which a joint is at it
 UNREPORTED_REST = 1.5  # of a curve beyond the arm, in longest modules: some is needed to bend
 MAX_JOINTS_NAMED = 3
-CONTACT_DEPTH = 1e-6  # how deep touching links may be inside each other, in arm lengths
 
 STEP_TIME = 0.02  # of a step [s]: the arm moves in real time, within its limits
 CONTROLLER_DEADLINE = 0.02  # after which the arm keeps clear while the controller goes on computing [s]
@@ -77,7 +78,7 @@ def judge(
     Args:
         arm: the arm.
         keyframe: the keyframe.
-        scene: the obstacles to avoid; None if there are none.
+        scene: the obstacles to avoid; None: the arm alone.
         near: the target on a slightly different curve, used as initial guess; None if unknown.
         search: whether to search farther where nothing is found near that, which can take seconds.
     """
@@ -96,14 +97,9 @@ def judge(
 def review(arm: Arm, keyframe: Keyframe, target: Target, scene: Scene | None) -> Verdict:
     """Return the verdict on a target that the arm can take; arguments as for `judge`."""
     notes = [*_uncovered_rest(arm, target), *_joints_at_limits(arm, target)]
-    contacts = _scene_contacts(arm, target, scene) or _self_contacts(arm, target, scene)
+    contacts = _contacts(arm, target, scene)
     tip = None if target.q is None else tip_off(keyframe.tip, target, arm.at(target.q))
     return Verdict(target, "", (*contacts, *notes), bool(contacts), target.distance_from_curve(arm), tip)
-
-
-def arm_alone(scene: Scene | None) -> Scene:
-    """Return a scene of the arm alone, with the link radius of another scene."""
-    return Scene({}, self_collision=True, arm_radius=None if scene is None else scene.arm_radius)
 
 
 def _explain(error: Exception) -> str:
@@ -142,32 +138,24 @@ def _joints_at_limits(arm: Arm, target: Target) -> list[str]:
     return [f"at the limit of {', '.join(names[:MAX_JOINTS_NAMED])}{more}"]
 
 
-def _scene_contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
-    """Say where the arm would touch an obstacle, or come nearer than the margin."""
-    if scene is None or target.q is None:
+def _contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
+    """Say where the arm would touch an obstacle or itself, or come nearer than the margin."""
+    if target.q is None:
         return []
+    scene = effective_scene(arm, scene)
     around = obstacles_around(scene, arm.chain.base)
     if around:
         return [f"in collision: {around[0]} stands where the base of the arm is"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
         closest = CollisionModel(arm, scene).minimum(target.q)
-    if closest.pair is None or closest.distance >= scene.margin:
+    if closest.pair is None or closest.distance >= scene.margin - CONTACT_TOLERANCE * arm.length:
         return []
     body, other = closest.pair
-    if closest.distance < 0.0:
-        return [f"in collision: {body} is {length_text(-closest.distance)} inside {other}"]
-    return [f"nearer than the margin: {body} is {length_text(closest.distance)} from {other}"]
-
-
-def _self_contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
-    if target.q is None:
-        return []
-    closest = CollisionModel(arm, arm_alone(scene)).minimum(target.q)
-    if closest.pair is None or closest.distance >= -CONTACT_DEPTH * arm.length:
-        return []
-    body, other = closest.pair
-    return [f"in collision with itself: {body} is {length_text(-closest.distance)} inside {other}"]
+    if closest.distance >= 0.0:
+        return [f"nearer than the margin: {body} is {length_text(closest.distance)} from {other}"]
+    itself = "" if other in scene.obstacles else " with itself"
+    return [f"in collision{itself}: {body} is {length_text(-closest.distance)} inside {other}"]
 
 
 class VerdictCache:

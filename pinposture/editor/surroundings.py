@@ -235,9 +235,10 @@ class Surroundings:
         if live.arm is session.arm:
             scans = {path.name: scan for path, scan in self.scans.of(session.task).items()}
             q = session.playback.seen(live).state.q
-            self._clearances.ask(ClearanceQuery(live.arm, q, session.shown.scene, scans))
+            self._clearances.ask(ClearanceQuery(live.arm, q, session.shown.effective_scene, scans))
         session.nearest = self._clearances.latest
-        self._marks.ask(MarksQuery(session.task.arm, keyframes_of(session.task), session.task.scene))
+        task = session.task
+        self._marks.ask(MarksQuery(task.arm, keyframes_of(task), task.effective_scene))
         session.marks = self._marks.latest or ()
 
     def close(self) -> None:

@@ -131,7 +131,7 @@ class Batch:
         path_length_ratio: length of the paths of all control points relative to the direct distances,
             (count,).
         clearance: smallest distance to an obstacle, or between parts of the arm, (count,) [m]; negative
-            in penetration, infinite without a scene.
+            in penetration. Without a scene, that between parts of the arm.
         q_start: configurations at the start, (count, nq).
         q_final: configurations at the end, (count, nq).
         motions: the motions; None if only the ends were kept.
@@ -222,7 +222,7 @@ class Batch:
         """Return the batch as data for JSON, without the configurations; lengths in metres."""
         names = ("status", "reason", "steps", "start_error", "final_error", "mean_error", "path_length_ratio")
         columns: dict[str, list[Any]] = {name: getattr(self, name).tolist() for name in names}
-        columns["clearance"] = [None] * len(self) if self.scene is None else self.clearance.tolist()
+        columns["clearance"] = [each if np.isfinite(each) else None for each in self.clearance.tolist()]
         runs = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return {
             "verdict": self.verdict,

@@ -323,7 +323,7 @@ def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:
     if closest.pair is None or closest.distance >= scene.margin:
         return ""
     apart = describe_distance(closest.pair, closest.distance)
-    how = "is in collision" if closest.distance < 0.0 else "is too close to an obstacle"
+    how = "is in collision" if closest.distance < 0.0 else "is within the margin"
     return f"the target posture {how}: {apart} (the margin is {1e3 * scene.margin:.3g} mm); "
 
 
@@ -349,8 +349,9 @@ def track(
         q0: the initial configuration, (nq,).
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
         limits: the limits of each step; `Limits()` if None.
-        scene: the obstacles, which "geodesic" avoids; with other controllers, distances are only recorded.
-            None: the scene of the controller.
+        scene: the obstacles, which "geodesic" avoids, as it keeps the arm clear of itself; with other
+            controllers, distances are only recorded. None: the scene of the controller; if that has none, the
+            arm is free to pass through itself, but `faults` says so.
         max_steps: number of steps after which to stop. With acceleration limits, a few more bring a moving
             arm to rest.
         tolerance: mean distance of the control points from their targets at which the run converges [m];
@@ -395,12 +396,14 @@ def track(
 
 
 def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
-    """Return the controller with the scene, and the scene; warn if the controller does not avoid it."""
+    """Return the controller with the scene, and the scene; warn if it does not avoid the obstacles."""
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if isinstance(controller, Geodesic):
-        return (controller, controller.scene) if scene is None else (controller.with_scene(scene), scene)
-    if scene is not None:
+        if scene is None:
+            return controller, controller.scene
+        return controller.with_scene(None if scene.empty else scene), scene
+    if scene is not None and scene.obstacles:
         text = f'{controller.name} does not avoid obstacles, only records distances; "geodesic" avoids them'
         warn_caller(text)
     return controller, scene

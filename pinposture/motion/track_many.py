@@ -18,7 +18,7 @@ from pinposture.control.limits import require_limits
 from pinposture.errors import InvalidValue, PostureError, no_warnings, warn_caller
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track
-from pinposture.motion.trajectory import Trajectory
+from pinposture.motion.trajectory import Trajectory, own_clearance
 from pinposture.placement import Target
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[dict[str, Any
         "final_error": float(run.posture_error[-1]),
         "mean_error": float(run.mean_error[-1]),
         "path_length_ratio": run.path_length_ratio,
-        "clearance": float(run.clearance.min()),
+        "clearance": own_clearance(run) if run.scene is None else float(run.clearance.min()),
         "q_start": run.q[0],
         "q_final": run.q[-1],
     }

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from pinposture._validation import make_read_only
 from pinposture.arm import Arm
-from pinposture.collision import CollisionModel, Scene
+from pinposture.collision import Closest, CollisionModel, Scene
+from pinposture.collision.model import Pair, arm_alone, effective_scene
 from pinposture.control import Limits
 from pinposture.control.controller import CONSTRAINTS
 from pinposture.control.limits import cycle_of
@@ -154,6 +155,9 @@ controller found none that it can move. "max_steps": no steps or cycles are left
 CONTACT_TOLERANCE = 1e-6
 """Largest penetration that is attributed to rounding, in arm lengths."""
 
+HOW_TO_KEEP_CLEAR = "in a scene, such as Scene(), the arm keeps clear of itself"
+"""Advice on a motion without a scene that penetrates itself."""
+
 
 class Excess(Protocol):
     """What a motion exceeds."""
@@ -197,7 +201,8 @@ class FinishedMotion:
         """Why the motion should not be sent to a robot; empty if it may be.
 
         It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path,
-        or bodies penetrate each other.
+        or bodies penetrate each other. Without a scene, the parts of the arm must not penetrate each other
+        either; with self-collision off in the scene, they may.
         """
         if self.converged:
             return self._faults_before_end
@@ -215,12 +220,59 @@ class FinishedMotion:
     def _faults_before_end(self) -> tuple[str, ...]:
         """Clauses on exceeded limits and the deepest penetration."""
         found = [] if self.excess is None else [self.excess.text]
-        if self.scene is not None and self.clearance.min() < -CONTACT_TOLERANCE * self.arm.length:
-            row = int(self.clearance.argmin())
-            pair = " and ".join(CollisionModel(self.arm, self.scene).minimum(self.q[row]).pair or ())
-            when = f"after {row} steps" if row else "at the start"
-            found.append(f"{pair} penetrate by {-1e3 * self.clearance[row]:.3g} mm {when}")
+        contact = find_contact(self)
+        if contact is not None:
+            found.append(str(contact) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
         return tuple(found)
+
+
+class Contact(NamedTuple):
+    """The deepest penetration in a motion.
+
+    Attributes:
+        pair: names of the two bodies, or of the body and the obstacle.
+        depth: how deep they are inside each other [m].
+        row: the row of the motion.
+    """
+
+    pair: Pair
+    depth: float
+    row: int
+
+    def __str__(self) -> str:
+        when = f"after {self.row} steps" if self.row else "at the start"
+        return f"{' and '.join(self.pair)} penetrate by {1e3 * self.depth:.3g} mm {when}"
+
+
+def find_contact(motion: FinishedMotion) -> Contact | None:
+    """Return the deepest penetration in a motion, of an obstacle or of the arm itself; None if there is none.
+
+    Verdicts, exports and the editor all judge collisions of a finished motion by it.
+    """
+    arm, clearance = motion.arm, motion.clearance
+    touching = -CONTACT_TOLERANCE * arm.length
+    model = CollisionModel(arm, effective_scene(arm, motion.scene))
+    if motion.scene is None:
+        if own_clearance(motion) >= touching:
+            return None
+        clearance = np.array([model.minimum(q).distance for q in motion.q])
+    row = int(clearance.argmin())
+    pair = model.minimum(motion.q[row]).pair
+    if clearance[row] >= touching or pair is None:
+        return None
+    return Contact(pair, -float(clearance[row]), row)
+
+
+def own_clearance(motion: FinishedMotion) -> float:
+    """Return the smallest distance between parts of the arm in a motion [m]; infinite without such parts."""
+    return _minimum_in(motion, arm_alone(motion.arm)).distance
+
+
+def _minimum_in(motion: FinishedMotion, scene: Scene) -> Closest:
+    """Return the smallest distance in a scene at the rows of a motion."""
+    arm, start = motion.arm, motion.q[0]
+    offsets = np.array([arm.difference(start, q) for q in motion.q])
+    return CollisionModel(arm, scene).minimum_along(start, offsets)
 
 
 def require_no_faults(motion: FinishedMotion, force: bool) -> None:
@@ -240,19 +292,29 @@ def closest(motion: FinishedMotion) -> dict[str, Any] | None:
 
     Returns:
         None without a scene; else "smallest" and "final" [m], the names of the closest "pair" (None if there
-        is none), "after_steps", and the "margin" that had to be kept [m].
+        is none), "after_steps", the "margin" that had to be kept [m], and "smallest" and "pair" again, both
+        "to_obstacles" and "to_itself" (None if the scene has no obstacles, or self-collision is off).
     """
-    if motion.scene is None:
+    scene = motion.scene
+    if scene is None:
         return None
     after = int(motion.clearance.argmin())
-    least = CollisionModel(motion.arm, motion.scene).minimum(motion.q[after])
+    least = CollisionModel(motion.arm, scene).minimum(motion.q[after])
+    obstacles = _minimum_in(motion, scene.without_self_collision()) if scene.obstacles else None
+    itself = _minimum_in(motion, scene.without_obstacles()) if scene.self_collision else None
     return {
-        "smallest": least.distance,
+        **_closest_as_data(least),
         "final": float(motion.clearance[-1]),
-        "pair": None if least.pair is None else list(least.pair),
         "after_steps": after,
-        "margin": motion.scene.margin,
+        "margin": scene.margin,
+        "to_obstacles": None if obstacles is None else _closest_as_data(obstacles),
+        "to_itself": None if itself is None else _closest_as_data(itself),
     }
+
+
+def _closest_as_data(closest: Closest) -> dict[str, Any]:
+    """Return a smallest distance and its pair as data for JSON."""
+    return {"smallest": closest.distance, "pair": None if closest.pair is None else list(closest.pair)}
 
 
 def path_length_ratio(points: NDArray[np.float64]) -> float:

@@ -149,7 +149,7 @@ def _machine(arm: Arm, rng: np.random.Generator) -> Drawn:
         for k in range(8)
     }
     inside = None
-    scene = Scene(walls | parts, margin=CLUTTER_MARGIN + SPARE_CLEARANCE + POINT_RADIUS)
+    scene = Scene(walls | parts, self_collision=False, margin=CLUTTER_MARGIN + SPARE_CLEARANCE + POINT_RADIUS)
     with no_warnings():
         model = CollisionModel(arm, scene)
     for _ in range(MAX_REACHES):

@@ -154,16 +154,31 @@ def _listed() -> list[Situation]:
     post = Cylinder((0.5, 0.35, -1.0), (0.5, 0.35, 1.0), 0.05)
     wall = HalfSpace((0.55, 0.0, 0.0), (-1.0, 0.0, 0.0))
     return [
-        Situation("post", Scene({"post": post}, margin=MARGIN), _bent(0.0, -1.2), _bent(0.0, 2.4)),
-        Situation("slot", Scene(_slot(0.2), margin=MARGIN), _bent(0.0, 2.5), through),
-        Situation("narrow", Scene(_slot(0.12), margin=MARGIN), _bent(0.0, 2.5), through),
-        Situation("wall", Scene({"wall": wall}, margin=MARGIN), _bent(0.0, -2.0), _bent(0.0, 2.0)),
         Situation(
-            "pipe", Scene(_pipe(0.2, 0.5), margin=MARGIN), _bent(0.0, -8.0 * beyond), _bent(0.0, 8.0 * beyond)
+            "post",
+            Scene({"post": post}, self_collision=False, margin=MARGIN),
+            _bent(0.0, -1.2),
+            _bent(0.0, 2.4),
+        ),
+        Situation("slot", Scene(_slot(0.2), self_collision=False, margin=MARGIN), _bent(0.0, 2.5), through),
+        Situation(
+            "narrow", Scene(_slot(0.12), self_collision=False, margin=MARGIN), _bent(0.0, 2.5), through
+        ),
+        Situation(
+            "wall",
+            Scene({"wall": wall}, self_collision=False, margin=MARGIN),
+            _bent(0.0, -2.0),
+            _bent(0.0, 2.0),
+        ),
+        Situation(
+            "pipe",
+            Scene(_pipe(0.2, 0.5), self_collision=False, margin=MARGIN),
+            _bent(0.0, -8.0 * beyond),
+            _bent(0.0, 8.0 * beyond),
         ),
         Situation(
             "inside",
-            Scene({"ball": Sphere((0.8, 0.3, 0.0), 0.12)}, margin=MARGIN),
+            Scene({"ball": Sphere((0.8, 0.3, 0.0), 0.12)}, self_collision=False, margin=MARGIN),
             _bent(0.0, -1.0),
             _bent(0.0, 0.7),
             goal_clear=False,
@@ -171,7 +186,7 @@ def _listed() -> list[Situation]:
         Situation("coil", Scene(self_collision=True, margin=OWN_MARGIN), coiled(8.0, 2.0), coiled(8.0, -2.0)),
         Situation(
             "out",
-            Scene({"ball": Sphere((0.5, 0.06, 0.0), 0.07)}, margin=MARGIN),
+            Scene({"ball": Sphere((0.5, 0.06, 0.0), 0.07)}, self_collision=False, margin=MARGIN),
             _bent(0.0, 0.2),
             _bent(0.0, 1.6),
             start_clear=False,

@@ -22,7 +22,7 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.reach import bring_to_goal
 from pinposture.control.tasks import EndEffector
-from pinposture.curve import Curve
+from pinposture.curve import CURVES, Curve
 from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, raise_together, warn_caller
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
@@ -134,17 +134,19 @@ class Keyframe:
                 raise InvalidValue(name, getattr(self, name), f"{default!r}, as there is no curve")
 
 
-def usual_placement(scene: Scene | None) -> Literal["as_is", "align"]:
-    """Return the default placement of curves: as drawn if there are obstacles."""
-    return "as_is" if scene is not None and scene.obstacles else "align"
+def usual_placement(scene: Scene | None, curve: Curve) -> Literal["as_is", "align"]:
+    """Return the default placement of a curve: as drawn if there are obstacles, unless it is a preset."""
+    drawn_among_obstacles = scene is not None and scene.obstacles and curve not in CURVES.values()
+    return "as_is" if drawn_among_obstacles else "align"
 
 
-def placed(keyframes: Sequence[Keyframe], placement: Literal["as_is", "align"]) -> tuple[Keyframe, ...]:
-    """Return the keyframes with this placement where a curve has none of its own."""
+def placed(keyframes: Sequence[Keyframe], scene: Scene | None) -> tuple[Keyframe, ...]:
+    """Return the keyframes with the default placement where a curve has none of its own."""
 
     def own(keyframe: Keyframe) -> Keyframe:
-        given = keyframe.curve is None or keyframe.placement is not None
-        return keyframe if given else replace(keyframe, placement=placement)
+        if keyframe.curve is None or keyframe.placement is not None:
+            return keyframe
+        return replace(keyframe, placement=usual_placement(scene, keyframe.curve))
 
     return tuple(map(own, keyframes))
 

@@ -204,14 +204,14 @@ def _open_leader(before: Sequence[Phase]) -> Leader | None:
 
 def with_placements(phases: tuple[Phase, ...], arm: Arm, scene: Scene | None) -> tuple[Phase, ...]:
     """Return the phases with the usual placement where a path or curve has none of its own."""
-    placement = usual_placement(scene)
 
     def own(phase: Phase) -> Phase:
         motion = phase.motion
         if isinstance(motion, Leader) and motion.placement is None:
+            placement = usual_placement(scene, motion.path)
             return replace(phase, motion=motion._replace(placement=placement))
         if keyed(phase):
-            return replace(phase, motion=placed(with_fitting_joints(arm, keyed(phase)), placement))
+            return replace(phase, motion=placed(with_fitting_joints(arm, keyed(phase)), scene))
         return phase
 
     return tuple(map(own, phases))
@@ -259,7 +259,7 @@ def phased_reference(
     return planner.joined()
 
 
-def surrounded(phases: Sequence[Phase], reference: Reference, scene: Scene | None) -> Scene | None:
+def surrounded(phases: Sequence[Phase], reference: Reference, scene: Scene) -> Scene:
     """Return the scene with the pipes of the leaders, around their paths as placed.
 
     Raises:
@@ -355,7 +355,7 @@ class _Planner:
     def _follow(self, leader: Leader, name: str) -> None:
         arguments = leader._asdict()
         radius = arguments.pop("pipe")
-        arguments["placement"] = leader.placement or usual_placement(self._scene)
+        arguments["placement"] = leader.placement or usual_placement(self._scene, leader.path)
         reference = follow_leader(
             self._arm, interval=self._dt, start=self._q, progress=self._progress, **arguments
         )
@@ -428,7 +428,7 @@ class _Planner:
     def _take(self, keyframes: tuple[Keyframe, ...], name: str) -> None:
         if self._q is not None and self._pieces:
             keyframes = (Keyframe(joints=tuple(self._arm.positions(self._q))), *keyframes)
-        keyframes = placed(keyframes, usual_placement(self._scene))
+        keyframes = placed(keyframes, self._scene)
         piece = keyframe_reference(self._arm, keyframes, self._dt, self._continuity, self._progress)
         self._add(replace(piece, marks=piece.marks[1:] if self._pieces else piece.marks), name)
 

@@ -321,13 +321,14 @@ def _key_of(error: PostureError, table: Mapping[str, Any]) -> str:
 
 
 def _make_keyframe(
-    document: Document, where: Place, spec: KeyframeSpec, placement: Any, arm: Arm
+    document: Document, where: Place, spec: KeyframeSpec, scene: Scene | None, arm: Arm
 ) -> Keyframe:
-    """Make a keyframe; `placement` is the default."""
+    """Make a keyframe."""
     values = {key: getattr(spec, key) for key in KeyframeSpec.model_fields}
     if spec.curve is not None:
-        values["curve"] = make_curve(document, (*where, "curve"), spec.curve)
-        values["placement"] = spec.placement or placement
+        curve = make_curve(document, (*where, "curve"), spec.curve)
+        values["curve"] = curve
+        values["placement"] = spec.placement or usual_placement(scene, curve)
     if spec.tip is not None:
         values["tip"] = make_tip(document, (*where, "tip"), spec.tip)
     if spec.region is not None:
@@ -395,7 +396,7 @@ def _make_leader(document: Document, where: Place, spec: LeaderSpec, scene: Scen
     """Make the leader; the scene decides on the default of its placement."""
     values = {key: getattr(spec, key) for key in LeaderSpec.model_fields}
     values["path"] = path = make_curve(document, (*where, "path"), spec.path)
-    leader = Leader(**{**values, "placement": spec.placement or usual_placement(scene)})
+    leader = Leader(**{**values, "placement": spec.placement or usual_placement(scene, path)})
     longest = MAX_SIZE_RATIO * arm.length
     if path.length > longest:
         reason = f"is {path.length:.4g} m long; allowed: {longest:.4g} m, {MAX_SIZE_RATIO} times the arm"
@@ -606,9 +607,8 @@ def _make_motion(
 def _make_keyframes(
     document: Document, where: Place, specs: tuple[KeyframeSpec, ...], scene: Scene | None, arm: Arm
 ) -> tuple[Keyframe, ...]:
-    placement = usual_placement(scene)
     makers = {
-        number: partial(_make_keyframe, document, (*where, "keyframes", number), each, placement, arm)
+        number: partial(_make_keyframe, document, (*where, "keyframes", number), each, scene, arm)
         for number, each in enumerate(specs)
     }
     return tuple(document.make_all(makers).values())

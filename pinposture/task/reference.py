@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import CollisionModel, Scene
+from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.control import EndEffector
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TaskError, warn_caller
@@ -144,7 +144,8 @@ class Outlook(NamedTuple):
         off_curve: largest distance of a target from its curve, or of the tip from the end of a curve that is
             not to be trimmed [m]; None without a curve.
         tip_off: error of the tip task [m]; None without one.
-        clearance: smallest distance to an obstacle [m], negative in penetration; None without a scene.
+        clearance: smallest distance to an obstacle [m], negative in penetration; that between parts of the
+            arm if there are no obstacles, or if it is less than the margin. None without a scene.
         pair: the two that are that close; None without a scene.
         moved: how its curve was moved from its position as drawn; None without a curve.
     """
@@ -175,15 +176,22 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
         scene: the obstacles to avoid; clearances are those at these postures only.
     """
     arm, found = reference.arm, []
-    clearance = None if scene is None else CollisionModel(arm, scene)
     for mark in _named(reference):
         q = reference.configuration(mark.row)
-        room, pair = (None, None) if clearance is None else clearance.minimum(q)
+        room, pair = (None, None) if scene is None else _closest(arm, q, scene)
         tip = tip_off(mark.tip, mark.target, arm.at(q))
         planned = float(reference.times[mark.row])
         moved = mark.target.moved
         found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, pair, moved))
     return found
+
+
+def _closest(arm: Arm, q: Array, scene: Scene) -> Closest:
+    """Return the smallest distance, of obstacles if the arm keeps the margin to itself: it is always near."""
+    closest = CollisionModel(arm, scene).minimum(q)
+    if not scene.obstacles or closest.distance < scene.margin:
+        return closest
+    return CollisionModel(arm, scene.without_self_collision()).minimum(q)
 
 
 def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, Outlook]:

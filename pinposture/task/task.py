@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import ceil
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -20,6 +21,7 @@ from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
+from pinposture.collision.model import effective_scene
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.limits import JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
@@ -79,7 +81,7 @@ class Task(TaskParts):
             as drawn if the scene has obstacles, and are aligned otherwise.
         limits: limits of a control cycle, with `dt`.
         controller: the controller, or its name.
-        scene: the obstacles to avoid; None without any.
+        scene: the obstacles to avoid; None without any, when the arm keeps clear of itself alone.
         start: the initial configuration, (nq,); None: that of the first posture.
         continuity: as for `keyframe_reference`.
         formats: formats in which to save the result, of `RESULT_FORMATS`.
@@ -114,13 +116,13 @@ class Task(TaskParts):
                 raise InvalidValue("scans", self.scans, "paths of files")
         self._set("scans", tuple(map(settled, scans)))
         check_task(self)
-        placement: Any = usual_placement(self.scene)
         if is_phased(self.motion):
             self._set("motion", with_placements(self.motion, self.arm, self.scene))
         elif not isinstance(self.motion, Leader):
             keyframes = cast("tuple[Keyframe, ...]", self.motion)
-            self._set("motion", placed(with_fitting_joints(self.arm, keyframes), placement))
+            self._set("motion", placed(with_fitting_joints(self.arm, keyframes), self.scene))
         elif self.motion.placement is None:
+            placement = usual_placement(self.scene, self.motion.path)
             self._set("motion", self.motion._replace(placement=placement))
         self._set("formats", tuple(each for each in RESULT_FORMATS if each in formats))
         self._set("described", dict(self.described))
@@ -217,7 +219,7 @@ class Task(TaskParts):
                     self.arm,
                     self.motion,
                     self.limits,
-                    self.scene,
+                    self.effective_scene,
                     self.start,
                     self.continuity,
                     progress,
@@ -236,7 +238,12 @@ class Task(TaskParts):
         """
         return outlook(reference, self.surroundings(reference))
 
-    def surroundings(self, reference: Reference) -> Scene | None:
+    @cached_property
+    def effective_scene(self) -> Scene:
+        """What the arm keeps clear of: the scene, or that of the arm alone."""
+        return effective_scene(self.arm, self.scene)
+
+    def surroundings(self, reference: Reference) -> Scene:
         """Return the obstacles to avoid: the scene, and the pipe around the path if there is one.
 
         Raises:
@@ -244,10 +251,10 @@ class Task(TaskParts):
         """
         if is_phased(self.motion):
             with self._naming():
-                return surrounded(self.motion, reference, self.scene)
+                return surrounded(self.motion, reference, self.effective_scene)
         path = reference.marks[0].target.curve if reference.marks else None
         if not isinstance(self.motion, Leader) or self.motion.pipe is None or path is None:
-            return self.scene
+            return self.effective_scene
         with self._naming("leader", "pipe"):
             return with_pipe(self.scene, path, self.motion.pipe, reference)
 
@@ -591,7 +598,7 @@ def move_through(
         PostureError: as those two.
     """
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
-    keyframes = placed(keyframes, usual_placement(scene))
+    keyframes = placed(keyframes, scene)
     reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat)
     return perform(reference, controller, limits, scene, q0)
 

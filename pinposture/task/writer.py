@@ -169,12 +169,13 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
 # Keyframes, and the path of the leader.
 
 
-def write_keyframe(keyframe: Keyframe, default: str, descriptions: Descriptions) -> dict[str, Any]:
-    """Return the table of a keyframe without defaults; `default` is that of its placement."""
+def write_keyframe(keyframe: Keyframe, scene: Scene | None, descriptions: Descriptions) -> dict[str, Any]:
+    """Return the table of a keyframe without defaults; that of its placement depends on the scene."""
     curve, tip = keyframe.curve, keyframe.tip
     values = {key: getattr(keyframe, key) for key in KeyframeSpec.model_fields}
     if curve is not None:
         values["curve"] = descriptions.find(curve, "curve", CurveSpec, make_curve) or write_curve(curve)
+        default = usual_placement(scene, curve)
         values["placement"] = Usual(default) if keyframe.placement == default else keyframe.placement
     if keyframe.region is not None:
         values["region"] = [end + 1 for end in keyframe.region]
@@ -183,26 +184,28 @@ def write_keyframe(keyframe: Keyframe, default: str, descriptions: Descriptions)
     return KeyframeSpec.without_defaults(values)
 
 
-def write_leader(leader: Leader, default: str, descriptions: Descriptions) -> dict[str, Any]:
-    """Return the table of the leader without defaults; `default` is that of its placement."""
-    values, path = leader._asdict(), leader.path
+def write_leader(leader: Leader, scene: Scene | None, descriptions: Descriptions) -> dict[str, Any]:
+    """Return the table of the leader without defaults; that of its placement depends on the scene."""
+    values = leader._asdict()
+    path = leader.path
+    default = usual_placement(scene, path)
     values["path"] = descriptions.find(path, "path", CurveSpec, make_curve) or write_curve(path)
     values["placement"] = Usual(default) if leader.placement == default else leader.placement
     return LeaderSpec.without_defaults(values)
 
 
-def write_phase(phase: Phase, default: str, descriptions: Descriptions) -> dict[str, Any]:
-    """Return the table of a phase without defaults; `default` is that of placements."""
+def write_phase(phase: Phase, scene: Scene | None, descriptions: Descriptions) -> dict[str, Any]:
+    """Return the table of a phase without defaults; those of placements depend on the scene."""
     table: dict[str, Any] = {"name": phase.name} if phase.name else {}
     motion = phase.motion
     if isinstance(motion, Leader):
-        table["leader"] = write_leader(motion, default, descriptions)
+        table["leader"] = write_leader(motion, scene, descriptions)
     elif isinstance(motion, TipGoal):
         table["reach"] = TipGoalSpec.without_defaults(vars(motion))
     elif isinstance(motion, Withdrawal):
         table["withdraw"] = WithdrawalSpec.without_defaults(vars(motion))
     else:
-        table["keyframes"] = [write_keyframe(each, default, descriptions) for each in motion]
+        table["keyframes"] = [write_keyframe(each, scene, descriptions) for each in motion]
     return table
 
 
@@ -287,8 +290,8 @@ def write_controller(controller: Controller, descriptions: Descriptions) -> dict
 def write_scene(scene: Scene, descriptions: Descriptions) -> dict[str, Any]:
     """Return the table of the content of a scene."""
     table: dict[str, Any] = {"margin": scene.margin}
-    if scene.self_collision:
-        table["self_collision"] = True
+    if not scene.self_collision:
+        table["self_collision"] = False
     if scene.arm_radius is not None:
         table["arm_radius"] = scene.arm_radius
     if scene.obstacles:
@@ -459,7 +462,6 @@ def layout_of(task: TaskParts, path: Path, text: str) -> TomlLayout:
 
 def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict[str, Any]:
     """Return all tables that are not empty, in the order of the file."""
-    placement = usual_placement(task.scene)
     contents: dict[str, Any] = {
         "version": VERSION,
         "kind": _kind(task),
@@ -480,12 +482,12 @@ def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict
         known = descriptions.find(task.scene, "scene", SceneSpec, make_scene)
         contents["scene"] = known or write_scene(task.scene, descriptions)
     if isinstance(task.motion, Leader):
-        contents["leader"] = write_leader(task.motion, placement, descriptions)
+        contents["leader"] = write_leader(task.motion, task.scene, descriptions)
     elif is_phased(task.motion):
-        contents["phases"] = [write_phase(each, placement, descriptions) for each in task.motion]
+        contents["phases"] = [write_phase(each, task.scene, descriptions) for each in task.motion]
     else:
         keyframes = cast("tuple[Keyframe, ...]", task.motion)
-        contents["keyframes"] = [write_keyframe(each, placement, descriptions) for each in keyframes]
+        contents["keyframes"] = [write_keyframe(each, task.scene, descriptions) for each in keyframes]
     if task.formats != RESULT_FORMATS:
         contents["output"] = {"formats": task.formats}
     if task.scans:

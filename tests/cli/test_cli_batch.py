@@ -55,7 +55,7 @@ def test_words_on_stdout_and_the_file_on_stderr(command, arm_file, tmp_path):
     assert result.err.splitlines() == [f"wrote {tmp_path / 'batch.npz'}"]
     lines = [line.split("  ", 1) for line in result.out.splitlines()]
     said = {name.strip(): text.strip().replace("--steps", "max_steps") for name, text in lines}
-    assert said == batch.in_words()
+    assert said == {**batch.in_words(), "starts": "smooth, seeds 0 to 1"}
     assert "; raise --steps to continue" in result.out
 
 

@@ -47,7 +47,12 @@ def test_the_direction_is_that_of_the_tip(command, arm_file):
     told = json.loads(command("reach", arm_file, *ASKED, "--direction", "0,0,2", "--json").out)
     (posture,) = told["postures"]
     np.testing.assert_allclose(tip(arm_file, posture["q"]).rotation[:, 0], (0, 0, 1), atol=1e-4)
-    assert posture["clearance"] is None
+    assert (
+        posture["clearance"]
+        == pp.CollisionModel(pp.Arm.load(arm_file), pp.Scene()).minimum(posture["q"]).distance
+    )
+    free = command("reach", arm_file, *ASKED, "--no-self-collision", "--json")
+    assert json.loads(free.out)["postures"][0]["clearance"] is None
 
 
 def test_with_a_start_it_keeps_pictures_postures_and_the_run(command, arm_file, scene_file, tmp_path):

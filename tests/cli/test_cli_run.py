@@ -134,14 +134,15 @@ def test_a_check_moves_and_writes_nothing(command, task, tmp_path, monkeypatch):
                 "planned": when,
                 "off_curve": ANY,
                 "tip_off": None,
-                "clearance": None,
-                "pair": None,
+                "clearance": pytest.approx(room, abs=2e-3),
+                "pair": ANY,
                 "moved": {"translation": pytest.approx(way), "rotation": ANY},
             }
             # A helix begins beside its axis, this one at (0, 0, 0.1); it is taken from the base.
-            for name, when, way in (
-                ("straight", 0.0, [0.0, 0.0, 0.0]),
-                ("bowed", pytest.approx(1.0), [0.0, 0.0, -0.1]),
+            # Every other link is 25 mm away, of a radius of 5 mm, at an angle where the arm is bent.
+            for name, when, way, room in (
+                ("straight", 0.0, [0.0, 0.0, 0.0], 0.015),
+                ("bowed", pytest.approx(1.0), [0.0, 0.0, -0.1], 0.013),
             )
         ],
         "planned": pytest.approx(1.0),

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pinposture as pp
 from pinposture.collision import CollisionModel, HalfSpace, Scene, Sphere
+from pinposture.curve import CURVES
 from pinposture.units import length_text
 
 BALL = Sphere((0.2, 0.1, 0.0), 0.04)
@@ -16,6 +20,7 @@ FLOOR = HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0))
 ABOVE = "0,0.9,0,0.3,0,0.1,0,-0.5,0,-0.5,0,-0.5"
 """Joint positions at which the arm passes the ball on the far side; the straight way to the axis hits it."""
 MARGIN, RADIUS = 0.006, 0.004
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +64,9 @@ def to_ball(points):
 
 
 def test_the_arm_keeps_clear_of_what_it_would_hit(track, scene_file, passed):
-    free, through = track()
+    free, through = track("--no-self-collision")
     summary, run = passed
-    assert free["clearance"] is None
+    assert free["clearance"]["pair"] is None and through.scene == Scene(self_collision=False)
     assert to_ball(through.points).min() < -0.01
     assert run.scene == Scene.load(scene_file)
     assert summary["scene"] == str(scene_file)
@@ -71,7 +76,12 @@ def test_the_arm_keeps_clear_of_what_it_would_hit(track, scene_file, passed):
     assert told["smallest"] == pytest.approx(run.clearance.min())
     assert told["smallest"] >= MARGIN
     assert told["final"] == pytest.approx(run.clearance[-1])
-    assert (told["margin"], told["pair"][1]) == (MARGIN, "ball")
+    assert told["margin"] == MARGIN
+    assert told["smallest"] == min(told[part]["smallest"] for part in ("to_obstacles", "to_itself"))
+    for part, scene in {"to_obstacles": run.scene.without_self_collision(), "to_itself": Scene()}.items():
+        model = CollisionModel(run.arm, replace(scene, margin=MARGIN, arm_radius=RADIUS))
+        least = min((model.minimum(q) for q in run.q), key=lambda each: each.distance)
+        assert (told[part]["smallest"], told[part]["pair"]) == (least.distance, list(least.pair))
     at = CollisionModel(run.arm, run.scene).minimum(run.q[told["after_steps"]])
     assert (at.distance, list(at.pair)) == (pytest.approx(told["smallest"]), told["pair"])
     assert summary["path_length_ratio"] > free["path_length_ratio"]
@@ -149,17 +159,22 @@ def test_what_gave_way_is_told_with_the_step(command, arm_file, tmp_path, no_pic
     assert len(line.rstrip()) < 300
 
 
-def test_self_collision_needs_no_file_and_adds_to_one(track, scene_file):
+def test_self_collision_is_on_unless_the_file_or_the_option_says_no(track, scene_file, tmp_path):
     still = ("--tolerance", 1)  # there to begin with
-    alone = track("--self-collision", *still)[1].scene
-    both = track("--self-collision", "--scene", scene_file, *still)[1].scene
-    assert alone == Scene(self_collision=True)
+    assert track(*still)[1].scene == track("--self-collision", *still)[1].scene == Scene()
+    assert track("--no-self-collision", *still)[1].scene == Scene(self_collision=False)
+    both = track("--scene", scene_file, *still)[1].scene
     assert (both.self_collision, dict(both.obstacles)) == (True, {"ball": BALL, "floor": FLOOR})
     assert both.margin == MARGIN
+    off = tmp_path / "off.toml"
+    off.write_text("self_collision = false\n")
+    assert track("--scene", off, *still)[1].scene == Scene(self_collision=False)
+    assert track("--scene", off, "--self-collision", *still)[1].scene == Scene()
 
 
 def test_inspect_shows_the_scene_and_what_is_nearest(command, arm_file, scene_file):
-    about = json.loads(command("inspect", arm_file, "--scene", scene_file, "--json").out)["scene"]
+    asked = ("inspect", arm_file, "--scene", scene_file, "--no-self-collision")
+    about = json.loads(command(*asked, "--json").out)["scene"]
     assert (about["margin"], about["self_collision"]) == (MARGIN, False)
     ball, floor = about["obstacles"]
     # Straight along x, capsules of 25 mm: the ball is beside them at 0.2, where two meet.
@@ -169,7 +184,7 @@ def test_inspect_shows_the_scene_and_what_is_nearest(command, arm_file, scene_fi
     assert len(about["bodies"]) == 12
     assert about["bodies"][0]["nearest"] == "ball"
     assert about["bodies"][0]["distance"] == pytest.approx(np.hypot(0.175, 0.1) - 0.04 - RADIUS)
-    rows = [line.split() for line in command("inspect", arm_file, "--scene", scene_file).out.splitlines()]
+    rows = [line.split() for line in command(*asked).out.splitlines()]
     assert ["ball", "sphere", ball["nearest"], f"{ball['distance']:.4g}"] in rows
     for body in about["bodies"]:
         assert [body["name"], body["nearest"], f"{body['distance']:.4g}"] in rows
@@ -221,3 +236,33 @@ def test_a_bad_scene_is_refused_in_one_line(command, arm_file, tmp_path, verb, n
     assert result.err.startswith("error: ")
     assert name in result.err
     assert says in result.err
+
+
+@pytest.mark.parametrize("curve", CURVES)
+@pytest.mark.parametrize("verb", ["track", "batch"])
+def test_presets_fit_their_own_defaults_among_obstacles(command, tmp_path, curve, verb):
+    arm = tmp_path / "arm.urdf"
+    command("generate", "RyRz", "--modules", 20, "-o", arm)
+    scene = EXAMPLES / "scene.toml"
+    numbers = ("--count", 2) if verb == "batch" else ("--steps", 1)
+    told = json.loads(command(verb, arm, "--curve", curve, "--scene", scene, *numbers, "--json").out)
+    moved = told["moved"] if verb == "track" else told["moved"][0]
+    assert (np.linalg.norm(moved["translation"]) > 0.01) == (curve == "helix")
+    assert told["control_points"] == 20
+
+
+@pytest.mark.parametrize("curve", CURVES)
+def test_presets_fit_their_own_defaults_in_a_task_with_obstacles(command, tmp_path, curve):
+    shutil.copy(EXAMPLES / "scene.toml", tmp_path / "scene.toml")
+    shapes = "".join(f'[[keyframes]]\ncurve = "{each}"\ntrim = true\n' for each in ("line", curve))
+    text = 'version = 1\n[arm]\ntemplate = "RyRz"\nmodules = 20\n[scene]\nfile = "scene.toml"\n'
+    task = tmp_path / "task.toml"
+    task.write_text(text + shapes.replace("trim = true\n[", "trim = true\n\n[") + "time = 2\n")
+    told = json.loads(command("run", task, "--check", "--json").out)
+    assert [each["off_curve"] < 1e-5 for each in told["keyframes"]] == [True, True]
+    loaded = pp.Task.load(task)
+    assert [each.placement for each in loaded.motion] == ["align", "align"]
+    loaded.save(tmp_path / "saved.toml")
+    assert "placement" not in (tmp_path / "saved.toml").read_text()
+    drawn = pp.Keyframe(pp.Curve.line((0, 0, 0), (1, 0, 0)))
+    assert loaded.edited(motion=(drawn, drawn)).motion[0].placement == "as_is"

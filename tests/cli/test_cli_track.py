@@ -207,9 +207,33 @@ def test_named_starts_are_those_of_the_library(command, arm_file, tmp_path):
         "random": arm.random(np.random.default_rng(9)),
         "smooth": smooth_configuration(arm, rng, rng.uniform(0.2, 1.0)),
     }
+    free = ("--seed", 9, "--steps", 1, "--no-self-collision")
     for start, q in expected.items():
-        track(command, arm_file, "--start", start, "--seed", 9, "--steps", 1, "-o", tmp_path / start)
+        track(command, arm_file, "--start", start, *free, "-o", tmp_path / start)
         np.testing.assert_array_equal(pp.load(tmp_path / start / "run.npz", pp.Trajectory).q[0], q)
+
+
+@pytest.mark.parametrize("start", ["random", "smooth"])
+def test_a_drawn_start_that_is_not_clear_is_bent_less(command, arm_file, start):
+    arm = pp.Arm.load(arm_file)
+    model = pp.CollisionModel(arm, pp.Scene())
+    shares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        smooth = start == "smooth"
+        drawn = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0)) if smooth else arm.random(rng)
+        told = track(command, arm_file, "--start", start, "--seed", seed, "--steps", 1)
+        taken = np.array(told["start_positions"])
+        share = float(taken @ drawn / (drawn @ drawn))
+        np.testing.assert_allclose(taken, share * drawn, atol=1e-12)
+        assert model.minimum(taken).distance >= 0.005
+        bent = f"bent only {100 * share:.3g} % as much" if share < 0.999 else ""
+        assert f"{start.replace('smooth', 'smooth random')} posture, seed {seed}" in told["start_taken"]
+        assert bent in told["start_taken"]
+        if bent:
+            assert model.minimum((share + 1 / 40) * drawn).distance < 0.005
+        shares.append(share)
+    assert min(shares) < 0.999 or smooth
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -289,9 +313,8 @@ def test_a_start_in_collision_names_the_options_of_the_start(command, arm_file, 
     scene.write_text(f'obstacles.ball = {{type = "sphere", center = [0.25, 0, {height}], radius = 0.06}}\n')
     asked = ("track", arm_file, "--curve", "line", "--placement", "align", "--start", "straight")
     told = words(command(*asked, "--scene", scene, "--steps", 1))
-    assert ("start" in told) == inside
-    if inside:
-        assert "in collision; choose another one by --start or --seed" in told["start"]
+    assert "the straight arm; the motion begins there" in told["start"]
+    assert ("in collision, choose another one by --start or --seed" in told["start"]) == inside
 
 
 def test_the_exit_code_tells_whether_the_arm_got_there(command, arm_file, tmp_path):

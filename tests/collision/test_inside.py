@@ -46,7 +46,7 @@ def depth(name: str, p: np.ndarray) -> float:
 @examples(40)
 @given(point=st.tuples(COORDINATE, COORDINATE, COORDINATE))
 def test_a_point_is_inside_where_the_equation_of_the_solid_says_so(point: tuple[float, float, float]) -> None:
-    found = obstacles_around(Scene(KINDS), point)
+    found = obstacles_around(Scene(KINDS, self_collision=False), point)
     for name in KINDS:
         below = depth(name, np.array(point))
         if abs(below - 1e-4) > 2e-5:  # what is measured is good to a few micrometres
@@ -54,22 +54,25 @@ def test_a_point_is_inside_where_the_equation_of_the_solid_says_so(point: tuple[
 
 
 def test_names_come_in_the_order_of_the_scene() -> None:
-    assert obstacles_around(Scene(KINDS), (0, 0, 0)) == tuple(KINDS)
-    assert obstacles_around(Scene(dict(reversed(KINDS.items()))), (0, 0, 0)) == tuple(reversed(KINDS))
-    assert obstacles_around(Scene(KINDS), (5, 5, 5)) == ()
-    assert obstacles_around(Scene({}), (0, 0, 0)) == ()
+    assert obstacles_around(Scene(KINDS, self_collision=False), (0, 0, 0)) == tuple(KINDS)
+    assert obstacles_around(Scene(dict(reversed(KINDS.items())), self_collision=False), (0, 0, 0)) == tuple(
+        reversed(KINDS)
+    )
+    assert obstacles_around(Scene(KINDS, self_collision=False), (5, 5, 5)) == ()
+    assert obstacles_around(Scene({}, self_collision=False), (0, 0, 0)) == ()
 
 
 @pytest.mark.parametrize("sunk", [-1e-3, 0.0, 5e-5])
 def test_standing_on_something_is_not_inside(sunk: float) -> None:
     floor = Scene(
-        {"floor": HalfSpace((0, 0, sunk), (0, 0, 1)), "plate": Box((0, 0, sunk - 0.1), (1, 1, 0.2))}
+        {"floor": HalfSpace((0, 0, sunk), (0, 0, 1)), "plate": Box((0, 0, sunk - 0.1), (1, 1, 0.2))},
+        self_collision=False,
     )
     assert obstacles_around(floor, (0, 0, 0)) == ()
     assert obstacles_around(floor, (0, 0, -0.01)) == ("floor", "plate")
 
 
 def test_how_deep_it_has_to_be_can_be_said() -> None:
-    ball = Scene({"ball": Sphere((0, 0, 0), 0.1)})
+    ball = Scene({"ball": Sphere((0, 0, 0), 0.1)}, self_collision=False)
     assert obstacles_around(ball, (0, 0, 0.05), depth=0.04) == ("ball",)
     assert obstacles_around(ball, (0, 0, 0.05), depth=0.06) == ()

@@ -41,7 +41,7 @@ def arm(request, tmp_path):
 
 def model_of(arm, obstacle, radius=None):
     """No margin: nothing is left out but what the arm is mounted on."""
-    model = CollisionModel(arm, Scene({"it": obstacle}, margin=0.0, arm_radius=radius))
+    model = CollisionModel(arm, Scene({"it": obstacle}, self_collision=False, margin=0.0, arm_radius=radius))
     assert not any(each.second == "it" for each in model.excluded_pairs)
     return model
 
@@ -146,7 +146,9 @@ def test_triangles_in_and_around_a_body_that_is_not_round(shape):
     for _ in range(20):
         size = rng.uniform(0.02, 0.4)
         triangle = np.array([0.1, 0.05, 0]) + rng.normal(size=3) * 0.15 + rng.normal(size=(3, 3)) * size
-        model = CollisionModel(arm, Scene({"it": Scan(triangle, [[0, 1, 2]])}, margin=0.0))
+        model = CollisionModel(
+            arm, Scene({"it": Scan(triangle, [[0, 1, 2]])}, self_collision=False, margin=0.0)
+        )
         if model.excluded_pairs:
             continue
         found = model.minimum(arm.neutral()).distance
@@ -325,7 +327,7 @@ def in_ring(point, inner=0.2, outer=0.4, height=0.3, count=24):
 @examples(100)
 @given(places)
 def test_a_closed_mesh_is_solid_and_keeps_its_hollow(point):
-    scene = Scene({"ring": Mesh(ring()[0], faces=ring()[1])})
+    scene = Scene({"ring": Mesh(ring()[0], faces=ring()[1])}, self_collision=False)
     point = 0.5 * np.array(point)
     assert bool(obstacles_around(scene, point, depth=1e-9)) == in_ring(point)
     near = contact(Sphere(point, 1e-3), scene.obstacles["ring"])
@@ -369,7 +371,7 @@ def test_what_is_inside_is_told_also_above_edges_and_corners(seed):
             for y in {int(place[1]), int(np.ceil(place[1])) - 1}
         ]
         if len(set(around)) == 1:  # else it is on the surface
-            assert bool(obstacles_around(Scene({"it": mesh}), place)) == around[0]
+            assert bool(obstacles_around(Scene({"it": mesh}, self_collision=False), place)) == around[0]
 
 
 def test_a_body_inside_of_a_closed_mesh_is_never_clear_of_it():
@@ -494,7 +496,7 @@ def test_what_the_arm_stands_on_is_left_out_where_it_stands():
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.7]))
     arm = pp.Arm.from_template("RyRz", 4, (0.1, 0.1), base_placement=place)
     table = Scan([(-1, -1, 0.695), (1, -1, 0.695), (1, 1, 0.695), (-1, 1, 0.695)], [[0, 1, 2], [0, 2, 3]])
-    model = CollisionModel(arm, Scene({"table": table}, margin=0.01))
+    model = CollisionModel(arm, Scene({"table": table}, self_collision=False, margin=0.01))
     assert [(each.first, each.second) for each in model.excluded_pairs] == [("m01_l1", "table")]
     bent = arm.configuration([0.0, 0.0, -1.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # up, and so clear of the table
     assert model.minimum(bent).distance > -0.02
@@ -510,7 +512,7 @@ def test_several_surfaces_are_as_near_as_the_nearest():
         "ring": Mesh(0.4 * points, arm.chain.base + [0.3, 0.1, 0.0], (0.3, 0.2, 0.1), faces),
         "again": Mesh(0.4 * points, arm.chain.base + [0.2, 0.4, 0.1], (0.0, 0.2, 0.1), faces),
     }
-    together = CollisionModel(arm, Scene(parts, margin=0.0))
+    together = CollisionModel(arm, Scene(parts, self_collision=False, margin=0.0))
     alone, nearest = {name: model_of(arm, each) for name, each in parts.items()}, set()
     for _ in range(40):
         q = arm.random(rng)
@@ -524,7 +526,9 @@ def test_several_surfaces_are_as_near_as_the_nearest():
 
 def test_threads_may_share_one_and_processes_make_their_own():
     arm, rng = spatial(8), np.random.default_rng(7)
-    scene = Scene({"cloud": cloud(arm, rng, 5000, 1.0), "rest": shards(arm, rng)}, margin=0.0)
+    scene = Scene(
+        {"cloud": cloud(arm, rng, 5000, 1.0), "rest": shards(arm, rng)}, self_collision=False, margin=0.0
+    )
     model = CollisionModel(arm, scene)
     configurations = [arm.random(rng) for _ in range(30)]
     alone = [model.minimum(q).distance for q in configurations]

@@ -89,7 +89,9 @@ def test_the_minimum_between_is_that_of_dense_samples(name, seed, size):
 def test_the_minimum_between_sees_obstacles_move():
     arm, speed = spatial(), np.array([0.0, 0.0, -0.5])
     above = tuple(arm.at(arm.neutral()).points[3] + [0.0, 0.0, 1.0])
-    scene = Scene({"ball": Sphere(above, 0.05)}).moved({"ball": (0.0, 0.0, 0.0)}, velocities={"ball": speed})
+    scene = Scene({"ball": Sphere(above, 0.05)}, self_collision=False).moved(
+        {"ball": (0.0, 0.0, 0.0)}, velocities={"ball": speed}
+    )
     model, still = CollisionModel(arm, scene), np.zeros((3, arm.nv))
     times = np.array([0.0, 1.0, 4.0])  # after two seconds the ball falls through the arm
     assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=times).distance < 0.0
@@ -116,7 +118,7 @@ def test_a_moment_without_self_collision_belongs_to_the_scene_without_it():
 def test_a_step_over_a_thin_thing_is_seen_between_its_ends():
     arm = spatial(4)
     pole = arm.at(arm.configuration([0.0, 0.3] + [0.0] * 6)).points[-1]
-    clearance = CollisionModel(arm, Scene({"pole": Sphere(pole, 0.005)}))
+    clearance = CollisionModel(arm, Scene({"pole": Sphere(pole, 0.005)}, self_collision=False))
     q, dq = arm.neutral(), np.array([0.0, 0.6] + [0.0] * 6)
     assert clearance.minimum(q).distance > 0.05 and clearance.minimum(q + dq).distance > 0.05
     assert clearance.minimum_between(q, dq).distance < 0.0
@@ -126,7 +128,7 @@ def test_a_straight_arm_is_free_of_itself_and_a_curled_one_is_not():
     for arm in (spatial(12), planar(6), pp.Arm.from_template("RyRz", 20), sliding(4), modelled()):
         clearance = CollisionModel(arm, Scene(self_collision=True))
         assert clearance.minimum(arm.straight()).distance > 0.005
-        alone = CollisionModel(arm, Scene())
+        alone = CollisionModel(arm, Scene(self_collision=False))
         assert alone.pairs == () and alone.minimum(arm.straight()) == Closest(np.inf, None)
     arm = planar(6)
     clearance = CollisionModel(arm, Scene(self_collision=True))
@@ -196,34 +198,38 @@ def test_what_the_arm_is_mounted_on_is_no_obstacle_to_its_first_body():
         "RyRz", 4, base_placement=pin.SE3(pin.rpy.rpyToMatrix(0, -np.pi / 2, 0), np.zeros(3))
     )
     floor, far = HalfSpace((0, 0, 0), (0, 0, 1)), Sphere((0.1, 0.1, 0.1), 0.01)
-    clearance = CollisionModel(arm, Scene({"floor": floor, "ball": far}))
+    clearance = CollisionModel(arm, Scene({"floor": floor, "ball": far}, self_collision=False))
     assert [(each.first, each.second) for each in clearance.excluded_pairs] == [("m01_l1", "floor")]
     assert clearance.excluded_pairs[0].reason == "the arm is mounted on it"
     assert clearance.minimum(arm.straight()).distance == pytest.approx(0.025 - 0.01)
     assert ("m01_l1", "ball") in clearance.pairs
     # A floor below the base can be met by every body.
-    assert not CollisionModel(arm, Scene({"floor": HalfSpace((0, 0, -0.02), (0, 0, 1))})).excluded_pairs
+    assert not CollisionModel(
+        arm, Scene({"floor": HalfSpace((0, 0, -0.02), (0, 0, 1))}, self_collision=False)
+    ).excluded_pairs
 
 
 def test_the_nearest_is_exact_where_nothing_is_near():
     arm = spatial()
-    clearance = CollisionModel(arm, Scene({"far": Box((5, 5, 5), (1, 1, 1))}))
+    clearance = CollisionModel(arm, Scene({"far": Box((5, 5, 5), (1, 1, 1))}, self_collision=False))
     near = clearance.nearest(arm.at(arm.straight()), 0.01)
     assert near.distances.shape == (0,) and near.jacobian.shape == (0, arm.nv) and near.pairs == ()
     assert near.points.shape == near.normals.shape == (0, 3)
     assert near.minimum == pytest.approx(clearance.minimum(arm.straight()).distance, abs=1e-12)
     assert near.pair == clearance.minimum(arm.straight()).pair
-    nothing = CollisionModel(arm, Scene()).nearest(arm.at(arm.straight()), np.inf)
+    nothing = CollisionModel(arm, Scene(self_collision=False)).nearest(arm.at(arm.straight()), np.inf)
     assert nothing.minimum == np.inf and nothing.pair is None and nothing.jacobian.shape == (0, arm.nv)
 
 
 def test_clearances_are_remembered_as_long_as_the_arm_lives():
-    arm, scene = spatial(), Scene({"o": Sphere((1, 1, 1), 0.1)})
+    arm, scene = spatial(), Scene({"o": Sphere((1, 1, 1), 0.1)}, self_collision=False)
     clearance = CollisionModel(arm, scene)
     assert (
-        CollisionModel(arm, scene) is clearance is CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.1)}))
+        CollisionModel(arm, scene)
+        is clearance
+        is CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.1)}, self_collision=False))
     )
-    assert CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.2)})) is not clearance
+    assert CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.2)}, self_collision=False)) is not clearance
     copy = pickle.loads(pickle.dumps(arm))
     assert CollisionModel(copy, scene) is not clearance
     gone = weakref.ref(arm)
@@ -265,7 +271,7 @@ def test_threads_do_not_disturb_each_other():
 
 def test_results_stay_as_they_are_when_the_arm_moves_on():
     arm, rng = spatial(), np.random.default_rng(0)
-    clearance = CollisionModel(arm, Scene(around(arm, rng)))
+    clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=False))
     near = clearance.nearest(arm.at(arm.random(rng)), np.inf)
     before = [np.copy(each) for each in (near.distances, near.jacobian, near.points, near.normals)]
     clearance.nearest(arm.at(arm.random(rng)), np.inf)
@@ -292,14 +298,15 @@ def test_results_stay_as_they_are_when_the_arm_moves_on():
 def test_bad_questions_are_refused_by_name(ask, words):
     arm = spatial()
     with pytest.raises(InvalidValue) as caught:
-        ask(CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.1)})), arm)
+        ask(CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.1)}, self_collision=False)), arm)
     assert words in str(caught.value)
 
 
 def test_one_joint_and_continuous_joints():
     for arm in (pp.Arm.from_template("Rz", 1), modelled()):
         scene = Scene(
-            {"c": Capsule((0, 0.3, -1), (0, 0.3, 1), 0.02), "y": Cylinder((0, 0, 1), (0, 1, 1), 0.1)}
+            {"c": Capsule((0, 0.3, -1), (0, 0.3, 1), 0.02), "y": Cylinder((0, 0, 1), (0, 1, 1), 0.1)},
+            self_collision=False,
         )
         near = CollisionModel(arm, scene).nearest(arm.at(arm.straight()), np.inf)
         assert near.jacobian.shape == (len(near.pairs), arm.nv) and np.all(np.isfinite(near.jacobian))
@@ -307,7 +314,10 @@ def test_one_joint_and_continuous_joints():
 
 def test_an_arm_of_a_thousand_joints_has_a_scene() -> None:
     arm = pp.Arm.from_template("RyRz", 500)  # 25 m along x, links 20 mm thick
-    scene = Scene({"post": Sphere((12.3, 5.0, 0.0), 0.1), "floor": HalfSpace((0, 0, -1.0), (0, 0, 1))})
+    scene = Scene(
+        {"post": Sphere((12.3, 5.0, 0.0), 0.1), "floor": HalfSpace((0, 0, -1.0), (0, 0, 1))},
+        self_collision=False,
+    )
     clearance = CollisionModel(arm, scene)
     near = clearance.nearest(arm.at(arm.straight()), 1.5)
     radius = clearance._distances._arrays.radii[0]
@@ -331,7 +341,7 @@ def test_a_moment_is_not_that_of_another_thread(monkeypatch):
             model.__dict__["last"] = moment if other is None else other  # put back at once
 
     arm = planar()
-    still = Scene({"ball": Sphere(center=(2.0, 0.0, 0.0), radius=0.1)})
+    still = Scene({"ball": Sphere(center=(2.0, 0.0, 0.0), radius=0.1)}, self_collision=False)
     one, two = (still.moved({"ball": (2.0, y, 0.0)}) for y in (1.0, 2.0))
     monkeypatch.setattr(CollisionModel, "_moment", Remembered(), raising=False)
     assert CollisionModel(arm, one).scene is one
@@ -340,7 +350,7 @@ def test_a_moment_is_not_that_of_another_thread(monkeypatch):
 
 def test_what_is_beside_the_base_is_left_out_with_a_warning_and_does_not_stop_the_arm():
     arm = pp.Arm.from_template("RyRz", 6)
-    mount = pp.Scene({"mount": pp.HalfSpace([0, 0, 0], [1, 0, 0])}, margin=0.02)
+    mount = pp.Scene({"mount": pp.HalfSpace([0, 0, 0], [1, 0, 0])}, self_collision=False, margin=0.02)
     with pytest.warns(pp.PostureWarning, match="m01_l2 to mount: within the margin however the arm bends"):
         clearance = pp.CollisionModel(arm, mount)
     assert ("m01_l2", "mount") in {(each.first, each.second) for each in clearance.excluded_pairs}
@@ -354,7 +364,7 @@ def test_an_obstacle_around_the_base_is_reported_as_overlapping_in_every_posture
     arm = pp.Arm.from_template(
         "RyRz", 6, link_lengths=[0.02, 0.03]
     )  # the second link starts 0.02 m from the base
-    scene = Scene({"b": Sphere([0, 0, 0], 0.025)}, margin=0.002)
+    scene = Scene({"b": Sphere([0, 0, 0], 0.025)}, self_collision=False, margin=0.002)
     message = "^m01_l2 to b: overlapping in every posture; these collisions are ignored$"
     target = pp.Target.from_configuration(arm, arm.neutral())
     with pytest.warns(pp.PostureWarning, match=message) as caught:
@@ -367,6 +377,8 @@ def test_an_obstacle_around_the_base_is_reported_as_overlapping_in_every_posture
 
 def test_an_arm_inside_of_an_obstacle_is_told_so_for_all_of_its_bodies():
     arm = pp.Arm.from_template("RyRz", 6)
-    clearance = pp.CollisionModel(arm, pp.Scene({"block": pp.Box([0, 0, 0], [9, 9, 9])}))
+    clearance = pp.CollisionModel(
+        arm, pp.Scene({"block": pp.Box([0, 0, 0], [9, 9, 9])}, self_collision=False)
+    )
     assert not clearance.excluded_pairs or all(each.first == "m01_l1" for each in clearance.excluded_pairs)
     assert clearance.minimum(arm.neutral()).distance < -1.0

@@ -52,7 +52,7 @@ def test_distances_are_those_of_projections_to_and_fro(shape):
     state = arm.at(arm.neutral())
     for _ in range(5):
         around = obstacles(rng)
-        near = CollisionModel(arm, Scene(around)).nearest(state, np.inf)
+        near = CollisionModel(arm, Scene(around, self_collision=False)).nearest(state, np.inf)
         assert sorted(name for _, name in near.pairs) == sorted(around)
         for distance, (_, name) in zip(near.distances, near.pairs, strict=True):
             by_hand = separation(body, around[name])
@@ -81,9 +81,9 @@ def test_distances_are_those_of_projections_to_and_fro(shape):
 )
 def test_depths_of_solids_that_overlap(shape, obstacle, depth):
     arm = single(shape)
-    assert CollisionModel(arm, Scene({"o": obstacle})).minimum(arm.neutral()).distance == pytest.approx(
-        -depth, abs=1e-5
-    )
+    assert CollisionModel(arm, Scene({"o": obstacle}, self_collision=False)).minimum(
+        arm.neutral()
+    ).distance == pytest.approx(-depth, abs=1e-5)
 
 
 def test_a_mesh_is_its_convex_hull_and_may_be_turned():
@@ -93,7 +93,8 @@ def test_a_mesh_is_its_convex_hull_and_may_be_turned():
         mesh = Mesh(np.vstack([inside, CORNERS]), center, turn)
         box = Box(center, (0.2, 0.4, 0.1), turn)
         by_mesh, by_box = (
-            CollisionModel(arm, Scene({"o": each})).minimum(arm.neutral())[0] for each in (mesh, box)
+            CollisionModel(arm, Scene({"o": each}, self_collision=False)).minimum(arm.neutral())[0]
+            for each in (mesh, box)
         )
         assert by_mesh == pytest.approx(by_box, abs=1e-7)
 
@@ -227,7 +228,7 @@ def test_lines_that_are_parallel_cross_or_are_points(a, b, c, d):
 
 def test_where_coal_cannot_tell_the_bound_serves(monkeypatch):
     arm = single('<cylinder radius="0.05" length="0.3"/>')
-    scene = Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))})
+    scene = Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))}, self_collision=False)
     true = CollisionModel(arm, scene).minimum(arm.neutral()).distance
     clearance = CollisionModel(arm, scene)
     monkeypatch.setattr(coal, "distance", lambda *_: 1.7976931348623157e308)
@@ -239,7 +240,7 @@ def test_where_coal_cannot_tell_the_bound_serves(monkeypatch):
 
 def test_what_coal_cannot_tell_at_once_it_is_asked_less_exactly(monkeypatch):
     arm = single('<cylinder radius="0.05" length="0.3"/>')
-    clearance = CollisionModel(arm, Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))}))
+    clearance = CollisionModel(arm, Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))}, self_collision=False))
     true, ask, answers = clearance.minimum(arm.neutral()), coal.distance, []
 
     def stubborn(*arguments):
@@ -256,7 +257,9 @@ def test_a_long_body_is_seen_by_a_small_box_anywhere_along_it():
     state = arm.at(arm.neutral())
     other = Sphere((0.5, 0, 0.45), 0.2)  # 0.2 m away, so that the box is looked at only if its bound says so
     for along in np.linspace(-0.5, 1.5, 41):
-        clearance = CollisionModel(arm, Scene({"o": Box((along, 0.1, 0), (0.01, 0.01, 0.01)), "s": other}))
+        clearance = CollisionModel(
+            arm, Scene({"o": Box((along, 0.1, 0), (0.01, 0.01, 0.01)), "s": other}, self_collision=False)
+        )
         assert clearance.nearest(state, 0.05).distances == pytest.approx([0.1 - 0.005 - 0.05], abs=1e-7)
         assert clearance.minimum(arm.neutral()).distance == pytest.approx(0.045, abs=1e-7)
 
@@ -276,7 +279,7 @@ def test_a_thousand_overlaps_have_finite_depths_and_unit_normals(monkeypatch):
                 ("b", Box(rng.normal(size=3) * 0.1, (0.2, 0.3, 0.4), rng.uniform(-3, 3, 3))),
             )
         }
-        near = CollisionModel(arm, Scene(around, margin=0.0)).nearest(state, np.inf)
+        near = CollisionModel(arm, Scene(around, self_collision=False, margin=0.0)).nearest(state, np.inf)
         assert np.all(np.abs(near.distances) < 1.0)
         np.testing.assert_allclose(np.linalg.norm(near.normals, axis=1), 1.0, atol=1e-9)
 
@@ -286,6 +289,6 @@ def test_a_turned_body_is_where_its_frame_says():
     arm = single(text, rpy="0.3 -0.4 0.5")
     box = Box((0.5, 0, 0), (0.1, 0.2, 0.3), pin.rpy.rpyToMatrix(0.3, -0.4, 0.5))
     ball = Sphere((0.9, 0.3, 0.2), 0.1)
-    assert CollisionModel(arm, Scene({"o": ball})).minimum(arm.neutral()).distance == pytest.approx(
-        separation(box, ball), abs=1e-7
-    )
+    assert CollisionModel(arm, Scene({"o": ball}, self_collision=False)).minimum(
+        arm.neutral()
+    ).distance == pytest.approx(separation(box, ball), abs=1e-7)

@@ -153,10 +153,12 @@ def test_files_that_hold_no_scene(tmp_path, name, content, words):
 
 
 def test_a_file_without_obstacles_is_reported(tmp_path, recwarn):
-    empty, itself = tmp_path / "empty.toml", tmp_path / "itself.toml"
+    empty = tmp_path / "empty.toml"
+    itself = tmp_path / "itself.toml"
     empty.write_text("margin = 0.01\n")
-    itself.write_text("self_collision = true\n")
-    Scene.load(itself)
+    for value in (True, False):
+        itself.write_text(f"self_collision = {str(value).lower()}\n")
+        assert Scene.load(itself) == Scene(self_collision=value)
     assert not recwarn.list
     with pytest.warns(PostureWarning, match=r"empty\.toml contains no obstacles"):
         assert Scene.load(empty) == Scene(margin=0.01)

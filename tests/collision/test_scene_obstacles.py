@@ -183,7 +183,10 @@ def test_scenes_are_values():
         one.obstacles["more"] = Sphere((0, 0, 0), 1)
     with pytest.raises(AttributeError):
         one.margin = 3
-    assert repr(one).startswith("Scene(sphere, capsule, ") and "clear of itself, margin=0.01" in repr(one)
+    assert repr(one).startswith("Scene(sphere, capsule, ") and repr(one).endswith("scan, margin=0.01)")
+    assert repr(Scene(self_collision=False)) == "Scene(no obstacles, self-collision off, margin=0.005)"
+    assert [each.empty for each in (one, Scene(), Scene(self_collision=False))] == [False, False, True]
+    assert one.without_obstacles() == Scene(margin=0.01, arm_radius=0.02)
 
 
 def test_a_scene_does_not_change_with_the_mapping_it_was_made_of():

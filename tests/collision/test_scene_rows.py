@@ -51,7 +51,7 @@ def test_following_the_rows_leads_out_of_an_obstacle(name):
         q = arm.random(rng) if name != "planar" else arm.configuration(rng.uniform(-0.3, 0.3, arm.nv))
         point = arm.at(q).points[-1]
         obstacle = (Sphere(point, 0.06), Box(point, (0.1, 0.1, 0.1)), Capsule(point, point + 0.1, 0.04))[kind]
-        clearance = CollisionModel(arm, Scene({"o": obstacle}))
+        clearance = CollisionModel(arm, Scene({"o": obstacle}, self_collision=False))
         assert clearance.minimum(q).distance < -0.02
         for _ in range(200):
             near = clearance.nearest(arm.at(q), 0.005)
@@ -67,7 +67,9 @@ def test_a_planar_arm_is_shown_a_way_in_its_plane():
     arm = pp.Arm.from_template("RzRz", modules=3)
     q = arm.straight()
     # A bar in the plane, across the last link: the shortest way from it is up, where the arm cannot go.
-    bar = CollisionModel(arm, Scene({"bar": Capsule((0.8, -0.05, 0), (0.8, 0.3, 0), 0.03)}))
+    bar = CollisionModel(
+        arm, Scene({"bar": Capsule((0.8, -0.05, 0), (0.8, 0.3, 0), 0.03)}, self_collision=False)
+    )
     near = bar.nearest(arm.at(q), 0.0)
     assert near.minimum == pytest.approx(-0.05)
     np.testing.assert_allclose(near.normals[0], (0.0, -1.0, 0.0), atol=1e-9)
@@ -92,7 +94,7 @@ def test_a_planar_arm_is_shown_a_way_in_its_plane():
 )
 def test_normals_exist_where_the_axes_meet(obstacle):
     arm = pp.Arm.from_template("RyRz", modules=6)
-    clearance = CollisionModel(arm, Scene({"o": obstacle}))
+    clearance = CollisionModel(arm, Scene({"o": obstacle}, self_collision=False))
     near = clearance.nearest(arm.at(arm.straight()), 0.0)
     assert len(near.distances) > 0
     np.testing.assert_allclose(np.linalg.norm(near.normals, axis=1), 1.0, atol=1e-9)
@@ -108,7 +110,9 @@ def test_normals_point_from_the_obstacle_to_the_body():
         "a": Sphere(arm.chain.base + [0.2, 0.3, 0.1], 0.1),
         "b": Box(arm.chain.base - 0.4, (0.1,) * 3),
     }
-    near = CollisionModel(arm, Scene(around_it)).nearest(arm.at(arm.random(rng)), np.inf)
+    near = CollisionModel(arm, Scene(around_it, self_collision=False)).nearest(
+        arm.at(arm.random(rng)), np.inf
+    )
     for distance, (_, name), point, normal in zip(
         near.distances, near.pairs, near.points, near.normals, strict=True
     ):

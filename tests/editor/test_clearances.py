@@ -27,7 +27,7 @@ def beside(height: float, radius: float = 0.02) -> pp.Scene:
     return pp.Scene({"ball": pp.Sphere(middle, radius)}, margin=0.03, arm_radius=THICK)
 
 
-def asked(scene: pp.Scene | None, scans: dict[str, Scan] | None = None) -> ClearanceQuery:
+def asked(scene: pp.Scene, scans: dict[str, Scan] | None = None) -> ClearanceQuery:
     """For the clearance of the straight arm."""
     arm = six_modules()
     return ClearanceQuery(arm, arm.straight(), scene, scans or {})
@@ -49,8 +49,16 @@ def test_links_near_each_other_do_not_hide_obstacles():
 
 
 def test_without_anything_around_there_is_no_clearance():
-    assert nearest(asked(None)) is None
-    assert nearest(asked(pp.Scene(self_collision=True))) is None
+    assert nearest(asked(pp.Scene())) is None
+    assert nearest(asked(pp.Scene(self_collision=False))) is None
+
+
+def test_an_arm_that_may_pass_through_itself_is_not_inside_itself():
+    arm = six_modules()
+    curled = arm.configuration(np.full(arm.nv, 1.2))
+    inside = nearest(ClearanceQuery(arm, curled, pp.Scene(), {}))
+    assert inside.level == "inside" and inside.distance < -0.001
+    assert nearest(ClearanceQuery(arm, curled, pp.Scene(self_collision=False), {})) is None
 
 
 def test_a_scan_that_is_nearer_counts_but_has_no_margin():

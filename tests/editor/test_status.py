@@ -37,7 +37,7 @@ def settled(given: Task) -> tuple[Session, Live]:
         live = solver.live
     finally:
         solver.close()
-    session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, given.scene, {}))
+    session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, given.effective_scene, {}))
     return session, live._replace(number=session.number)
 
 
@@ -125,7 +125,7 @@ def test_the_curve_in_an_obstacle_and_the_arm_in_an_obstacle_are_two_things() ->
 
 def test_links_inside_each_other_are_red() -> None:
     arm, q = crossing()
-    found = nearest(ClearanceQuery(arm, q, None, {}))
+    found = nearest(ClearanceQuery(arm, q, pp.Scene(), {}))
     assert found is not None and found.distance < -1e-3
     session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
     assert session.nearest is None  # straight links touch nothing

@@ -10,6 +10,7 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import Memory
+from pinposture.editor.files import export
 from pinposture.errors import MotionError
 from pinposture.motion.trajectory import ENDINGS
 
@@ -108,3 +109,76 @@ def test_every_way_to_end_is_in_the_vocabulary(arm: pp.Arm, goal: pp.Target) -> 
     tracker.step(goal.q)
     found.add(tracker.report.status)
     assert found == {"converged", "max_steps", "stopped"} < set(ENDINGS)
+
+
+class TestAnArmThatClosesOnItself:
+    """Five links of 0.2 m, 40 mm thick: three right angles bring the fourth and the fifth to the base."""
+
+    arm = pp.Arm.from_template("Rz", 5, (0.2,))
+    q = np.array([0.0, np.pi / 2, np.pi / 2, np.pi / 2, 0.0])
+    goal = pp.Target.from_configuration(arm, q)
+    limits = pp.Limits(step=None, dt=0.1, velocity=1.0)
+    frames = (pp.Keyframe(joints=tuple(arm.straight())), pp.Keyframe(joints=tuple(q), time=3.0))
+    off = pp.Scene(self_collision=False)
+
+    def track(self, scene: pp.Scene | None, controller: str = "geodesic") -> pp.Trajectory:
+        return pp.track(self.arm, self.goal, self.arm.straight(), controller, self.limits, scene)
+
+    def check(self, faults: tuple[str, ...], row: int) -> None:
+        (fault,) = faults
+        assert f"and m01_l1 penetrate by 40 mm after {row} steps" in fault
+        assert fault.split()[0] in ("m04_l1", "m05_l1")
+
+    @pytest.mark.parametrize("controller", ["geodesic", "joint"])
+    def test_a_run_without_a_scene_is_judged_all_the_same(self, controller: str) -> None:
+        run = self.track(None, controller)
+        assert run.converged and np.isinf(run.clearance).all()
+        self.check(run.faults, run.steps)
+        assert "in a scene, such as Scene(), the arm keeps clear of itself" in run.verdict
+        with pytest.raises(MotionError, match="penetrate by 40 mm"):
+            run.joint_trajectory()
+
+    def test_one_may_say_that_it_does_not_matter(self) -> None:
+        free = self.track(None)
+        run = self.track(self.off)
+        np.testing.assert_array_equal(run.q, free.q)  # and it plans as without a scene
+        assert (run.converged, run.faults) == (True, ())
+        assert len(run.joint_trajectory().time) == run.steps + 1
+
+    def test_in_a_scene_it_stops_before(self) -> None:
+        run = self.track(pp.Scene())
+        assert not run.converged and run.clearance.min() >= 0.0
+        assert "the target posture is in collision" in run.reason and "overlapping by 40 mm" in run.reason
+        assert len(run.faults) == 1 and run.faults[0].startswith("it stalled")
+
+    def test_a_batch_says_what_its_runs_say(self) -> None:
+        starts = [self.arm.straight(), 0.5 * self.q]
+        for keep in ("motions", "ends"):
+            batch = pp.track_many(self.arm, self.goal, starts, keep=keep, jobs=1)
+            assert batch.faults == ("bodies penetrate in 2 of 2 runs, by at most 40 mm in run 0",)
+            np.testing.assert_allclose(batch.clearance, -0.04, atol=1e-9)
+            assert pp.track_many(self.arm, self.goal, starts, scene=self.off, keep=keep, jobs=1).faults == ()
+
+    def test_a_motion_and_its_export_in_the_editor_are_judged_by_the_same(self, tmp_path) -> None:
+        motion = pp.move_through(self.arm, self.frames, limits=self.limits)
+        (fault,) = motion.faults
+        assert "and m01_l1 penetrate by 40 mm after " in fault
+        for kind in ("CSV", "ROS JSON"):
+            with pytest.raises(MotionError, match="penetrate by 40 mm"):
+                export(motion, kind, "ring")
+        assert "penetrate by 40 mm" in export(motion, "npz", "ring").summary
+        again = pp.load(pp.save(motion, tmp_path / "motion.npz"))
+        assert again.faults == motion.faults
+        free = pp.move_through(self.arm, self.frames, limits=self.limits, scene=self.off)
+        assert free.faults == ()
+        assert export(free, "CSV", "ring").name == "ring.csv"
+
+    def test_a_task_keeps_clear_of_itself_unless_told_otherwise(self, tmp_path) -> None:
+        task = pp.Task(self.arm, self.frames, self.limits)
+        with pytest.warns(pp.PostureWarning, match=r"keyframe 2.*and m01_l1 would penetrate by 40 mm"):
+            motion = task.perform()
+        assert not motion.converged and motion.run.clearance.min() >= 0.0
+        free = pp.Task.load(task.edited(scene=self.off).save(tmp_path / "free.toml"))
+        assert free.scene == self.off
+        assert free.perform().faults == ()
+        assert pp.Task.load(task.save(tmp_path / "task.toml")).scene is None

@@ -60,7 +60,9 @@ def crossing(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def ball_scene() -> pp.Scene:
-    return pp.Scene({"ball": pp.Sphere((0, 0, 0), BALL)}, margin=MARGIN, arm_radius=THIN)
+    return pp.Scene(
+        {"ball": pp.Sphere((0, 0, 0), BALL)}, self_collision=False, margin=MARGIN, arm_radius=THIN
+    )
 
 
 @pytest.mark.parametrize("seed", cases([0, 2, 1, 3, 4, 5], 2))
@@ -104,7 +106,12 @@ def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_que
 
     monkeypatch.setattr(CollisionModel, "nearest", counted)
     rng, q, before = np.random.default_rng(seed), np.zeros(40), np.zeros(40)
-    post = pp.Scene({"post": pp.Capsule((0, 0, -1), (0, 0, 1), BALL)}, margin=2 * MARGIN, arm_radius=THIN)
+    post = pp.Scene(
+        {"post": pp.Capsule((0, 0, -1), (0, 0, 1), BALL)},
+        self_collision=False,
+        margin=2 * MARGIN,
+        arm_radius=THIN,
+    )
     goal = pp.arm.smooth_configuration(arm(), rng, 0.3)
     limits = pp.Limits(step=None, velocity=1.0, acceleration=4.0, dt=DT)
     tracker, lowest = pp.Tracker(arm(), limits=limits, scene=post), np.inf
@@ -164,7 +171,7 @@ def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None,
     short = template_arm("RyRz", 2)
     limits = pp.Limits(step=None, velocity=1.0, acceleration=2.0, jerk=jerk, dt=DT)
     far, q, goal = np.array([0.0, 0.0, 5.0]), np.zeros(4), np.array([1.5, 0.0, 0.0, 0.0])
-    scene = pp.Scene({"ball": pp.Sphere(far, BALL)}, margin=MARGIN, arm_radius=THIN)
+    scene = pp.Scene({"ball": pp.Sphere(far, BALL)}, self_collision=False, margin=MARGIN, arm_radius=THIN)
     tracker = pp.Tracker(short, limits=limits, scene=scene, deadline=deadline, planning="thread")
     tracker.update(pp.Target.from_configuration(short, goal if deadline == np.inf else q))
     beyond, before, gap_ahead = 0, np.zeros(4), 0.0003 if jerk is None else 0.0025
@@ -188,7 +195,7 @@ def test_a_detour_is_cut_short_once_the_obstacle_has_left() -> None:
     planar, start = template_arm("Rz", 8), np.full(8, 0.15)
     length, rng = planar.length, np.random.default_rng(0)
     ball = pp.Sphere((0.5 * length, 0, 0), 0.05 * length)
-    first = pp.Scene({"ball": ball}, margin=0.005 * length, arm_radius=0.01 * length)
+    first = pp.Scene({"ball": ball}, self_collision=False, margin=0.005 * length, arm_radius=0.01 * length)
 
     def cycles_to_goal(leaves: int) -> int:
         tracker, q = pp.Tracker(planar, limits=LIMITS, scene=first), start
@@ -249,6 +256,7 @@ def test_what_stands_still_does_not_repel_an_arm_while_something_else_moves() ->
     beside = arm().at(goal).points[-1] + [0.0, 0.0, MARGIN + BALL + THIN + 0.02]
     scene = pp.Scene(
         {"ball": pp.Sphere((0, 0, 0), BALL), "post": pp.Sphere(tuple(beside), BALL)},
+        self_collision=False,
         margin=MARGIN,
         arm_radius=THIN,
     )
@@ -313,7 +321,7 @@ def test_obstacles_move_from_where_they_were_first() -> None:
     box = pp.Box((0.1, 0.0, 0.0), (0.2, 0.1, 0.1), (0.0, 0.0, 0.3))
     rod = pp.Capsule((0.0, 0.0, 0.0), (0.0, 0.2, 0.0), 0.02)
     floor = pp.HalfSpace((0.0, 0.0, -1.0), (0.0, 0.0, 1.0))
-    scene = pp.Scene({"box": box, "rod": rod, "floor": floor})
+    scene = pp.Scene({"box": box, "rod": rod, "floor": floor}, self_collision=False)
     motion = pin.SE3(pin.rpy.rpyToMatrix(0.1, -0.4, 0.7), np.array([0.3, -0.2, 0.4]))
     once = scene.moved({"box": motion, "rod": motion, "floor": motion})
     twice = scene.moved({"box": (1.0, 1.0, 1.0), "rod": motion}).moved({"box": motion, "floor": motion})
@@ -336,6 +344,7 @@ def test_distances_in_a_moved_scene_are_those_of_one_made_there(seed: int) -> No
             "can": pp.Cylinder((0.0, 0.0, -0.1), (0.0, 0.0, 0.1), 0.04),
             "post": pp.Cylinder((0.6, 0.5, -1.0), (0.6, 0.5, 1.0), 0.03),
         },
+        self_collision=False,
         arm_radius=THIN,
     )
     motions = {
@@ -343,7 +352,7 @@ def test_distances_in_a_moved_scene_are_those_of_one_made_there(seed: int) -> No
         for name in ("box", "ball", "can")
     }
     moved = {name: displaced(first.obstacles[name], motion) for name, motion in motions.items()}
-    there = pp.Scene({**first.obstacles, **moved}, arm_radius=THIN)
+    there = pp.Scene({**first.obstacles, **moved}, self_collision=False, arm_radius=THIN)
     q = pp.arm.smooth_configuration(arm(), rng, 0.4)
     one, other = (CollisionModel(arm(), scene) for scene in (first.moved(motions), there))
     near = [model.nearest(arm().at(q), 0.5) for model in (one, other)]
@@ -357,7 +366,7 @@ def test_distances_in_a_moved_scene_are_those_of_one_made_there(seed: int) -> No
 def test_a_scan_moves_without_being_prepared_again() -> None:
     rng = np.random.default_rng(1)
     cloud = pp.Scan(rng.normal(size=(500, 3)) * 0.05)
-    first = pp.Scene({"scan": cloud}, margin=MARGIN, arm_radius=THIN)
+    first = pp.Scene({"scan": cloud}, self_collision=False, margin=MARGIN, arm_radius=THIN)
     motion = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.0, 2.0), np.array([0.5, 0.2, 0.1]))
     CollisionModel(arm(), first)
     moved, q = first.moved({"scan": motion}), pp.arm.smooth_configuration(arm(), rng, 0.3)
@@ -369,7 +378,7 @@ def test_a_scan_moves_without_being_prepared_again() -> None:
 
 def test_an_obstacle_that_stood_beside_the_base_counts_everywhere() -> None:
     """Beside the base a pair may be one that no motion parts, and is left out; not if the obstacle moves."""
-    scene = pp.Scene({"ball": pp.Sphere((0.02, 0.0, 0.03), 0.02)}, arm_radius=THIN)
+    scene = pp.Scene({"ball": pp.Sphere((0.02, 0.0, 0.03), 0.02)}, self_collision=False, arm_radius=THIN)
     q = np.zeros(40)
     moved = scene.moved({"ball": (0.5, 0.0, -0.03)})
     assert CollisionModel(arm(), moved).minimum(q).distance == pytest.approx(-0.03, abs=1e-6)

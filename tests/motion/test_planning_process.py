@@ -62,7 +62,9 @@ def test_no_path_is_planned_in_the_loop_and_the_arm_takes_each_posture(
 ) -> None:
     monkeypatch.setattr(geodesic, "find_path", refuse)
     rng = np.random.default_rng(0)
-    ball = pp.Scene({"ball": pp.Sphere((0.1, 0.1, 0.5), 0.05)}, margin=0.005, arm_radius=0.01)
+    ball = pp.Scene(
+        {"ball": pp.Sphere((0.1, 0.1, 0.5), 0.05)}, self_collision=False, margin=0.005, arm_radius=0.01
+    )
     tracker = pp.Tracker(arm, pp.Geodesic(joint_weight=0.3), LIMITS, scene=ball, deadline=0.002)
     start, one, other = (smooth_configuration(arm, rng, spread) for spread in (0.1, 0.5, 0.6))
     loop = Loop(tracker, start)
@@ -87,7 +89,9 @@ def test_no_goal_is_sought_in_the_loop_while_an_obstacle_passes_over_it(
     monkeypatch.setattr(geodesic, "find_path", refuse)
     monkeypatch.setattr(plan, "find_goal", refuse)
     goal = smooth_configuration(arm, np.random.default_rng(1), 1.0)
-    ball = pp.Scene({"ball": pp.Sphere((0.0, 0.0, 0.0), 0.03)}, margin=0.005, arm_radius=0.005)
+    ball = pp.Scene(
+        {"ball": pp.Sphere((0.0, 0.0, 0.0), 0.03)}, self_collision=False, margin=0.005, arm_radius=0.005
+    )
     tracker = pp.Tracker(arm, limits=LIMITS, scene=ball, deadline=0.002)
     tracker.update(pp.Target.from_configuration(arm, goal))
     tip, q, statuses = arm.at(goal).points[-1], arm.neutral(), set()
@@ -110,7 +114,7 @@ def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
     monkeypatch.setattr(plan, "find_goal", refuse)
     goal = smooth_configuration(arm, np.random.default_rng(1), 1.0)
     place = tuple(arm.at(goal).points[-1])
-    scene = pp.Scene({"ball": pp.Sphere(place, 0.02)}, margin=0.005, arm_radius=0.005)
+    scene = pp.Scene({"ball": pp.Sphere(place, 0.02)}, self_collision=False, margin=0.005, arm_radius=0.005)
     tracker = pp.Tracker(arm, limits=LIMITS, scene=scene, deadline=0.002)
     tracker.update(pp.Target.from_configuration(arm, goal))
     q, end, taken = arm.neutral(), time.monotonic() + PATIENCE, 0
@@ -140,7 +144,8 @@ def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
 
 
 @pytest.mark.parametrize(
-    "scene", [None, pp.Scene({"far": pp.Sphere((0.0, 0.0, 0.6), 0.05)}, arm_radius=0.01)]
+    "scene",
+    [None, pp.Scene({"far": pp.Sphere((0.0, 0.0, 0.6), 0.05)}, self_collision=False, arm_radius=0.01)],
 )
 def test_short_clear_paths_are_found_in_the_loop_within_the_first_cycle(
     arm: pp.Arm, scene: pp.Scene | None, monkeypatch: pytest.MonkeyPatch

@@ -108,7 +108,7 @@ def test_among_obstacles_curves_stay_where_they_are_drawn(arm: pp.Arm) -> None:
     asked = pp.move_through(arm, frames(placement="align"), limits=LIMITS, scene=BALL)
     assert asked.waypoints[1].moved == free.waypoints[1].moved
     # A scene without obstacles is no place to be in.
-    alone = pp.move_through(arm, frames(), limits=LIMITS, scene=pp.Scene(self_collision=True))
+    alone = pp.move_through(arm, frames(), limits=LIMITS, scene=pp.Scene())
     assert alone.waypoints[1].moved == free.waypoints[1].moved
 
 

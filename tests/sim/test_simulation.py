@@ -164,7 +164,7 @@ def test_an_arm_that_arrives_after_it_collapsed_on_the_way_is_at_fault():
 def test_distances_from_the_scene_are_those_of_the_simulated_arm():
     arm, run = four_modules(), some_run()
     ball = pp.Sphere((0.1, 0.02, -0.1), 0.02)
-    scene = pp.Scene({"ball": ball}, margin=0.001, arm_radius=0.004)
+    scene = pp.Scene({"ball": ball}, self_collision=False, margin=0.001, arm_radius=0.004)
     falls = sim.Servos(torque_limits=1e-3)
     for simulated in (
         sim.simulate(arm, replace(run, scene=scene), falls),

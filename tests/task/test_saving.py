@@ -252,9 +252,9 @@ def test_scenes_by_file_and_by_obstacle(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "parts" / "cloud.xyz", np.arange(12).reshape(4, 3))
     cloud = pp.Scan.load(tmp_path / "parts" / "cloud.xyz", 0.5, point_radius=0.01)
     boxed = {**task.scene.obstacles, "a box": pp.Box((1, 1, 1), (0.1, 0.1, 0.1)), "cloud": cloud}
-    edited = task.edited(scene=pp.Scene(boxed, self_collision=True), layout=None)
+    edited = task.edited(scene=pp.Scene(boxed, self_collision=False), layout=None)
     said = written(edited, tmp_path / "other" / "task.toml")["scene"]
-    assert said["self_collision"] is True
+    assert said["self_collision"] is False
     assert said["obstacles"] == {
         "ball": {"type": "sphere", "center": [0, 0, -0.5], "radius": 0.1},
         "rock": {

@@ -511,7 +511,7 @@ def test_keyframes_are_passed_in_spite_of_a_jerk_limit(modules: int, jerk: float
     limits = replace(LIMITS, jerk=jerk)
     motion = pp.move_through(arm, tour, limits=limits)
     check_motion(motion, limits)
-    assert motion.converged and not motion.faults
+    assert motion.converged and motion.run.excess is None
     for place, keyframe in zip(motion.waypoints, tour, strict=True):
         near = (max(place.reached - 0.5, 0.0), place.reached + 0.5)
         assert nearest_miss(motion, keyframe.joints, near) < 0.1 * arm.length / modules
@@ -536,7 +536,7 @@ def test_a_long_arm_passes_random_shapes_in_all_laps_under_jerk_limits(modules: 
     tour = [Keyframe(joints=q, **more) for q, more in zip(shapes, how, strict=True)]
     motion = pp.move_through(arm, tour, limits=limits, repeat=2)
     check_motion(motion, limits)
-    assert motion.converged and not motion.faults and len(motion.waypoints) == 8
+    assert motion.converged and motion.run.excess is None and len(motion.waypoints) == 8
     for place, q in zip(motion.waypoints, 2 * shapes, strict=True):
         near = (max(place.reached - 0.1, 0.0), place.reached + 0.1)
         assert nearest_miss(motion, q, near) < 0.1 * arm.length / modules
@@ -572,7 +572,7 @@ def test_a_curve_is_missed_as_a_configuration_is(arm: pp.Arm) -> None:
 def test_a_keyframe_that_is_held_long_enough_is_taken_in_spite_of_the_jerk_limit() -> None:
     arm, tour = sharp(hold=2.5)
     motion = pp.move_through(arm, tour, limits=replace(LIMITS, jerk=5.0))
-    assert motion.converged and not motion.faults
+    assert motion.converged and motion.run.excess is None
     for place, keyframe in zip(motion.waypoints[:-1], tour, strict=False):
         assert nearest_miss(motion, keyframe.joints, (place.reached, place.reached + 2.5)) < 1e-9
 

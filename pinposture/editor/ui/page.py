@@ -18,6 +18,7 @@ from pinposture.arm import Arm
 from pinposture.editor.edits import TIME_TOLERANCE, keyframes_of, lap_time
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.obstacles import obstacles_of
 from pinposture.editor.playback import Playback
 from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
@@ -139,7 +140,7 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
     if live.reason and live.reason != NOT_DONE and live.status != "converged":
         return "warning", head, live.reason
     notes, controller = list(verdict.notes), session.task.controller.name
-    if session.task.scene is not None and controller != AVOIDING_CONTROLLER:
+    if obstacles_of(session.task) and controller != AVOIDING_CONTROLLER:
         notes.append(f"{controller} ignores obstacles, {AVOIDING_CONTROLLER} avoids them")
     return "warning" if _is_off(session, live) else "good", head, "; ".join(notes)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Obstacle, Scene, Sphere
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Obstacle, Sphere
 from pinposture.collision.scan import Scan
 from pinposture.editor import obstacles
 from pinposture.editor.clearances import NearestObstacle
@@ -435,7 +435,7 @@ class SceneTab:
             margin = gui.add_number("Margin [m]", 0.0, min=0.0, step=step, hint=hint)
             self._margin = Typed(margin, self._set_margin)
             hint = "Avoid collisions of the arm with itself, too"
-            self._self_collision = gui.add_checkbox("Self-collision", False, hint=hint)
+            self._self_collision = gui.add_checkbox("Self-collision", True, hint=hint)
             hint = "Radius of its links; 0: as in its description"
             thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=step, hint=hint)
             self._arm_radius = Typed(thickness, self._set_arm_radius)
@@ -452,7 +452,8 @@ class SceneTab:
         """Bring it up to date."""
         places = [live.state.points] if live.target is None else [live.state.points, live.target.points[::-1]]
         self._points = np.vstack(places)
-        listed, scene = obstacles.obstacles_of(session.shown), session.shown.scene or Scene()
+        listed = obstacles.obstacles_of(session.shown)
+        scene = session.shown.effective_scene
         names = ("none", *listed)
         if tuple(self._chosen.options) != names:
             self._chosen.options = names

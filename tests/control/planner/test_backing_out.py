@@ -21,7 +21,7 @@ def drawn(seed: int) -> tuple[pp.Arm, np.ndarray, pp.Scene]:
     place = arm.at(q).points[int(rng.integers(3, 12))] + 0.01 * rng.normal(size=3)
     size = float(rng.uniform(0.03, 0.08))
     kinds = pp.Sphere(tuple(place), size), pp.Box(tuple(place), (2 * size,) * 3)
-    return arm, q, pp.Scene({"it": kinds[seed % 2]})
+    return arm, q, pp.Scene({"it": kinds[seed % 2]}, self_collision=False)
 
 
 @pytest.mark.parametrize("seed", seeds(8))
@@ -51,7 +51,7 @@ def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monke
 def test_an_arm_that_an_obstacle_encloses_on_both_sides_stays_and_says_why():
     """A straight arm through the middle of a box: every small motion is along it, or turns within it."""
     arm = template_arm("RyRz", 20)
-    box = pp.Scene({"box": pp.Box((0.5, 0.0, 0.0), (0.1, 0.2, 0.3))})
+    box = pp.Scene({"box": pp.Box((0.5, 0.0, 0.0), (0.1, 0.2, 0.3))}, self_collision=False)
     q, goal = arm.straight(), pp.Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 0.1)))
     run = pp.track(arm, goal, q, scene=box)
     assert run.status == "stalled"
@@ -69,7 +69,7 @@ def test_where_there_is_no_way_out_it_plans_and_says_why():
     arm = template_arm("RyRz", 3)
     q = arm.straight()
     walls = {f"wall{k}": pp.Box((0.07, 0.0, 0.0), (0.6, 0.6, 0.6)) for k in range(2)}
-    scene = pp.Scene(walls)
+    scene = pp.Scene(walls, self_collision=False)
     run = pp.track(
         arm, pp.Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 0.3))), q, scene=scene
     )

@@ -69,7 +69,7 @@ def test_a_start_far_outside_the_limits_comes_back_and_then_arrives(planar: pp.A
 def test_a_blocked_goal_is_a_stall_with_a_limit_of_acceleration_too() -> None:
     arm = pp.Arm.from_template("Rz", 4)
     start, goal = np.random.default_rng(0).uniform(-1, 1, (2, 4))
-    scene = pp.Scene({"ball": pp.Sphere(arm.at(goal).points[-1], 0.04)}, margin=0.002)
+    scene = pp.Scene({"ball": pp.Sphere(arm.at(goal).points[-1], 0.04)}, self_collision=False, margin=0.002)
     limits = pp.Limits(dt=0.1, acceleration=2.0)
     run = pp.track(
         arm, pp.Target.from_configuration(arm, goal), start, "geodesic", limits, scene, max_steps=400

@@ -42,7 +42,7 @@ def through_a_hole(seed: int) -> tuple[pp.Scene, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     while True:
         y, z = rng.uniform(-0.1, 0.1, 2)
-        scene = pp.Scene(wall_with_hole(0.45, y, z), margin=MARGIN)
+        scene = pp.Scene(wall_with_hole(0.45, y, z), self_collision=False, margin=MARGIN)
         tail = [(0.65, y, z + rng.uniform(-0.1, 0.1)), (1.0, y + rng.uniform(-0.3, 0.3), z)]
         curve = pp.Curve.spline(
             np.array([(0, 0, 0), (0.12, 0, 0), (0.3, 0.8 * y, 0.8 * z), (0.45, y, z), *tail])
@@ -115,7 +115,7 @@ def test_where_there_is_no_path_the_plan_says_what_is_in_the_way() -> None:
         name: pp.Box((side * (0.6 * reach + 0.06), 0.0, 0.0), (1.2 * reach, 0.02, 0.2))
         for name, side in (("east wall", 1.0), ("west wall", -1.0))
     }
-    scene = pp.Scene(walls, margin=MARGIN, arm_radius=0.01)
+    scene = pp.Scene(walls, self_collision=False, margin=MARGIN, arm_radius=0.01)
     start, goal = np.array([0.5 * np.pi, 0.2, 0.1, 0.1, 0.1]), np.array([-0.5 * np.pi, 0.2, 0.1, 0.1, 0.1])
     model = CollisionModel(planar, scene)
     assert min(model.minimum(q).distance for q in (start, goal)) > MARGIN
@@ -140,7 +140,9 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
 
 def test_in_the_open_it_is_one_straight_motion() -> None:
     goal = np.full(40, 0.05)
-    found = search(pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}), np.zeros(40), goal).find()
+    found = search(
+        pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}, self_collision=False), np.zeros(40), goal
+    ).find()
     assert found is not None and found.found_by == "tree search"
     middle = found.offsets / np.linalg.norm(goal)
     np.testing.assert_allclose(middle, (middle @ middle[-1])[:, None] * middle[-1], atol=1e-12)

@@ -31,7 +31,7 @@ def around_a_ball(seed: int) -> tuple[np.ndarray, pp.Target, pp.Scene]:
         q, target = start_and_goal(1000 * seed + number)
         direct = pp.plan(arm().at(q), target)
         middle = arm().at(direct.configuration(0.5 * direct.end)).points[-1]
-        scene = pp.Scene({"ball": pp.Sphere(tuple(middle), 0.03)})
+        scene = pp.Scene({"ball": pp.Sphere(tuple(middle), 0.03)}, self_collision=False)
         distances = CollisionModel(arm(), scene)
         if min(distances.minimum(each).distance for each in (q, target.q)) > 0.02:
             return q, target, scene

@@ -62,7 +62,7 @@ def test_an_obstacle_on_the_target_stops_it_short_and_is_named() -> None:
     arm = pp.Arm.from_template("Rz", 6)
     target = pp.Target.from_points(arm, arm.at(np.full(6, 0.15)).points)
     ball = Sphere(tuple(target.points[-1]), 0.05)
-    scene = Scene({"ball": ball}, margin=0.004, arm_radius=0.01)
+    scene = Scene({"ball": ball}, self_collision=False, margin=0.004, arm_radius=0.01)
     run = pp.track(arm, target, np.full(6, -0.3), scene=scene)
     assert run.status == "stalled"
     assert "ball" in run.reason
@@ -76,7 +76,12 @@ def test_an_obstacle_on_the_target_stops_it_short_and_is_named() -> None:
 def test_a_target_posture_inside_an_obstacle_is_said_to_be() -> None:
     arm = pp.Arm.from_template("RyRz", 6)
     goal = np.full(arm.nv, 0.15)
-    scene = Scene({"post": Sphere(tuple(arm.at(goal).points[4]), 0.02)}, margin=0.01, arm_radius=0.005)
+    scene = Scene(
+        {"post": Sphere(tuple(arm.at(goal).points[4]), 0.02)},
+        self_collision=False,
+        margin=0.01,
+        arm_radius=0.005,
+    )
     run = pp.track(arm, pp.Target.from_configuration(arm, goal), arm.straight(), scene=scene, max_steps=600)
     assert run.status == "stalled"
     assert run.reason.startswith("the target posture is in collision: ")
@@ -90,7 +95,7 @@ def test_an_obstacle_beside_the_target_does_not() -> None:
     ends = np.concatenate([arm.at(start).points, arm.at(goal).points])
     place = np.array([0.5 * arm.length, 0.75 * arm.length, 0.0])
     assert np.linalg.norm(ends - place, axis=1).min() > 0.05
-    scene = Scene({"ball": Sphere(tuple(place), 0.02)}, margin=0.004, arm_radius=0.01)
+    scene = Scene({"ball": Sphere(tuple(place), 0.02)}, self_collision=False, margin=0.004, arm_radius=0.01)
     assert pp.track(arm, pp.Target.from_configuration(arm, goal), start, scene=scene).converged
 
 

@@ -79,7 +79,7 @@ def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed:
     loop = ControlLoop(arm, progress.stops[0], progress.goal, pp.Geodesic(), progress.limits)
     loop.run(progress.goal, 1e-6 * length, int(rng.integers(3, 30)))
     beside = loop.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
-    ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, margin=0.01 * length)
+    ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, self_collision=False, margin=0.01 * length)
     around, first = pp.CollisionModel(arm, ball), loop.record.steps
     loop.controller = loop.controller.with_scene(ball)
     loop.run(progress.goal, 1e-6 * length, first + 60)
@@ -108,7 +108,9 @@ def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
         room = speed**2 / 0.02 - speed / 2.0
         # The side of the link is 1 mm from the wall at 1 rad.
         wall = pp.HalfSpace((0.0, length * np.sin(1.0) + 0.002, 0.0), (0.0, -1.0, 0.0))
-        controller = pp.Geodesic(scene=pp.Scene({"wall": wall}, margin=0.002, arm_radius=0.001))
+        controller = pp.Geodesic(
+            scene=pp.Scene({"wall": wall}, self_collision=False, margin=0.002, arm_radius=0.001)
+        )
         start = arm.at(np.array([1.0 - room + (0.3 if speed > 0.2 else 0.0005)]))
         step = controller.step(start, target, limits, Memory(np.array([speed])))
         found.append((float(speed - step.dq[0]), step.diagnostics.violated_constraints))

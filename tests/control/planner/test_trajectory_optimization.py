@@ -185,7 +185,7 @@ def test_penalties_bend_the_path_around_an_obstacle(two: pp.Arm) -> None:
     middle = two.at(start + free.offsets[len(free.offsets) // 2]).points[1] * 1.05
     radius, thin, margin = 0.12, 1e-3, 0.005
     post = pp.Cylinder((*middle[:2], -1.0), (*middle[:2], 1.0), radius)
-    scene = pp.Scene({"post": post}, margin=margin, arm_radius=thin)
+    scene = pp.Scene({"post": post}, self_collision=False, margin=margin, arm_radius=thin)
     avoidance = Avoidance.of(scene, free.objective, pp.Limits().for_arm(two))
     path = way(two, start, goal, penalties=Penalties(None, avoidance, 100.0, margin), variant=2)
 
