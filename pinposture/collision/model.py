@@ -24,7 +24,7 @@ from pinposture.collision.distances import (
     TreeKinematics,
 )
 from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
-from pinposture.collision.scene import MARGIN, Scene
+from pinposture.collision.scene import USUAL_MARGIN, Scene
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import InvalidValue, enumerated, warn_caller
 from pinposture.units import length_text
@@ -94,7 +94,7 @@ def arm_alone(arm: Arm) -> Scene:
         arm: the arm. Its stand-in capsules are no thicker than the margin, so that a short arm is not asked
             for a clearance that is large for it.
     """
-    return Scene(margin=min(MARGIN, STAND_IN_RADIUS * float(arm.chain.module_lengths.mean())))
+    return Scene(margin=min(USUAL_MARGIN, STAND_IN_RADIUS * float(arm.chain.module_lengths.mean())))
 
 
 def effective_scene(arm: Arm, scene: Scene | None) -> Scene:

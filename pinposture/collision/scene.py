@@ -39,7 +39,7 @@ from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix, write_text
 
 VERSION = 1
-MARGIN = 0.005  # the clearance to keep unless another one is given [m]
+USUAL_MARGIN = 0.005  # the clearance to keep unless another one is given [m]
 MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
 PROBE_RADIUS = 1e-6  # radius of the sphere that represents a point [m]
 
@@ -69,7 +69,7 @@ class Scene:
 
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
     self_collision: bool = True
-    margin: float = MARGIN
+    margin: float = USUAL_MARGIN
     arm_radius: float | None = None
     velocities: Mapping[str, Vector] = field(default_factory=dict)
     _first: Scene | None = field(init=False, repr=False, default=None)

@@ -220,13 +220,13 @@ class FinishedMotion:
     def _faults_before_end(self) -> tuple[str, ...]:
         """Clauses on exceeded limits and the deepest penetration."""
         found = [] if self.excess is None else [self.excess.text]
-        contact = find_contact(self)
-        if contact is not None:
-            found.append(str(contact) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
+        deepest = find_penetration(self)
+        if deepest is not None:
+            found.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
         return tuple(found)
 
 
-class Contact(NamedTuple):
+class Penetration(NamedTuple):
     """The deepest penetration in a motion.
 
     Attributes:
@@ -244,7 +244,7 @@ class Contact(NamedTuple):
         return f"{' and '.join(self.pair)} penetrate by {1e3 * self.depth:.3g} mm {when}"
 
 
-def find_contact(motion: FinishedMotion) -> Contact | None:
+def find_penetration(motion: FinishedMotion) -> Penetration | None:
     """Return the deepest penetration in a motion, of an obstacle or of the arm itself; None if there is none.
 
     Verdicts, exports and the editor all judge collisions of a finished motion by it.
@@ -260,7 +260,7 @@ def find_contact(motion: FinishedMotion) -> Contact | None:
     pair = model.minimum(motion.q[row]).pair
     if clearance[row] >= touching or pair is None:
         return None
-    return Contact(pair, -float(clearance[row]), row)
+    return Penetration(pair, -float(clearance[row]), row)
 
 
 def own_clearance(motion: FinishedMotion) -> float:
