@@ -346,6 +346,7 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
         "margin": scene.margin,
         "self_collision": scene.self_collision,
         "pairs": len(clearance.pairs),
+        "outliers": _suspects(scene),
         "excluded_pairs": [each._asdict() for each in clearance.excluded_pairs],
         "obstacles": [
             {"name": name, **obstacle.to_dict(embed=False), **beside(name)}
@@ -353,6 +354,22 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
         ],
         "bodies": [{"name": name, **beside(name)} for name in dict.fromkeys(clearance.bodies)],
     }
+
+
+def _suspects(scene: Scene) -> dict[str, dict[str, Any]]:
+    """Count the points of each point cloud that look like outliers, if any; distances in metres."""
+    from pinposture.collision import Scan
+    from pinposture.collision.outliers import find_outliers, suspect_distance
+
+    suspects = {}
+    for name, obstacle in scene.obstacles.items():
+        if not isinstance(obstacle, Scan) or obstacle.faces is not None:
+            continue
+        distance = suspect_distance(obstacle.points)
+        count = int(find_outliers(obstacle.points, distance).sum()) if distance > 0.0 else 0
+        if count:
+            suspects[name] = {"points": count, "of": len(obstacle.points), "distance": distance}
+    return suspects
 
 
 def print_scene(about: Mapping[str, Any]) -> None:
@@ -363,7 +380,14 @@ def print_scene(about: Mapping[str, Any]) -> None:
         "to itself": "distances of the arm from itself count" if about["self_collision"] else "not looked at",
         "pairs": f"{about['pairs']}, nearest at zero joint positions below",
     }
-    print_facts({**facts, **({"excluded pairs": ", ".join(excluded)} if excluded else {})})
+    if excluded:
+        facts["excluded pairs"] = ", ".join(excluded)
+    for name, found in about["outliers"].items():
+        what = f"{found['points']} of {found['of']} points have fewer than eight others within"
+        facts[f"outliers of {name}"] = (
+            f"{what} {found['distance']:.2g} m; outlier_distance = {found['distance']:.2g} removes them"
+        )
+    print_facts(facts)
     for kind, headings in (("obstacles", ("obstacle", "type")), ("bodies", ("body",))):
         rows = [
             (one["name"], *([one["type"]] if "type" in one else []), one["nearest"] or "-", one["distance"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,8 +25,11 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.collision.files import read_scan, scale_factor
+from pinposture.collision.outliers import find_outliers
 from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, warn_of_width
 from pinposture.errors import FileError, InvalidValue, no_warnings
+
+logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -144,7 +148,9 @@ class Scan(Surface):
         rotation: from the axes of the points to the world axes, (3, 3); given as a matrix or as roll, pitch,
             yaw [rad]; None: the identity.
         point_radius: radius of a point of a cloud [m].
-        dropped: number of dropped points.
+        outlier_distance: distance by which outliers of the file were removed [m]; None: they were not.
+        dropped: number of dropped points that were not finite.
+        outliers: number of outliers that were removed.
     """
 
     type: ClassVar[str] = "scan"
@@ -157,7 +163,9 @@ class Scan(Surface):
     center: Vector = (0.0, 0.0, 0.0)
     rotation: Matrix = UNTURNED
     point_radius: float = 0.0
+    outlier_distance: float | None = None
     dropped: int = field(init=False, default=0)
+    outliers: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         points = _points(self.points)
@@ -168,6 +176,9 @@ class Scan(Surface):
         radius = length("point_radius", self.point_radius, zero=True)
         if faces is not None and radius > 0.0:
             raise InvalidValue("point_radius", radius, "0 for a surface; give the scene a larger margin")
+        if self.outlier_distance is not None and self.path is None:
+            allowed = "None: use Scan(points).without_outliers(distance)"
+            raise InvalidValue("outlier_distance", self.outlier_distance, allowed)
         require_name("name", self.name)
         finite = np.asarray(np.isfinite(points).all(axis=1))
         dropped = int(len(points) - finite.sum())
@@ -187,7 +198,8 @@ class Scan(Surface):
             raise InvalidValue("points (largest coordinate)", farthest, allowed)
         warn_of_width(self.name, points)
         make_read_only(points, faces, colors)
-        set_fields(self, points=points, faces=faces, colors=colors, dropped=dropped, point_radius=radius)
+        set_fields(self, points=points, faces=faces, colors=colors, point_radius=radius)
+        set_fields(self, dropped=dropped, outliers=0)
         set_fields(
             self,
             center=point("center", self.center),
@@ -202,6 +214,7 @@ class Scan(Surface):
         center: ArrayLike = (0, 0, 0),
         rotation: Any = None,
         point_radius: float = 0.0,
+        outlier_distance: float | None = None,
     ) -> Scan:
         """Read a scan from a file.
 
@@ -215,6 +228,7 @@ class Scan(Surface):
             center: as in `Scan`.
             rotation: as in `Scan`.
             point_radius: as in `Scan`.
+            outlier_distance: removes outliers as `without_outliers` does; None: keeps them.
 
         Raises:
             FileError: missing, in another format, malformed, without finite points, or too large.
@@ -223,18 +237,20 @@ class Scan(Surface):
         factor, path = scale_factor(path, scale), Path(path)
         pose = point("center", center), _validation.rotation("rotation", rotation)
         radius = length("point_radius", point_radius, zero=True)
+        distance = None if outlier_distance is None else length("outlier_distance", outlier_distance)
         read = read_scan(path)
         with np.errstate(over="ignore"):
             points = read.points * factor
         try:
-            return cls(points, read.faces, read.colors, path.name, path, factor, *pose, radius)
+            scan = cls(points, read.faces, read.colors, path.name, path, factor, *pose, radius)
+            return scan if distance is None else scan.without_outliers(distance)
         except InvalidValue as error:
             raise FileError(path, str(error)) from error
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scan:
         """Create a scan from its description by `to_dict`, or from a file; see `obstacle_from_dict`."""
-        pose = ("center", "rotation", "point_radius")
+        pose = ("center", "rotation", "point_radius", "outlier_distance")
         known_keys("a scan", described, ("points", "faces", "path", "scale", *pose))
         scan: Scan = from_points_or_path(cls, described, "points", folder)
         return scan
@@ -245,8 +261,12 @@ class Scan(Surface):
         Args:
             embed: whether to include points that were loaded from a file, rather than its path.
         """
-        radius = {"point_radius": self.point_radius} if self.point_radius else {}
-        return super().to_dict(embed) | radius
+        described = super().to_dict(embed)
+        if self.point_radius:
+            described["point_radius"] = self.point_radius
+        if self.outlier_distance is not None and "path" in described:
+            described["outlier_distance"] = self.outlier_distance
+        return described
 
     def _data(self) -> dict[str, Any]:
         faces = {} if self.faces is None else {"faces": self.faces.tolist()}
@@ -259,6 +279,41 @@ class Scan(Surface):
 
     def _key(self) -> tuple[Any, ...]:
         return *super()._key(), self.point_radius
+
+    def without_outliers(self, distance: float) -> Scan:
+        """Return a point cloud without the points that have fewer than eight others within a distance.
+
+        These are flying pixels and noise, but also what was measured so sparsely: choose a few times the
+        distance between neighbouring points. `outliers` and the log have the number of points removed.
+
+        Args:
+            distance: the distance [m].
+
+        Raises:
+            InvalidValue: an invalid distance, a surface, or a distance at which no point is left.
+        """
+        distance = length("outlier_distance", distance)
+        if self.faces is not None:
+            raise InvalidValue("outlier_distance", distance, "None for a surface, whose points are connected")
+        away = find_outliers(self.points, distance)
+        count = int(away.sum())
+        if count == len(away):
+            allowed = "a larger distance: no point has eight others within this one"
+            raise InvalidValue("outlier_distance", distance, allowed)
+        logger.info("%s: removed %d of %d points as outliers", self.name, count, len(away))
+        again = (
+            self.path is not None and self.outlier_distance is None
+        )  # else the file does not give these points
+        with no_warnings():  # one about its width has been given
+            scan = replace(
+                self,
+                points=self.points[~away],
+                colors=None if self.colors is None else self.colors[~away],
+                path=self.path if again else None,
+                outlier_distance=distance if again else None,
+            )
+        set_fields(scan, dropped=self.dropped, outliers=self.outliers + count)
+        return scan
 
     def thinned(self, count: int) -> Scan:
         """Return the scan with fewer points, for display.
@@ -286,9 +341,12 @@ class Scan(Surface):
                 raise InvalidValue("count", count, allowed)
         colors = None if self.colors is None else self.colors[kept]
         with no_warnings():  # one about its width has been given
-            return replace(self, points=self.points[kept], faces=faces, colors=colors, path=None)
+            return replace(
+                self, points=self.points[kept], faces=faces, colors=colors, path=None, outlier_distance=None
+            )
 
     def __repr__(self) -> str:
         surface = "" if self.faces is None else f", {len(self.faces)} triangles"
         dropped = f", {self.dropped} dropped" if self.dropped else ""
-        return f"Scan({self.name!r}, {len(self.points)} points{surface}{dropped})"
+        outliers = f", {self.outliers} outliers removed" if self.outliers else ""
+        return f"Scan({self.name!r}, {len(self.points)} points{surface}{dropped}{outliers})"

@@ -298,7 +298,7 @@ _CURVE_UNITS = dict.fromkeys(("radius", "pitch", "smoothing", "a", "b", "center"
     "phase": "angle"
 }
 _OBSTACLE_UNITS = dict.fromkeys(
-    ("radius", "point_radius", "center", "size", "start", "end", "point"), "length"
+    ("radius", "point_radius", "outlier_distance", "center", "size", "start", "end", "point"), "length"
 ) | {"rotation": "angle"}
 
 

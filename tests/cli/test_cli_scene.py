@@ -266,3 +266,20 @@ def test_presets_fit_their_own_defaults_in_a_task_with_obstacles(command, tmp_pa
     assert "placement" not in (tmp_path / "saved.toml").read_text()
     drawn = pp.Keyframe(pp.Curve.line((0, 0, 0), (1, 0, 0)))
     assert loaded.edited(motion=(drawn, drawn)).motion[0].placement == "as_is"
+
+
+def test_points_that_look_like_outliers_are_told_with_the_option_that_removes_them(
+    command, arm_file, tmp_path
+):
+    rng = np.random.default_rng(0)
+    wall = np.stack([np.full(5000, 0.6), *rng.uniform(-0.5, 0.5, size=(2, 5000))], axis=1)
+    np.save(tmp_path / "wall.npy", np.vstack([wall, rng.uniform((0.3, -0.5, -0.5), (0.5, 0.5, 0.5), (7, 3))]))
+    file = tmp_path / "scene.toml"
+    file.write_text('[obstacles]\nwall = { type = "scan", path = "wall.npy" }\n')
+    found = json.loads(command("inspect", arm_file, "--scene", file, "--json").out)["scene"]["outliers"]
+    assert (found["wall"]["points"], found["wall"]["of"]) == (7, 5007)
+    told = command("inspect", arm_file, "--scene", file, env={"COLUMNS": "200"}).out
+    option = f"outlier_distance = {found['wall']['distance']:g}"
+    assert f"{option} removes them" in told
+    file.write_text(f'[obstacles]\nwall = {{ type = "scan", path = "wall.npy", {option} }}\n')
+    assert json.loads(command("inspect", arm_file, "--scene", file, "--json").out)["scene"]["outliers"] == {}
