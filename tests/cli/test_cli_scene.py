@@ -273,7 +273,7 @@ def test_points_that_look_like_outliers_are_told_with_the_option_that_removes_th
 ):
     rng = np.random.default_rng(0)
     wall = np.stack([np.full(5000, 0.6), *rng.uniform(-0.5, 0.5, size=(2, 5000))], axis=1)
-    np.save(tmp_path / "wall.npy", np.vstack([wall, rng.uniform((0.3, -0.5, -0.5), (0.5, 0.5, 0.5), (7, 3))]))
+    np.save(tmp_path / "wall.npy", np.vstack([wall, rng.uniform((0.2, -0.5, -0.5), (0.4, 0.5, 0.5), (7, 3))]))
     file = tmp_path / "scene.toml"
     file.write_text('[obstacles]\nwall = { type = "scan", path = "wall.npy" }\n')
     found = json.loads(command("inspect", arm_file, "--scene", file, "--json").out)["scene"]["outliers"]
