@@ -359,7 +359,7 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
 def _suspects(scene: Scene) -> dict[str, dict[str, Any]]:
     """Count the points of each point cloud that look like outliers, if any; distances in metres."""
     from pinposture.collision import Scan
-    from pinposture.collision.outliers import find_outliers, suspect_distance
+    from pinposture.collision.scan import find_outliers, suspect_distance
 
     suspects = {}
     for name, obstacle in scene.obstacles.items():

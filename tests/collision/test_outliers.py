@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.collision.outliers import find_outliers, suspect_distance
+from pinposture.collision.scan import find_outliers, suspect_distance
 from pinposture.errors import FileError, InvalidValue
 
 
