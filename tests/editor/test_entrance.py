@@ -67,6 +67,16 @@ def test_the_page_is_served_at_its_address_with_and_without_a_slash(editor: Edit
     assert get(port, f"/{secret}/nothing.js").status == 404
 
 
+def test_the_page_asks_whether_its_server_is_there(editor: Editor) -> None:
+    port, secret = address(editor)
+    page = get(port, f"/{secret}", **{"Accept-Encoding": "gzip"})
+    assert page.text.count("/alive") == 1
+    assert len(page.text.encode()) == int(page.headers["Content-Length"])
+    assert get(port, f"/{secret}/alive").status == 200
+    assert get(port, "/alive").status == 403
+    assert get(port, f"/{'x' * len(secret)}/alive").status == 403
+
+
 def test_nothing_is_served_elsewhere(editor: Editor) -> None:
     port, secret = address(editor)
     paths = ("", "index.html", "x", secret[:-1], f"{secret}x", f"/{secret}", f"x/{secret}", "%E4")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -177,6 +178,23 @@ def test_a_motion_that_does_not_converge_says_so(monkeypatch: pytest.MonkeyPatch
     assert playback.shown
     assert session.notice.kind == "warning"
     assert "does not arrive at its last posture: something stood in the way" in session.notice.text
+
+
+def test_keyframes_that_a_motion_does_not_reach_stay_on_the_timeline() -> None:
+    pytest.importorskip("viser", reason="viser is not installed")
+    from pinposture.editor.ui.player import _schedule
+
+    task = short()
+    motion = moved()
+    lost = replace(motion, waypoints=(motion.waypoints[0],))
+    playback = SimpleNamespace(motion=lost, lasting=float(motion.time[-1]))
+    duration, drawn = _schedule(task, playback)
+    assert [(each.place.keyframe, each.reached) for each in drawn] == [(0, True), (1, False)]
+    assert drawn[1].place.time == pytest.approx(1.0 + motion.time[motion.start_index])
+    assert duration >= drawn[1].place.time
+    unreached = motion.waypoints[1]._replace(row=None, reached=None)
+    lost = replace(motion, waypoints=(motion.waypoints[0], unreached))
+    assert _schedule(task, SimpleNamespace(motion=lost, lasting=duration)) == (duration, drawn)
 
 
 def test_a_motion_that_converges_tells_how_long_it_is() -> None:

@@ -342,6 +342,8 @@ STYLES = {
     "hold": "position:absolute;top:8px;height:11px;opacity:0.4",
     "keyframe": "position:absolute;top:3px;width:18px;height:21px;line-height:21px;border-radius:4px;"
     "transform:translateX(-50%);text-align:center;font-size:12px;font-weight:bold;color:white;cursor:grab",
+    "not reached": f"background:white;color:{palette.MARK};outline:2px dashed {palette.MARK};"
+    "outline-offset:-2px",
     "playhead": "position:absolute;top:0;height:29px;width:2px;transform:translateX(-50%);"
     f"background:{palette.MARK}",
 }
@@ -356,7 +358,7 @@ class TimeAxis:
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post, self._length = post, 1.0  # of the axis [s]
-        self._passes: list[Pass] = []  # that are drawn
+        self._passes: list[DrawnPass] = []
         self._known: tuple[Task, Motion | None] | None = None
         self._gestures = 0  # each is answered by a new drawing, with the keyframes where they are
         self._moving, self._strip = (server.gui.add_html("", order=1.0) for _ in range(2))
@@ -373,16 +375,19 @@ class TimeAxis:
         step = round_number(self._length / TICKS)
         drawn = [self._at("line", 0.0, "")]
         drawn += [self._at("tick", at, f"{at:g} s") for at in np.arange(0.0, self._length, step)]
-        for number, (index, lap, at) in enumerate(self._passes):
+        for number, ((index, lap, at), reached) in enumerate(self._passes):
             mark = session.marks[index] if len(session.marks) == len(keyframes) else ""
             selected = index == session.selected
             shade = f"background:{palette.START if selected else MARK_COLORS.get(mark, palette.QUIET)}"
             width = f"width:{100.0 * keyframes[index].hold / self._length:.3f}%"
             drawn.append(self._at("hold", at, "", f"{width};{shade}"))
             words = f"lap {lap + 1}:  " * (task.repeat > 1) + row_label(keyframes, planned, index, mark)
+            words += "" if reached else "  ·  not reached"
             about = f'data-keyframe="{number}" title="{escape(words)}"'
             label = str(index + 1) if len(self._passes) <= MAX_NUMBERED else "&nbsp;"
             shade += f";z-index:{1 + selected};opacity:{LATER_LAP_OPACITY if lap else 1}"
+            if not reached:
+                shade += f";{STYLES['not reached']}"
             drawn.append(self._at("keyframe", at, label, shade, about))
         about = f'id="timeline" data-gestures="{self._gestures}" onpointerdown="{escape(ON_PRESS)}"'
         put(self._strip, content=f'{HIDDEN}<div {about} style="{STYLES["strip"]}">{"".join(drawn)}</div>')
@@ -411,7 +416,7 @@ class TimeAxis:
         if what == "seek":
             seek(at, session)
         elif 0 <= index < len(self._passes):
-            keyframe, _, before = self._passes[index]
+            keyframe, _, before = self._passes[index].place
             if what == "select":
                 session.select(keyframe)
             elif what == "move" and keyframe < len(keyframes_of(session.task)):
@@ -510,17 +515,30 @@ def _labels(playback: Playback) -> tuple[str, ...]:
     return first, LIVE, SLOWER, f"{playback.speed:g}x", FASTER, last
 
 
-def _schedule(task: Task, playback: Playback) -> tuple[float, list[Pass]]:
+class DrawnPass(NamedTuple):
+    """A keyframe on the timeline."""
+
+    place: Pass
+    reached: bool  # false if the motion that is shown does not reach it: it is where the plan has it
+
+
+def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     """Return duration [s] and keyframes of the motion that is shown, or else as planned.
 
-    Keyframes that the motion does not reach are left out, and so are those after the first `MAX_DRAWN`.
+    Keyframes after the first `MAX_DRAWN` are left out.
     """
-    motion, passes = playback.motion, passes_of(task)
+    motion = playback.motion
+    passes = passes_of(task)
     if motion is None:
-        return passes[-1].time + keyframes_of(task)[-1].hold, passes[:MAX_DRAWN]
-    reached = [
-        each._replace(time=float(motion.time[passed.row]))
-        for each, passed in zip(passes, motion.waypoints, strict=False)
-        if passed.row is not None
+        duration = passes[-1].time + keyframes_of(task)[-1].hold
+        return duration, [DrawnPass(each, True) for each in passes[:MAX_DRAWN]]
+    rows = [passed.row for passed in motion.waypoints]
+    rows += [None] * (len(passes) - len(rows))
+    begin = float(motion.time[motion.start_index])
+    drawn = [
+        DrawnPass(
+            each._replace(time=begin + each.time if row is None else float(motion.time[row])), row is not None
+        )
+        for each, row in zip(passes, rows, strict=False)
     ]
-    return playback.lasting, reached[:MAX_DRAWN]
+    return max(playback.lasting, *(each.place.time for each in drawn)), drawn[:MAX_DRAWN]

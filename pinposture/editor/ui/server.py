@@ -37,6 +37,35 @@ RESPONSE_HEADERS = {
     "Cache-Control": "no-store",
 }
 
+ALIVE_PATH = "/alive"
+"""What the page asks for, behind the secret, to learn whether the server is still there."""
+
+WATCH = """<style>
+#gone { display: none; position: fixed; top: 0; left: 0; right: 0; z-index: 10000; padding: 14px 20px;
+  background: #b00020; color: white; font: 16px/1.4 sans-serif; text-align: center }
+body.gone #gone { display: block }
+body.gone #root { filter: grayscale(1) opacity(0.45); pointer-events: none }
+</style><script>
+window.addEventListener('DOMContentLoaded', () => {
+  document.title = 'pinposture';
+  const note = document.body.appendChild(document.createElement('div'));
+  note.id = 'gone';
+  const base = location.pathname.replace(/\\/$/, '');
+  const tell = (text) => {
+    note.textContent = text;
+    document.body.classList.toggle('gone', text !== '');
+  };
+  const stopped = 'The editor has stopped: what you see is old. Run "pinposture edit" again and open the '
+    + 'address that it prints.';
+  const moved = 'The editor was started again and has a new address. Open the one that it printed; this page '
+    + 'is not connected to it.';
+  const ask = () => fetch(base + 'ALIVE', { cache: 'no-store', signal: AbortSignal.timeout(900) })
+    .then((answer) => tell(answer.ok ? '' : moved), () => tell(stopped));
+  setInterval(ask, 1000);
+});
+</script>""".replace("ALIVE", ALIVE_PATH)
+"""Added to the page: it greys out, and says why, within two seconds after the server has gone."""
+
 _patching = Lock()
 
 
@@ -145,9 +174,13 @@ def _guarded_servers(entrance: Entrance) -> Iterator[list[Entrance]]:
             if reason:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"Refused: {reason}.\n")
             path = request.path.removeprefix(f"/{entrance.secret}") or "/"
-            response: Response | None = process_request(connection, replace(request, path=path))
+            if path == ALIVE_PATH:
+                response: Response | None = connection.respond(HTTPStatus.OK, "")
+            else:
+                response = process_request(connection, _plain_page(replace(request, path=path)))
             if response is not None:
                 response.headers.update(RESPONSE_HEADERS)
+                _watch_server(response)
             return response
 
         return plain(*given, process_request=process, **named)
@@ -158,6 +191,24 @@ def _guarded_servers(entrance: Entrance) -> Iterator[list[Entrance]]:
             yield guarded
         finally:
             websockets.asyncio.server.serve = plain  # type: ignore[misc]
+
+
+def _plain_page(request: Request) -> Request:
+    """Return a request for the page as one for its plain text, so that `_watch_server` can add to it."""
+    if request.path.partition("?")[0] not in ("/", "/index.html"):
+        return request
+    headers = Headers(request.headers)
+    headers.pop("Accept-Encoding", None)
+    return replace(request, headers=headers)
+
+
+def _watch_server(response: Response) -> None:
+    """Have a page ask for its server each second, and say so when there is no answer."""
+    head = b"</head>"
+    if response.headers.get("Content-Encoding") == "identity" and head in response.body:
+        response.body = response.body.replace(head, WATCH.encode() + head, 1)
+        del response.headers["Content-Length"]  # a second value would be added to it
+        response.headers["Content-Length"] = str(len(response.body))
 
 
 def _same_host(origin: str, host: str) -> bool:

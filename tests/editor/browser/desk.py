@@ -57,10 +57,10 @@ def arrived(editor: Editor) -> None:
 
 
 @contextmanager
-def served(file: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def served(file: Path, port: int | None = None) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The editor as from the shell: the process, and where it is; stopped by Ctrl-C if it runs still."""
     command = [sys.executable, "-m", "pinposture", "edit", str(file), "--no-browser"]
-    command += ["--port", str(free_port())]
+    command += ["--port", str(free_port() if port is None else port)]
     process = subprocess.Popen(
         command,
         stdout=subprocess.PIPE,

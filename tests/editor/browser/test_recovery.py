@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-from editor.browser.desk import curves, served, wait_until
+from editor.browser.desk import curves, free_port, served, wait_until
 from editor.browser.window import Window
 
 import pinposture as pp
@@ -56,3 +56,22 @@ def test_what_a_killed_server_leaves_is_taken_up_again(
         window.close()
     assert server.returncode == 0
     assert curves(pp.Task.load(file)) == curves(left)
+
+
+def test_a_page_whose_server_is_gone_says_so_and_greys_out(browser: Any, file: Path) -> None:
+    port = free_port()
+    task = pp.Task.load(file)
+    with served(file, port) as (server, url):
+        window = Window(browser, url, task.arm, None)
+        note = window.page.locator("#gone")
+        assert not note.is_visible()
+        assert window.page.title() == "pinposture"
+        os.kill(server.pid, signal.SIGKILL)
+        server.wait()
+        note.wait_for(state="visible")
+        assert note.inner_text().startswith("The editor has stopped")
+        seen = "getComputedStyle(document.querySelector('#root')).filter"
+        assert "grayscale" in window.page.evaluate(seen)
+    with served(file, port):
+        wait_until(lambda: "has a new address" in note.inner_text(), "the old page says where to go")
+        window.close()
