@@ -48,7 +48,7 @@ def keyframes_of(task: Task) -> tuple[Keyframe, ...]:
     if isinstance(task.motion, Leader):  # which is a tuple, too
         raise TaskError("the task", "follows a leader; only tasks of keyframes can be edited")
     if is_phased(task.motion):
-        raise TaskError("the task", "is divided into phases; only tasks of keyframes can be edited")
+        raise TaskError("the task", "is divided into phases, of which only one can be edited at a time")
     return cast("tuple[Keyframe, ...]", task.motion)
 
 

@@ -22,6 +22,7 @@ from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, joints_at, keyframes_of
+from pinposture.editor.phases import editable
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
@@ -78,7 +79,7 @@ def recover(path: Path) -> Recovered | None:
     if left is None:
         return None
     try:
-        task = Task.load(kept)
+        task = editable(Task.load(kept))
         keyframes_of(task)
     except PostureError as error:
         return Recovered(None, str(error), kept)
@@ -220,7 +221,7 @@ class Files:
             self._autosave.finish()  # perhaps of the same file
             version = version_of(path)
             try:
-                task = Task.load(path)
+                task = editable(Task.load(path))
                 keyframes_of(task)
             except Exception as error:
                 if not isinstance(error, PostureError):  # a bug, which has to be reported, too

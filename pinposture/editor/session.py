@@ -11,6 +11,7 @@ from typing import NamedTuple
 from pinposture.arm import Arm
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import Edit, Shape, joints_at, keyframes_of, reshaped, with_keyframe
+from pinposture.editor.phases import editable
 from pinposture.editor.playback import Playback
 from pinposture.editor.solver import Live, Problem
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
@@ -131,6 +132,7 @@ class Session:
     def __init__(
         self, task: Task, path: Path | None = None, selected: int = 0, folder: Path | None = None
     ) -> None:
+        task = editable(task)
         count = len(keyframes_of(task))
         self.selected = selected
         if not 0 <= self.selected < count:

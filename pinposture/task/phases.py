@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from pinposture.collision.pipe import pipe
 from pinposture.control import JointPath, Limits, plan
 from pinposture.control.limits import cycle_of
 from pinposture.control.planner.objective import Objective
-from pinposture.control.reach import reach, reach_from, tip_task
+from pinposture.control.reach import reach, reach_from, require_within_reach, tip_task
 from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.errors import InvalidValue, PostureError, TaskError, gather, raise_together
 from pinposture.placement import Target
@@ -218,12 +219,15 @@ def with_placements(phases: tuple[Phase, ...], arm: Arm, scene: Scene | None) ->
 
 
 @contextmanager
-def _naming(phases: Sequence[Phase], index: int) -> Iterator[None]:
-    """Name the phase in errors."""
+def _naming(phases: Sequence[Phase], index: int, begun: bool = False) -> Iterator[None]:
+    """Name the phase in errors; `begun`: its keyframes were counted with the posture in which it begins."""
     try:
         yield
     except PostureError as error:
-        raise TaskError(phase_title(phases, index), str(error)) from error
+        reason = str(error)
+        if begun:
+            reason = re.sub(r"\bkeyframe (\d+)", lambda found: f"keyframe {int(found[1]) - 1}", reason)
+        raise TaskError(phase_title(phases, index), reason) from error
 
 
 def phased_reference(
@@ -254,7 +258,7 @@ def phased_reference(
     """
     planner = _Planner(arm, limits, scene, start, continuity, progress)
     for index, phase in enumerate(phases):
-        with _naming(phases, index):
+        with _naming(phases, index, begun=index > 0 and bool(keyed(phase))):
             planner.append(phase, phase.name or f"phase {index + 1}")
     return planner.joined()
 
@@ -366,6 +370,7 @@ class _Planner:
         self._add(reference, name)
 
     def _reach(self, goal: TipGoal, name: str) -> None:
+        require_within_reach(self._arm, goal.task(self._arm))
         path = self._drag(goal) or self._search(goal)
         piece = self._along(path, goal.duration, goal.hold)
         mark = _mark(name, piece)._replace(tip=goal.task(self._arm), row=piece.rows - 1)
@@ -426,7 +431,11 @@ class _Planner:
         return path
 
     def _take(self, keyframes: tuple[Keyframe, ...], name: str) -> None:
-        if self._q is not None and self._pieces:
+        if self._pieces and self._q is not None:
+            keyframes = tuple(
+                replace(each, name=each.name or f"keyframe {number}")
+                for number, each in enumerate(keyframes, start=1)
+            )
             keyframes = (Keyframe(joints=tuple(self._arm.positions(self._q))), *keyframes)
         keyframes = placed(keyframes, self._scene)
         piece = keyframe_reference(self._arm, keyframes, self._dt, self._continuity, self._progress)

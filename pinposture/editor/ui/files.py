@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import viser
 
 from pinposture.editor.files import EXPORT_KINDS, Files, export, task_files, within
+from pinposture.editor.phases import PhaseKeyframes
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
@@ -216,6 +217,10 @@ class ExportButtons:
             self._post(partial(self._request, event.target.value, event.client))
 
     def _request(self, kind: str, client: viser.ClientHandle, session: Session) -> None:
+        if isinstance(session.task, PhaseKeyframes):
+            text = "the motion shown is that of one phase; save the task, and perform it with pinposture run"
+            session.say(f"{kind}: not exported: {text}", "error")
+            return
         stem = session.path.stem if session.path is not None else session.task.name or "motion"
         self._queue.append(RequestedExport(kind, client, session.task, stem))
         session.playback.rehearse(session.task)

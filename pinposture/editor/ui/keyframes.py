@@ -15,12 +15,13 @@ from pinposture.control import EndEffector
 from pinposture.editor import edits
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.measured_arm import JointStates
+from pinposture.editor.phases import PhaseKeyframes
 from pinposture.editor.postures import add_taught, draw_curve, teach
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
 from pinposture.placement.resolve import METHODS
-from pinposture.task import Keyframe
+from pinposture.task import Keyframe, Task
 from pinposture.viz import palette
 
 Array = NDArray[np.float64]
@@ -94,7 +95,8 @@ class KeyframesTab:
         self._hold.show(round(own.hold, SECOND_DIGITS))
         self._speed.show(round(100.0 * own.speed, SECOND_DIGITS))
         put(self._method, value=own.method, disabled=own.curve is None)
-        put(self._about, content=about(own), visible=bool(about(own)))
+        text = about(own, session.task)
+        put(self._about, content=text, visible=bool(text))
         self._laps.show(session.task.repeat)
         self._back.show(keyframes[0].duration or 0.0, visible=session.task.repeat > 1)
 
@@ -215,9 +217,9 @@ def row_label(keyframes: tuple[Keyframe, ...], times: list[float], index: int, m
     return f"{index + 1}{named}  ·  {round(times[index], SECOND_DIGITS):g} s{marked}"
 
 
-def about(keyframe: Keyframe) -> str:
-    """Return the region and the task of the tip of a keyframe, as HTML; empty if there are none."""
-    lines = []
+def about(keyframe: Keyframe, task: Task | None = None) -> str:
+    """Return the region and the tip task of a keyframe, and the phases of its task, as HTML; may be empty."""
+    lines = [f"Edited: {task.summary}."] if isinstance(task, PhaseKeyframes) else []
     if keyframe.region is not None:
         first, last = keyframe.region
         lines.append(f"Only control points {first + 1} to {last + 1} have to take the shape.")

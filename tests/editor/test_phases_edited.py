@@ -1,0 +1,119 @@
+"""Tasks in phases in the editor: the keyframes of one are edited, the others are shown and kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.editor import edits
+from pinposture.editor.files import Files
+from pinposture.editor.phases import PhaseKeyframes, editable
+from pinposture.editor.session import Session
+from pinposture.editor.ui.keyframes import about
+from pinposture.errors import InvalidValue, TaskError
+
+FILE = Path(__file__).parents[2] / "examples" / "tasks" / "inspection.toml"
+SHORT = """
+version = 1
+kind = "phases"   # kept
+
+[arm]
+template = "RyRz"
+modules = 6
+feed = { stroke = "40 cm" }
+
+[[phases]]        # along a path
+name = "in"
+leader = { path = { type = "line", a = [0, 0, 0], b = [0.2, 0, 0] }, speed = 0.1 }
+
+[[phases]]
+name = "turn"     # edited
+
+[[phases.keyframes]]
+name = "left"
+duration = "2 s"
+joints = [0.2, 0, 0.1, 0, 0.1, 0, 0.1, 0, 0.1, 0, 0.1, 0, 0.1]
+
+[[phases]]
+withdraw = { speed = "5 cm/s" }
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "task.toml"
+    path.write_text(SHORT)
+    return path
+
+
+def test_the_first_keyframe_is_where_the_phase_before_ends(file: Path) -> None:
+    task = pp.Task.load(file)
+    view = editable(task)
+    assert isinstance(view, PhaseKeyframes)
+    first, left = edits.keyframes_of(view)
+    ended = task.reference()
+    inside = next(mark.row for mark in ended.marks if mark.name == "in: inside")
+    assert first.joints == pytest.approx(task.arm.positions(ended.configuration(inside)))
+    assert left.name == "left"
+    assert edits.times_of(view) == [0.0, 2.0]
+    assert "phase 1 'in' (along a path), phase 3 (way out)" in about(left, view).replace("&#x27;", "'")
+    assert editable(view.edited(motion=view.motion)).motion == view.motion
+
+
+def test_a_session_opens_edits_and_saves_without_loss(file: Path) -> None:
+    session = Session(pp.Task.load(file), file)
+    files = Files(lambda request: None, file)
+    try:
+        files.save(session)
+        assert file.read_text() == SHORT
+        session.select(1)
+        session.edit(edits.retimed(1, 3.5), "the time")
+        files.save(session)
+        session.edit(edits.retimed(0, 1.0), "the time")  # of the end of the phase before
+    finally:
+        files.close()
+    assert session.notice.kind == "error"
+    assert file.read_text() == SHORT.replace('"2 s"', "3.5")
+    again = pp.Task.load(file)
+    assert again.motion[1].motion[0].duration == 3.5
+    assert again.motion[0] == pp.Task.load(file).motion[0]
+
+
+def test_what_does_not_belong_to_the_phase_cannot_be_changed(file: Path) -> None:
+    view = editable(pp.Task.load(file))
+    first, left = edits.keyframes_of(view)
+    for motion in ((left, replace(left, duration=1.0)), (replace(first, hold=1.0), left), (left, first)):
+        with pytest.raises(TaskError, match="keyframe 1"):
+            view.edited(motion=motion)
+    with pytest.raises(InvalidValue, match="repeat"):
+        view.edited(repeat=2)
+
+
+def test_more_keyframes_and_obstacles_are_saved(file: Path) -> None:
+    view = editable(pp.Task.load(file))
+    first, left = edits.keyframes_of(view)
+    right = replace(left, name="right", joints=tuple(-np.array(left.joints)))
+    scene = pp.Scene({"ball": pp.Sphere((0.0, 1.0, 0.0), 0.1)})
+    assert isinstance(view, PhaseKeyframes)
+    low = np.r_[0.2, np.array(right.joints)[1:]]
+    view.edited(motion=(first, left, replace(right, joints=tuple(low))), scene=scene).save(file)
+    again = pp.Task.load(file)
+    assert [each.name for each in again.motion[1].motion] == ["left", "right"]
+    assert again.scene == scene
+    assert [each.name for each in again.motion] == ["in", "turn", ""]
+    assert all(word in file.read_text() for word in ("# kept", "# along a path", "# edited"))
+
+
+def test_a_task_without_keyframes_in_any_phase_is_refused_in_words(file: Path) -> None:
+    task = pp.Task.load(file)
+    with pytest.raises(TaskError, match="has no phase with keyframes"):
+        editable(task.edited(motion=(task.motion[0], task.motion[2])))
+
+
+def test_the_example_is_saved_to_the_last_byte(tmp_path: Path) -> None:
+    kept = editable(pp.Task.load(FILE)).save(tmp_path / "inspection.toml")
+    assert kept.read_text() == FILE.read_text()
