@@ -46,7 +46,7 @@ def test_every_snippet_in_python_or_toml_is_known_here() -> None:
     languages = ("python", "toml", "csv", "json")
     counts = {page: [len(snippets(page, name)) for name in languages] for page in pages}
     assert counts == {
-        "tasks.md": [3, 2, 0, 0],
+        "tasks.md": [4, 3, 0, 0],
         "trajectories.md": [1, 0, 1, 1],
         "follow_leader.md": [1, 0, 0, 0],
         "physics.md": [1, 0, 0, 0],
@@ -63,7 +63,7 @@ def test_keyframes_in_python(capsys: pytest.CaptureFixture) -> None:
 
 
 def test_tasks_are_saved_as_shown(in_a_folder: Path) -> None:
-    _, edited, described = snippets("tasks.md", "python")
+    _, _, edited, described = snippets("tasks.md", "python")
     (in_a_folder / "examples").symlink_to(DOCS.parent / "examples")
     higher, before = run(edited)["task"], pp.Task.load("examples/tasks/keyframes.toml")
     again = pp.Task.load("higher.toml")
@@ -80,7 +80,7 @@ def test_tasks_are_saved_as_shown(in_a_folder: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> None:
-    (text, _) = snippets("tasks.md", "toml")
+    text = snippets("tasks.md", "toml")[0]
     file = in_a_folder / "task.toml"
     file.write_text(text)
     loaded = pp.Task.load(file)
@@ -105,7 +105,7 @@ def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> No
 
 
 def test_the_leader_is_one(in_a_folder: Path) -> None:
-    (_, leader) = snippets("tasks.md", "toml")
+    leader = snippets("tasks.md", "toml")[1]
     np.savetxt(in_a_folder / "path.csv", [[0, 0, 0], [0.3, 0, 0], [0.6, 0, 0], [1.2, 0.1, 0]], delimiter=",")
     arm = 'kind = "follow_leader"\n[arm]\ntemplate = "RyRz"\nmodules = 20\nfeed = { stroke = "1.2 m" }\n'
     (in_a_folder / "task.toml").write_text(f'{arm}[limits]\ncycle = "1 s"\n{leader}')
