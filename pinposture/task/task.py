@@ -234,9 +234,12 @@ class Task(TaskParts):
             reference: what `reference` returned.
 
         Raises:
-            PostureError: as `surroundings`.
+            PostureError: as `surroundings`, or a gap on the way of a leader is too narrow.
         """
-        return outlook(reference, self.surroundings(reference))
+        scene = self.surroundings(reference)
+        with self._naming():
+            require_passage(reference, scene, MAX_MEAN_LAG * self.arm.length / self.arm.n_modules)
+        return outlook(reference, scene)
 
     @cached_property
     def effective_scene(self) -> Scene:

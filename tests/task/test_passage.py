@@ -98,3 +98,18 @@ def test_a_narrow_pipe_of_a_task_is_refused_with_its_line(tmp_path: Path, radius
     if needed > 0.016:
         file.write_text(TASK.read_text().replace("45 mm", f"{1e3 * needed + 0.3:.2f} mm"))
         assert pp.Task.load(file).perform().run.status == "converged"
+
+
+def test_a_check_of_a_file_names_the_gap_that_is_too_narrow(tmp_path: Path) -> None:
+    """The hole of the example leaves 30 mm around the arm."""
+    text = TASK.with_name("inspection.toml").read_text()
+    file = tmp_path / "task.toml"
+    file.write_text(text[: text.index('[[phases]]\nname = "look"')].replace('"5 mm"', '"35 mm"'))
+    task = pp.Task.load(file)
+    with pytest.raises(FileError, match=r"insert: inside': the gap at .* is too narrow") as caught:
+        task.outlook(task.reference())
+    assert "its radius is 10 mm and the margin 35 mm" in str(caught.value)
+    file.write_text(file.read_text().replace('"35 mm"', '"25 mm"'))
+    task = pp.Task.load(file)
+    with no_warnings():
+        task.outlook(task.reference())
