@@ -57,7 +57,9 @@ def scanned(tmp_path: Path) -> tuple[Path, np.ndarray]:
 def clearance(scan: pp.Scan) -> float:
     arm = pp.Arm.from_template("RyRz", 5)  # 0.25 m long
     return float(
-        pp.CollisionModel(arm, pp.Scene({"wall": scan}, arm_radius=0.01)).minimum(arm.straight()).distance
+        pp.CollisionModel(arm, pp.Scene({"wall": scan}, self_collision=False, arm_radius=0.01))
+        .minimum(arm.straight())
+        .distance
     )
 
 
