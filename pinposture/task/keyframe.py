@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
@@ -688,29 +688,23 @@ class LeastSquaresFollower:
         self.problem = FitProblem(arm, 0.0, STIFFNESS[method] * float(np.median(lengths)))
 
     def follow(
-        self,
-        curve_at: Callable[[int], BentCurve],
-        problem_at: Callable[[int], FitProblem],
-        rows: range,
-        first: Array,
-        travel: float,
+        self, curves: Sequence[BentCurve], problems: Sequence[FitProblem], first: Array, travel: float
     ) -> Array:
-        """Follow the curves of rows from unknowns that fit the first; return unknowns (r, n + m).
+        """Follow curves that change slightly, from unknowns that fit the first; return unknowns (r, n + m).
 
         Args:
-            curve_at: the curve of a row.
-            problem_at: the problem of a row, with its slides.
-            rows: the rows.
-            first: unknowns of the first row, (n + m,).
-            travel: largest motion of the joints over all rows [rad, or arm lengths].
+            curves: the curves, r of them.
+            problems: the problem of each, with its slides.
+            first: unknowns of the first, (n + m,).
+            travel: largest motion of the joints from the first to the last [rad, or arm lengths].
         """
-        found = np.empty((len(rows), len(first)))
+        count = len(curves)
+        found = np.empty((count, len(first)))
         found[0] = first
-        begin = problem_at(rows[0])
-        jacobian = begin.evaluate(curve_at(rows[0]), first)[1]
-        weight = VISCOSITY**2 * len(rows) / TYPICAL_ROWS * stiffness(self.problem, jacobian.T @ jacobian)
-        for i, row in enumerate(rows[1:], start=1):
-            guess = found[i - 1] + (found[i - 1] - found[i - 2] if i > 1 else 0.0)
-            before, most = found[i - 1], travel / len(rows)
-            found[i] = refined(problem_at(row), curve_at(row), guess, before, weight, most)
+        jacobian = problems[0].evaluate(curves[0], first)[1]
+        weight = VISCOSITY**2 * count / TYPICAL_ROWS * stiffness(self.problem, jacobian.T @ jacobian)
+        for i in range(1, count):
+            before = found[i - 1]
+            guess = before + (before - found[i - 2] if i > 1 else 0.0)
+            found[i] = refined(problems[i], curves[i], guess, before, weight, travel / count)
         return found

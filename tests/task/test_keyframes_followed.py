@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from task.keyed_arms import S_CURVE, coil, five_postures, positions, snake, straight
 
 import pinposture as pp
+import pinposture.task.keyframes as planning
 from pinposture.errors import PostureWarning
 from pinposture.task.keyframes import Keyframe, keyframe_reference
 from pinposture.task.reference import AnchoredCurve, Bending, Reference, crossfade
@@ -117,6 +118,35 @@ def test_a_shape_near_the_joint_limits_is_held_between_equal_keyframes(continuit
     assert max(mark.target.residual.max() for mark in reference.marks) < 1e-8
     between = slice(reference.marks[1].row, reference.marks[2].row)
     assert np.ptp(positions(reference)[between], axis=0).max() < 1e-6
+
+
+@pytest.mark.parametrize("repeat", (1, 2))
+def test_a_time_that_is_much_too_short_does_not_multiply_the_rows_of_all_others(repeat: int) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=6)
+    keyframes = [
+        Keyframe(straight(1.2 * arm.length), trim=True, method="smooth"),
+        Keyframe(coil(2.5 * arm.length), duration=0.05, trim=True, placement="align", method="smooth"),
+        Keyframe(straight(1.2 * arm.length), duration=3.0, trim=True, method="smooth"),
+    ]
+    reference = keyframe_reference(arm, keyframes, 0.05, repeat=repeat)
+    slow = [replace(keyframes[0])] + [replace(each, duration=3.0) for each in keyframes[1:]]
+    alike = keyframe_reference(arm, slow, 0.05, repeat=repeat)
+    assert reference.rows <= repeat * 10_000
+    for mark, other in zip(reference.marks, alike.marks, strict=True):
+        assert np.allclose(mark.target.points, other.target.points, atol=1e-4 * arm.length)
+
+
+def test_rows_between_those_placed_by_least_squares_are_as_if_they_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm = ARMS["tilted axes"]()
+    first, second = gentle(arm.length)[:2]
+    keyframes = [first, replace(second, duration=60.0)]
+    some = keyframe_reference(arm, keyframes, 0.05)
+    monkeypatch.setattr(planning, "MOST_SOLVED", 10_000)
+    each = keyframe_reference(arm, keyframes, 0.05)
+    assert some.rows == each.rows == 1201
+    assert np.abs(positions(some) - positions(each)).max() < 1e-5
 
 
 def test_one_method_serves_the_whole_motion_unless_a_keyframe_asks_for_its_own() -> None:
