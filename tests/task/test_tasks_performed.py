@@ -47,13 +47,19 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Done]:
         "keyframes": done(folder / "keyframes.toml"),
         "around": done(folder / "around.toml", ("20 ms", "40 ms")),
         "pipe": done(folder / "pipe.toml", *shorter),
+        "inspection": done(folder / "inspection.toml", ("50 ms", "100 ms")),
     }
 
 
 # From the files, in SI units, for the joints that turn and the one that slides.
-SPEEDS = {"keyframes": (np.pi / 2, None), "around": (2.0, None), "pipe": (2.0, 0.1)}
-ACCELERATIONS = {"keyframes": (2 * np.pi, None), "around": (10.0, None), "pipe": (2.0, 1.0)}
-NAMES = ("keyframes", "around", "pipe")
+SPEEDS = {"keyframes": (np.pi / 2, None), "around": (2.0, None), "pipe": (2.0, 0.1), "inspection": (1.0, 0.1)}
+ACCELERATIONS = {
+    "keyframes": (2 * np.pi, None),
+    "around": (10.0, None),
+    "pipe": (2.0, 1.0),
+    "inspection": (4.0, 1.0),
+}
+NAMES = ("keyframes", "around", "pipe", "inspection")
 
 
 def test_every_example_is_tested() -> None:
