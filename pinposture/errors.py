@@ -227,6 +227,19 @@ class CurveOutOfReach(TargetError):
     """The curve is beyond the range of the prismatic joints."""
 
 
+class ControllerError(PostureError):
+    """An exception in the step of a controller; it is the cause of this error.
+
+    Attributes:
+        controller: the class of the controller.
+        reason: the exception, in words.
+    """
+
+    def __init__(self, controller: str, reason: str) -> None:
+        self.controller, self.reason = controller, reason
+        super().__init__(f"{controller}.step(...) raised {reason}")
+
+
 class ReachError(PostureError):
     """A goal of the tip for which no clear posture was found.
 

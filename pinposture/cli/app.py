@@ -30,7 +30,7 @@ from pinposture.cli import (
     view,
 )
 from pinposture.cli.output import print_error, verb_examples, warnings_as_notes
-from pinposture.errors import InvalidValue, PostureError
+from pinposture.errors import ControllerError, InvalidValue, PostureError
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
@@ -84,6 +84,8 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
             try:
                 return super().invoke(ctx)
             except PostureError as error:
+                if isinstance(error, ControllerError):  # of the user: --verbose shows where it failed
+                    logging.getLogger("pinposture").debug("the controller failed", exc_info=error)
                 print_error(_text_with_options(error, {each.name: each.opts[0] for each in self.params}))
                 raise typer.Exit(REFUSED) from error
 

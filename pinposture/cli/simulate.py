@@ -211,9 +211,20 @@ def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
         words["target"] = f"mean error at the end {length_text(summary['target_error']['end'], length)}"
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
-    torque = summary["largest_torque"]
-    limit = "no limit" if torque["limit"] is None else f"limit {torque['limit']:.4g}"
-    words["torque"] = f"at most {abs(torque['value']):.4g} N m or N ({torque['joint']}, {limit})"
+    for kind in ("torque", "force"):
+        most = summary[f"largest_{kind}"]
+        if most is not None:
+            limit = "no limit" if most["limit"] is None else f"limit {most['limit']:.4g} {most['unit']}"
+            words[kind] = (
+                f"at most {abs(most['value']):.4g} {most['unit']} ({most['joint']} at "
+                f"{most['time']:.4g} s, {limit})"
+            )
+    nearest = summary["largest_share_of_limit"]
+    if nearest is not None:
+        words["of its limit"] = (
+            f"at most {100.0 * nearest['share']:.3g} % ({nearest['joint']} at {nearest['time']:.4g} s, "
+            f"{abs(nearest['value']):.4g} of {nearest['limit']:.4g} {nearest['unit']})"
+        )
     return words
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any, NamedTuple, Protocol, TypeVar
+from pathlib import Path
+from traceback import extract_tb
+from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_instance
 from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits
-from pinposture.errors import InvalidValue
+from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -128,13 +130,13 @@ class Step(NamedTuple):
         dq: joint displacement within the limits, (nv,) [rad or m].
         active: the active control set: indices of control points, 0-based, increasing.
         diagnostics: diagnostics of the step.
-        memory: the memory to pass to the next step.
+        memory: the memory to pass to the next step; without one, `next_step` adds `Memory(dq)`.
     """
 
     dq: Array
     active: tuple[int, ...]
     diagnostics: Diagnostics
-    memory: Memory
+    memory: Memory = cast(Memory, None)  # a run only meets steps to which one was added
 
 
 def step_within(limited: LimitedStep, active: Iterable[int] = (), **diagnostics: Any) -> Step:
@@ -196,14 +198,31 @@ def next_step(
 
     Raises:
         InvalidValue: the controller returned something other than a valid `Step` for this arm.
+        ControllerError: it raised an exception that is no `PostureError`.
     """
-    step = controller.step(state, target, limits, memory)
+    try:
+        step = controller.step(state, target, limits, memory)
+    except PostureError:
+        raise
+    except Exception as error:
+        raise ControllerError(type(controller).__qualname__, _described(error)) from error
     if not isinstance(step, Step):
         allowed = "a Step, for instance Step(limited.dq, (), Diagnostics(limited.clipped), None)"
         raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
     if not type(controller).__module__.startswith(OWN):  # ours are tested for this; checks cost time
         _require_valid(controller, state, step)
     return step if step.memory is not None else step._replace(memory=Memory(step.dq))
+
+
+def _described(error: Exception) -> str:
+    """Return an exception in words, with the last line in the file of the controller that led to it."""
+    words = " ".join(f"{type(error).__name__}: {error}".split())
+    frames = extract_tb(error.__traceback__)[1:]  # without that of `next_step`
+    if not frames:  # the call itself failed
+        return words
+    file = frames[0].filename
+    line = [frame.lineno for frame in frames if frame.filename == file][-1]
+    return f"{words} ({Path(file).name}, line {line})"
 
 
 def _require_valid(controller: Controller, state: ArmState, step: Step) -> None:

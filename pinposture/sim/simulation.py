@@ -180,7 +180,9 @@ class Simulation(FinishedMotion):
                 "time": float(self.time[largest[0]]),
             },
             "target_error": None,
-            "largest_torque": self._torque_summary(),
+            "largest_torque": self._largest_effort(~self.arm.slides, "N m"),
+            "largest_force": self._largest_effort(self.arm.slides, "N"),
+            "largest_share_of_limit": self._largest_share(),
             "saturated_share": float(self.saturated.max(initial=0.0)),
             "saturated_joints": [self.arm.joint_names[j] for j in np.flatnonzero(self.saturated > 0.0)],
             "measured_share": self.measured,
@@ -208,17 +210,32 @@ class Simulation(FinishedMotion):
             "end": float(errors[-1].max()),
         }
 
-    def _torque_summary(self) -> dict[str, Any]:
-        """Return the torque that is largest relative to its limit, or the largest torque without limits."""
-        shares = np.abs(self.torques) / self.torque_limits
-        sizes = shares if np.any(shares) else np.abs(self.torques)
+    def _largest_effort(self, which: NDArray[np.bool_], unit: str) -> dict[str, Any] | None:
+        """Return the largest torque, or force, of the selected joints; None if none are selected."""
+        if not np.any(which):
+            return None
+        sizes = np.where(which, np.abs(self.torques), -1.0)
         row, column = np.unravel_index(int(sizes.argmax()), sizes.shape)
-        limit = float(self.torque_limits[int(column)])
+        return self._effort(int(row), int(column), unit)
+
+    def _largest_share(self) -> dict[str, Any] | None:
+        """Return the torque or force with the largest share of its limit; None without limits."""
+        if not np.any(np.isfinite(self.torque_limits)):
+            return None
+        shares = np.abs(self.torques) / self.torque_limits
+        row, column = np.unravel_index(int(shares.argmax()), shares.shape)
+        unit = "N" if self.arm.slides[int(column)] else "N m"
+        return {"share": float(shares[row, column]), **self._effort(int(row), int(column), unit)}
+
+    def _effort(self, row: int, column: int, unit: str) -> dict[str, Any]:
+        """Return the torque or force of a joint in a row."""
+        limit = float(self.torque_limits[column])
         return {
-            "joint": self.arm.joint_names[int(column)],
+            "joint": self.arm.joint_names[column],
             "value": float(self.torques[row, column]),
+            "unit": unit,
             "limit": limit if np.isfinite(limit) else None,
-            "time": float(self.time[int(row)]),
+            "time": float(self.time[row]),
         }
 
 

@@ -345,3 +345,17 @@ def test_an_interrupted_picture_leaves_nothing(command, run_directory, tmp_path,
     monkeypatch.setattr("pinposture.viz.plot", interrupted)
     assert command("view", run_directory, "-o", tmp_path / "new" / "plot.png").code == 130
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_exception_in_the_own_controller_is_one_line(command, arm_file, tmp_path, monkeypatch):
+    (tmp_path / "faulty_controller.py").write_text(
+        "class Faulty:\n    name = 'faulty'\n\n    def step(self, *given):\n        return 1 / 0\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    asked = ("--curve", "line", "--controller", "faulty_controller:Faulty")
+    result = command("track", arm_file, *asked)
+    said = "Faulty.step(...) raised ZeroDivisionError: division by zero (faulty_controller.py, line 5)"
+    assert (result.code, result.out, result.err) == (2, "", f"error: {said}\n")
+    batch = command("batch", arm_file, *asked, "--count", 1)
+    assert batch.code == 1 and said in batch.out
+    assert "Traceback" not in batch.out + batch.err

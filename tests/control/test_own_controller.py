@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
+import re
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import CONTROLLERS, Diagnostics, Memory, Step, controller_named, registry
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import ControllerError, InvalidValue, UnknownName
 
 MODULE = """
 from pinposture.control import Diagnostics, Step
@@ -123,7 +126,7 @@ def diagnostics(size=8):
     ("returned", "words"),
     [
         (np.zeros(8), r"Returning.step\(\.\.\.\) \(returned\) is array.*a Step"),
-        (None, "is None.*a Step"),
+        (None, "is not given.*a Step"),
         ((np.zeros(8), (), diagnostics(), None), "a Step"),
         (Step([0.0] * 8, (), diagnostics(), None), r"\.dq is \[0.0"),
         (Step(np.zeros(3), (), diagnostics(), None), "dq.*8 finite numbers"),
@@ -131,7 +134,7 @@ def diagnostics(size=8):
         (Step(np.full(8, np.nan), (), diagnostics(), None), "dq.*8 finite numbers"),
         (Step(np.zeros(8), (), None, None), "diagnostics is not given"),
         (Step(np.zeros(8), (), diagnostics(3), None), "diagnostics.*clipped"),
-        (Step(np.zeros(8), None, diagnostics(), None), "active is None.*0 to 3"),
+        (Step(np.zeros(8), None, diagnostics(), None), "active is not given.*0 to 3"),
         (Step(np.zeros(8), (4,), diagnostics(), None), r"active is \(4,\)"),
         (Step(np.zeros(8), (), diagnostics(), {"dq": 0}), "memory is {'dq': 0}.*Memory"),
     ],
@@ -140,6 +143,43 @@ def test_a_step_that_is_none_is_refused_with_what_was_allowed(arm, returned, wor
     target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
     with pytest.raises(InvalidValue, match=words):
         pp.track(arm, target, arm.straight(), Returning(returned), max_steps=2)
+
+
+class Failing:
+    """Divides by zero in the file of the test, below its step."""
+
+    name = "failing"
+
+    def step(self, state, target, limits=None, memory=None):
+        return self.divided(np.zeros(8).tolist())
+
+    def divided(self, values):
+        return values[0] / values[1]
+
+
+def test_an_exception_in_a_step_names_the_controller_and_the_place(arm):
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    words = r"^Failing\.step\(\.\.\.\) raised ZeroDivisionError: .*\(test_own_controller\.py, line (\d+)\)$"
+    with pytest.raises(ControllerError, match=words) as caught:
+        pp.track(arm, target, arm.straight(), Failing())
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    line = int(re.search(words, str(caught.value))[1])
+    assert "values[0] / values[1]" in Path(__file__).read_text().splitlines()[line - 1]
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+    with pytest.warns(pp.PostureWarning, match="1 of 1 runs failed"):
+        batch = pp.track_many(arm, target, arm.straight(), Failing(), jobs=1)
+    assert "Failing.step(...) raised ZeroDivisionError" in batch.reason[0]
+
+
+def test_a_step_may_leave_its_memory_out(arm):
+    class Short:
+        name = "short"
+
+        def step(self, state, target, limits=None, memory=None):
+            return Step(np.full(8, 0.01), (), diagnostics())
+
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    assert pp.track(arm, target, arm.straight(), Short(), max_steps=2).steps == 2
 
 
 def test_a_step_without_memory_is_remembered_for_the_controller(arm):

@@ -19,6 +19,7 @@ from simple_arms import inertial, joint, link, quiet, quintic, robot
 
 import pinposture as pp
 from pinposture import sim
+from pinposture.cli.simulate import in_words
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 from pinposture.motion import JointTrajectory
 from pinposture.units import length_text
@@ -248,6 +249,27 @@ def test_a_summary_is_json(limits):
     assert told["largest_torque"]["value"] == pytest.approx(
         ended.torques.flat[np.abs(ended.torques).argmax()]
     )
+    assert told["largest_force"] is None
+    assert (told["largest_share_of_limit"] is None) == (not limits)
+
+
+def test_the_largest_torque_is_not_the_one_that_is_nearest_to_its_limit():
+    arm = sliding_arm()
+    rows = pp.JointTrajectory.from_configurations(arm, np.zeros((3, arm.nv)), DT)
+    ended = sim.simulate(arm, rows, sim.Servos(torque_limits=False), hold=0.0)
+    torques = np.zeros_like(ended.torques)
+    torques[1] = -40.0, 3.0
+    torques[2] = 10.0, -2.0
+    known = replace(ended, torques=torques, torque_limits=np.array([1000.0, 4.0]))
+    told = known.summary()
+    force = {"joint": "feed", "value": -40.0, "unit": "N", "limit": 1000.0, "time": DT}
+    torque = {"joint": "turn", "value": 3.0, "unit": "N m", "limit": 4.0, "time": DT}
+    assert (told["largest_force"], told["largest_torque"]) == (force, torque)
+    assert told["largest_share_of_limit"] == {"share": 0.75, **torque}
+    words = in_words(told)
+    assert words["force"] == f"at most 40 N (feed at {DT:.4g} s, limit 1000 N)"
+    assert words["torque"] == f"at most 3 N m (turn at {DT:.4g} s, limit 4 N m)"
+    assert words["of its limit"] == f"at most 75 % (turn at {DT:.4g} s, 3 of 4 N m)"
 
 
 def sliding_arm() -> pp.Arm:
