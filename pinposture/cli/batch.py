@@ -80,7 +80,14 @@ def run(
         MOTION("Number of starts to draw, as in track with seeds from --seed on. Default: 10.", "N"),
     ] = None,
     seed: Annotated[int, MOTION("Seed of the first start.")] = 0,
-    steps: Annotated[int, MOTION("Number of steps after which a run stops.")] = 300,
+    steps: Annotated[
+        int | None,
+        MOTION(
+            "Steps after which a run stops. Default: 300; with --dt, if that is more, ten times those "
+            "of the straight path in joint space.",
+            "N",
+        ),
+    ] = None,
     tolerance: ToleranceOption = None,
     limit_options: LimitOptions,
     scene_options: SceneOptions,

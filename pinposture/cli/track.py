@@ -78,7 +78,14 @@ def run(
     ] = "smooth",
     degrees: DegreesOption = False,
     seed: Annotated[int, MOTION("Seed of a smooth or random start.")] = 0,
-    steps: Annotated[int, MOTION("Number of steps after which to stop.")] = 300,
+    steps: Annotated[
+        int | None,
+        MOTION(
+            "Number of steps after which it stops. Default: 300; with --dt, if that is more, ten times those "
+            "of the straight path in joint space.",
+            "N",
+        ),
+    ] = None,
     tolerance: ToleranceOption = None,
     limit_options: LimitOptions,
     scene_options: SceneOptions,
@@ -109,6 +116,7 @@ def run(
     1 if not, 2 if it could not start or be saved.
     """
     from pinposture.motion import track
+    from pinposture.motion.track import usual_max_steps
 
     controller_options.check(**vars(tip_options))
     limits = limit_options.read()
@@ -119,7 +127,8 @@ def run(
     chosen = controller_options.build(task)
     target = placement_options.place(arm, curve, surroundings)
     check_directory(output)  # before the run, which would be lost otherwise
-    with step_progress(target, steps) as callback:
+    most = usual_max_steps(arm, begin.q, target, limits) if steps is None else steps
+    with step_progress(target, most) as callback:
         motion = track(
             arm,
             target,
@@ -127,7 +136,7 @@ def run(
             chosen,
             limits=limits,
             scene=surroundings,
-            max_steps=steps,
+            max_steps=most,
             tolerance=tolerance,
             callback=callback,
         )

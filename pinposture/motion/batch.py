@@ -120,7 +120,7 @@ class Batch:
         controller: name and parameters of the controller.
         limits: the limits of each step.
         scene: the obstacles; None: none.
-        max_steps: number of steps after which a run stopped.
+        max_steps: largest number of steps after which a run stopped.
         tolerance: mean point error at which a run converged [m].
         status: as `Trajectory.status`, or "failed", (count,).
         reason: why each run ended, (count,).

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -175,6 +176,43 @@ MAX_NAMED_LIMITS = 6
 """Largest number of binding limits and distances that are listed."""
 
 
+FEWEST_STEPS = 300
+"""Number of steps after which a run stops unless another one is given, if it has no time limits."""
+
+DETOUR = 10.0
+"""With time limits: number of steps after which it stops, relative to those of the straight joint path.
+It is that of motions through keyframes; a run that makes no progress stops long before."""
+
+MAX_USUAL_STEPS = 1_000_000
+"""Largest number of these steps, as for motions through keyframes."""
+
+
+def cycles_between(arm: Arm, start: Array, target: Target, limits: Limits) -> float:
+    """Estimate the number of steps of the straight path in joint space from a configuration to a target.
+
+    Args:
+        arm: the arm.
+        start: the configuration, (nq,).
+        target: the target; without a configuration, half a turn of each joint is assumed.
+        limits: the limits of each step.
+    """
+    bounds = limits.for_arm(arm)
+    distance = (
+        np.where(arm.slides, arm.length, np.pi) if target.q is None else arm.difference(start, target.q)
+    )
+    distance = np.abs(distance)
+    braking = 0.0 if bounds.brake is None else 2.0 * np.sqrt(distance / bounds.brake)
+    return float((distance / bounds.bound + braking).max(initial=0.0))
+
+
+def usual_max_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
+    """Return the number of steps after which a run stops unless another one is given; as `cycles_between`."""
+    if limits.dt is None:
+        return FEWEST_STEPS
+    needed = DETOUR * cycles_between(arm, start, target, limits)
+    return max(FEWEST_STEPS, ceil(min(needed, MAX_USUAL_STEPS)))
+
+
 class ControlLoop:
     """An arm, its controller, and the record of their run.
 
@@ -246,7 +284,7 @@ class ControlLoop:
             Status and reason; see `track`.
         """
         while True:
-            status, reason = self._check_end(tolerance, max_steps)
+            status, reason = self._check_end(target, tolerance, max_steps)
             if status:
                 break
             step = self.compute_step(target)
@@ -281,12 +319,19 @@ class ControlLoop:
         note = Diagnostics(still, error_increasing=rises)
         self.take_step(Step(memory.dq, (), note, memory))
 
+    def _needed_steps(self, target: Target) -> str:
+        """Name the number of steps of the straight joint path from here on, in tens; empty if unknown."""
+        if target.q is None:
+            return ""
+        left = cycles_between(self.arm, self.state.q, target, self.limits)
+        return f"to at least {10 * ceil((self.record.steps + left) / 10)} " if np.isfinite(left) else ""
+
     def _cannot_stop(self) -> bool:
         """Whether the arm cannot stop in the next step."""
         brake = self.limits.for_arm(self.arm).brake
         return brake is not None and self.memory is not None and bool(np.any(np.abs(self.memory.dq) > brake))
 
-    def _check_end(self, tolerance: float, max_steps: int) -> tuple[str, str]:
+    def _check_end(self, target: Target, tolerance: float, max_steps: int) -> tuple[str, str]:
         """Return status and reason if the run is over, else empty strings."""
         mean = self.record.mean_error
         if self.filter.moving:
@@ -295,7 +340,7 @@ class ControlLoop:
             return "converged", _describe_arrival(self.arm, mean, tolerance)
         if self.record.steps >= max_steps:
             above = f"mean point error {length_text(mean)}, above the tolerance of {length_text(tolerance)}"
-            return "max_steps", f"{above}; raise max_steps to continue"
+            return "max_steps", f"{above}; raise max_steps {self._needed_steps(target)}to continue"
         idle = self.record.travel_without_progress(PROGRESS_SHARE)
         if idle >= STALL_TRAVEL * (1.0 - STEP_ROUNDING):
             error = f"mean point error {length_text(mean)}"
@@ -337,7 +382,7 @@ def track(
     controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
-    max_steps: int = 300,
+    max_steps: int | None = None,
     tolerance: float | None = None,
     callback: Callback | None = None,
 ) -> Trajectory:
@@ -353,7 +398,8 @@ def track(
             controllers, distances are only recorded. None: the scene of the controller; if that has none, the
             arm is free to pass through itself, but `faults` says so.
         max_steps: number of steps after which to stop. With acceleration limits, a few more bring a moving
-            arm to rest.
+            arm to rest. None: 300, and with time limits (`dt`) ten times those of the straight path in joint
+            space if that is more.
         tolerance: mean distance of the control points from their targets at which the run converges [m];
             1e-6 of the arm length if None.
         callback: called after each step with its number, 1-based, the state after it and the step, but not
@@ -377,11 +423,15 @@ def track(
     target.check_arm(arm)
     if target.q is not None:
         arm.checked_start(target.q, "target.q")
-    require_whole("max_steps", max_steps, 1)
+    if max_steps is not None:
+        require_whole("max_steps", max_steps, 1)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
 
-    loop = ControlLoop(arm, arm.checked_start(q0, "q0"), target, controller, limits, scene)
+    start = arm.checked_start(q0, "q0")
+    if max_steps is None:
+        max_steps = usual_max_steps(arm, start, target, limits)
+    loop = ControlLoop(arm, start, target, controller, limits, scene)
     status, reason = loop.run(target, tolerance, max_steps, callback)
     loop.brake_to_rest()
     if status == "converged":  # at rest it may be nearer

@@ -15,9 +15,9 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.limits import require_limits
-from pinposture.errors import InvalidValue, PostureError, no_warnings, warn_caller
+from pinposture.errors import ControllerError, InvalidValue, PostureError, no_warnings, warn_caller
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
-from pinposture.motion.track import RunRecord, in_scene, track
+from pinposture.motion.track import RunRecord, in_scene, track, usual_max_steps
 from pinposture.motion.trajectory import Trajectory, own_clearance
 from pinposture.placement import Target
 
@@ -37,7 +37,7 @@ class _Setting:
     controller: Controller
     limits: Limits
     scene: Scene | None
-    max_steps: int
+    max_steps: int | None
     tolerance: float
     keep: str
     process: int
@@ -50,7 +50,7 @@ def track_many(
     controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
-    max_steps: int = 300,
+    max_steps: int | None = None,
     tolerance: float | None = None,
     jobs: int | None = None,
     keep: Literal["motions", "ends"] = "motions",
@@ -69,7 +69,7 @@ def track_many(
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
         limits: the limits of each step; `Limits()` if None.
         scene: the obstacles, as in `track`.
-        max_steps: number of steps after which a run stops.
+        max_steps: number of steps after which a run stops; None: as in `track`.
         tolerance: mean distance of the control points from their targets at which a run converges [m]; 1e-6
             of the arm length if None.
         jobs: number of processes; -1: as many as possible. None: as in `joblib.parallel_config`; without one,
@@ -93,7 +93,8 @@ def track_many(
 
     chosen, scene = in_scene(controller_named(controller), scene)
     limits = require_limits(limits)
-    require_whole("max_steps", max_steps, 1)
+    if max_steps is not None:
+        require_whole("max_steps", max_steps, 1)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     if jobs is not None:
@@ -104,6 +105,10 @@ def track_many(
     limits.for_arm(arm)  # refuse limits of another arm before any run
     if scene is not None:
         CollisionModel(arm, scene)  # warns about missing meshes
+    most = max_steps
+    if most is None:
+        cases = ((configurations[k % len(configurations)], listed[k % len(listed)]) for k in range(count))
+        most = max(usual_max_steps(arm, start, target, limits) for start, target in cases)
     setting = _Setting(arm, chosen, limits, scene, max_steps, tolerance, keep, os.getpid())
     shared = Shared(setting)
     tasks = [
@@ -123,7 +128,7 @@ def track_many(
         controller=repr(chosen),
         limits=limits,
         scene=scene,
-        max_steps=int(max_steps),
+        max_steps=int(most),
         tolerance=float(tolerance),
         motions=concatenate_runs(motions) if keep == "motions" else None,
         **{name: np.array([each[name] for each in ends]) for name in ends[0]},
@@ -197,6 +202,8 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[dict[str, Any
             setting.max_steps,
             setting.tolerance,
         )
+    except ControllerError:  # a mistake in the code of the user
+        raise
     except PostureError as error:
         run = _failed_run(setting, target, start, f"{type(error).__name__}: {' '.join(str(error).split())}")
     ends = {

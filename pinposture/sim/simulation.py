@@ -215,17 +215,18 @@ class Simulation(FinishedMotion):
         if not np.any(which):
             return None
         sizes = np.where(which, np.abs(self.torques), -1.0)
-        row, column = np.unravel_index(int(sizes.argmax()), sizes.shape)
-        return self._effort(int(row), int(column), unit)
+        row = int(sizes.max(axis=1).argmax())
+        return self._effort(row, int(sizes[row].argmax()), unit)
 
     def _largest_share(self) -> dict[str, Any] | None:
         """Return the torque or force with the largest share of its limit; None without limits."""
         if not np.any(np.isfinite(self.torque_limits)):
             return None
         shares = np.abs(self.torques) / self.torque_limits
-        row, column = np.unravel_index(int(shares.argmax()), shares.shape)
-        unit = "N" if self.arm.slides[int(column)] else "N m"
-        return {"share": float(shares[row, column]), **self._effort(int(row), int(column), unit)}
+        row = int(shares.max(axis=1).argmax())
+        column = int(shares[row].argmax())
+        unit = "N" if self.arm.slides[column] else "N m"
+        return {"share": float(shares[row, column]), **self._effort(row, column, unit)}
 
     def _effort(self, row: int, column: int, unit: str) -> dict[str, Any]:
         """Return the torque or force of a joint in a row."""

@@ -356,6 +356,4 @@ def test_an_exception_in_the_own_controller_is_one_line(command, arm_file, tmp_p
     result = command("track", arm_file, *asked)
     said = "Faulty.step(...) raised ZeroDivisionError: division by zero (faulty_controller.py, line 5)"
     assert (result.code, result.out, result.err) == (2, "", f"error: {said}\n")
-    batch = command("batch", arm_file, *asked, "--count", 1)
-    assert batch.code == 1 and said in batch.out
-    assert "Traceback" not in batch.out + batch.err
+    assert command("batch", arm_file, *asked, "--count", 1) == result

@@ -19,7 +19,7 @@ from sampling import examples
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.curve import HELIX
-from pinposture.errors import InvalidValue, PostureWarning, UnknownName
+from pinposture.errors import ControllerError, InvalidValue, PostureWarning, UnknownName
 
 Asked = tuple[pp.Arm, list[pp.Target], np.ndarray]
 
@@ -193,7 +193,7 @@ class Faulty(pp.Projection):
 
 
 def test_mistakes_in_a_controller_are_not_hidden(asked: Asked) -> None:
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(ControllerError, match="ZeroDivisionError"):
         pp.track_many(*asked, Faulty(), jobs=1)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import re
 import weakref
 
 import numpy as np
@@ -227,3 +228,23 @@ def test_the_sweep_does_not_depend_on_where_things_are_nor_on_the_unit(seed, sca
     moved = scale * points @ Rotation.random(random_state=seed).as_matrix().T + rng.normal(size=3)
     assert path_length_ratio(points) >= 1.0
     assert path_length_ratio(moved) == pytest.approx(path_length_ratio(points), rel=1e-9)
+
+
+@pytest.mark.parametrize("acceleration", [None, 1.0])
+def test_with_time_limits_a_run_gets_the_steps_that_it_needs(acceleration) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=3)
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.6))
+    start = np.full(arm.nv, -0.6)
+    limits = pp.Limits(step=None, dt=0.02, velocity=0.1, acceleration=acceleration)
+    run = pp.track(arm, target, start, limits=limits)
+    assert run.converged and run.steps >= 600  # 1.2 rad at 0.1 rad/s in steps of 20 ms
+    short = pp.track(arm, target, start, limits=limits, max_steps=300)
+    (needed,) = map(int, re.findall(r"raise max_steps to at least (\d+) to continue", short.reason))
+    assert 600 <= needed <= run.steps
+    direct = pp.track(arm, target, start, "joint", limits)  # which takes the straight path
+    short = pp.track(arm, target, start, "joint", limits, max_steps=300)
+    (needed,) = map(int, re.findall(r"raise max_steps to at least (\d+) to continue", short.reason))
+    assert direct.converged and 0 <= needed - direct.steps <= 20
+    (one,) = pp.track_many(arm, target, start, limits=limits, jobs=1)
+    assert one.converged
+    assert pp.track(arm, target, start, limits=pp.Limits(step=0.001)).steps == 300
