@@ -76,12 +76,18 @@ class History:
         return self.now
 
 
+NOTICE_TIME = 4.0
+"""How long a message stays at least [s]: long enough to read a line."""
+
+
 class Notice(NamedTuple):
-    """A message."""
+    """A message, shown as long as what it speaks of is there."""
 
     text: str
     kind: str  # "info", "warning" or "error"
     number: int  # rises with each message
+    about: tuple[Task, int] | None = None  # the task, and the keyframe that was edited, when it came up
+    since: float = 0.0  # [s]
 
 
 class Proposal(NamedTuple):
@@ -219,7 +225,20 @@ class Session:
 
     def say(self, text: str, kind: str = "info") -> None:
         """Show a message."""
-        self.notice = Notice(" ".join(text.split()), kind, self.notice.number + 1)
+        words = " ".join(text.split())
+        self.notice = Notice(
+            words, kind, self.notice.number + 1, (self.task, self.selected), time.monotonic()
+        )
+
+    @property
+    def message(self) -> Notice | None:
+        """The last message; None once something else was edited, and it was there for `NOTICE_TIME`."""
+        notice = self.notice
+        if notice.about is None:
+            return None
+        task, keyframe = notice.about
+        same = task is self.task and keyframe == self.selected
+        return notice if same or time.monotonic() - notice.since <= NOTICE_TIME else None
 
     def touch(self) -> None:
         """Mark a change that the solver and the page should know of."""

@@ -9,6 +9,7 @@ from edited_tasks import bent_spline, straight_line, task
 import pinposture as pp
 from pinposture.editor import edits
 from pinposture.editor.session import Session
+from pinposture.errors import InvalidValue
 from pinposture.task import Keyframe
 
 pytest.importorskip("viser")
@@ -147,3 +148,15 @@ def test_what_is_typed_counts_before_something_else_is_done_or_is_dropped() -> N
     field.forget()
     field.show("spring")
     assert (control.value, told) == ("spring", ["spring"])
+
+
+def test_a_speed_is_refused_in_the_unit_of_its_field() -> None:
+    session = Session(task(), selected=1)
+    tab.set_speed(1, 50.0, session)
+    assert session.keyframe.speed == 0.5
+    for percent in (0.0, -5.0, 101.0):
+        with pytest.raises(
+            InvalidValue, match=rf"speed is '{percent:g} %'; allowed: more than 0 %, up to 100 %"
+        ):
+            tab.set_speed(1, percent, session)
+    assert session.keyframe.speed == 0.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -235,3 +236,22 @@ def test_a_keyframe_that_is_gone_is_not_changed() -> None:
         assert not session.edit(edit, "changed it")
         assert "does not exist; allowed: 1 to 4" in session.notice.text
     assert session.task is before
+
+
+def test_a_message_is_shown_as_long_as_what_it_speaks_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = opened()
+    assert session.message is None
+    now = time.monotonic()
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    session.say("keyframe 2 is refused", "error")
+    now += 1000.0
+    assert session.message is not None  # nothing was edited since
+    assert session.edit(edits.with_keyframe(1, hold=0.1), "held")
+    now += 1.0
+    assert session.message is None or session.message.text != "keyframe 2 is refused"
+    session.say("of this keyframe")
+    session.select(0)
+    now += 1.0
+    assert session.message is not None  # it can still be read
+    now += 10.0
+    assert session.message is None

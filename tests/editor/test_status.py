@@ -115,7 +115,7 @@ def test_the_curve_in_an_obstacle_and_the_arm_in_an_obstacle_are_two_things() ->
     led = review(live.arm, session.keyframe, live.verdict.target, ball)
     assert status_of(session, live._replace(verdict=led))[:2] == (
         "warning",
-        "The arm in this posture would collide",
+        "At rest on this curve, the arm would collide",
     )
     session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, ball, {}))
     kind, head, more = status_of(session, live._replace(verdict=led))

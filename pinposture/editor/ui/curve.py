@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.editor.edits import configuration_of, keyframes_of, required_length
-from pinposture.editor.postures import arm_line, drag_tip
+from pinposture.editor.postures import arm_line, drag_tip, hold_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
@@ -391,6 +391,8 @@ class ShapeTab:
             visible=False,
         )
         self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
+        hint = "Shows axes at the tip, by which it is dragged; key T"
+        self._tip = gui.add_checkbox("Drag the tip", False, hint=hint)
         self._digits = coordinate_digits(arm.length)
         step = 10.0**-self._digits
         place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=step, hint="World frame")
@@ -406,6 +408,7 @@ class ShapeTab:
         for control in (self._snap, self._step):
             on_change(control, lambda _: post(partial(set_grid, self._grid)))
         on_change(self._point, self._select)
+        on_change(self._tip, lambda held: post(hold_tip if held else release))
         on_choice(edit, lambda what: post(POINT_ACTIONS[what]))
 
     @property
@@ -413,8 +416,9 @@ class ShapeTab:
         """The step of the grid [m]; 0 if there is none."""
         return 1e-3 * self._step.value if self._snap.value else 0.0
 
-    def show(self, session: Session, _: Live) -> None:
+    def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
+        put(self._tip, value=session.tip)
         last = len(session.shape.points) - 1
         put(self._taught, visible=last < 0)
         suffixes = {0: " (base)", last: " (end)"}
@@ -426,7 +430,11 @@ class ShapeTab:
         if handle is not None and (handle, session.selected) != (self._index, self._keyframe):
             self._place.finish()  # it was meant for the one before
             self._index, self._keyframe = handle, session.selected
-        place = session.shape.points[self._index] if handle is not None else self._place.control.value
+        place = self._place.control.value
+        if handle is not None:
+            place = session.shape.points[self._index]
+        elif session.tip:
+            place = live.state.points[-1]
         shown = tuple(round(float(x), self._digits) + 0.0 for x in place)  # no -0.0
         self._place.show(shown, disabled=handle is None or handle == 0)
         put(self._snap, value=session.grid > 0.0)
@@ -445,6 +453,11 @@ class ShapeTab:
                 session.handles = chosen
 
         self._post(request, "" if final else "move")
+
+
+def release(session: Session) -> None:
+    """Select neither a control point nor the tip."""
+    session.take_hold(None)
 
 
 POINT_ACTIONS = {

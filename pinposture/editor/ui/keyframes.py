@@ -20,6 +20,7 @@ from pinposture.editor.postures import add_taught, draw_curve, teach
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
+from pinposture.errors import InvalidValue
 from pinposture.placement.resolve import METHODS
 from pinposture.task import Keyframe, Task
 from pinposture.viz import palette
@@ -163,10 +164,8 @@ class KeyframesTab:
         what = f"return to keyframe 1 in {time:g} s" if time else "return to keyframe 1 in the usual time"
         self._post(lambda session: session.edit(edit, what))
 
-    def _set_speed(self, share: float, _: bool) -> None:
-        edit = edits.with_keyframe(self._index, speed=float(share) / 100.0)
-        what = f"keyframe {self._index + 1} at {share:g} % of the velocity limits"
-        self._post(lambda session: session.edit(edit, what))
+    def _set_speed(self, percent: float, _: bool) -> None:
+        self._post(partial(set_speed, self._index, float(percent)))
 
 
 def add(session: Session) -> None:
@@ -202,6 +201,14 @@ def rename(index: int, name: str, session: Session) -> None:
     """Rename a keyframe."""
     what = f"named keyframe {index + 1} {name!r}" if name else f"removed the name of keyframe {index + 1}"
     session.edit(edits.with_keyframe(index, name=name), what)
+
+
+def set_speed(index: int, percent: float, session: Session) -> None:
+    """Set the share of the velocity limits for the motion to a keyframe [%]."""
+    if not 0.0 < percent <= 100.0:
+        raise InvalidValue("speed", f"{percent:g} %", "more than 0 %, up to 100 %")
+    edit = edits.with_keyframe(index, speed=percent / 100.0)
+    session.edit(edit, f"keyframe {index + 1} at {percent:g} % of the velocity limits")
 
 
 def choose_method(method: str, session: Session) -> None:

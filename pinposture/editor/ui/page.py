@@ -91,8 +91,9 @@ class Status:
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
         kind, head, more = status_of(session, live)
-        notice, message = session.notice, ""
-        if notice.text:
+        notice = session.message
+        message = ""
+        if notice is not None:
             style = f"color:{STATUS_COLORS[notice.kind]};margin-top:4px"
             about = f'id="notice" data-kind="{notice.kind}" style="{style}"'
             message = f"<div {about}>{escape(notice.text)}</div>"
@@ -136,7 +137,7 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
     if found is not None and found.distance < 0.0:
         return "error", "The arm is in collision", f"{clearance_text(found)}; {head[0].lower()}{head[1:]}"
     if verdict.collision:
-        return "warning", "The arm in this posture would collide", verdict.notes[0]
+        return "warning", "At rest on this curve, the arm would collide", verdict.notes[0]
     if live.reason and live.reason != NOT_DONE and live.status != "converged":
         return "warning", head, live.reason
     notes, controller = list(verdict.notes), session.task.controller.name

@@ -429,7 +429,7 @@ class SceneTab:
             self._vectors[key] = Typed(field, partial(self._set_value, key), preview=True)
         radius = gui.add_number("Radius [m]", 0.0, min=0.0, step=step, visible=False)
         self._radius = Typed(radius, partial(self._set_value, "radius"), preview=True)
-        self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, visible=False)
+        self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, color="gray", visible=False)
         with gui.add_folder("Keep clear"):
             hint = "Distance to keep from obstacles"
             margin = gui.add_number("Margin [m]", 0.0, min=0.0, step=step, hint=hint)
@@ -470,7 +470,7 @@ class SceneTab:
         found = session.nearest
         shade = palette.QUIET if found is None else CLEARANCE_COLORS[found.level]
         text = escape(clearance_text(found))
-        put(self._about, content=framed_html("clearance", shade, "Clearance", text))
+        put(self._about, content=framed_html("clearance", shade, "Clearance of the arm now", text))
         self._scans.show(session)
 
     def _show_values(self, obstacle: Obstacle | None) -> None:

@@ -31,6 +31,8 @@ def test_the_tip_is_dragged_up(edit: Edit, look: Look, file: Path) -> None:
     window.aside()
     window.key("t")
     wait_until(lambda: session.tip, "the tip is held")
+    box = window.page.get_by_label("Drag the tip")
+    wait_until(box.is_checked, "the box shows it")
     grip = tip + [0.0, 0.0, 0.7 * AXES_SIZE * session.arm.length]
     up = np.array([0.0, 0.0, 0.05 * session.arm.length])
     mouse = window.page.mouse
