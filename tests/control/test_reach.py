@@ -28,7 +28,8 @@ def clutter(arm):
     rng = np.random.default_rng(7)
     places = [place for place in rng.uniform(-0.6, 0.6, (40, 3)) if np.linalg.norm(place) > 0.2]
     balls = {f"ball{k}": pp.Sphere(place.tolist(), 0.05) for k, place in enumerate(places)}
-    return pp.Scene(balls, margin=MARGIN, arm_radius=RADIUS), np.array(places)
+    scene = pp.Scene(balls, self_collision=False, margin=MARGIN, arm_radius=RADIUS)
+    return scene, np.array(places)
 
 
 def placed(arm, q):
