@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # for checkers and editors
     from pinposture.kernels.collision import *
     from pinposture.kernels.constrained_step import *
     from pinposture.kernels.continuous_collision import *
+    from pinposture.kernels.joint_response import *
     from pinposture.kernels.kinematics import *
     from pinposture.kernels.manipulability import *
     from pinposture.kernels.modules import *
@@ -36,6 +37,7 @@ _KERNELS = {
     ),
     "constrained_step": "minimise_with_rows",
     "continuous_collision": "smallest_distance_on_motions",
+    "joint_response": "watch_joints",
     "kinematics": "carry_screws jacobians joints_along motions_along placements trace_points",
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"

@@ -44,6 +44,34 @@ class SplineArrays(NamedTuple):
     breaks: Array1
 
 
+class JointHistory(NamedTuple):
+    """How n joints have responded to their commands; see `kernels.joint_response`.
+
+    Attributes:
+        anchors: measured positions from which the joints have not moved since, (n,) [rad or m].
+        starts: commanded positions at that time, (n,) [rad or m].
+        standing: time since then, (n,) [s].
+        waiting: time since the command has moved on noticeably, (n,) [s].
+        leads: distance of the command ahead of a joint at which it begins to move, (n,) [rad or m].
+        readings: the last two different measured positions, (2, n) [rad or m].
+        variances: of the noise of a measured position, (n,) [rad^2 or m^2].
+        errors: measured minus expected positions where a joint last came to rest, (n,) [rad or m].
+        overshoots: how often that error has changed its sign, (n,).
+        steps: distance between the last two rests on either side, (n,) [rad or m].
+    """
+
+    anchors: Array1
+    starts: Array1
+    standing: Array1
+    waiting: Array1
+    leads: Array1
+    readings: Array2
+    variances: Array1
+    errors: Array1
+    overshoots: Array1
+    steps: Array1
+
+
 class LengthArrays(NamedTuple):
     """Arc length as a function of the parameter: a polynomial on each of n short pieces.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sized
-from math import exp
+from math import exp, isinf
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm, ArmState
 from pinposture.errors import InvalidValue
+from pinposture.motion.drive_response import FOLLOW_TIME, DriveResponse
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -21,6 +22,14 @@ FEEDBACK_TOLERANCE = 1e-7
 
 MAX_POINT_OFFSET = 0.25
 """Distance of a measured control point from forward kinematics that discards it, in arm lengths."""
+
+
+LONGEST_LAG = 0.5
+"""Longest time constant of drives that lag behind their commands [s]; 0.18 to 0.38 s in logs of robots."""
+
+
+LIMIT_TOLERANCE = 1e-6
+"""Distance from a limit that counts as being there, in `Arm.joint_units`, or relative."""
 
 
 class Measurement(NamedTuple):
@@ -75,13 +84,16 @@ class FeedbackState(NamedTuple):
         state: state from which the next step starts: the command with a position interface, else the
             measurement; None before the first measurement.
         reason: why the arm must hold; empty if it need not.
-        tracking_error: largest difference between measured and expected joint positions, in
-            `Arm.joint_units`; None without a usable measurement.
+        tracking_error: largest distance of a measured joint position from where drives with a lag of up to
+            `LONGEST_LAG` would be, in `Arm.joint_units`; None without a usable measurement.
+        held: where to hold: the command, with joints that do not follow it back at their measurements. None:
+            the arm brakes and holds.
     """
 
     state: ArmState | None
     reason: str
     tracking_error: float | None
+    held: Target | None = None
 
 
 class Feedback:
@@ -92,12 +104,23 @@ class Feedback:
     command with a time constant T_s, the loop has the characteristic polynomial T T_s s^2 + T s + 1: it does
     not oscillate if T >= 4 T_s.
 
+    The estimate stays as it is while the arm is at its target; for a joint whose command has moved on without
+    moving it; and for a joint that has come to rest on either side of its target, because its drive cannot
+    resolve the rest. Each time that happens, T is doubled for the joint. |b| is at most `max_tracking_error`.
+
+    A measurement is plausible if a drive could be there: between the command, the command filtered with
+    `LONGEST_LAG`, and c + b, or within `max_tracking_error` of them.
+
     Attributes:
         command: commanded configuration, (nq,); None before the first measurement.
         positions: its joint positions, (nv,) [rad or m]: continuous joints count full turns from the measured
             ones on; None before the first measurement.
+        measured: last usable measured joint positions, (nv,) [rad or m], turns as in `positions`.
         restarted: whether this cycle starts at rest from a new measured configuration.
         points: last measured control points, (m, 3) [m], world frame; None before the first measurement.
+        deviation: their distances from those of the command, (m, 3) [m].
+        response: how the drives respond.
+        settled: whether the arm is at its target, so that estimates stay as they are.
 
     Args:
         arm: the arm.
@@ -110,28 +133,61 @@ class Feedback:
         self.arm = arm
         self.command: Array | None = None
         self.positions: Array | None = None
+        self.measured: Array | None = None
         self.restarted = False
         self.points: Array | None = None
-        self._time_constant, self._max_difference = time_constant, max_tracking_error
+        self.deviation = np.zeros((arm.n_modules, 3))
+        self.settled = False
+        self.response = DriveResponse(arm, max_tracking_error, time_constant > 0.0)
+        self._time_constant = time_constant
+        self._max_difference = max_tracking_error
         self._patience = resync_time
-        self._offset, self._shift = np.zeros(arm.nv), np.zeros((arm.n_modules, 3))
         self._deviating: Array | None = None
-        self._agreed_for, self._at_rest = 0.0, True
+        self._agreed_for = 0.0
+        self._at_rest = True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
+        self._forget(np.zeros(arm.nv))
+
+    @property
+    def offset(self) -> Array:
+        """The estimate of b, (nv,) [rad or m]."""
+        return self._offset
+
+    @property
+    def compensates(self) -> bool:
+        """Whether steps start from the command, and targets are compensated; else from measurements."""
+        return self._time_constant > 0.0
+
+    def _forget(self, positions: Array) -> None:
+        """Forget all estimates, with the command at joint positions (nv,)."""
+        self._offset = np.zeros(self.arm.nv)
+        self._shift = np.zeros((self.arm.n_modules, 3))
+        self._lagging = positions.copy()
+        self._sent = positions.copy()
+        self._held: Target | None = None
+        self._deviating = None
 
     def restart(self, measured: Measurement, moving: bool = False) -> None:
         """Start from a measurement, at rest or not, and forget all estimates."""
         self._move_to(measured)
-        self.restarted = self._at_rest = not moving
-        self._deviating = None
-        self._offset, self._shift = np.zeros(self.arm.nv), np.zeros((self.arm.n_modules, 3))
+        self.restarted = not moving
+        self._at_rest = not moving
+        if self.positions is not None:
+            self._forget(self.positions)
+            self.response.restart(self.positions)
+
+    def aim(self) -> None:
+        """Prepare for another target."""
+        self.response.forget_overshoots()
 
     def apply_step(self, dq: Array) -> None:
         """Add the step of this cycle, (nv,) [rad or m], to the command."""
-        self.restarted, self._at_rest = False, not np.any(dq)
+        self.restarted = False
+        self._at_rest = not np.any(dq)
         if self.command is not None and self.positions is not None:
             self.command = self.arm.integrate(self.command, dq)
             self.positions = self.positions + dq
+            self._sent = self._sent + dq
 
     def update(self, q: ArrayLike | None, points: ArrayLike | None, dt: float) -> FeedbackState:
         """Process the measurements of a cycle; see `Tracker.step`.
@@ -149,19 +205,85 @@ class Feedback:
             except InvalidValue as error:
                 return FeedbackState(None, str(error), None)
         difference = self._difference(measured)
-        apart = np.abs(difference) / arm.joint_units
-        joint = int(apart.argmax())
-        largest = float(apart[joint])
+        positions = cast(Array, self.positions) + difference
+        self._watch(positions, dt)
+        excess = self._excess(positions, dt)
+        if excess.max() > self._max_difference and self.compensates and not self.response.stopped.any():
+            self.response.hold_standing(positions, cast(Array, self.positions))
+            excess = self._without_stopped(excess)
+        joint = int(excess.argmax())
+        largest = float(excess[joint])
         if largest > self._max_difference and not self._is_confirmed(measured, dt):
-            unit = "m" if arm.slides[joint] else "rad"
-            far, most = abs(difference[joint]), self._max_difference * arm.joint_units[joint]
-            text = f"joint {arm.joint_names[joint]!r} is {far:.3g} {unit} from its expected position"
-            return FeedbackState(self._state(), f"{text}; at most {most:.3g} is fed back", largest)
+            far = self._describe(joint, largest * arm.joint_units[joint])
+            most = self._describe(joint, self._max_difference * arm.joint_units[joint])
+            reason = f"joint {arm.joint_names[joint]!r} is {far} from its expected position"
+            return FeedbackState(self._state(), f"{reason}; at most {most} is fed back", largest)
         if self.restarted:
-            difference, largest = np.zeros(arm.nv), 0.0
+            difference = np.zeros(arm.nv)
+            positions = cast(Array, self.positions)
+            largest = 0.0
         self._deviating = None
+        self.measured = positions
         self.points = self._filter(measured, difference, measured_points, dt)
+        if self.response.stopped.any():
+            reason = self._describe_stopped(positions)
+            return FeedbackState(self._state(), reason, largest, self._hold(positions))
+        self._held = None
         return FeedbackState(self._state(), "", largest)
+
+    def _watch(self, positions: Array, dt: float) -> None:
+        """Watch the response of the drives to the command, or to the steps with a velocity interface."""
+        velocities = self._time_constant == 0.0
+        sent = self._sent if velocities else cast(Array, self.positions)
+        stopped = self.response.stopped
+        self.response.update(positions, sent, cast(Array, self.positions) + self._offset, dt)
+        if velocities:
+            self._sent = np.where(self.response.history.standing <= dt, positions, self._sent)
+        if not stopped.any() and self.response.stopped.any():
+            self._held = None
+
+    def _excess(self, positions: Array, dt: float) -> Array:
+        """Return the distances of joint positions from where drives could be, (nv,), in `Arm.joint_units`."""
+        command = cast(Array, self.positions)
+        self._lagging += (dt / (dt + LONGEST_LAG)) * (command - self._lagging)
+        expected = command + self._offset
+        known = np.array([command, self._lagging, expected])
+        excess = np.maximum(known.min(axis=0) - positions, positions - known.max(axis=0))
+        excess /= self.arm.joint_units
+        return self._without_stopped(np.maximum(excess, 0.0))
+
+    def _without_stopped(self, excess: Array) -> Array:
+        """Set the excess of joints that stand to zero if some are stopped: their leads are known."""
+        if self.response.stopped.any():
+            excess[self.response.history.standing > FOLLOW_TIME] = 0.0
+        return excess
+
+    def _hold(self, positions: Array) -> Target | None:
+        """Return where to hold with joints that do not follow; None until the arm is at rest."""
+        command = cast(Array, self.command)
+        sent = cast(Array, self.positions)
+        if self._held is None and self._at_rest and self.compensates:
+            self.response.hold_standing(positions, sent)
+            stopped = self.response.stopped
+            self._offset = np.where(stopped, 0.0, self._offset)
+            back = np.where(stopped, self.response.held - sent, 0.0)
+            self._held = Target.from_configuration(self.arm, self.arm.integrate(command, back))
+        return self._held
+
+    def _describe(self, joint: int, displacement: float) -> str:
+        return f"{abs(displacement):.3g} {'m' if self.arm.slides[joint] else 'rad'}"
+
+    def _describe_stopped(self, positions: Array) -> str:
+        """Say which joints do not follow their commands."""
+        stopped = np.flatnonzero(self.response.stopped)
+        joint = int(stopped[0])
+        others = f", nor do {len(stopped) - 1} more" if len(stopped) > 1 else ""
+        name = self.arm.joint_names[joint]
+        unit = "m" if self.arm.slides[joint] else "rad"
+        text = (
+            f"joint {name!r} does not follow its command{others}: it stands at {positions[joint]:.4g} {unit}"
+        )
+        return f"{text}; its drive has stopped, or its encoder is frozen"
 
     def compensate(self, target: Target) -> Target:
         """Return the target for the command such that the arm reaches a target."""
@@ -196,12 +318,39 @@ class Feedback:
     def _state(self) -> ArmState | None:
         return None if self.command is None else self.arm.at(self.command)
 
+    def describe_shortfall(self, target: Target, positions: Array) -> str:
+        """Say which joint stands farthest from its target, and why.
+
+        Args:
+            target: the target of the arm.
+            positions: measured joint positions, (nv,) [rad or m].
+        """
+        arm, command = self.arm, cast(Array, self.positions)
+        off = positions - command - self._offset
+        if target.q is not None:
+            off = arm.difference(target.q, arm.configuration(positions))
+        joint = int(np.abs(off / arm.joint_units).argmax())
+        name, history = arm.joint_names[joint], self.response.history
+        most = self._max_difference * arm.joint_units[joint]
+        edge = arm.limits.lower[joint] if off[joint] > 0.0 else arm.limits.upper[joint]
+        if abs(command[joint] - edge) <= LIMIT_TOLERANCE * arm.joint_units[joint]:
+            why = f"its command is at the limit of the joint, {edge:.4g}"
+        elif abs(self._offset[joint]) >= (1.0 - LIMIT_TOLERANCE) * most:
+            why = f"the compensation is at its limit (max_tracking_error), {self._describe(joint, most)}"
+        elif isinf(self._time_constant):
+            why = "nothing compensates that (feedback_time_constant is inf)"
+        elif not self.response.compensable[joint]:
+            why = f"its drive moves in steps of {self._describe(joint, history.steps[joint])}"
+        else:
+            why = "its drive does not move it yet"
+        return f"joint {name!r} stands {self._describe(joint, off[joint])} from its target: {why}"
+
     def _difference(self, measured: Measurement) -> Array:
         """Return measured minus commanded joint positions, (nv,); within half a turn if turns are unknown."""
         if self.command is None or self.positions is None:
             return np.zeros(self.arm.nv)
         if measured.positions is not None:
-            return measured.positions - self.positions
+            return np.asarray(measured.positions - self.positions)
         return self.arm.difference(self.command, measured.q)
 
     def _move_to(self, measured: Measurement) -> None:
@@ -219,10 +368,11 @@ class Feedback:
     ) -> Array:
         """Low-pass filter the estimates; return the measured control points, (m, 3) [m]."""
         share = 1.0 if self._time_constant == 0.0 else 1.0 - exp(-dt / self._time_constant)
+        expected = self.arm.at(cast(Array, self.command)).compiled.points
         if self._time_constant == 0.0:
             self._move_to(measured)
-        else:
-            self._offset += share * (difference - self._offset)
+        elif not self.settled:
+            self._estimate(difference, share)
         points = np.array(self.arm.at(measured.q).compiled.points)
         off = np.zeros_like(points)
         if measured_points is not None:
@@ -230,9 +380,18 @@ class Feedback:
             with np.errstate(over="ignore"):
                 apart = np.linalg.norm(off, axis=1)
             off[~(apart <= MAX_POINT_OFFSET * self.arm.length)] = 0.0  # missing, or a false detection
-        if measured_points is not None or np.any(self._shift):
+        if not self.settled and (measured_points is not None or np.any(self._shift)):
             self._shift += share * (off - self._shift)
+        self.deviation = points + off - expected
         return np.asarray(points + off)
+
+    def _estimate(self, difference: Array, share: float) -> None:
+        """Filter the estimate of b, for joints whose commands may go farther."""
+        response, most = self.response, self._max_difference * self.arm.joint_units
+        shares = np.where(response.compensable, share * 0.5**response.history.overshoots, 0.0)
+        if not (response.moved or self._at_rest):
+            shares = 0.0 * shares  # nothing is known of the drives yet
+        self._offset = np.clip(self._offset + shares * (difference - self._offset), -most, most)
 
     def _is_confirmed(self, measured: Measurement, dt: float) -> bool:
         """Restart, and return True, once deviating measurements at rest have agreed long enough."""

@@ -26,6 +26,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.errors import InvalidValue, PostureError
+from pinposture.motion.arrival import ARRIVAL_TOLERANCE, Arrival
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
 from pinposture.motion.track import in_scene
@@ -48,8 +49,18 @@ MARGIN_ROUNDING = 1e-3
 BRAKES_FIRST = "other limits of jerk take effect at rest; the arm brakes within the former ones"
 """Reason for which the arm holds after a change of limits."""
 
-ARRIVAL_TOLERANCE = 1e-6
-"""Mean distance of the control points from their targets at which the arm has converged, in arm lengths."""
+SETTLING_TOLERANCE = 1e-6
+"""Largest step of an arm at its target that still settles there, in `Arm.joint_units`."""
+
+STANDING_TIME = 1.0
+"""Time for which an arm that is not at its target stands before it counts as stalled [s]."""
+
+AIMED_TOLERANCE = 1e-3
+"""Mean distance of the control points of the command from where it aims, in arm lengths, below which only the
+feedback moves it."""
+
+SAME_TARGET = 1e-9
+"""Difference of targets that count as the same, in radians and in arm lengths."""
 
 
 class Report(NamedTuple):
@@ -197,6 +208,7 @@ class Tracker:
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
+        self._arrival = Arrival(arm.length)
         self._timeout = timeout
         self._target: Target | None = None
         self._age = 0.0
@@ -285,7 +297,23 @@ class Tracker:
         given = with_configuration(self.arm, target, near)
         if velocity is not None and given.q is None:
             raise InvalidValue("velocity", velocity, "None for a target without a configuration")
+        if self._target is None or not self._is_same(given):
+            self._arrival.restart()
+            self._feedback.settled = False
+            self._feedback.aim()
         self._target, self._age = given, 0.0
+
+    def _is_same(self, target: Target) -> bool:
+        """Return whether a target is the present one to rounding."""
+        before = cast(Target, self._target)
+        if target is before:
+            return True
+        if (target.q is None) != (before.q is None) or np.any(target.has_target != before.has_target):
+            return False
+        apart = np.abs(target.points - before.points).max() / self.arm.length
+        if target.q is not None and before.q is not None:
+            apart = max(apart, np.abs(target.q - before.q).max())
+        return bool(apart <= SAME_TARGET)
 
     def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
         """Restart from the measured configuration, keeping the target.
@@ -302,6 +330,8 @@ class Tracker:
         self._memory, self._dt = None if moved is None else Memory(moved), self._period
         self._smooth.restart(moved)
         self._rates.restart(moved)
+        self._arrival.restart()
+        self._feedback.settled = False
 
     def step(
         self,
@@ -349,6 +379,7 @@ class Tracker:
             self._smooth.restart()
             self._rates.restart()
         self._age += passed
+        self._judge_arrival(feedback, dt)
         share = dt / self._period
         needed = self._smooth.needs_step(share) or self._decision is None
         decision = self._decide(feedback, dt) if needed or self._decision is None else self._decision
@@ -372,17 +403,20 @@ class Tracker:
         if not reason and self._former is not None:
             reason = BRAKES_FIRST
         state = self._ahead(feedback.state)
-        if state is not None and self._target is not None and not reason:
-            compensated = self._feedback.compensate(self._target)
+        aim = feedback.held
+        if self._target is not None and not reason and not self._rests:
+            aim = compensated = self._feedback.compensate(self._target)
+        if state is not None and aim is not None:
             try:
-                step, memory = self._steps.compute(state, compensated, limits, memory)
-                reason = NOT_DONE if step is None else step.diagnostics.reason
+                step, memory = self._steps.compute(state, aim, limits, memory)
+                computed = NOT_DONE if step is None else step.diagnostics.reason
+                reason = feedback.reason or computed
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # unusable input, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
-        if step is not None and not reason:
-            return Decision(step, step.memory, "", compensated, False)
+        if step is not None and (not reason or aim is feedback.held):
+            return Decision(step, step.memory, reason, compensated, False)
         held, evading = self._hold(None if feedback.reason else state, limits, memory)
         memory = held if step is None else step.memory.with_motion_of(held)
         return Decision(step, memory, reason, compensated, evading)
@@ -396,6 +430,20 @@ class Tracker:
         self._former = None
         self._period = self._dt = cycle_of(self._limits)
         self._smooth = SmoothSteps(self.arm, self._limits)
+
+    def _judge_arrival(self, feedback: FeedbackState, dt: float) -> None:
+        """Judge from the measurements so far whether the arm is at its target, and settle there."""
+        points, positions, target = self._feedback.points, self._feedback.measured, self._target
+        if feedback.tracking_error is None or feedback.reason:
+            return
+        if points is not None and positions is not None and target is not None:
+            self._arrival.update(points, self._feedback.deviation, positions, target, dt)
+            self._feedback.settled = self._arrival.arrived
+
+    @property
+    def _rests(self) -> bool:
+        """Whether the arm is to rest where it is, as it would only follow the noise of its measurements."""
+        return self._arrival.arrived and not self._feedback.compensates
 
     def _ahead(self, state: ArmState | None) -> ArmState | None:
         """Return the state before the jerk filter, from which the controller steps."""
@@ -439,18 +487,9 @@ class Tracker:
         return self.arm.at(self.arm.neutral())
 
     def _make_report(self, feedback: FeedbackState, decision: Decision, dq: Array, passed: float) -> Report:
-        step, reason = decision.step, feedback.reason or decision.reason
-        if step is not None and self._smooth.moving and not feedback.reason:
-            reason = ""  # the jerk filter has not settled yet
-        stopped = "evading" if decision.evading else "stalled" if step is not None else "holding"
-        status = stopped if reason else "moving"
-        still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
-        if decision.compensated is not None and feedback.state is not None and still:
-            distance = _mean_distance(feedback.state.compiled.points, decision.compensated)
-            if distance <= ARRIVAL_TOLERANCE * self.arm.length:
-                status, reason = "converged", ""
-        target, points = self._target, self._feedback.points
+        step, target, points = decision.step, self._target, self._feedback.points
         error = None if target is None or points is None else _mean_distance(points, target)
+        status, reason = self._judge_status(feedback, decision, dq, error)
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
         relaxed += self._lost_clearance()
@@ -462,6 +501,36 @@ class Tracker:
             text = BRAKING_HARDER if harder else exceeded
             relaxed += (text,) * (text not in relaxed)
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
+
+    def _judge_status(
+        self, feedback: FeedbackState, decision: Decision, dq: Array, error: float | None
+    ) -> tuple[str, str]:
+        """Return status and reason of a cycle with a step dq and a measured mean error [m]."""
+        reason, compensated = feedback.reason or decision.reason, decision.compensated
+        if decision.step is not None and self._smooth.moving and not feedback.reason:
+            reason = ""  # the jerk filter has not settled yet
+        stalled = decision.step is not None and not feedback.reason
+        stopped = "evading" if decision.evading else "stalled" if stalled else "holding"
+        status = stopped if reason else "moving"
+        aimed = compensated is not None or (self._rests and not self._target_problem())
+        if feedback.reason or decision.evading or not aimed or error is None or feedback.state is None:
+            return status, reason
+        moved = float((np.abs(dq) / self.arm.joint_units).max())
+        if moved <= REST_TOLERANCE and error <= ARRIVAL_TOLERANCE * self.arm.length:
+            self._arrival.arrive()
+        if moved <= SETTLING_TOLERANCE and self._arrival.arrived:
+            return "converged", ""
+        if compensated is not None:
+            distance = _mean_distance(feedback.state.compiled.points, compensated)
+            if distance <= AIMED_TOLERANCE * self.arm.length:
+                return self._await_arrival()
+        return status, reason
+
+    def _await_arrival(self) -> tuple[str, str]:
+        """Return status and reason of an arm whose command is where it aims, but which is not there yet."""
+        if self._arrival.standing < STANDING_TIME or self._target is None or self._arrival.positions is None:
+            return "moving", ""
+        return "stalled", self._feedback.describe_shortfall(self._target, self._arrival.positions)
 
     def _lost_clearance(self) -> tuple[str, ...]:
         """Return a message if the arm comes too close to something, as the jerk filter can cut a corner."""

@@ -9,16 +9,20 @@ from pinposture.sim.control_loop import (
     simulate,
     simulate_closed,
 )
+from pinposture.sim.drives import DriveModel, Drives
 from pinposture.sim.model import Gains, PlantModel, Servos, build_plant_model, mass_matrix
-from pinposture.sim.plant import Sensing
+from pinposture.sim.plant import Sensing, Sensors
 from pinposture.sim.simulation import Simulation
 
 __all__ = [
     "AnyMotion",
+    "DriveModel",
+    "Drives",
     "Gains",
     "MujocoMissing",
     "PlantModel",
     "Sensing",
+    "Sensors",
     "Servos",
     "SetPoints",
     "Simulation",

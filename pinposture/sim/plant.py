@@ -225,6 +225,7 @@ class Sensing:
         resolution: quantisation step of a measurement [rad or m]; 0 for none.
         dropped: probability that no measurement arrives in a cycle.
         latency: age of a measurement [cycles].
+        period: time between new readings [cycles]; in between, the last one is repeated.
         seed: random seed for noise and dropped measurements.
     """
 
@@ -232,6 +233,7 @@ class Sensing:
     resolution: float = 0.0
     dropped: float = 0.0
     latency: int = 0
+    period: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -239,6 +241,7 @@ class Sensing:
         require_positive("resolution", self.resolution, zero=True)
         require_share("dropped", self.dropped)
         require_whole("latency", self.latency, 0)
+        require_whole("period", self.period, 1)
         require_whole("seed", self.seed, 0)
 
 
@@ -249,6 +252,7 @@ class Sensors:
         self._sensing = sensing
         self._rng = np.random.default_rng(sensing.seed)
         self._kept: deque[Array] = deque(maxlen=sensing.latency + 1)
+        self._cycles = 0
 
     def measure(self, positions: Array) -> Array | None:
         """Return the measurement that arrives in this cycle, (nv,) [rad or m], or None.
@@ -257,9 +261,14 @@ class Sensors:
             positions: true joint positions, (nv,) [rad or m].
         """
         sensing = self._sensing
+        self._kept.append(self._kept[-1] if self._cycles % sensing.period else self._read(positions))
+        self._cycles += 1
+        # During the initial latency this is the first measurement, taken with the arm at rest.
+        return None if self._rng.random() < sensing.dropped else self._kept[0]
+
+    def _read(self, positions: Array) -> Array:
+        sensing = self._sensing
         measured = positions + sensing.noise * self._rng.standard_normal(len(positions))
         if sensing.resolution > 0.0:
             measured = sensing.resolution * np.round(measured / sensing.resolution)
-        self._kept.append(measured)
-        # During the initial latency this is the first measurement, taken with the arm at rest.
-        return None if self._rng.random() < sensing.dropped else self._kept[0]
+        return np.asarray(measured)

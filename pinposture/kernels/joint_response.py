@@ -1,0 +1,94 @@
+"""How joints respond to their commands: whether they stand, and at which lead they move."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from pinposture.kernels.arrays import Array1, Flags1, JointHistory
+from pinposture.kernels.compiled import compiled
+
+MOVED = 1e-3
+"""Displacement above which a joint counts as moving, in units of motion of the joint."""
+
+MOST_MOVED = 7e-3
+"""Largest such displacement, however noisy the readings are."""
+
+MOVED_DEVIATIONS = 8.0
+"""Displacement, in standard deviations of the readings, that counts as moving. Of readings that are repeated
+some times, the deviation is underestimated by a factor of up to 2."""
+
+REST_TIME = 0.3
+"""Time after which a joint that does not move is at rest [s]; delays and repeated readings are shorter."""
+
+SETTLING_TIME = 0.1
+"""Time over which the position of a joint that comes to rest is averaged [s]."""
+
+NOISE_TIME = 0.5
+"""Time over which noise is averaged [s]."""
+
+OUTLIER = 16.0
+"""Largest squared deviation that counts, relative to the variance: a sudden stop is no noise."""
+
+LEAST_NOISE = 1e-6
+"""Smallest standard deviation of readings, in units of motion of the joint."""
+
+FORGETTING = 0.5
+"""Weight of a smaller lead beside those seen before; a larger one counts at once."""
+
+
+@compiled
+def watch_joints(
+    measured: Array1,
+    sent: Array1,
+    expected: Array1,
+    units: Array1,
+    dt: float,
+    band: float,
+    history: JointHistory,
+    blocked: Flags1,
+) -> None:
+    """Update what is known of the response of each joint, in a cycle.
+
+    Args:
+        measured: measured joint positions, (n,) [rad or m].
+        sent: commanded joint positions, (n,) [rad or m].
+        expected: joint positions at which the command aims, (n,) [rad or m].
+        units: unit of motion of each joint, (n,) [rad or m].
+        dt: duration of the cycle [s].
+        band: motion of the command that moves a joint for certain, in these units.
+        history: updated.
+        blocked: set where the command has moved farther than that without moving the joint, (n,).
+    """
+    anchors, starts, standing, waiting, leads, readings, variances, errors, overshoots, steps = history
+    share = dt / (dt + NOISE_TIME)
+    for j in range(len(measured)):
+        position = measured[j]
+        if position != readings[0, j]:  # a new reading
+            bend = position - 2.0 * readings[0, j] + readings[1, j]
+            noise = max(variances[j], (LEAST_NOISE * units[j]) ** 2)
+            variances[j] += share * (min(bend * bend / 6.0, OUTLIER * noise) - variances[j])
+            readings[1, j] = readings[0, j]
+            readings[0, j] = position
+        least = max(MOVED * units[j], min(MOVED_DEVIATIONS * sqrt(variances[j]), MOST_MOVED * units[j]))
+        lead = sent[j] - position
+        moved = position - anchors[j]
+        if abs(moved) > least:
+            if standing[j] >= REST_TIME and moved * lead >= 0.0:
+                lead = abs(lead)
+                leads[j] += (lead - leads[j]) * (1.0 if lead > leads[j] else FORGETTING)
+            anchors[j] = position
+            starts[j] = sent[j]
+            standing[j] = 0.0
+        elif standing[j] < REST_TIME:  # the anchor of a joint that comes to rest is where it rests
+            anchors[j] += dt / (dt + SETTLING_TIME) * moved
+        standing[j] += dt
+        travel = sent[j] - starts[j]
+        away = abs(travel) if travel * lead > 0.0 else 0.0
+        waiting[j] = waiting[j] + dt if away > band * units[j] else 0.0
+        blocked[j] = away > band * units[j]
+        if standing[j] >= REST_TIME > standing[j] - dt:
+            error = position - expected[j]
+            if error * errors[j] < 0.0 and abs(error - errors[j]) > 2.0 * least:
+                overshoots[j] += 1.0
+                steps[j] = abs(error - errors[j])
+            errors[j] = error

@@ -1,0 +1,130 @@
+"""Whether a measured arm is at its target, as far as the noise of the measurements allows to tell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.placement import Target
+
+Array = NDArray[np.float64]
+
+ARRIVAL_TOLERANCE = 1e-6
+"""Mean distance of the control points from their targets at which the arm has converged, in arm lengths."""
+
+AVERAGED_TIME, AVERAGED_READINGS = 0.25, 8
+"""Least duration [s] and least number of different readings that are averaged."""
+
+LONGEST_TIME = 1.0
+"""Longest duration of an average [s], whatever the number of readings."""
+
+DEVIATIONS = 3.0
+"""Distance from a target that noise explains, in standard deviations of the average."""
+
+LEAVING = 2.0
+"""Ratio of the distances at which an arm leaves its target and arrives, against a status that flickers."""
+
+DRIFT = 4.0
+"""Ratio of the motion during an average that noise explains to that distance: a fitted slope over n readings
+varies by sqrt(12 / n), their mean by sqrt(1 / n)."""
+
+STANDING_DRIFT = 0.02
+"""Motion of the control points during an average that counts as standing, as a share of their distances from
+the targets: an arm that comes closer faster than that is there within some seconds."""
+
+APPROACH = 0.5
+"""Ratio of the distances of two successive averages below which the arm still approaches its target."""
+
+
+class Arrival:
+    """Compares averages of measured control points with a target.
+
+    The readings of a quarter of a second, and of 8 different ones at least, are averaged. Their noise s is
+    estimated from the differences of successive readings, less those of the commands, so that a slow motion
+    does not count as noise. The arm has arrived if the average is within 1e-6 of the arm length plus
+    3 s / sqrt(n) of the target, and leaves it beyond twice that.
+
+    Attributes:
+        arrived: whether the arm is at the target.
+        standing: time for which the arm has not moved measurably [s]; 0 if it moves.
+        positions: average joint positions, (nv,) [rad or m]; None before the first average.
+
+    Args:
+        length: length of the arm [m].
+    """
+
+    def __init__(self, length: float) -> None:
+        self._tolerance = ARRIVAL_TOLERANCE * length
+        self._last: tuple[Array, Array] | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew, for another target."""
+        self.arrived = False
+        self.standing = 0.0
+        self.positions: Array | None = None
+        self._variance: float | None = None
+        self._off = float("inf")
+        self._begin()
+
+    def arrive(self) -> None:
+        """Take the arm to be at the target."""
+        self.arrived = True
+
+    def _begin(self) -> None:
+        self._points: Array | float = 0.0
+        self._weighted: Array | float = 0.0
+        self._joints: Array | float = 0.0
+        self._changes = 0.0
+        self._time = 0.0
+        self._count = 0
+        self._different = 0
+
+    def update(self, points: Array, deviation: Array, positions: Array, target: Target, dt: float) -> None:
+        """Add the measurement of a cycle.
+
+        Args:
+            points: measured control points, (m, 3) [m].
+            deviation: their distances from those of the command, (m, 3) [m].
+            positions: measured joint positions, (nv,) [rad or m].
+            target: the target of the arm.
+            dt: duration of the cycle [s].
+        """
+        if self._last is None or np.any(points != self._last[0]):
+            if self._last is not None:
+                change = (deviation - self._last[1]).ravel()
+                self._changes += float(change @ change)
+                self._different += 1
+            self._last = points, deviation
+        self._points = self._points + points
+        self._weighted = self._weighted + self._count * points
+        self._joints = self._joints + positions
+        self._count += 1
+        self._time += dt
+        enough = self._different >= AVERAGED_READINGS or not self._different or self._time >= LONGEST_TIME
+        if enough and self._time >= AVERAGED_TIME and self._count >= AVERAGED_READINGS:
+            self._judge(target)
+            self._begin()
+
+    def _judge(self, target: Target) -> None:
+        """Compare the average with the target."""
+        n, placed = self._count, target.has_target
+        mean = np.asarray(self._points / n)
+        self.positions = np.asarray(self._joints / n)
+        slope = 12.0 * (self._weighted - 0.5 * (n - 1) * self._points) / (n * (n**2 - 1.0))
+        drift = float(np.linalg.norm(n * slope, axis=1).mean())
+        variance = 0.0
+        if self._different:
+            variance = self._changes / (2.0 * self._different**2 * len(mean))  # of the average
+        kept = self._variance if self.arrived and self._variance is not None else variance
+        self._variance = 0.5 * (kept + variance)
+        within = self._tolerance + DEVIATIONS * float(np.sqrt(self._variance))
+        off = float(np.linalg.norm((target.points - mean)[placed], axis=1).mean())
+        if self.arrived:
+            self.arrived = off <= LEAVING * within
+        else:
+            approaches = off < APPROACH * self._off
+            self.arrived = off <= within and drift <= DRIFT * within and not approaches
+        self._off = off
+        still = drift <= (DRIFT * within + STANDING_DRIFT * off) * (LEAVING if self.standing else 1.0)
+        self.standing = self.standing + self._time if still else 0.0

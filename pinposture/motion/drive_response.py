@@ -1,0 +1,177 @@
+"""How drives respond to their commands: which lead moves a joint, and which joints do not follow."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture.arm import Arm
+from pinposture.kernels.arrays import JointHistory
+from pinposture.kernels.joint_response import MOST_MOVED, MOVED, MOVED_DEVIATIONS
+
+Array = NDArray[np.float64]
+
+FOLLOW_TIME = 0.2
+"""Time for which a command moves on before a joint that stands counts as stopped [s]. Delays of drives and
+readings together are shorter: 0.14 s and 0.05 s in logs of robots. A joint that starts later than that costs
+a short hold."""
+
+USUAL_LEAD = 0.75
+"""Lead that may be needed to start a joint that has not moved yet, in `max_tracking_error`: 0.225 rad by
+default. Friction in logs of a snake corresponds to 0.06 to 0.21 rad."""
+
+LEAD_FACTOR, LEAD_MARGIN = 2.0, 0.05
+"""The command moves a joint for certain by twice the largest lead at which joints began to move before, as
+friction holds on either side, and this much more, in `Arm.joint_units`."""
+
+RETRY_TIME = 2.0
+"""Time after which a stopped joint is tried again if no lead tells when it runs [s]."""
+
+OVERSHOOTS = 3
+"""How often a joint may come to rest beyond its target before its drive counts as too coarse."""
+
+NOTICED = 1.5
+"""Motion by which the start of a stopped joint is noticed, relative to the smallest that counts as motion."""
+
+NOISE = 5e-4
+"""Noise of measurements that is assumed at first, in `Arm.joint_units`; 3e-4 rad in logs of a robot."""
+
+
+class DriveResponse:
+    """Watches measured positions beside commanded ones, for all joints.
+
+    A joint at rest is stopped by its drive, or its encoder is frozen, if the command moves on by more than
+    any joint has needed to start, and nothing moves for `FOLLOW_TIME`. The lead that friction needs is
+    learned from each start; all joints count together, as the drives of an arm are mostly alike.
+
+    Attributes:
+        stopped: which joints do not follow, (nv,).
+        held: positions at which they are held, (nv,) [rad or m].
+        history: what is known of each joint.
+
+    Args:
+        arm: the arm.
+        max_tracking_error: see `Tracker`.
+        positions_sent: whether the drives are sent positions, so that a stopped one starts at a lead.
+    """
+
+    def __init__(self, arm: Arm, max_tracking_error: float, positions_sent: bool) -> None:
+        self.arm = arm
+        self._positions_sent = positions_sent
+        self._units = np.array(arm.joint_units)  # writable, as kernels take arrays
+        self._unknown = USUAL_LEAD * (max_tracking_error if isfinite(max_tracking_error) else 1.0)
+        self._blocked = np.zeros(arm.nv, dtype=np.bool_)
+        self._leads = np.full(arm.nv, -1.0)
+        self.restart(np.zeros(arm.nv))
+
+    def restart(self, positions: Array) -> None:
+        """Start from joint positions (nv,) at rest; leads that are known stay."""
+        nv = self.arm.nv
+        self._leads = self._leads.copy()
+        self.history = JointHistory(
+            anchors=positions.copy(),
+            starts=positions.copy(),
+            standing=np.full(nv, 1e9),
+            waiting=np.zeros(nv),
+            leads=self._leads,
+            readings=np.array([positions, positions]),
+            variances=(NOISE * self.arm.joint_units) ** 2,
+            errors=np.zeros(nv),
+            overshoots=np.zeros(nv),
+            steps=np.zeros(nv),
+        )
+        self._blocked[:] = False
+        self.stopped = np.zeros(nv, dtype=np.bool_)
+        self.held = self._found = self._direction = positions
+        self._stopped_for = 0.0
+
+    def forget_overshoots(self) -> None:
+        """Start again to count overshoots, for a new target."""
+        self.history.errors[:] = 0.0
+        self.history.overshoots[:] = 0.0
+
+    @property
+    def band(self) -> float:
+        """Motion of the command that moves a joint for certain, in `Arm.joint_units`."""
+        largest = float((self._leads / self.arm.joint_units).max())
+        return self._unknown if largest < 0.0 else LEAD_FACTOR * largest + LEAD_MARGIN
+
+    @property
+    def moved(self) -> bool:
+        """Whether a joint has ever been seen to follow its command."""
+        return bool(self._leads.max() >= 0.0)
+
+    def update(self, measured: Array, sent: Array, expected: Array, dt: float) -> None:
+        """Process the positions of a cycle; each (nv,) [rad or m].
+
+        Args:
+            measured: measured joint positions.
+            sent: commanded joint positions.
+            expected: joint positions at which the command aims.
+            dt: duration of the cycle [s].
+        """
+        units = self._units
+        kernels.watch_joints(measured, sent, expected, units, dt, self.band, self.history, self._blocked)
+        if self.stopped.any():
+            self._watch_stopped(dt)
+        elif self._blocked.any():
+            stopped = self._blocked & (self.history.waiting > FOLLOW_TIME)
+            if stopped.any():
+                self._hold(stopped, measured, sent)
+
+    def retry(self) -> None:
+        """Take all joints to follow until they stand again."""
+        self.history.waiting[:] = 0.0
+        self.stopped = np.zeros(self.arm.nv, dtype=np.bool_)
+        self._stopped_for = 0.0
+
+    def hold_standing(self, measured: Array, sent: Array) -> None:
+        """Take all joints that stand at a lead to be stopped, as one of them is.
+
+        Args:
+            measured: measured joint positions, (nv,) [rad or m].
+            sent: commanded joint positions, (nv,) [rad or m].
+        """
+        lead = sent - measured
+        travel = np.where((sent - self.history.starts) * lead > 0.0, sent - self.history.starts, 0.0)
+        ahead = np.abs(travel) > self._starting_lead()
+        standing = ahead & (self.history.standing > FOLLOW_TIME)
+        if standing.any():
+            self._hold(self.stopped | standing, measured, sent)
+
+    def _hold(self, stopped: NDArray[np.bool_], measured: Array, sent: Array) -> None:
+        """Take joints to be stopped: their commands wait where the joints start if they can."""
+        self.stopped = stopped
+        self._stopped_for = 0.0
+        self._found = self.history.anchors.copy()
+        self._direction = np.sign(sent - measured)
+        self.held = measured + self._direction * self._starting_lead()
+
+    def _starting_lead(self) -> Array:
+        """Return the lead at which each joint would start noticeably, (nv,) [rad or m]."""
+        units = self.arm.joint_units
+        noise = np.sqrt(self.history.variances) / units
+        noticed = NOTICED * np.clip(MOVED_DEVIATIONS * noise, MOVED, MOST_MOVED)
+        known = max(float((self._leads / units).max()), 0.0)
+        return np.asarray((known + noticed) * units)
+
+    def _watch_stopped(self, dt: float) -> None:
+        """Release the joints that follow again."""
+        self._stopped_for += dt
+        least = 0.5 * MOVED * self.arm.joint_units
+        moved = (self.history.anchors - self._found) * self._direction
+        self.stopped = self.stopped & (moved < least)
+        if not self.stopped.any() or (
+            not (self._positions_sent and self.moved) and self._stopped_for > RETRY_TIME
+        ):
+            self.retry()
+
+    @property
+    def compensable(self) -> NDArray[np.bool_]:
+        """Joints whose commands may go farther against their errors, (nv,)."""
+        history = self.history
+        coarse = (history.overshoots >= OVERSHOOTS) & (np.abs(history.errors) <= history.steps)
+        return ~(self._blocked | self.stopped | coarse)

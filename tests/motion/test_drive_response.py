@@ -1,0 +1,190 @@
+"""The tracker with drives that lag, stick, stop and sag, against a robot that shares no code with it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from arms import template_arm
+
+import pinposture as pp
+from pinposture.motion import Tracker
+from pinposture.placement import Target
+from pinposture.sim import DriveModel, Drives, Sensing, Sensors
+
+DT = 0.01
+LIMITS = pp.Limits(step=None, dt=DT, velocity=1.0, acceleration=4.0)
+QUICK = DriveModel(lag=0.05, friction=0.0)
+IDEAL = DriveModel(lag=0.001, friction=0.0, delay=0.0)
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
+class Log(NamedTuple):
+    """Of each cycle: the statuses and reasons; commands, true and measured positions, (N, nv)."""
+
+    statuses: list[str]
+    reasons: list[str]
+    sent: np.ndarray
+    true: np.ndarray
+    measured: np.ndarray
+
+
+class Robot:
+    """An arm with drives and encoders, and the tracker that moves it."""
+
+    def __init__(self, arm: pp.Arm, model: DriveModel, sensing: Sensing | None = None, **options) -> None:
+        self.arm = arm
+        self.speeds = options.get("interface") == "velocity"
+        self.tracker = Tracker(arm, limits=options.pop("limits", LIMITS), **options)
+        self.drives = Drives(model, np.zeros(arm.nv), DT)
+        self.sensors = Sensors(Sensing(noise=3e-4) if sensing is None else sensing)
+        self.frozen = np.zeros(arm.nv, dtype=bool)
+        self.seen = np.zeros(arm.nv)
+
+    def go(self, seconds: float) -> Log:
+        rows = []
+        for _ in range(round(seconds / DT)):
+            self.seen = np.where(self.frozen, self.seen, self.sensors.measure(self.drives.positions))
+            dq = self.tracker.step(self.seen)
+            report = self.tracker.report
+            rows.append(
+                (report.status, report.reason, self.tracker.positions, self.drives.positions, self.seen)
+            )
+            self.drives.advance(self.drives.positions + dq if self.speeds else self.tracker.positions)
+        statuses, reasons, *arrays = zip(*rows, strict=True)
+        return Log(list(statuses), list(reasons), *map(np.array, arrays))
+
+    def off(self) -> float:
+        """Mean distance of the true control points from their targets, in arm lengths."""
+        points = self.arm.at(self.drives.positions).points
+        return float(np.linalg.norm(points - self.tracker.target.points, axis=1).mean()) / self.arm.length
+
+
+def aimed(arm: pp.Arm, model: DriveModel, sensing: Sensing | None = None, **options) -> Robot:
+    robot = Robot(arm, model, sensing, **options)
+    robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, 0.3)))
+    return robot
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 3e-4, 1e-3])
+@pytest.mark.parametrize("interface", ["position", "velocity"])
+def test_with_noisy_encoders_the_arm_arrives_once_and_stays(
+    arm: pp.Arm, noise: float, interface: str
+) -> None:
+    robot = aimed(arm, IDEAL, Sensing(noise=noise), interface=interface)
+    statuses = robot.go(8.0).statuses
+    first = statuses.index("converged")
+    assert first < 500 and set(statuses[first:]) == {"converged"}
+    assert robot.off() <= 1e-6 + 2.0 * noise
+
+
+@pytest.mark.parametrize("model", [DriveModel(), DriveModel(friction=0.2), DriveModel(stiction=0.02)])
+def test_friction_is_compensated_or_named_and_the_command_comes_to_rest(
+    arm: pp.Arm, model: DriveModel
+) -> None:
+    robot = aimed(arm, model)
+    log = robot.go(30.0)
+    assert "holding" not in log.statuses
+    assert robot.off() < 0.02
+    last = robot.go(5.0)
+    assert set(last.statuses) <= {"stalled", "converged", "moving"}
+    assert np.ptp(last.sent, axis=0).max() < 0.06
+    if robot.off() > 1e-3:
+        assert robot.tracker.report.status != "converged"
+
+
+def test_without_feedback_a_joint_that_stays_short_is_named(arm: pp.Arm) -> None:
+    robot = aimed(arm, DriveModel(), feedback_time_constant=np.inf)
+    log = robot.go(8.0)
+    assert "converged" not in log.statuses and log.statuses[-1] == "stalled"
+    assert "0.11 rad from its target" in log.reasons[-1]
+    assert robot.off() > 0.05
+
+
+def test_a_joint_whose_compensation_meets_a_limit_is_named(arm: pp.Arm) -> None:
+    goal = np.full(arm.nv, 0.2)
+    goal[0] = arm.limits.upper[0] - 0.01
+    robot = Robot(arm, QUICK)
+    robot.drives.sag[0] = -0.1
+    robot.tracker.update(Target.from_configuration(arm, goal))
+    log = robot.go(12.0)
+    assert log.statuses[-1] == "stalled" and "converged" not in log.statuses
+    assert f"joint {arm.joint_names[0]!r} stands 0.09" in log.reasons[-1]
+    assert "limit of the joint, 3.14" in log.reasons[-1]
+    other = aimed(arm, QUICK, max_tracking_error=0.05)
+    other.drives.sag[2] = 0.08
+    log = other.go(12.0)
+    assert log.statuses[-1] == "stalled"
+    assert f"joint {arm.joint_names[2]!r} stands 0.03" in log.reasons[-1]
+    assert "max_tracking_error" in log.reasons[-1]
+
+
+@pytest.mark.parametrize("model", [QUICK, IDEAL, DriveModel()])
+@pytest.mark.parametrize("joints", [slice(None), slice(3, 4)])
+def test_a_stopped_drive_is_held_where_it_stands_and_goes_on_without_a_jump(
+    arm: pp.Arm, model: DriveModel, joints: slice
+) -> None:
+    robot = Robot(arm, model)
+    robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, 1.0)))
+    before = robot.go(0.6)
+    robot.drives.running[joints] = False
+    stopped = robot.go(4.0)
+    robot.drives.running[:] = True
+    after = robot.go(12.0)
+    sent = np.concatenate([before.sent, stopped.sent, after.sent])
+    assert np.abs(np.diff(sent, axis=0)).max() <= 1.0 * DT + 1e-9
+    assert np.abs(np.diff(sent, 2, axis=0)).max() <= 4.0 * DT**2 + 1e-9
+    assert set(stopped.statuses[150:]) == {"holding"}
+    assert "does not follow its command" in stopped.reasons[-1]
+    lead = np.abs(stopped.sent[-1] - stopped.true[-1])[joints]
+    assert lead.max() <= model.friction + max(model.lag * 1.0, 0.03)  # it starts at its speed at most
+    assert np.abs(np.diff(after.true, axis=0)).max() / DT <= 2.0
+    assert after.statuses[-1] != "holding"
+    assert robot.off() < 0.02
+
+
+def test_a_frozen_encoder_does_not_drive_the_arm_on(arm: pp.Arm) -> None:
+    robot = Robot(arm, QUICK)
+    robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, 1.0)))
+    robot.go(0.6)
+    robot.frozen[:] = True
+    begin = robot.drives.positions.copy()
+    log = robot.go(20.0)
+    assert set(log.statuses[150:]) == {"holding"}
+    assert np.abs(robot.drives.positions - begin).max() < 0.06
+    assert np.abs(log.true - begin).max() < 0.5
+
+
+def test_drives_that_never_run_are_tried_from_time_to_time(arm: pp.Arm) -> None:
+    robot = aimed(arm, QUICK)
+    robot.drives.running[:] = False
+    statuses = Counter(robot.go(6.0).statuses)
+    assert statuses["holding"] > 300
+    robot.drives.running[:] = True
+    assert robot.go(12.0).statuses[-1] == "converged"
+
+
+def test_readings_that_are_repeated_and_late_are_enough(arm: pp.Arm) -> None:
+    robot = aimed(arm, DriveModel(lag=0.1, friction=0.0, delay=0.14), Sensing(noise=3e-4, period=5))
+    log = robot.go(15.0)
+    assert "holding" not in log.statuses and log.statuses[-1] == "converged"
+    assert robot.off() < 1e-3
+
+
+@pytest.mark.parametrize("friction", [0.11, 0.2])
+def test_a_moving_target_is_followed_in_spite_of_friction_without_holding(
+    arm: pp.Arm, friction: float
+) -> None:
+    robot = Robot(arm, DriveModel(friction=friction))
+    statuses = []
+    for cycle in range(2000):
+        wanted = 0.5 * np.sin(0.62 * DT * cycle)  # at most 0.31 rad/s
+        robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, wanted)))
+        statuses += robot.go(DT).statuses
+    assert statuses.count("holding") == 0
