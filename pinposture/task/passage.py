@@ -59,7 +59,7 @@ def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -
     if scene is None:
         return
     still = {name: each for name, each in scene.obstacles.items() if name not in scene.moving}
-    scene = replace(scene, obstacles=still, velocities={})
+    scene = replace(scene, obstacles=still, velocities={}, self_collision=False)
     for mark, rows, distances in _ways(reference, scene):
         model = CollisionModel(reference.arm, scene)
         where = f"the way to {mark.name!r}"
@@ -88,6 +88,7 @@ def require_wide_pipe(reference: Reference, scene: Scene, radius: float) -> None
     Raises:
         InvalidValue: the pipe is too narrow; names the amounts.
     """
+    scene = replace(scene, self_collision=False)
     for mark, rows, distances in _ways(reference, scene):
         missing = scene.margin - float(distances.min())
         if distances.min() < _kept(reference, scene):
