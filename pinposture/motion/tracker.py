@@ -19,7 +19,7 @@ from pinposture._validation import (
     require_positive,
 )
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import CollisionModel, Scene
+from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory
 from pinposture.control.limits import cycle_of
@@ -46,6 +46,10 @@ REST_TOLERANCE = 1e-9
 MARGIN_ROUNDING = 1e-3
 """Share of the margin to obstacles whose loss is not reported."""
 
+LONGEST_ARM = 2.0
+"""Largest distance of a point of the arm from the axis of a joint, in arm lengths: shapes may extend beyond
+the control points."""
+
 BRAKES_FIRST = "other limits of jerk take effect at rest; the arm brakes within the former ones"
 """Reason for which the arm holds after a change of limits."""
 
@@ -67,16 +71,18 @@ class Report(NamedTuple):
     """The result of a cycle.
 
     Attributes:
-        status: "moving", "converged" (the arm has the target posture), "stalled" (no step reduces the error),
+        status: "moving", "converged" (the measured arm has the target posture, as far as the noise of the
+            measurements tells), "stalled" (no step reduces the error, or a joint stays short of its target),
             "holding" (braking or at rest, as an input is missing or invalid, or a path is not planned yet) or
             "evading" (the same, but it moves to keep clear of obstacles that approach).
         reason: why it is stalled, holding or evading; else empty.
         mean_error: mean distance of the control points from their targets at the start of the cycle, from the
             last usable measurement [m]; None before the first target and measurement.
-        tracking_error: largest difference between measured and expected joint positions, in
-            `Arm.joint_units`; None without a usable measurement.
+        tracking_error: largest distance of a measured joint position from where drives with a lag of up to
+            half a second would be, in `Arm.joint_units`; None without a usable measurement.
         target_age: sum of cycle times since the target was set [s]; None without a target.
-        violated_constraints: constraints that the step violates, as in `Diagnostics`.
+        violated_constraints: constraints that the step violates, as in `Diagnostics`, and the margin to
+            obstacles if the measured arm has lost it.
         step: the step of the controller; None if it computed none.
     """
 
@@ -149,8 +155,9 @@ class Tracker:
         feedback_time_constant: time constant of the feedback of the tracking error [s]. It must be several
             times the delay of the drives, or the loop oscillates. Only for the position interface; infinite:
             no feedback.
-        max_tracking_error: difference between measured and expected joint positions above which the arm holds
-            without feedback, in `Arm.joint_units`.
+        max_tracking_error: distance of a measured joint position from where its drive could be, with a lag of
+            up to half a second, above which the arm holds without feedback, in `Arm.joint_units`; also the
+            largest compensation.
         resync_time: how long larger differences must agree with each other before the tracker restarts from
             the measurement [s]. Infinite: the arm holds until `restart`.
         timeout: age at which a target expires [s]; infinite: never.
@@ -209,6 +216,7 @@ class Tracker:
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
         self._arrival = Arrival(arm.length)
+        self._clearance: tuple[Scene, Array, float] | None = None
         self._timeout = timeout
         self._target: Target | None = None
         self._age = 0.0
@@ -533,14 +541,36 @@ class Tracker:
         return "stalled", self._feedback.describe_shortfall(self._target, self._arrival.positions)
 
     def _lost_clearance(self) -> tuple[str, ...]:
-        """Return a message if the arm comes too close to something, as the jerk filter can cut a corner."""
-        command = self._feedback.command
-        if not self._smooth.active or self.scene is None or command is None:
+        """Return a message if the measured arm or the command is too close to something.
+
+        The command is as the jerk filter can cut a corner, the measured arm as it can lag or sag.
+        """
+        command, measured = self._feedback.command, self._feedback.measured
+        if self.scene is None or command is None:
             return ()
-        closest = CollisionModel(self.arm, self.scene).minimum(command)
-        if closest.distance >= (1.0 - MARGIN_ROUNDING) * self.scene.margin:
+        found: list[str] = []
+        if self._smooth.active:
+            found += self._describe_clearance(CollisionModel(self.arm, self.scene).minimum(command))
+        if measured is not None and self._feedback.compensates and self._may_be_close(measured):
+            model = CollisionModel(self.arm, self.scene)
+            closest = model.minimum(self.arm.configuration(measured))
+            self._clearance = self.scene, measured, closest.distance
+            found += self._describe_clearance(closest)
+        return tuple(dict.fromkeys(found))
+
+    def _may_be_close(self, positions: Array) -> bool:
+        """Return whether the arm may be too close at joint positions (nv,), given the last distance."""
+        if self._clearance is None or self._clearance[0] is not self.scene or self.scene is None:
+            return True
+        _, before, distance = self._clearance
+        arms = np.where(self.arm.slides, 1.0, LONGEST_ARM * self.arm.length)
+        return bool(distance - np.abs(positions - before) @ arms < self.scene.margin)
+
+    def _describe_clearance(self, closest: Closest) -> tuple[str, ...]:
+        margin = 0.0 if self.scene is None else self.scene.margin
+        if closest.distance >= (1.0 - MARGIN_ROUNDING) * margin:
             return ()
-        return (describe_lost_margin(closest.pair or (), closest.distance, self.scene.margin),)
+        return (describe_lost_margin(closest.pair or (), closest.distance, margin),)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

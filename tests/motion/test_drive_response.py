@@ -188,3 +188,28 @@ def test_a_moving_target_is_followed_in_spite_of_friction_without_holding(
         robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, wanted)))
         statuses += robot.go(DT).statuses
     assert statuses.count("holding") == 0
+
+
+def test_a_measured_arm_that_sags_into_an_obstacle_is_reported() -> None:
+    arm = template_arm("RyRz", 10)
+    beam = pp.Box((0.35, 0.0, -0.06), (0.05, 0.4, 0.06))
+    scene = pp.Scene({"beam": beam}, margin=0.01, self_collision=False)
+    limits = pp.Limits(step=None, dt=DT, velocity=1.0, acceleration=5.0)
+    tracker = Tracker(arm, limits=limits, scene=scene)
+    goal = arm.straight()
+    goal[3] = 0.2
+    tracker.update(Target.from_configuration(arm, goal))
+    model, q, lost = pp.CollisionModel(arm, scene), arm.straight(), 0
+    for cycle in range(200):
+        tracker.step(q)
+        distance = model.minimum(q).distance
+        named = [text for text in tracker.report.violated_constraints if text.startswith("margin")]
+        if distance < 0.0099:
+            lost += 1
+            assert any("beam" in text for text in named)
+        elif distance > 0.0101:
+            assert not named
+        sag = np.zeros(arm.nv)
+        sag[0] = 0.1 * min(cycle / 50, 1) + (0.1 if cycle > 100 else 0.0)
+        q = tracker.command + sag
+    assert lost > 10
