@@ -201,8 +201,13 @@ def cycles_between(arm: Arm, start: Array, target: Target, limits: Limits) -> fl
         np.where(arm.slides, arm.length, np.pi) if target.q is None else arm.difference(start, target.q)
     )
     distance = np.abs(distance)
-    braking = 0.0 if bounds.brake is None else 2.0 * np.sqrt(distance / bounds.brake)
-    return float((distance / bounds.bound + braking).max(initial=0.0))
+    cycles = distance / bounds.bound
+    if bounds.brake is not None:  # from rest to rest, at full speed in between if the way is long enough
+        cruising = distance >= bounds.bound**2 / bounds.brake
+        cycles = np.where(
+            cruising, cycles + bounds.bound / bounds.brake, 2.0 * np.sqrt(distance / bounds.brake)
+        )
+    return float(cycles.max(initial=0.0))
 
 
 def usual_max_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
