@@ -15,7 +15,7 @@ arm = pp.Arm.from_template("RyRz", modules=20)
 # The postures and their times. If a curve is longer than the arm, the arm takes its first part.
 straight = pp.Curve.line((0, 0, 0), (1, 0, 0))
 bend = pp.Curve.spline(np.array([(0, 0, 0), (0.4, 0, 0), (0.6, 0.3, 0.1), (0.9, 0.3, 0.3), (1.3, 0.2, 0.3)]))
-helix = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4, handedness="left")
+helix = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4)
 coil = pp.Curve.helix(radius=0.06, pitch=0.06, turns=3)
 keyframes = [
     pp.Keyframe(straight, name="straight"),
@@ -27,7 +27,8 @@ keyframes = [
 
 # A cycle time of 20 ms. If the limits do not allow the times, the motion takes longer.
 limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=4.0)
-motion = pp.move_through(arm, keyframes, limits=limits)
+# A scene without obstacles: the arm keeps clear of itself.
+motion = pp.move_through(arm, keyframes, limits=limits, scene=pp.Scene())
 
 print(f"{motion.run.status} after {motion.time[-1]:.2f} s, {motion.time_scale:.2f} times as long as planned")
 print(f"largest joint velocity: {np.abs(motion.velocities).max():.3f} of {limits.velocity} rad/s")
