@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
-from types import MappingProxyType
+from dataclasses import MISSING, fields, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import coal
@@ -14,18 +13,33 @@ from numpy.typing import NDArray
 
 from pinposture._validation import known_keys, require_instance, require_known
 from pinposture.collision.scan import Scan
-from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Piece, Sphere
+from pinposture.collision.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    Mesh,
+    MeshShape,
+    Piece,
+    Sphere,
+)
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
 
 Array = NDArray[np.float64]
 
-Obstacle: TypeAlias = "Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh | Scan"
+Obstacle: TypeAlias = "Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh | Scan | MeshShape"
 
-OBSTACLE_TYPES: Mapping[str, type[Obstacle]] = MappingProxyType(
-    {kind.type: kind for kind in (Sphere, Capsule, Cylinder, Box, HalfSpace, Mesh, Scan)}
-)
-"""Obstacle classes by their type names in scene files."""
+OBSTACLE_TYPES: dict[str, type[Obstacle]] = {
+    kind.type: kind for kind in (Sphere, Capsule, Cylinder, Box, HalfSpace, Mesh, Scan)
+}
+"""Obstacle classes by their type names in scene files; a new subclass of `MeshShape` is added here."""
+
+PLACES = ("center", "start", "end", "point")
+"""Names of the fields of obstacles that move with them: positions."""
+
+DIRECTIONS = ("rotation", "normal")
+"""Names of the fields of obstacles that turn with them."""
 
 
 def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obstacle:
@@ -48,12 +62,12 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
         raise InvalidValue("type", None, ", ".join(OBSTACLE_TYPES))
     require_known("type of obstacle", name, OBSTACLE_TYPES)
     kind = OBSTACLE_TYPES[name]
-    if kind in (Mesh, Scan):
+    if issubclass(kind, Mesh | Scan):
         return kind.from_dict(values, folder)
     allowed = [each.name for each in fields(kind)]
     known_keys(f"a {name}", values, allowed)
-    for key in allowed:
-        if key not in values and key != "rotation":
+    for key in (each.name for each in fields(kind) if each.default is MISSING):
+        if key not in values:
             raise InvalidValue(key, None, f"a value; a {name} has {', '.join(allowed)}")
     return kind(**values)
 
@@ -64,14 +78,18 @@ def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:
         center, turn = np.array(obstacle.center), np.array(obstacle.rotation)
         return obstacle.placed(motion.act(center), motion.rotation @ turn)
     changes: dict[str, Any] = {}
-    for name in ("center", "start", "end", "point"):
+    for name in PLACES:
         if hasattr(obstacle, name):
             changes[name] = motion.act(np.array(getattr(obstacle, name)))
-    if isinstance(obstacle, Box):
-        changes["rotation"] = motion.rotation @ np.array(obstacle.rotation)
-    if isinstance(obstacle, HalfSpace):
-        changes["normal"] = motion.rotation @ np.array(obstacle.normal)
+    for name in DIRECTIONS:
+        if hasattr(obstacle, name):
+            changes[name] = motion.rotation @ np.array(getattr(obstacle, name))
     return replace(obstacle, **changes)
+
+
+def geometry_of(obstacle: Obstacle) -> Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh | Scan:
+    """Return what distances and pictures are made from: the mesh of a `MeshShape`, others themselves."""
+    return obstacle.mesh if isinstance(obstacle, MeshShape) else obstacle
 
 
 class Solid(NamedTuple):
@@ -114,12 +132,12 @@ class Solid(NamedTuple):
 
 def solids(obstacle: Obstacle) -> list[Solid]:
     """Return the solids, or the pieces of the surface, of an obstacle."""
-    if not isinstance(obstacle, (Mesh, Scan)) or (isinstance(obstacle, Mesh) and obstacle.convex):
-        return [solid(obstacle)]
-    tree = obstacle.tree
-    listed = [_piece(obstacle, node, PIECE) for node in tree.pieces]
-    if isinstance(obstacle, Mesh) and obstacle.closed:
-        listed.append(_piece(obstacle, 1, INSIDE))
+    geometry = geometry_of(obstacle)
+    if not isinstance(geometry, (Mesh, Scan)) or (isinstance(geometry, Mesh) and geometry.convex):
+        return [solid(geometry)]
+    listed = [_piece(geometry, node, PIECE) for node in geometry.tree.pieces]
+    if isinstance(geometry, Mesh) and geometry.closed:
+        listed.append(_piece(geometry, 1, INSIDE))
     return listed
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import cached_property
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Any, ClassVar, TypeAlias, TypeVar
@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 
 MAX_PIECES = 64  # maximum number of pieces, a power of two; a body has one contact with each
 MAX_PLAUSIBLE_WIDTH = 30.0  # width of a surface above which its unit is probably not metres [m]
+MAX_BUILT_MESHES = 256  # maximum number of meshes of a `MeshShape` that are cached
 LEAF_SIZE = 4  # maximum number of points or triangles in a node of the last level
 
 
@@ -475,6 +476,64 @@ class Mesh(Surface):
     def closed(self) -> bool:
         """Whether the mesh encloses a volume."""
         return is_closed(self.faces)
+
+
+class MeshShape(Described):
+    """Base class of obstacles whose surface is a mesh that a few numbers describe.
+
+    A subclass is a frozen dataclass with the fields `center`, numbers of its own, and `rotation`, and has a
+    method `build`. A number (float) is a length [m], and checked as one, unless its field names another unit,
+    as in `field(metadata={"unit": "deg"})`; the subclass checks such numbers itself.
+
+    Attributes:
+        center: position of the origin of its frame in the world, (3,) [m].
+        rotation: from the axes of that frame to the world axes, (3, 3).
+    """
+
+    center: Vector
+    rotation: Matrix
+
+    def __post_init__(self) -> None:
+        set_fields(self, center=point("center", self.center), rotation=rotation("rotation", self.rotation))
+        for each in number_fields(type(self)):
+            if each.metadata.get("unit", "m") == "m":
+                set_fields(self, **{each.name: length(each.name, getattr(self, each.name))})
+
+    def build(self) -> Mesh:
+        """Return its mesh in its own frame, without a placement; only a closed mesh has an inside."""
+        raise NotImplementedError
+
+    @classmethod
+    def of_size(cls, center: Vector, size: float) -> MeshShape:
+        """Return a new one for the editor: all numbers without a default equal a size [m]."""
+        numbers = {each.name: size for each in number_fields(cls) if each.default is MISSING}
+        made: Any = cls
+        return made(center=center, **numbers)  # type: ignore[no-any-return]
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Its mesh in the world frame; those of equal shapes share one tree."""
+        own: Any = self
+        return _built(replace(own, center=(0.0, 0.0, 0.0), rotation=UNTURNED)).placed(
+            self.center, self.rotation
+        )
+
+
+@lru_cache(maxsize=MAX_BUILT_MESHES)
+def _built(shape: MeshShape) -> Mesh:
+    mesh = shape.build()
+    require_instance(f"build() of a {shape.type}", mesh, Mesh, "a Mesh")
+    if any(mesh.center) or mesh.rotation != UNTURNED:
+        allowed = "(0, 0, 0), without a rotation: the obstacle itself is placed"
+        raise InvalidValue(f"center of build() of a {shape.type}", mesh.center, allowed)
+    if not mesh.convex:
+        _ = mesh.tree  # built once: placed copies keep it
+    return mesh
+
+
+def number_fields(kind: Any) -> list[Field[Any]]:
+    """Return the fields of a type of shape that are numbers."""
+    return [each for each in fields(kind) if each.type in (float, "float")]
 
 
 def warn_of_width(name: str, points: Array) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import count
 from typing import Any, NamedTuple, TypeAlias
 
@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import Matrix, Vector, require_known
 from pinposture.arm import Arm
 from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Scene, Sphere
+from pinposture.collision.obstacles import DIRECTIONS, OBSTACLE_TYPES, PLACES
 from pinposture.collision.scene import obstacles_around, obstacles_near
+from pinposture.collision.shapes import MeshShape
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.session import Proposal, Session
 from pinposture.errors import InvalidValue, PostureError, TaskError
@@ -82,7 +84,7 @@ def pose_of(obstacle: Obstacle, scale: ArmScale) -> Pose:
     """Return the pose of an obstacle."""
     if isinstance(obstacle, Sphere):
         return Pose(np.array(obstacle.center), np.eye(3))
-    if isinstance(obstacle, Box):
+    if isinstance(obstacle, Box | MeshShape):
         return Pose(np.array(obstacle.center), np.array(obstacle.rotation))
     if isinstance(obstacle, Mesh | Scan):
         rotation = np.array(obstacle.rotation)
@@ -104,8 +106,9 @@ def at_pose(obstacle: Obstacle, pose: Pose) -> Obstacle:
     position, rotation = pose
     if isinstance(obstacle, Sphere):
         return replace(obstacle, center=_rounded(position))
-    if isinstance(obstacle, Box):
-        return replace(obstacle, center=_rounded(position), rotation=_matrix(rotation))
+    if isinstance(obstacle, Box | MeshShape):
+        changes: dict[str, Any] = {"center": _rounded(position), "rotation": _matrix(rotation)}
+        return replace(obstacle, **changes)
     if isinstance(obstacle, Mesh | Scan):
         return obstacle.placed(_rounded(position - rotation @ _center(obstacle)), _matrix(rotation))
     if isinstance(obstacle, HalfSpace):
@@ -116,16 +119,13 @@ def at_pose(obstacle: Obstacle, pose: Pose) -> Obstacle:
 
 def own_shape(obstacle: Obstacle) -> tuple[object, ...]:
     """Return what the surface of an obstacle depends on in its own frame: its type, and its size."""
-    if isinstance(obstacle, Sphere):
-        return obstacle.type, obstacle.radius
-    if isinstance(obstacle, Box):
-        return obstacle.type, obstacle.size
     if isinstance(obstacle, Mesh | Scan):
         return obstacle.type, obstacle.placed((0.0, 0.0, 0.0))
-    if isinstance(obstacle, HalfSpace):
-        return (obstacle.type,)
-    length = float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))
-    return obstacle.type, obstacle.radius, round(length, COORDINATE_DIGITS - 1)
+    if isinstance(obstacle, Capsule | Cylinder):
+        length = float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))
+        return obstacle.type, obstacle.radius, round(length, COORDINATE_DIGITS - 1)
+    names = (each.name for each in fields(obstacle) if each.name not in (*PLACES, *DIRECTIONS))
+    return obstacle.type, *(getattr(obstacle, name) for name in names)
 
 
 def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
@@ -141,19 +141,17 @@ def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
     by = np.asarray(shift, dtype=np.float64)
     if isinstance(obstacle, Mesh | Scan):
         return obstacle.placed(_rounded(obstacle.center + by), obstacle.rotation)
-    if isinstance(obstacle, HalfSpace):
-        return replace(obstacle, point=_rounded(obstacle.point + by))
-    if isinstance(obstacle, (Capsule, Cylinder)):
-        return replace(obstacle, start=_rounded(obstacle.start + by), end=_rounded(obstacle.end + by))
-    return replace(obstacle, center=_rounded(obstacle.center + by))
+    places = (name for name in PLACES if hasattr(obstacle, name))
+    changes: dict[str, Any] = {name: _rounded(getattr(obstacle, name) + by) for name in places}
+    return replace(obstacle, **changes)
 
 
 def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
     """Return the handles that change the size of an obstacle, just outside of it.
 
     A box has them on three faces that meet; those across stay where they are. A ball has one. A cylinder and
-    a capsule have one at each end, and one for the radius. A half-space has one above its surface, and
-    meshes and scans have none.
+    a capsule have one at each end, and one for the radius. A half-space has one above its surface. Meshes,
+    scans and types that a mesh represents have none.
     """
     pose, gap = pose_of(obstacle, scale), scale.gap
     if isinstance(obstacle, Box):
@@ -163,7 +161,7 @@ def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
     if isinstance(obstacle, HalfSpace):
         foot = pose.position - HALF_SPACE_OFFSET * scale.length * pose.rotation[:, 0]
         return (SizeHandle("height", foot + gap * pose.rotation[:, 2]),)
-    if isinstance(obstacle, Mesh | Scan):
+    if isinstance(obstacle, Mesh | Scan | MeshShape):
         return ()
     radius = SizeHandle("radius", pose.position - (obstacle.radius + gap) * pose.rotation[:, 0])
     if isinstance(obstacle, Sphere):
@@ -197,7 +195,7 @@ def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) 
     if isinstance(obstacle, HalfSpace):
         height = float(off @ pose.rotation[:, 2]) - gap
         return replace(obstacle, point=_rounded(pose.position + height * pose.rotation[:, 2]))
-    if isinstance(obstacle, Mesh | Scan):
+    if isinstance(obstacle, Mesh | Scan | MeshShape):
         return obstacle
     if isinstance(obstacle, Sphere) or handle == "radius":
         radius = max(float(-off @ pose.rotation[:, 0]) - gap, least)
@@ -230,6 +228,8 @@ def bounding_radius(obstacle: Obstacle) -> float:
         return 0.5 * float(np.linalg.norm(obstacle.size))
     if isinstance(obstacle, HalfSpace):
         return 0.0
+    if isinstance(obstacle, MeshShape):
+        return float(np.linalg.norm(obstacle.mesh.vertices, axis=1).max())
     if isinstance(obstacle, Mesh | Scan):
         low, high = obstacle.bounds
         return float(np.linalg.norm(0.5 * (high - low)))
@@ -261,7 +261,9 @@ def _matrix(rotation: Array) -> Matrix:
     return x, y, z
 
 
-NEW_OBSTACLE_KINDS = ("sphere", "box", "cylinder", "capsule", "half_space")
+def new_obstacle_kinds() -> tuple[str, ...]:
+    """Return the types of obstacles that need no file: all but meshes and scans."""
+    return tuple(name for name, kind in OBSTACLE_TYPES.items() if not issubclass(kind, Mesh | Scan))
 
 
 def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obstacle:
@@ -270,7 +272,7 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
     Where there is no such place it is put as far from the arm as was tried.
 
     Args:
-        kind: one of `NEW_OBSTACLE_KINDS`.
+        kind: one of `new_obstacle_kinds()`.
         arm: the arm.
         points: where it is, from base to tip, and perhaps where it is to be, from tip to base, (n, 3) [m],
             world frame.
@@ -279,7 +281,7 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
     Raises:
         UnknownName: there is no such kind.
     """
-    require_known("kind of obstacle", kind, NEW_OBSTACLE_KINDS)
+    require_known("kind of obstacle", kind, new_obstacle_kinds())
     path = _resampled(np.vstack([arm.chain.base, points]))
     up = arm.plane[np.abs(arm.plane[:, 2]).argmax()] if arm.dimension == 2 else np.array([0.0, 0.0, 1.0])
     up = -up if up[2] < 0.0 else up
@@ -305,6 +307,9 @@ def _new_solid(kind: str, center: Array, axis: Array, length: float) -> Obstacle
     if kind == "box":
         edge = round(0.12 * length, COORDINATE_DIGITS)
         return Box(_as_vector(center), (edge, edge, edge))
+    own = OBSTACLE_TYPES[kind]
+    if issubclass(own, MeshShape):
+        return own.of_size(_as_vector(center), round(0.06 * length, COORDINATE_DIGITS))
     half = (0.12 if kind == "cylinder" else 0.1) * length * axis
     ends = _as_vector(center - half), _as_vector(center + half)
     return (Cylinder if kind == "cylinder" else Capsule)(*ends, round(0.03 * length, COORDINATE_DIGITS))

@@ -18,7 +18,9 @@ from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
 from pinposture.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Scan, Sphere
 from pinposture.collision.files import find_mesh, read_mesh
+from pinposture.collision.obstacles import geometry_of
 from pinposture.collision.scan import between_cubes, representatives
+from pinposture.collision.shapes import MeshShape
 from pinposture.errors import FileError, warn_caller
 
 Array = NDArray[np.float64]
@@ -426,14 +428,17 @@ DOT_SIZE = 2e-3  # minimum radius of a point of a cloud, relative to the width o
 
 def is_hollow(obstacle: Obstacle) -> bool:
     """Return whether an obstacle is a scan or a mesh that may have cavities."""
-    return isinstance(obstacle, Scan) or (isinstance(obstacle, Mesh) and not obstacle.convex)
+    geometry = geometry_of(obstacle)
+    return isinstance(geometry, Scan) or (isinstance(geometry, Mesh) and not geometry.convex)
 
 
-def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan) -> TriangleMesh:
+def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan | MeshShape) -> TriangleMesh:
     """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m].
 
     Large scans and meshes are thinned; the points of a cloud become octahedra.
     """
+    if isinstance(obstacle, MeshShape):
+        obstacle = obstacle.mesh
     if isinstance(obstacle, Sphere):
         center = np.array(obstacle.center)
         return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))

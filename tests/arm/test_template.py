@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+import pinposture as pp
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
 from pinposture.errors import InvalidValue, UnknownName
 
@@ -35,8 +36,16 @@ def test_a_shipped_template_has_the_joints_its_name_spells(name, axes, lengths):
         assert (joint.type, joint.lower, joint.upper) == ("revolute", -math.pi, math.pi)
 
 
-def test_no_other_template_ships_and_the_mapping_cannot_be_changed():
-    assert set(TEMPLATES) == {"RyRz", "RzRy", "Rz", "RzRz", "RzRzRz", "Continuum"}
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_each_shipped_template_is_listed_under_its_name_and_makes_an_arm(name):
+    shipped = template(name)
+    arm = pp.Arm.from_template(name, modules=4)
+    assert shipped.name == name
+    assert arm.nq == 4 * sum(joint.follows is None for joint in shipped.joints)
+    assert arm.length == pytest.approx(4 * shipped.length - shipped.lead, abs=1e-12)
+
+
+def test_the_mapping_of_templates_cannot_be_changed():
     with pytest.raises(TypeError):
         TEMPLATES["Rx"] = template("Rz")
 

@@ -14,13 +14,13 @@ from editor.solid_distances import signed_distance
 import pinposture as pp
 from pinposture.editor.obstacles import (
     CLEAR_ROOM,
-    NEW_OBSTACLE_KINDS,
     add_obstacle,
     change_obstacle,
     delete_obstacle,
     edit_obstacle,
     moved,
     new_obstacle,
+    new_obstacle_kinds,
     obstacles_of,
     rename_obstacle,
     select_obstacle,
@@ -97,7 +97,7 @@ def test_what_was_proposed_is_gone_when_its_end_is_refused(session):
     assert "radius" in session.notice.text
 
 
-@pytest.mark.parametrize("kind", NEW_OBSTACLE_KINDS)
+@pytest.mark.parametrize("kind", new_obstacle_kinds())
 def test_a_dragged_obstacle_has_the_velocity_of_the_hand_and_a_resized_one_has_none(kind, monkeypatch):
     session, clock = session_of(pp.Arm.from_template("RyRz", modules=6)), [100.0]
     for module in ("obstacles", "session"):
@@ -175,7 +175,7 @@ def test_an_obstacle_is_selected_in_place_of_a_control_point(session):
 
 @pytest.mark.parametrize("modules", [2, 20])
 @pytest.mark.parametrize("template", ["RyRz", "Rz"])
-@pytest.mark.parametrize("kind", NEW_OBSTACLE_KINDS)
+@pytest.mark.parametrize("kind", new_obstacle_kinds())
 def test_new_obstacles_are_clear_of_the_arm(template, modules, kind):
     arm = pp.Arm.from_template(template, modules=modules)
     rng = np.random.default_rng(3)
@@ -219,7 +219,7 @@ def _shift(shift, obstacle):
     return moved(obstacle, shift)
 
 
-@pytest.mark.parametrize("kind", NEW_OBSTACLE_KINDS)
+@pytest.mark.parametrize("kind", new_obstacle_kinds())
 def test_a_planar_arm_that_is_closed_to_a_ring_leaves_room_beside_it(kind):
     arm = pp.Arm.from_template("Rz", 12)
     ring = np.array([[np.sin(a), 1.0 - np.cos(a), 0.0] for a in np.linspace(0.0, 2.0 * np.pi, 13)[1:]])

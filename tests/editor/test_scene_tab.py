@@ -15,9 +15,11 @@ import pytest
 pytest.importorskip("viser", reason="viser is not installed")
 
 import viser
+from collision.test_obstacle_types import NEW
 from editor.edited_tasks import six_modules, task
 
 import pinposture as pp
+from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.obstacles import (
     Pose,
@@ -92,6 +94,36 @@ def test_every_obstacle_is_drawn_where_it_is(arm, live, server, desk):
     assert floor.vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # all of the plate is below its surface
     assert tuple(handle.color) == color(palette.OBSTACLE)
     assert handle.opacity == palette.SEE_THROUGH
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_a_new_type_is_drawn_and_has_a_field_for_each_number(name, arm, live, server, desk, monkeypatch):
+    session, post = desk
+    monkeypatch.setitem(OBSTACLE_TYPES, name, type(NEW[name]))
+    insert_obstacle("new", NEW[name], session)
+    assert "new" in obstacles_of(session.task), session.notice.text
+    drawing = Obstacles(server, arm, post)
+    drawing.show(session, live)
+    handle = drawing._drawn["new"].handle
+    np.testing.assert_allclose(handle.position, NEW[name].center)
+    np.testing.assert_allclose(
+        np.ptp(handle.vertices, axis=0), np.ptp(NEW[name].build().vertices, axis=0), atol=1e-6
+    )
+    tab = SceneTab(server, arm, ScanShelf(post), post)
+    tab.show(session, live)
+    numbers = {key: parts.control.value for key, parts in tab._numbers.items() if parts.control.visible}
+    own = {key: value for key, value in vars(NEW[name]).items() if isinstance(value, float)}
+    assert numbers == pytest.approx(own)
+    assert {key for key, parts in tab._vectors.items() if parts.control.visible} == {"center", "rotation"}
+    tab._set_value("radius", 0.05, True)
+    drawing.show(session, live)
+    changed = obstacles_of(session.task)["new"]
+    assert changed.radius == 0.05
+    np.testing.assert_allclose(
+        np.ptp(drawing._drawn["new"].handle.vertices, axis=0),
+        np.ptp(changed.build().vertices, axis=0),
+        atol=1e-6,
+    )
 
 
 def test_only_what_is_selected_has_axes_and_handles(arm, live, server, desk):
@@ -181,7 +213,7 @@ def test_the_tab_shows_what_the_selected_obstacle_has(arm, live, server, desk, t
         select_obstacle(name, session)
         tab.show(session, live)
         visible = {key for key, parts in tab._vectors.items() if parts.control.visible}
-        assert visible | ({"radius"} if tab._radius.control.visible else set()) == keys
+        assert visible | {key for key, parts in tab._numbers.items() if parts.control.visible} == keys
         assert tab._called.control.value == name
     select_obstacle("box", session)
     tab.show(session, live)
@@ -205,7 +237,7 @@ def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
     tab.show(session, live)
     for field, own, error in (
         (tab._vectors["center"].control, center, 1e-3),
-        (tab._radius.control, radius, 1e-6),
+        (tab._numbers["radius"].control, radius, 1e-6),
     ):
         np.testing.assert_allclose(field.value, own, rtol=0.0, atol=error * length)
         np.testing.assert_allclose(np.round(field.value, field.precision), field.value, rtol=0.0, atol=1e-15)
@@ -223,7 +255,7 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(arm, live, ser
     monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
     states = len(session.history._states)
     for radius in (0.0, 0.03, 0.035):  # "0.035", key by key
-        tab._radius._changed(radius)
+        tab._numbers["radius"]._changed(radius)
         clock[0] += 0.2
         tab.show(session, live)
     assert len(session.history._states) == states

@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Obstacle, Sphere
+from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.collision.scan import Scan
+from pinposture.collision.shapes import number_fields
 from pinposture.editor import obstacles
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import with_scene
@@ -173,7 +175,6 @@ HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of th
 CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
 MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the arm
 
-KIND_LABELS = {kind.replace("_", "-").capitalize(): kind for kind in obstacles.NEW_OBSTACLE_KINDS}
 VECTOR_LABELS = {
     "center": ("Centre [m]", "World frame"),
     "start": ("Start [m]", "Centre of one end, world frame"),
@@ -184,6 +185,17 @@ VECTOR_LABELS = {
     "rotation": ("Rotation [deg]", "Roll, pitch, yaw"),
 }
 """Labels and hints of values of three numbers, by attribute."""
+
+
+def number_labels() -> dict[str, str]:
+    """Return the labels of the numbers that obstacles have, with their units, by attribute."""
+    labels: dict[str, str] = {}
+    for kind in obstacles.new_obstacle_kinds():
+        for each in number_fields(OBSTACLE_TYPES[kind]):
+            words = each.name.replace("_", " ").capitalize()
+            labels.setdefault(each.name, f"{words} [{each.metadata.get('unit', 'm')}]")
+    return labels
+
 
 NORMAL_DIGITS, ANGLE_DIGITS = 4, 2  # of shown directions and angles [deg]
 
@@ -418,7 +430,8 @@ class SceneTab:
         self._points = np.zeros((0, 3))
         self._name = ""
         self._about = gui.add_html("")
-        add = gui.add_button_group("Add", tuple(KIND_LABELS), hint="Next to the arm; drag it into place")
+        kinds = {kind.replace("_", "-").capitalize(): kind for kind in obstacles.new_obstacle_kinds()}
+        add = gui.add_button_group("Add", tuple(kinds), hint="Next to the arm; drag it into place")
         self._chosen = gui.add_dropdown("Obstacle", ("none",), hint="Or click on one in the picture")
         self._called = Typed(gui.add_text("Name", "", visible=False), self._rename)
         self._vectors: dict[str, Typed] = {}
@@ -427,8 +440,11 @@ class SceneTab:
             field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=by, hint=hint, visible=False)
             field.precision = {"rotation": ANGLE_DIGITS, "normal": NORMAL_DIGITS}.get(key, digits)
             self._vectors[key] = Typed(field, partial(self._set_value, key), preview=True)
-        radius = gui.add_number("Radius [m]", 0.0, min=0.0, step=step, visible=False)
-        self._radius = Typed(radius, partial(self._set_value, "radius"), preview=True)
+        self._numbers: dict[str, Typed] = {}
+        for key, label in number_labels().items():
+            number = gui.add_number(label, 0.0, min=0.0, step=step, visible=False)
+            number.precision = self._digits
+            self._numbers[key] = Typed(number, partial(self._set_value, key), preview=True)
         self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, color="gray", visible=False)
         with gui.add_folder("Keep clear"):
             hint = "Distance to keep from obstacles"
@@ -439,11 +455,11 @@ class SceneTab:
             hint = "Radius of its links; 0: as in its description"
             thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=step, hint=hint)
             self._arm_radius = Typed(thickness, self._set_arm_radius)
-        for each in (radius, margin, thickness):
+        for each in (margin, thickness):
             each.precision = self._digits
         with gui.add_folder("Meshes and scans", expand_by_default=False):
             self._scans = ScanControls(server, scans, post)
-        on_choice(add, lambda label: post(partial(obstacles.add_obstacle, KIND_LABELS[label], self._points)))
+        on_choice(add, lambda label: post(partial(obstacles.add_obstacle, kinds[label], self._points)))
         on_change(self._chosen, self._select)
         on_click(self._delete, lambda: post(obstacles.delete_obstacle))
         on_change(self._self_collision, self._set_self_collision)
@@ -460,7 +476,7 @@ class SceneTab:
         name = session.obstacle if session.obstacle in listed else None
         put(self._chosen, value=name or "none")
         if (name or "") != self._name:
-            for typed in (self._called, self._radius, *self._vectors.values()):
+            for typed in (self._called, *self._numbers.values(), *self._vectors.values()):
                 typed.finish()  # it was meant for the one before
             self._name = name or ""
         self._show_values(listed.get(self._name))
@@ -482,9 +498,10 @@ class SceneTab:
             field = typed.control
             shown = field.value if own is None else _shown_vector(key, own, field.precision)
             typed.show(shown, visible=own is not None)
-        radius = getattr(obstacle, "radius", None)
-        shown = 0.0 if radius is None else round(radius, self._digits)
-        self._radius.show(shown, visible=radius is not None)
+        for key, typed in self._numbers.items():
+            number = getattr(obstacle, key, None)
+            shown_number = 0.0 if number is None else round(number, self._digits)
+            typed.show(shown_number, visible=number is not None)
 
     def _select(self, name: str) -> None:
         self._post(partial(obstacles.select_obstacle, None if name == "none" else name))
@@ -495,7 +512,7 @@ class SceneTab:
     def _set_value(self, key: str, value: Any, final: bool) -> None:
         if key == "rotation":
             value = tuple(np.radians(value))
-        elif key == "radius":
+        elif key in self._numbers:
             value = float(value)
         request = partial(obstacles.edit_obstacle, self._name, key, value, final)
         self._post(request, "" if final else "obstacle")
