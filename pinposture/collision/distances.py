@@ -17,7 +17,7 @@ from pinposture import kernels
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
 from pinposture.collision.obstacles import Solid
-from pinposture.collision.shapes import join_trees
+from pinposture.collision.shapes import Piece, join_trees
 from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, JointTree, Pairs
 
 Array = NDArray[np.float64]
@@ -395,6 +395,17 @@ class PairDistances:
             arrays.frames[k] = each.rotation
         other._arrays = arrays
         return other
+
+    def open_pieces(self, center: Array) -> list[Piece]:
+        """Return the pieces of surfaces without a closed form, those nearest to a place, (3,) [m], first."""
+        found = []
+        for number in np.unique(self.second[~self._arrays.exact]):
+            each = self._solids[number]
+            if isinstance(each.shape, tuple):
+                offset = np.abs(each.rotation.T @ (center - each.center)) - each.half
+                found.append((float(np.linalg.norm(np.maximum(offset, 0.0))), int(number)))
+        pieces = [self._solids[number].shape for _, number in sorted(found)]
+        return [piece for piece in pieces if isinstance(piece, tuple)]
 
     def near(self, placements: Placements, within: float) -> NearPairs:
         """Find the pairs nearer than a distance, and the nearest pair of all.

@@ -37,6 +37,9 @@ _ModelKey: TypeAlias = tuple[Scene, frozenset[str]]
 MAX_MODELS = 16
 """Maximum number of collision models cached per arm."""
 
+MAX_PREPARED = 500_000
+"""Number of points of scans whose geometries are made in advance; 200,000 take 0.4 s and 110 MB."""
+
 MAX_LISTED_PAIRS = 4
 """Maximum number of pairs that a warning lists."""
 
@@ -319,6 +322,13 @@ class _Choice(NamedTuple):
     distances: PairDistances
 
     @classmethod
+    def known(cls, arm: Arm, scene: Scene) -> _Choice:
+        """Return the choice for an arm and a scene, made on first use."""
+        choices: RecentValues[Scene, _Choice] = recent_values(arm, cls, MAX_MODELS)
+        choice = choices.get(scene)
+        return choices.keep(scene, cls.of(arm, scene)) if choice is None else choice
+
+    @classmethod
     def of(cls, arm: Arm, scene: Scene) -> _Choice:
         """Return the choice for an arm and a scene whose obstacles have not moved yet; it takes long."""
         bodies = bodies_of(arm, scene.arm_radius)
@@ -387,14 +397,27 @@ class CollisionModel:
         )
         model = models.get((scene.first, scene.moving))
         if model is None:
-            choices: RecentValues[Scene, _Choice] = recent_values(arm, _Choice, MAX_MODELS)
-            choice = choices.get(scene.first)
-            if choice is None:
-                choice = choices.keep(scene.first, _Choice.of(arm, scene.first))
             model = super().__new__(cls)
-            model._prepare(choice, scene.first, scene.moving)
+            model._prepare(_Choice.known(arm, scene.first), scene.first, scene.moving)
             models.keep((scene.first, scene.moving), model)
         return model._in_moment(scene)
+
+    @staticmethod
+    def prepare(arm: Arm, scene: Scene) -> None:
+        """Make what a model of an arm and a scene takes long to make, so that a control loop need not.
+
+        This is the choice of pairs, the trees of scans and meshes, and, for bodies without a closed form, the
+        geometries of their pieces, nearest to the base of the arm first, for at most `MAX_PREPARED` points or
+        triangles. It warns of nothing, as the obstacles may be moved before the first cycle.
+        """
+        choice = _Choice.known(arm, scene.first)
+        left = MAX_PREPARED
+        base = np.array(arm.base_placement.translation)
+        for tree, node in choice.distances.among(choice.candidates).open_pieces(base):
+            tree.geometry(node)
+            left -= len(tree.corners) // len(tree.pieces)
+            if left < 0:
+                return
 
     def __repr__(self) -> str:
         return f"CollisionModel({len(self.bodies)} bodies, {len(self.pairs)} pairs, {self.scene})"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 from concurrent.futures import Future, wait
 from dataclasses import fields
+from functools import partial
 from math import inf
 from threading import Thread
 from typing import Any, NamedTuple, cast
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, GeodesicMemory, Limits, PathProgress, Step
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
@@ -21,8 +22,6 @@ from pinposture.motion.processes import BackgroundProcess, Interrupted, Shared
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
-
-logger = logging.getLogger(__name__)
 
 NOT_DONE = "the controller is still computing"
 """Reason for which the arm holds while a step is late."""
@@ -39,6 +38,9 @@ class DirectStep:
     def __init__(self, controller: Controller, deadline: float) -> None:
         self.controller, self._deadline = controller, deadline
         self._pending: Future[Step] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_pending": None}
 
     def compute(
         self, state: ArmState, target: Target, limits: Limits, memory: Memory | None
@@ -99,10 +101,15 @@ class PlannedStep:
     """
 
     def __init__(self, arm: Arm, controller: Geodesic) -> None:
-        self._arm, self._process = arm, BackgroundProcess()
+        self._arm = arm
+        self._shared_arm = Shared(arm)
         self._request: Request | None = None
         self._outdated, self._interrupted = False, False  # this plan; the one before
         self.controller = controller
+        self._process = BackgroundProcess(partial(_prepare, self._shared_arm, self._shared))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PlannedStep, (self._arm, self._controller)  # with a process of its own
 
     @property
     def controller(self) -> Controller:
@@ -115,7 +122,7 @@ class PlannedStep:
         self._prompt = PromptGeodesic(
             **{each.name: getattr(controller, each.name) for each in fields(Geodesic)}
         )
-        self._shared = Shared((self._arm, self._controller))
+        self._shared = Shared(self._controller)
 
     def compute(
         self, state: ArmState, target: Target, limits: Limits, memory: Memory | None
@@ -145,7 +152,8 @@ class PlannedStep:
             previous = motion.braked(limits, state).dq
             self._request = Request(self._controller, target, limits, previous)
             q = self._arm.integrate(state.q, previous)
-            self._process.submit(_plan, self._shared, q, target, limits, previous, needed.attempt)
+            shared = self._shared_arm, self._shared
+            self._process.submit(_plan, shared, q, target, limits, previous, needed.attempt)
             return None, memory
 
     def _is_outdated(self, target: Target, planned: Target) -> bool:
@@ -167,14 +175,24 @@ class PlannedStep:
         try:
             progress = self._process.result()
         except EOFError:
-            logger.warning("the process that plans was ended from outside; another one plans again")
-            return memory
+            return memory  # another process plans again
         motion = Memory(request.previous) if memory is None else memory
         late = None if np.array_equal(motion.dq, request.previous) else motion
         adopted = adopt_plan(request.controller, progress, self._arm, request.target, request.limits, late)
         return GeodesicMemory(motion.dq, motion.stopping, adopted)
 
 
-def _plan(shared: Shared[tuple[Arm, Geodesic]], *arguments: Any) -> PathProgress:
-    arm, controller = shared.value
-    return plan_from(controller, arm, *arguments)
+def _plan(shared: tuple[Shared[Arm], Shared[Geodesic]], *arguments: Any) -> PathProgress:
+    arm, controller = shared
+    return plan_from(controller.value, arm.value, *arguments)
+
+
+def _prepare(arm: Shared[Arm], controller: Shared[Geodesic]) -> None:
+    """Make what plans need, in the process that plans."""
+    build_models(arm.value, controller.value.scene)
+
+
+def build_models(arm: Arm, scene: Scene | None) -> None:
+    """Make the collision model of an arm and a scene, if any, with the trees of its scans."""
+    if scene is not None:
+        CollisionModel.prepare(arm, scene)

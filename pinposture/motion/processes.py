@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import cached_property, lru_cache
 from itertools import islice
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from queue import Empty, SimpleQueue
+from threading import Event, Thread
 from time import perf_counter
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from joblib import Parallel, parallel_config, wrap_non_picklable_objects
 from joblib.externals.loky.backend import get_context
@@ -22,7 +26,12 @@ from pinposture import kernels
 from pinposture._validation import is_whole
 from pinposture.errors import InvalidValue, no_warnings
 
+logger = logging.getLogger(__name__)
+
 Value = TypeVar("Value")
+
+Call: TypeAlias = tuple[Callable[..., object], tuple[object, ...]]
+"""A function and its arguments."""
 
 Progress = Callable[[int, int], object]
 """Called with the number of finished calls and the total number."""
@@ -52,7 +61,7 @@ class Shared(Generic[Value]):
         return _unpacked, (self._packed,)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def _unpacked(packed: bytes) -> Shared[Any]:
     return Shared(pickle.loads(packed))
 
@@ -153,47 +162,114 @@ class Interrupted(BaseException):
     """A call was interrupted. Handlers of `Exception` do not catch it."""
 
 
-class BackgroundProcess:
-    """A persistent process that makes one call at a time in the background.
+class _Line:
+    """A process and the connection to it, used by the thread that talks to it.
 
-    It takes some seconds to start, during which calls wait, and is restarted if it is terminated. It ends
-    with this object. Calls must be picklable; `Shared` values are unpickled once.
+    Args:
+        prepare: called in each new process before it answers.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, prepare: Callable[[], object]) -> None:
+        self.requests: SimpleQueue[tuple[Call, Future[Any]] | None] = SimpleQueue()
+        self.ready = Event()
+        self.interruptible = False
+        self._prepare = prepare
         self._start()
 
     def _start(self) -> None:
+        self.interruptible = False
         self._connection, other = Pipe()
-        self._running = False
         # `multiprocessing` by itself would run the script of the user again.
-        self._process = get_context("loky").Process(
+        self.process = get_context("loky").Process(
             target=_answer_calls, args=(other,), daemon=True, env=dict.fromkeys(THREAD_COUNTS, "1")
         )
-        self._process.start()
+        self.process.start()
         other.close()
 
-    def submit(self, function: Callable[..., object], *arguments: object) -> None:
-        """Start a call; the result of the previous one must have been returned."""
-        call = pickle.dumps((function, arguments))
+    def serve(self) -> None:
+        """Make calls until there is None instead; start another process when this one has ended."""
+        with suppress(Exception):  # the calls themselves say what is wrong
+            self._make((self._prepare, ()))
+        self.ready.set()
+        while True:
+            try:
+                request = self.requests.get(timeout=WATCH_INTERVAL)
+            except Empty:
+                if not self.process.is_alive():
+                    self._restart()
+                continue
+            if request is None:
+                self._connection.close()
+                return
+            call, future = request
+            try:
+                future.set_result(self._make(call))
+            except BaseException as error:  # `BackgroundProcess.result` raises it
+                if isinstance(error, EOFError):
+                    self._restart()
+                future.set_exception(error)
+
+    def _restart(self) -> None:
+        logger.warning("a process was ended from outside; another one starts")
+        with suppress(OSError):
+            self._connection.close()
+        self._start()
+        with suppress(Exception):
+            self._make((self._prepare, ()))
+
+    def _make(self, call: Call) -> Any:
+        sent = pickle.dumps(call)
         try:
-            self._connection.send_bytes(call)
-        except OSError:
-            self._start()
-            self._connection.send_bytes(call)
+            self._connection.send_bytes(sent)
+            value, error = pickle.loads(self._connection.recv_bytes())
+        except (EOFError, OSError):
+            raise EOFError from None
+        self.interruptible = True
+        if error is not None:
+            raise error
+        return value
+
+
+class BackgroundProcess:
+    """A persistent process that makes one call at a time in the background.
+
+    It takes some seconds to start, which the constructor waits for. If it is terminated, another one is
+    started; a thread waits for that. It ends with this object. Calls must be picklable; `Shared` values are
+    unpickled once.
+
+    Args:
+        prepare: called in each new process before it makes calls; picklable.
+    """
+
+    def __init__(self, prepare: Callable[[], object] = int) -> None:
+        self._line = _Line(prepare)
+        self._pending: Future[Any] = Future()
+        # The thread must not hold this object, which would then never be deleted.
+        Thread(target=self._line.serve, name="pinposture-planner", daemon=True).start()
+        self._line.ready.wait()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return int(self._line.process.pid)
+
+    def submit(self, function: Callable[..., object], *arguments: object) -> None:
+        """Start a call, without waiting; the result of the previous one must have been returned."""
+        self._pending = Future()
+        self._line.requests.put(((function, arguments), self._pending))
 
     def done(self) -> bool:
         """Whether `result` returns at once."""
-        return self._connection.poll()
+        return self._pending.done()
 
     def interrupt(self) -> None:
         """Interrupt the call if it has begun: its result is then `Interrupted`. Repeat this until it is done.
 
         The first call of a process cannot be interrupted, nor any call on Windows, which has no SIGUSR1.
         """
-        if self._running and INTERRUPT is not None:
+        if self._line.interruptible and INTERRUPT is not None:
             with suppress(OSError):  # it has ended; `result` says so
-                os.kill(self._process.pid, INTERRUPT)
+                os.kill(self.pid, INTERRUPT)
 
     def result(self) -> Any:
         """Return the result, or raise the exception of the call.
@@ -202,20 +278,15 @@ class BackgroundProcess:
             EOFError: the process was terminated.
             Interrupted: the call was interrupted.
         """
-        try:
-            value, error = pickle.loads(self._connection.recv_bytes())
-        except (EOFError, OSError):
-            self._start()
-            raise EOFError from None
-        self._running = True
-        if error is not None:
-            raise error
-        return value
+        return self._pending.result()
 
     def __del__(self) -> None:
-        if hasattr(self, "_connection"):
-            self._connection.close()
+        if hasattr(self, "_line"):
+            self._line.requests.put(None)
 
+
+WATCH_INTERVAL = 0.5
+"""How often a thread looks whether an idle process has ended [s]."""
 
 THREAD_COUNTS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that set the number of threads of a process."""

@@ -1,7 +1,9 @@
 """A tracker with a deadline: its paths are planned in another process, and no cycle waits for them."""
 
 import os
+import pickle
 import signal
+import threading
 import time
 import warnings
 
@@ -10,6 +12,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.collision import model, shapes
 from pinposture.control.planner import geodesic, plan
 from pinposture.errors import PostureWarning, UnknownName
 from pinposture.motion.processes import BackgroundProcess, Interrupted
@@ -165,8 +168,58 @@ def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
     goal = smooth_configuration(arm, np.random.default_rng(3), 1.0)
     tracker.update(pp.Target.from_configuration(arm, goal))
     loop.run("holding")
-    os.kill(tracker._steps._process._process.pid, signal.SIGKILL)
+    os.kill(tracker._steps._process.pid, signal.SIGKILL)
     loop.run("converged")
+
+
+def test_a_cycle_does_not_wait_for_another_process_to_start(
+    arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
+    line, begun = tracker._steps._process._line, threading.Event()
+    started, go_on = line._start, threading.Event()
+
+    def start() -> None:
+        begun.set()
+        assert go_on.wait(PATIENCE)
+        started()
+
+    monkeypatch.setattr(line, "_start", start)
+    os.kill(tracker._steps._process.pid, signal.SIGKILL)
+    assert begun.wait(PATIENCE)  # although no cycle asks for a plan
+    goal = smooth_configuration(arm, np.random.default_rng(3), 1.0)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    for _ in range(20):  # while there is no process, cycles go on
+        tracker.step(arm.neutral())
+        assert tracker.report.status == "holding"
+    go_on.set()
+    Loop(tracker, arm.neutral()).run("converged")
+
+
+def test_a_tracker_that_plans_in_a_process_is_pickled_with_a_process_of_its_own(arm: pp.Arm) -> None:
+    tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
+    tracker.update(
+        pp.Target.from_configuration(arm, smooth_configuration(arm, np.random.default_rng(3), 1.0))
+    )
+    tracker.step(arm.neutral())
+    other = pickle.loads(pickle.dumps(tracker))
+    assert other._steps._process.pid != tracker._steps._process.pid
+    Loop(other, arm.neutral()).run("converged")
+
+
+def test_what_cycles_need_is_made_in_the_constructor(arm: pp.Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    wall = pp.Scan(rng.uniform(-0.5, 0.5, (3000, 3)) * [1.0, 1.0, 0.01] - [0.0, 0.0, 0.3])
+    scene = pp.Scene({"wall": wall, "ball": pp.Sphere((0.3, 0.3, 0.0), 0.02)})
+    tracker = pp.Tracker(arm, limits=LIMITS, scene=scene)
+    monkeypatch.setattr(model, "_choose_pairs", refuse)
+    monkeypatch.setattr(shapes, "Tree", refuse)
+    monkeypatch.setattr(shapes.coal, "BVHModelOBBRSS", refuse)
+    goal = smooth_configuration(arm, rng, 0.5)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    for cycle in range(5):  # also when the obstacle moves for the first time
+        tracker.step(arm.neutral(), scene=scene.moved({"ball": (0.0, 0.0, 0.01 * cycle)}) if cycle else None)
+        assert not tracker.report.reason
 
 
 @pytest.fixture(scope="module")

@@ -327,3 +327,18 @@ def test_memory_does_not_grow() -> None:
     grown = traced() - before
     tracemalloc.stop()
     assert grown < 100_000  # less than an array in each cycle; limits of the last cycles are remembered
+
+
+def test_the_report_tells_the_time_of_a_cycle_and_whether_it_was_too_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=2)
+    tracker = pp.Tracker(arm, limits=pp.Limits(step=None, velocity=1.0, dt=0.01))
+    clock = iter([0.0, 0.004, 1.0, 1.011, 2.0, 2.01])
+    monkeypatch.setattr("pinposture.motion.tracker.perf_counter", lambda: next(clock))
+    seen = []
+    for _ in range(3):
+        tracker.step(arm.straight())
+        seen.append((round(tracker.report.time, 9), tracker.report.overran))
+    assert seen[:2] == [(0.004, False), (0.011, True)]
+    assert tracker.overruns == 1 + seen[2][1]
