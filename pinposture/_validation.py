@@ -17,8 +17,12 @@ from pinposture.errors import CurveError, InvalidValue, UnknownName, did_you_mea
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
 
+LARGEST_NUMBER, SMALLEST_NUMBER = 1e30, 1e-30
+"""Largest number of any kind, smallest one above 0; no product of ten of them over- or underflows."""
+LARGEST_COUNT = 10**9
+"""Largest count of anything; more would not fit into memory."""
 LARGEST_COORDINATE = 1e9
-"""Largest coordinate of a curve [m]; no product of two coordinates overflows."""
+"""Largest coordinate [m] and joint position [rad or m]; where an arm is known, see `Arm.require_near`."""
 SMALLEST_DISTANCE = 1e-9
 """Smallest distance of points of a curve [m]; no product of two distances vanishes."""
 SAME_POINT_EXTENT = 1e-9
@@ -54,10 +58,19 @@ def is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
+def is_usable(value: object) -> bool:
+    """Return whether a value is a number of at most `LARGEST_NUMBER` either way."""
+    return is_number(value) and -LARGEST_NUMBER <= value <= LARGEST_NUMBER  # type: ignore[operator]
+
+
 def require_positive(name: str, value: float, zero: bool = False) -> None:
-    """Raise InvalidValue unless the value is a finite number > 0 (or >= 0)."""
-    if not (is_number(value) and math.isfinite(value) and (value > 0 or (zero and value == 0))):
-        raise InvalidValue(name, value, f"a finite number {'>=' if zero else '>'} 0")
+    """Raise InvalidValue unless the value is a finite number > 0 (or >= 0), neither huge nor tiny."""
+    if not (is_usable(value) and (value >= SMALLEST_NUMBER or (zero and value == 0))):
+        allowed = f"a finite number {'>=' if zero else '>'} 0"
+        extreme = is_number(value) and 0 < value < math.inf
+        raise InvalidValue(
+            name, value, f"{allowed}, from {SMALLEST_NUMBER:g} to {LARGEST_NUMBER:g}" if extreme else allowed
+        )
 
 
 def require_share(name: str, value: float) -> None:
@@ -71,18 +84,27 @@ def is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def require_whole(name: str, value: int, least: int) -> None:
-    """Raise InvalidValue unless the value is a whole number of at least `least`."""
-    if not (is_whole(value) and value >= least):
-        raise InvalidValue(name, value, f"a whole number of at least {least}")
+def require_whole(name: str, value: int, least: int, most: int = LARGEST_COUNT) -> None:
+    """Raise InvalidValue unless the value is a whole number of at least `least` and at most `most`."""
+    if not (is_whole(value) and least <= value <= most):
+        allowed = f"at least {least}" if is_whole(value) and value < least else f"{least} to {most}"
+        raise InvalidValue(name, value, f"a whole number of {allowed}")
 
 
 def as_number(name: str, value: object, allowed: str, test: Callable[[float], bool]) -> float:
     """Read one finite number for which `test` holds, else raise InvalidValue with the words `allowed`."""
-    number = float(value) if is_number(value) else math.nan  # type: ignore[arg-type]
+    number = float(value) if is_usable(value) else math.nan  # type: ignore[arg-type]
     if not (math.isfinite(number) and test(number)):
-        raise InvalidValue(name, value, allowed)
+        extreme = is_number(value) and LARGEST_NUMBER < abs(value) < math.inf  # type: ignore[arg-type]
+        raise InvalidValue(name, value, f"{allowed}, at most {LARGEST_NUMBER:g}" if extreme else allowed)
     return number
+
+
+def as_generator(name: str, value: Any) -> np.random.Generator:
+    """Return a generator of random numbers, given one, a seed, or None, else raise InvalidValue."""
+    if not (value is None or isinstance(value, np.random.Generator) or (is_whole(value) and value >= 0)):
+        raise InvalidValue(name, value, "a numpy.random.Generator, a whole number >= 0 as seed, or None")
+    return np.random.default_rng(value)
 
 
 def as_count(name: str, value: object, low: int, high: int) -> int:
@@ -216,57 +238,78 @@ def as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
     return vector
 
 
+def as_floats(name: str, values: ArrayLike, allowed: str = "numbers") -> NDArray[np.float64]:
+    """Return a fresh array of floats, finite or not, else raise InvalidValue with the words `allowed`."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidValue(name, values, allowed) from None
+
+
 def float_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return a fresh array of floats, finite or not.
 
     Raises:
         InvalidValue: not numbers, or another shape.
     """
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(name, values, f"numbers of shape {shape}") from None
+    array = as_floats(name, values, f"numbers of shape {shape}")
     if array.shape != shape:
         raise InvalidValue(f"{name} (shape)", array.shape, f"{shape} for this arm")
     return array
 
 
 def finite_array(
-    name: str, values: ArrayLike, shape: tuple[int | None, ...] | None = None
+    name: str,
+    values: ArrayLike,
+    shape: tuple[int | None, ...] | None = None,
+    largest: float = LARGEST_NUMBER,
 ) -> NDArray[np.float64]:
     """Return a fresh array of finite floats; None in the shape stands for any positive length.
 
     Raises:
-        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
+        InvalidValue: not numbers, another shape, or an entry that is not finite or larger than `largest`
+            either way; names the entry.
     """
     words = "finite numbers" if shape is None else f"finite numbers of shape {shape}".replace("None", "k")
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(name, values, words) from None
+    array = as_floats(name, values, words)
     if values is None:
         raise InvalidValue(name, None, words)
     if shape is not None:
         sizes = zip(array.shape, shape, strict=False)
         if array.ndim != len(shape) or not all(have == (want or max(have, 1)) for have, want in sizes):
             raise InvalidValue(f"{name} (shape)", array.shape, words)
-    for where in np.argwhere(~np.isfinite(array))[:1]:
-        raise InvalidValue(f"{name}{where.tolist() or ''}", float(array[tuple(where)]), "finite numbers")
+    require_finite(name, array, largest)
     return array
 
 
-def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
+def require_finite(name: str, array: NDArray[np.float64], largest: float = LARGEST_NUMBER) -> None:
+    """Raise InvalidValue if an entry is not finite, or larger than `largest` either way; names the entry."""
+    for where in entries_beyond(array, largest)[:1]:
+        number = float(array[tuple(where)])
+        allowed = f"finite numbers{f' of at most {largest:g} in size' if math.isfinite(number) else ''}"
+        raise InvalidValue(f"{name}{where.tolist() or ''}", number, allowed)
+
+
+def entries_beyond(array: NDArray[np.float64], largest: float) -> NDArray[np.intp]:
+    """Return the indices of entries that are not finite or larger than `largest` either way, (n, ndim)."""
+    flat = array.ravel()
+    with np.errstate(over="ignore"):
+        if flat.dot(flat) <= largest * largest:  # quick; false if many entries are near the largest
+            return np.empty((0, array.ndim), dtype=np.intp)
+    return np.argwhere(~(np.abs(array) <= largest))
+
+
+def finite_vector(
+    name: str, values: ArrayLike, size: int, largest: float = LARGEST_COORDINATE
+) -> NDArray[np.float64]:
     """Return a fresh vector (size,) of finite floats.
 
     Raises:
-        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
+        InvalidValue: not numbers, another shape, or an entry that is not finite or larger than `largest`
+            either way; names the entry.
     """
     vector = float_array(name, values, (size,))
-    if not math.isfinite(vector.dot(vector)):  # quick, but may overflow
-        finite = np.isfinite(vector)
-        if not finite.all():
-            bad = int(np.argmin(finite))
-            raise InvalidValue(f"{name}[{bad}]", float(vector[bad]), "finite numbers")
+    require_finite(name, vector, largest)
     return vector
 
 
@@ -293,9 +336,10 @@ def rigid_placement(name: str, value: object) -> pin.SE3:
         return pin.SE3.Identity()
     try:
         matrix = np.array(value.homogeneous if isinstance(value, pin.SE3) else value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
     if matrix.shape == (4, 4) and np.all(np.isfinite(matrix)):
+        require_finite(f"translation of {name}", matrix[:3, 3], LARGEST_COORDINATE)
         turn = matrix[:3, :3]
         proper = _is_orthogonal(turn) and np.linalg.det(turn) > 0.0
         if proper and np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-12):

@@ -122,7 +122,10 @@ class InvalidValue(PostureError, ValueError):
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         self.name, self.value, self.allowed = name, value, allowed
-        text = "not given" if value is None else " ".join(repr(value).split())  # arrays break over lines
+        try:
+            text = "not given" if value is None else " ".join(repr(value).split())  # arrays break over lines
+        except ValueError:
+            text = "a number of thousands of digits"
         super().__init__(f"{name} is {text if len(text) < 120 else text[:117] + '...'}; allowed: {allowed}")
 
 

@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, require_instance, rigid_placement
+from pinposture._validation import (
+    as_generator,
+    as_number,
+    entries_beyond,
+    finite_vector,
+    require_instance,
+    require_whole,
+    rigid_placement,
+)
 from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions, plausible_positions
 from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
@@ -40,10 +48,10 @@ from pinposture.arm.manipulability import (
     section_ellipsoid,
 )
 from pinposture.arm.segmentation import Segmentation
-from pinposture.arm.serialization import build_model, describe_model
+from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
-from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.arm.urdf_reader import MOST_MOVING, is_urdf_text
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, warn_caller
 from pinposture.kernels.arrays import Screws
@@ -51,6 +59,8 @@ from pinposture.storage import settled
 
 Array = NDArray[np.float64]
 
+FARTHEST = 1e6
+"""Distance from the base beyond which a coordinate is a mistake, in arm lengths."""
 TURN_TOLERANCE = 1e-9
 """Fraction of a turn that counts as rounding error."""
 
@@ -139,8 +149,7 @@ class Arm(ConfigurationSpace):
             UnknownName: there is no such template.
             InvalidValue: invalid number of modules or link lengths.
         """
-        if isinstance(modules, bool) or not isinstance(modules, int) or modules < 1:
-            raise InvalidValue("modules", modules, "a whole number of at least 1")
+        require_whole("modules", modules, 1, MOST_MOVING)
         module, lengths = template(name), None
         if link_lengths is not None:
             module = module.with_lengths(link_lengths)
@@ -200,6 +209,7 @@ class Arm(ConfigurationSpace):
         Returns:
             The arm, stretched along x at its neutral configuration.
         """
+        require_instance("modules", modules, Iterable, "a sequence of ModuleTemplate")
         listed = list(modules)
         text = modules_to_urdf(listed, name)
         return cls.load(text, modules=[len(m.joints) for m in listed], base_placement=base_placement)
@@ -324,7 +334,7 @@ class Arm(ConfigurationSpace):
             InvalidValue: the frames are not in order along one chain, or a lower limit is above the upper.
         """
         require_instance("model", model, pin.Model, "a pin.Model")
-        own = build_model(describe_model(model))  # as it would be loaded
+        own = rebuild_model(describe_model(model))  # as it would be loaded
         placement = rigid_placement("base_placement", base_placement)
         place_base(own, placement)
         return cls(own, control_points, placement)
@@ -351,7 +361,7 @@ class Arm(ConfigurationSpace):
             PostureError: the data are damaged.
         """
         try:
-            model = build_model(described["model"])
+            model = rebuild_model(described["model"])
             placement = rigid_placement("base_placement", described["base_placement"])
             report = LoadReport.from_dict(described["report"]) if described.get("report") else None
             urdf, spec = described["urdf"], described.get("spec")
@@ -445,6 +455,19 @@ class Arm(ConfigurationSpace):
         """Length along the arm from the first joint to the tip [m]."""
         return self.chain.length
 
+    def require_near(self, name: str, points: Array) -> None:
+        """Raise InvalidValue for a point that is not finite, or farther away than any unit would explain.
+
+        Args:
+            name: name of the points in the message.
+            points: one point or many, (..., 3) [m], world frame; allowed are 1e6 arm lengths from the base.
+        """
+        away = points - self.chain.base
+        farthest = FARTHEST * self.length
+        for where in entries_beyond(away, farthest)[:1]:
+            allowed = f"finite numbers within {farthest:.4g} m of the base, 1e6 times the length of the arm"
+            raise InvalidValue(f"{name}{where.tolist()}", float(points[tuple(where)]), allowed)
+
     def can_follow(self, curve: Curve) -> Feasibility:
         """Check whether the modules can follow a curve within their joint limits (Section 4.1).
 
@@ -452,6 +475,7 @@ class Arm(ConfigurationSpace):
             The largest curvature and torsion that the modules can follow, and the stretches of the curve
             that exceed them; truthy if there are none.
         """
+        require_instance("curve", curve, Curve, "a Curve")
         return check_feasibility(self.chain, self.limits.lower, self.limits.upper, curve)
 
     def from_degrees(self, positions: ArrayLike) -> Array:
@@ -602,11 +626,12 @@ class Arm(ConfigurationSpace):
         Args:
             rng: generator or seed; a fresh random seed if None.
         """
-        return self.configuration(np.random.default_rng(rng).uniform(*self.usual_positions))
+        return self.configuration(as_generator("rng", rng).uniform(*self.usual_positions))
 
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
         """Check that no joint of q exceeds its limits by more than the tolerance, in `joint_units`."""
-        positions, slack = self.positions(q), tolerance * self.joint_units
+        slack = as_number("tolerance", tolerance, "a finite number", lambda x: True) * self.joint_units
+        positions = self.positions(q)
         low, high = self.limits.lower - slack, self.limits.upper + slack
         return bool(np.all((positions >= low) & (positions <= high)))
 
@@ -891,6 +916,13 @@ class ArmState:
 
     def __repr__(self) -> str:
         return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={self.arm.n_modules})"
+
+
+def arm_of(state: object) -> Arm:
+    """Return the arm of a state; raise InvalidValue if it is none."""
+    require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
+    arm: Arm = state.arm  # type: ignore[attr-defined]
+    return arm
 
 
 class _CompiledState(ArmState):

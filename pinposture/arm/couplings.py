@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_known
 from pinposture.arm.configurations import NO_LIMIT
-from pinposture.arm.serialization import build_model, describe_model
+from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, Follows, JointDescription
 from pinposture.errors import InvalidValue, URDFError
 
@@ -177,7 +177,7 @@ def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
     """
     if coupled.couplings:
         following = {each.joint: (each.leader, each.ratio, each.offset) for each in coupled.couplings}
-        model = build_model(describe_model(model, following))
+        model = rebuild_model(describe_model(model, following))
     for name, allowed in coupled.ranges.items():
         leader = model.joints[model.getJointId(name)]
         if leader.nq == 1:

@@ -284,7 +284,7 @@ def _checked_locks(description: Description, locked: Mapping[str, float]) -> dic
             raise InvalidValue(f"locked[{name!r}]", value, allowed)
         try:
             checked[name] = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             checked[name] = np.nan
         if not abs(checked[name]) < NO_LIMIT:
             raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{NO_LIMIT:g}")

@@ -6,7 +6,9 @@ not know, as <capsule>, although the library reads them itself.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import pinocchio as pin
@@ -16,6 +18,9 @@ from pinposture.arm.urdf_reader import is_finite_number, parse_xml
 from pinposture.errors import URDFError
 
 _JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "dynamics")
+_STACK, _STACK_PER_LINK = 16 << 20, 8 << 10
+"""Stack for reading a description, and more for each link and joint, which need 2.3 kB together [bytes]."""
+_STACK_SIZE = threading.Lock()  # the size is that of all threads that are started
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -43,9 +48,24 @@ def build_model(text: str, source: str, unlimited: Collection[str] = ()) -> pin.
         if joint.get("name") in unlimited:
             _remove_limits(made)
     try:
-        return pin.buildModelFromXML(tostring(needed, encoding="unicode"))
+        return _parse(tostring(needed, encoding="unicode"), _STACK + _STACK_PER_LINK * len(needed))
     except (ValueError, RuntimeError) as error:
         raise URDFError(source, "<robot>", f"was rejected by Pinocchio: {error}") from None
+
+
+def _parse(text: str, stack: int) -> pin.Model:
+    """Let Pinocchio read a description in a thread with a stack of its own [bytes].
+
+    It follows the tree by recursion, and would overflow the stack of the caller at 4,000 joints.
+    """
+    with ThreadPoolExecutor(1) as reader:
+        with _STACK_SIZE:
+            before = threading.stack_size(stack)
+            try:
+                model = reader.submit(pin.buildModelFromXML, text)
+            finally:
+                threading.stack_size(before)
+        return model.result()
 
 
 def _remove_limits(joint: Element) -> None:

@@ -52,7 +52,7 @@ _MOST_MULTIPLES = 20_000
 def describe_model(
     model: pin.Model, following: Mapping[str, tuple[str, float, float]] | None = None
 ) -> dict[str, Any]:
-    """Return a model as JSON-compatible data from which `build_model` builds an equal one.
+    """Return a model as JSON-compatible data from which `rebuild_model` builds an equal one.
 
     Args:
         model: the model.
@@ -97,7 +97,7 @@ def describe_model(
     }
 
 
-def build_model(described: Described) -> pin.Model:
+def rebuild_model(described: Described) -> pin.Model:
     """Build the model from the data of `describe_model`.
 
     Raises:
@@ -244,7 +244,9 @@ def _numbers(placement: pin.SE3) -> list[float]:
 
 
 def _placements(name: str, rows: ArrayLike, count: int) -> list[pin.SE3]:
-    matrices = _table(name, rows, count, 12).reshape(count, 3, 4)
+    matrices = np.zeros((count, 3, 4))
+    if count:
+        matrices[:] = finite_array(name, rows, (count, 12)).reshape(count, 3, 4)
     turns = matrices[:, :, :3]
     off = np.abs(np.einsum("nij,nkj->nik", turns, turns) - np.eye(3))
     if np.any(off > 1e-6) or np.any(np.linalg.det(turns) < 0.0):
@@ -259,13 +261,16 @@ def _describe_inertia(inertia: pin.Inertia) -> list[float]:
 
 
 def _inertias(name: str, rows: ArrayLike, count: int) -> list[pin.Inertia]:
-    table = _table(name, rows, count, 10)
-    moments = np.zeros((count, 3, 3))
-    upper, right = np.triu_indices(3)
-    moments[:, upper, right] = table[:, 4:]
-    moments[:, right, upper] = table[:, 4:]
-    return [pin.Inertia(float(row[0]), row[1:4], each) for row, each in zip(table, moments, strict=True)]
-
-
-def _table(name: str, rows: ArrayLike, count: int, width: int) -> Array:
-    return finite_array(name, rows, (count, width)) if count else np.zeros((0, width))
+    """Return inertias, which descriptions may give as any numbers, and which only simulations use."""
+    table = np.array(rows, dtype=np.float64).reshape(-1, 10)
+    if len(table) != count:
+        raise InvalidValue(f"{name} (shape)", table.shape, f"({count}, 10)")
+    inertias = []
+    for row in table:
+        moments = np.zeros((3, 3))
+        moments[np.triu_indices(3)] = row[4:]
+        inertia = pin.Inertia.Zero()  # the constructor would refuse unphysical ones
+        inertia.mass, inertia.lever = float(row[0]), row[1:4]
+        inertia.inertia = moments + np.triu(moments, 1).T
+        inertias.append(inertia)
+    return inertias

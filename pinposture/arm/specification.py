@@ -21,9 +21,10 @@ from pydantic import (
     model_validator,
 )
 
+from pinposture._validation import require_whole
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.template import JointSpec, ModuleTemplate, template
-from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.arm.urdf_reader import MOST_MOVING, is_urdf_text
 from pinposture.errors import InvalidValue
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -192,6 +193,7 @@ class ArmSpec(Specification):
         if self.joint_limits is not None:
             with _named("joint_limits"):
                 module = module.with_limits(*self.joint_limits)
+        require_whole("modules", self.modules, 1, MOST_MOVING)
         modules = [module] * self.modules
         if self.feed is None:
             return modules

@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pinposture._validation import require_instance, require_known, require_name
+from pinposture.arm.urdf_reader import MOST_MOVING
 from pinposture.errors import InvalidValue
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
@@ -329,6 +330,9 @@ def modules_to_urdf(
         require_instance(f"modules[{index}]", module, ModuleTemplate, "a ModuleTemplate")
     if not listed:
         raise InvalidValue("modules", modules, "at least one ModuleTemplate")
+    joints = sum(len(module.joints) for module in listed)
+    if joints > MOST_MOVING:
+        raise InvalidValue("joints of all modules", joints, f"at most {MOST_MOVING}")
     require_name("name", name)
     if not isinstance(command, str) or "--" in command or not command.isprintable():
         raise InvalidValue("command", command, "printable text without '--', which would end the comment")

@@ -17,6 +17,7 @@ from pinposture._validation import (
     LARGEST_LENGTH,
     Matrix,
     Vector,
+    as_floats,
     known_keys,
     length,
     make_read_only,
@@ -52,10 +53,7 @@ _SAMPLE = 10_000  # points of which the median is taken
 
 def _points(values: ArrayLike) -> Array:
     """Return a new array of points, (n, 3), finite or not."""
-    try:
-        points = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue("points", values, "points, (n, 3) [m]") from None
+    points = as_floats("points", values, "points, (n, 3) [m]")
     if points.ndim != 2 or points.shape[1] != 3:
         raise InvalidValue("points (shape)", points.shape, "(n, 3)")
     if len(points) > MAX_SCAN_SIZE:

@@ -21,6 +21,7 @@ from pinposture._validation import (
     SMALLEST_LENGTH,
     Matrix,
     Vector,
+    as_floats,
     direction,
     known_keys,
     length,
@@ -562,10 +563,7 @@ def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folde
 
 def _finite_points(values: ArrayLike) -> Array:
     allowed = "points (n, 3) [m] that span a volume"
-    try:
-        points = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue("vertices", values, allowed) from None
+    points = as_floats("vertices", values, allowed)
     if points.ndim != 2 or points.shape[1:] != (3,) or not np.all(np.isfinite(points)):
         raise InvalidValue("vertices", values, allowed)
     if points.size and np.abs(points).max() > LARGEST_LENGTH:

@@ -166,12 +166,13 @@ class Controller(Protocol):
         """
 
 
-def require_step_arguments(state: object, target: object, memory: object = None) -> None:
-    """Raise InvalidValue if an argument of a step has the wrong type."""
+def require_step_arguments(state: ArmState, target: Target, memory: object = None) -> None:
+    """Raise InvalidValue if an argument of a step has the wrong type, or the target does not fit the arm."""
     require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
     require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     if not (memory is None or isinstance(memory, Memory)):
         raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
+    target.check(state.arm)
 
 
 def task_errors(state: ArmState, target: Target) -> Array:
@@ -180,8 +181,6 @@ def task_errors(state: ArmState, target: Target) -> Array:
     Returns:
         Array (m, d) [m]: in world axes, or in the plane of a planar arm.
     """
-    if target.points.shape != state.points.shape:
-        target.check(state.arm)
     errors = (target.points - state.points) * target.has_target[:, None]
     return errors if state.arm.dimension == 3 else errors @ state.arm.plane.T
 

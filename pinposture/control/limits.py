@@ -10,8 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, require_positive
+from pinposture._validation import (
+    LARGEST_NUMBER,
+    as_floats,
+    finite_vector,
+    require_instance,
+    require_positive,
+)
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.arm import arm_of
 from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.errors import InvalidValue, warn_caller
 
@@ -334,13 +341,13 @@ class Limits:
 
     def bound(self, state: ArmState) -> Array:
         """Return the largest |dq| of each joint in one step, (nv,) [rad or m]; infinite without a limit."""
-        bound: Array = self.for_arm(state.arm).bound.view()
+        bound: Array = self.for_arm(arm_of(state)).bound.view()
         bound.flags.writeable = False
         return bound
 
     def travel(self, state: ArmState) -> float:
         """Return the joint travel that a step may cover, median over joints, at most `USUAL_STEP` [rad]."""
-        return self.for_arm(state.arm).travel
+        return self.for_arm(arm_of(state)).travel
 
     def box(self, state: ArmState, previous: Array | None = None) -> StepBox:
         """Return the steps after which each joint keeps its limits and can continue to keep them.
@@ -365,7 +372,8 @@ class Limits:
         Raises:
             InvalidValue: the limits or the previous step do not fit the arm.
         """
-        arm, bounds = state.arm, self.for_arm(state.arm)
+        arm = arm_of(state)
+        bounds = self.for_arm(arm)
         positions = state.forward.positions
         before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
         sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
@@ -389,7 +397,9 @@ class Limits:
             dq: the requested step, (nv,) [rad or m].
             previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
         """
-        arm, bounds = state.arm, self.for_arm(state.arm)
+        arm = arm_of(state)
+        bounds = self.for_arm(arm)
+        dq = finite_vector("dq", dq, arm.nv, LARGEST_NUMBER)
         before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
         brake = _NO_BOUND if bounds.brake is None else bounds.brake
         cut, clipped = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
@@ -406,7 +416,7 @@ class Limits:
             state: the state of the arm.
             previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
         """
-        bounds = self.for_arm(state.arm)
+        bounds = self.for_arm(arm_of(state))
         dq = np.zeros(state.arm.nv)
         if bounds.brake is not None:
             dq = full_braking(_previous(state.arm, previous), bounds.brake)
@@ -414,6 +424,7 @@ class Limits:
 
     def for_arm(self, arm: Arm) -> JointBounds:
         """Return the bounds for the joints of an arm, cached with the arm."""
+        require_instance("arm", arm, Arm, "an Arm")
         known: RecentValues[tuple[object, ...], JointBounds] = recent_values(arm, JointBounds, _MAX_CACHED)
         bounds = known.get(self._key)
         if bounds is None:
@@ -586,10 +597,7 @@ def _previous(arm: Arm, previous: Array | None) -> Array:
 
 def _positive(name: str, value: ArrayLike) -> float | Array:
     allowed = "a positive number, or one for each degree of freedom"
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(name, value, allowed) from None
+    array = as_floats(name, value, allowed)
     if isinstance(value, bool) or array.ndim > 1 or array.size == 0 or not np.all(array > 0.0):
         raise InvalidValue(name, value, allowed)
     if array.ndim == 0:

@@ -20,6 +20,7 @@ from pinposture._validation import (
     rigid_placement,
 )
 from pinposture.arm import Arm, ArmState, ControlPoints
+from pinposture.arm.arm import arm_of
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
 from pinposture.errors import InvalidValue
@@ -378,7 +379,7 @@ class EndEffector(ComparableTask):
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return the rows of the position, then those of the orientation; see `ControlTask.rows`."""
-        arm, k = state.arm, _index(state, self.point)
+        arm, k = arm_of(state), _index(state, self.point)
         place = self.position if self.pose is None else self.pose[:3, 3]
         jacobian, apart = arm.plane @ state.jacobians[k], arm.plane @ (place - state.points[k])
         if self.pose is None:
@@ -394,6 +395,7 @@ class EndEffector(ComparableTask):
 
 
 def _index(state: ArmState, point: int | str) -> int:
+    require_instance("point", point, int | str | np.integer, "the index or the name of a control point")
     try:
         return chosen_points(state.arm.control_points, point)[0]
     except InvalidValue as error:  # its message calls the argument "points"
@@ -431,7 +433,8 @@ class JointPosture(ComparableTask):
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return one row for each joint; see `ControlTask.rows`."""
-        arm, columns = state.arm, self._columns(state.arm)
+        arm = arm_of(state)
+        columns = self._columns(arm)
         scale = lever(arm, self.length) / arm.joint_units[columns]
         jacobian = np.zeros((len(columns), arm.nv))
         jacobian[np.arange(len(columns)), columns] = scale
@@ -529,7 +532,7 @@ class Tangents(ComparableTask):
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return two rows for each point, one in a plane; see `ControlTask.rows`."""
-        arm, directions = state.arm, np.asarray(self.directions)
+        arm, directions = arm_of(state), np.asarray(self.directions)
         wanted = range(arm.n_modules) if self.points is None else self.points
         points = chosen_points(arm.control_points, wanted)
         if len(points) != len(directions):

@@ -23,6 +23,7 @@ from pinposture._validation import (
     LARGEST_COORDINATE,
     as_count,
     as_flag,
+    as_floats,
     as_number,
     as_points,
     as_vector,
@@ -326,10 +327,7 @@ class Curve(Geometry):
         Raises:
             InvalidValue: invalid rotation or translation.
         """
-        try:
-            turn = np.asarray(rotation, dtype=float)
-        except (TypeError, ValueError):
-            turn = np.empty(0)
+        turn = as_floats("rotation", rotation, "a (3, 3) rotation matrix")
         # NaN compares false and is rejected here, too.
         stretch = float(np.abs(turn @ turn.T - np.eye(3)).max()) if turn.shape == (3, 3) else np.inf
         if not (stretch < 1e-6 and np.linalg.det(turn) > 0):

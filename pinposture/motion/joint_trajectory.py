@@ -11,7 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_array, make_read_only, require_positive, set_fields
+from pinposture._validation import (
+    finite_array,
+    make_read_only,
+    require_instance,
+    require_positive,
+    set_fields,
+)
 from pinposture.arm import Arm
 from pinposture.arm.couplings import joint_axes
 from pinposture.errors import InvalidValue, enumerated
@@ -20,6 +26,8 @@ from pinposture.errors import InvalidValue, enumerated
 
 Array = NDArray[np.float64]
 
+MOST_ROWS = 10_000_000
+"""Most rows of a resampled trajectory: 5 GB at 20 joints."""
 MAX_NAMED = 6
 """Largest number of joints that are listed in a message."""
 
@@ -29,7 +37,7 @@ TIME_TOLERANCE = 1e-9
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return names of joints; raise InvalidValue unless there are some, distinct and printable."""
-    if isinstance(names, str) or not names:
+    if isinstance(names, str) or not isinstance(names, Sequence) or not names:
         raise InvalidValue("joint_names", names, "a list of at least one name")
     for k, name in enumerate(names):
         if not (isinstance(name, str) and name and name.isprintable() and name == name.strip()):
@@ -111,6 +119,7 @@ def joint_units(arm: Arm) -> tuple[str, ...]:
     Raises:
         InvalidValue: a joint off the chain has several degrees of freedom.
     """
+    require_instance("arm", arm, Arm, "an Arm")
     for joint, name in list(zip(arm.model.joints, arm.model.names, strict=True))[1:]:
         if joint.nv > 1:
             raise InvalidValue(f"joint {str(name)!r}", joint.shortname(), "joints with one degree of freedom")
@@ -133,6 +142,7 @@ def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
     Raises:
         InvalidValue: another shape, or a row that is not a configuration; names the row.
     """
+    require_instance("arm", arm, Arm, "an Arm")
     rows = finite_array("q", q, (None, arm.nq))
     positions = np.array([arm.positions(arm.checked(row, f"q[{k}]")) for k, row in enumerate(rows)])
     for joint in list(arm.model.joints)[1:]:
@@ -301,6 +311,7 @@ class JointTrajectory:
         names = check_names(joint_names)
         rows = count_rows("positions", positions)
         table = finite_array("positions", positions, (rows, len(names)))
+        require_instance("units", units, Sequence, "a unit for each joint, or none")
         rest = np.zeros_like(table)
         still = cls(names, np.asarray(row_times(time, rows)), table, rest, rest, tuple(units), name)
         velocities, accelerations = compute_rates(still.time, still.positions)
@@ -367,6 +378,7 @@ class JointTrajectory:
             InvalidValue: a joint of the arm is missing, there are others, a unit is wrong, or a coupled joint
                 violates its coupling.
         """
+        require_instance("arm", arm, Arm, "an Arm")
         followers = {each.joint: each for each in arm.couplings}
         check_same_joints([name for name in self.joint_names if name not in followers], arm.joint_names)
         for number, name in enumerate(self.joint_names):
@@ -429,6 +441,9 @@ class JointTrajectory:
             InvalidValue: not a positive number.
         """
         require_positive("dt", dt)
+        if self.duration / dt > MOST_ROWS:
+            allowed = f"at least {self.duration / MOST_ROWS:.3g} s, for at most {MOST_ROWS} rows"
+            raise InvalidValue("dt", dt, allowed)
         count = int(np.ceil(self.duration / dt * (1.0 - TIME_TOLERANCE))) + 1
         time = self.time[0] + dt * np.arange(count)
         return self.from_positions(self.joint_names, self.at(time), time, self.units, self.name)

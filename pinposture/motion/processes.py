@@ -42,6 +42,8 @@ TRIAL_TIME = 1.0
 START_TIME = 5.0
 """Estimated remaining time above which processes are started [s], which takes 3 to 5 s."""
 
+MOST_JOBS = 10_000
+"""Most processes that can be asked for."""
 PORTION = 200
 """Number of calls sent together to a backend that returns results only all at once, such as Ray's."""
 
@@ -68,8 +70,10 @@ def _unpacked(packed: bytes) -> Shared[Any]:
 
 def check_jobs(jobs: int) -> None:
     """Raise InvalidValue unless a value is a number of processes."""
-    if not (is_whole(jobs) and (jobs >= 1 or jobs == -1)):
-        raise InvalidValue("jobs", jobs, "a whole number of at least 1, or -1 for as many as possible")
+    if not (is_whole(jobs) and (1 <= jobs <= MOST_JOBS or jobs == -1)):
+        raise InvalidValue(
+            "jobs", jobs, f"a whole number from 1 to {MOST_JOBS}, or -1 for as many as possible"
+        )
 
 
 def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
-from pinposture._validation import float_array, require_positive
+from pinposture._validation import float_array, require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import Chain
 from pinposture.curve import Curve
@@ -333,6 +333,7 @@ class PointFilter:
     """
 
     def __init__(self, arm: Arm, dt: float, noise: float, acceleration: float = 3.0) -> None:
+        require_instance("arm", arm, Arm, "an Arm")
         for name, value in (("dt", dt), ("noise", noise), ("acceleration", acceleration)):
             require_positive(name, value)
         self.arm, self.dt, self.noise, self.acceleration = arm, float(dt), float(noise), float(acceleration)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -13,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import finite_vector, require_instance, require_known, require_whole
+from pinposture._validation import as_number, finite_vector, require_instance, require_known, require_whole
 from pinposture.arm import Arm
 from pinposture.arm.module_kinematics import ModuleKinematics
 from pinposture.curve import Curve
@@ -408,9 +407,10 @@ def _check_arguments(
     require_known("way to treat an incomplete target", incomplete, ("raise", "partial"))
     require_known("method", method, METHODS)
     require_whole("samples", samples, 2)
-    if not math.isfinite(roll):
-        raise InvalidValue("roll", roll, "a finite angle [rad]")
+    as_number("roll", roll, "a finite angle [rad]", lambda x: True)
+    arm.require_near("coefficients of the curve", curve.coefficients)
     if near is not None:
+        require_instance("near", near, Target, "a Target with a configuration q, or None")
         near.check(arm)
         if near.q is None:
             raise InvalidValue("near", near, "a target with a configuration q")

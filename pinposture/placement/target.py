@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from math import isfinite
 from typing import NamedTuple
+from weakref import WeakSet
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_array, finite_vector, is_whole, make_read_only
+from pinposture._validation import (
+    as_floats,
+    finite_array,
+    finite_vector,
+    is_whole,
+    make_read_only,
+    require_finite,
+    require_instance,
+)
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, warn_caller
@@ -77,7 +85,7 @@ class Target:
         for name in ("points", "weights", "q", "parameters", "residual", "velocity"):
             value = getattr(self, name)
             if value is not None:
-                array = np.array(value, dtype=np.float64)
+                array = as_floats(f"target.{name}", value)
                 make_read_only(array)
                 object.__setattr__(self, name, array)
 
@@ -111,6 +119,10 @@ class Target:
 
     def check(self, arm: Arm) -> None:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
+        require_instance("arm", arm, Arm, "an Arm")
+        checked = arm.cache.setdefault(Target.check, WeakSet())
+        if self in checked:
+            return
         m = arm.n_modules
         for name, values, shape in (("points", self.points, (m, 3)), ("q", self.q, (arm.nq,))):
             if values is not None and values.shape != shape:
@@ -120,16 +132,13 @@ class Target:
             raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
         if not np.any(self.has_target):
             raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
-        for name, values in (("points", self.points), ("weights", self.weights)):
-            flat = values.ravel()
-            if not isfinite(flat @ flat) and not np.all(np.isfinite(values)):
-                where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-                allowed = "finite numbers, also for points of weight 0"
-                raise InvalidValue(f"target.{name}{list(where)}", float(values[where]), allowed)
+        require_finite("target.weights", self.weights)
+        arm.require_near("target.points", self.points)
         if self.q is not None:
             arm.checked(self.q, "target.q")
         if self.velocity is not None:
             finite_vector("target.velocity", self.velocity, arm.nv)
+        checked.add(self)
 
     def check_arm(self, arm: Arm) -> None:
         """Raise InvalidValue as `check`, or if the target was resolved on a curve for a different arm."""
@@ -181,8 +190,10 @@ class Target:
         Raises:
             InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
         """
+        require_instance("arm", arm, Arm, "an Arm")
         m = arm.n_modules
         positions = finite_array("points", points, (m, 3))
+        arm.require_near("points", positions)
         checked = np.ones(m) if weights is None else finite_array("weights", weights, (m,))
         if np.any(checked < 0.0) or not np.any(checked > 0.0):
             raise InvalidValue("weights", checked.tolist(), "numbers >= 0, at least one of them > 0")
@@ -196,6 +207,7 @@ class Target:
         Raises:
             InvalidValue: as `Arm.checked_start`.
         """
+        require_instance("arm", arm, Arm, "an Arm")
         state = arm.at(arm.checked_start(q)).compiled
         return cls(state.points, np.ones(arm.n_modules), q=state.q)
 

@@ -92,10 +92,11 @@ def find_path(
             the travel of its feed.
         ReachError: no curve was found; the message says why.
     """
-    until = perf_counter() + budget if isinstance(budget, int | float) else inf
+    began = perf_counter()
     require_instance("arm", arm, Arm, "an Arm")
     require_instance("scene", scene, Scene, "a Scene(...)")
     require_positive("budget", budget)
+    until = began + budget
     require_whole("seed", seed, 0)
     follower = _follower(arm)
     body, plane = follower.body, follower.body.plane

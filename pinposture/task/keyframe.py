@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
@@ -140,6 +140,14 @@ def usual_placement(scene: Scene | None, curve: Curve) -> Literal["as_is", "alig
     return "as_is" if drawn_among_obstacles else "align"
 
 
+def as_keyframes(given: Iterable[Keyframe]) -> tuple[Keyframe, ...]:
+    """Return keyframes as a tuple; raise InvalidValue unless all are keyframes."""
+    listed = tuple(given) if isinstance(given, Iterable) else ()
+    if not listed or not all(isinstance(each, Keyframe) for each in listed):
+        raise InvalidValue("keyframes", given, "two or more of Keyframe(...)")
+    return listed
+
+
 def placed(keyframes: Sequence[Keyframe], scene: Scene | None) -> tuple[Keyframe, ...]:
     """Return the keyframes with the default placement where a curve has none of its own."""
 
@@ -158,7 +166,8 @@ def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
         InvalidValue: fewer than two, or not keyframes.
         TaskError: a region that the arm does not have, or a curve far too long; names the keyframe.
     """
-    if len(keyframes) < 2 or not all(isinstance(each, Keyframe) for each in keyframes):
+    require_instance("arm", arm, Arm, "an Arm")
+    if len(keyframes) < 2:
         raise InvalidValue("keyframes", keyframes, "two or more of Keyframe(...)")
     check_each_keyframe(keyframes, arm)
 

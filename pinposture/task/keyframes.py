@@ -26,6 +26,7 @@ from pinposture.task.keyframe import (
     Schedule,
     SequentialFollower,
     Stretch,
+    as_keyframes,
     check_keyframes,
     end_off,
     interpolate,
@@ -387,7 +388,7 @@ def keyframe_reference(
             keyframe.
         TargetError: as `resolve_targets`; names the keyframe.
     """
-    keyframes = tuple(keyframes)
+    keyframes = as_keyframes(keyframes)
     check_keyframes(keyframes, arm)
     require_positive("interval", interval)
     require_known("continuity", continuity, CONTINUITIES)

@@ -38,6 +38,7 @@ from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
 from pinposture.task.keyframe import (
     CONTINUITIES,
     Keyframe,
+    as_keyframes,
     check_keyframes,
     joints_misfit,
     naming,
@@ -523,7 +524,7 @@ def check_task(task: TaskParts) -> None:
         if task.repeat != 1:
             raise InvalidValue("repeat", task.repeat, "1, of phases")
     else:
-        keyframes = cast("tuple[Keyframe, ...]", task.motion)
+        keyframes = as_keyframes(cast("tuple[Keyframe, ...]", task.motion))
         check_keyframes(keyframes, task.arm)
         _check_points(keyframes, task.arm)
     if task.scene is not None and not isinstance(task.scene, Scene):

@@ -17,7 +17,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
@@ -33,7 +33,7 @@ from pinposture.motion.trajectory import Motion, Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.storage import settled
 from pinposture.task.follow_leader import Leader, follow_leader
-from pinposture.task.keyframe import Keyframe, placed, usual_placement, with_fitting_joints
+from pinposture.task.keyframe import Keyframe, as_keyframes, placed, usual_placement, with_fitting_joints
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.passage import require_passage
 from pinposture.task.phases import (
@@ -555,6 +555,7 @@ def perform(
         InvalidValue: limits without dt, or so tight that it would never end; an invalid q0 or tolerance.
         UnknownName: no controller of that name.
     """
+    require_instance("reference", reference, Reference, "a Reference, as `keyframe_reference` returns it")
     arm = reference.arm
     controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
@@ -601,7 +602,8 @@ def move_through(
         PostureError: as those two.
     """
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
-    keyframes = placed(keyframes, scene)
+    require_instance("scene", scene, Scene | None, "a Scene(...), or None")
+    keyframes = placed(as_keyframes(keyframes), scene)
     reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat)
     return perform(reference, controller, limits, scene, q0)
 

@@ -6,12 +6,13 @@ import random
 import time
 
 import pytest
-from arm.describing import LIMIT, links, one_joint, pinocchio_loads, robot
+from arm.describing import LIMIT, fixed, limit, links, moving, one_joint, pinocchio_loads, robot
 from sampling import seeds
 
+import pinposture as pp
 from pinposture.arm.template import modules_to_urdf, template
 from pinposture.arm.urdf_reader import Description, read_description
-from pinposture.errors import PostureError, URDFError
+from pinposture.errors import InvalidValue, PostureError, URDFError
 
 BOMB = "<!DOCTYPE robot [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
     f"<!ENTITY {name} '{f'&{before};' * 10}'>" for before, name in zip("abcdefghi", "bcdefghij", strict=True)
@@ -95,3 +96,41 @@ def test_whatever_is_done_to_a_text_it_loads_in_pinocchio_or_is_refused_by_us(se
             assert pinocchio_loads(read.text), text
     assert 10 < accepted < 290
     capfd.readouterr()
+
+
+def long_chain(joints: int, turning: int) -> str:
+    """A chain of joints, 1 cm apart, of which the first ones turn and the others are fixed."""
+    body = links([f"l{k}" for k in range(joints + 1)])
+    for k in range(joints):
+        ends = f"j{k}", f"l{k}", f"l{k + 1}"
+        axis = "0 1 0" if k % 2 else "0 0 1"
+        turns = moving(*ends, axis=axis, xyz="0.01 0 0", limits=limit(-1, 1))
+        body += turns if k < turning else fixed(*ends, xyz="0.01 0 0")
+    return robot(body)
+
+
+@pytest.mark.parametrize(
+    ("joints", "turning", "message"),
+    [(6_000, 6_000, "6000 moving joints; allowed: 5000 at most"), (11_000, 1, "11001 links; allowed: 10001")],
+)
+def test_chains_too_long_for_pinocchio_are_refused(joints: int, turning: int, message: str) -> None:
+    with pytest.raises(URDFError, match=message):
+        pp.Arm.load(long_chain(joints, turning))
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(("joints", "turning"), [(10, 10), (300, 300), (4_000, 4_000), (6_000, 2)])
+def test_long_chains_are_loaded_although_pinocchio_follows_them_by_recursion(
+    joints: int, turning: int
+) -> None:
+    arm = pp.Arm.load(long_chain(joints, turning), modules=min(turning, 2))
+    assert arm.nv == turning
+    assert arm.length == pytest.approx(0.01 * (joints - 1))
+
+
+def test_more_modules_than_pinocchio_can_hold_are_refused() -> None:
+    for count in (5_001, 10**9, 10**400):
+        with pytest.raises(InvalidValue, match="allowed: a whole number of 1 to 5000"):
+            pp.Arm.from_template("RyRz", modules=count)
+    with pytest.raises(InvalidValue, match="joints of all modules is 6000; allowed: at most 5000"):
+        pp.Arm.from_template("RyRz", modules=3_000)

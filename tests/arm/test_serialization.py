@@ -13,7 +13,7 @@ from arm.test_coupled_joints import coupled_arm
 from sampling import seeds
 
 import pinposture as pp
-from pinposture.arm.serialization import build_model, describe_model
+from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.errors import InvalidValue, PostureError
 
 UNIT = np.array([0.36, 0.48, 0.8])
@@ -36,7 +36,7 @@ KINDS = {
 
 
 def read_back(model: pin.Model) -> pin.Model:
-    return build_model(json.loads(json.dumps(describe_model(model))))
+    return rebuild_model(json.loads(json.dumps(describe_model(model))))
 
 
 def poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
@@ -165,7 +165,7 @@ def damaged(described: dict, *path: object, to: object) -> dict:
         (("model", "frames", 0, 2), 99, "joint of frame"),
         (("model", "frames", 0, 3), 10**6, "frame before frame"),
         (("model", "frames", 0, 1), "HAND", "no type of frame"),
-        (("model", "inertias", 0), [1.0], "inertias"),
+        (("model", "inertias"), [[0.0] * 10], "inertias"),
         (("model", "bodies"), 10**12, "bodies"),
         (("model", "vectors", "upperVelocityLimit"), [1.0], "upperVelocityLimit"),
         (("model", "vectors", "lowerPositionLimit", 0), "x", "description of an arm"),

@@ -365,7 +365,8 @@ def test_what_is_no_motion_is_refused(change: dict, message: str) -> None:
         (np.zeros((2, 4)), 0.0, "time is 0.0"),
         (np.zeros((2, 4)), True, "time"),
         (np.zeros((2, 4)), [0.0], r"positions \(shape\)"),
-        ([[0, 0, 0, 0], [0, 1e10, 0, 0], [0, 0, 0, 0]], 1e-300, r"velocities\[1, 1\]"),
+        ([[0, 0, 0, 0], [0, 1e8, 0, 0], [0, 0, 0, 0]], 1e-300, "time is 1e-300"),
+        ([[0, 0, 0, 0], [0, 1e10, 0, 0], [0, 0, 0, 0]], 0.1, r"q\[1\]\[1\] is 10000000000"),
     ],
 )
 def test_configurations_that_are_none_are_refused(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive
+from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.control.controller import task_errors
@@ -290,6 +290,7 @@ def check_objective(
     if joint_weight > MAX_JOINT_WEIGHT:
         raise InvalidValue("joint_weight", joint_weight, f"at most {MAX_JOINT_WEIGHT:g}")
     require_positive("relative_position_weight", relative_position_weight, zero=True)
+    require_instance("tasks", tasks, Iterable, "a sequence of EndEffector, Tangents or JointPosture")
     for task in tasks:
         if isinstance(task, type) or not callable(getattr(task, "rows", None)):
             raise InvalidValue("tasks", task, "EndEffector(...), Tangents(...) or JointPosture(...)")

@@ -140,8 +140,6 @@ def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -
     Returns:
         Array (m, 3) [m]; the last column is zero for a planar arm.
     """
-    if target.points.shape != state.forward.points.shape:
-        target.check(state.arm)
     errors = (target.points - state.forward.points) * placed[:, None]
     if state.arm.dimension == 3:
         return np.asarray(errors)

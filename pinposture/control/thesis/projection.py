@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
-from pinposture.control.controller import Memory, Step, step_within
+from pinposture.control.controller import Memory, Step, require_step_arguments, step_within
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.posture_matrix import (
     Gain,
@@ -88,6 +88,7 @@ class Projection:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`."""
+        require_step_arguments(state, target, memory)
         screws, errors = state.screws, aligned_errors(state, target, target.has_target)
         secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
         return self._step(secondary, screws, state, target, limits, memory)

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_instance, require_known, require_positive, require_share
 from pinposture.arm import ArmState
-from pinposture.control.controller import Memory, Step, step_within, task_errors
+from pinposture.control.controller import (
+    Memory,
+    Step,
+    require_step_arguments,
+    step_within,
+    task_errors,
+)
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
@@ -112,6 +118,7 @@ class Switching:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. The diagnostics name the method, and why it was chosen."""
+        require_step_arguments(state, target, memory)
         limits = require_limits(limits)
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
         travel = limits.travel(state)

@@ -1,0 +1,90 @@
+"""Nothing that is given to a public function ends the process, and what is wrong is a PostureError.
+
+Each call is made in a process that may die of it; another one makes the calls that are left.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+PROGRAM = str(Path(__file__).with_name("hostile_calls.py"))
+LONGEST = 120.0
+"""How long the start of a process and a call may take, on a busy machine [s]; more means that it hangs."""
+
+
+def command(word: str) -> list[str]:
+    return [sys.executable, PROGRAM, word]
+
+
+def make_calls(names: list[str]) -> list[str]:
+    """Make calls in processes; return those that ended badly, and how."""
+    bad, left = [], names
+    while left:
+        done, ended = _calls_of_a_process(left, bad)
+        if ended:
+            break
+        left = left[done + 1 :]
+    return bad
+
+
+def _calls_of_a_process(names: list[str], bad: list[str]) -> tuple[int, bool]:
+    """Return how many calls a process has survived, and whether it has made all."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    process = subprocess.Popen(
+        command("run"), env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdin is not None
+    process.stdin.write("\n".join(names))
+    process.stdin.close()
+    lines: queue.Queue[str] = queue.Queue()
+    threading.Thread(target=_pass_on, args=(process, lines), daemon=True).start()
+    done = 0
+    while True:
+        try:
+            line = lines.get(timeout=LONGEST)
+        except queue.Empty:
+            process.kill()
+            process.wait()
+            bad.append(f"{names[done]}: does not end")
+            return done, False
+        if not line:
+            break
+        if line.startswith("end "):
+            done += 1
+            if not line.endswith("-> fine\n"):
+                bad.append(line.removeprefix("end ").strip())
+    code = process.wait()
+    if done < len(names):
+        bad.append(f"{names[done]}: ends the process, exit code {code}")
+    return done, done == len(names)
+
+
+def _pass_on(process: subprocess.Popen[str], lines: queue.Queue[str]) -> None:
+    assert process.stdout is not None
+    for line in process.stdout:
+        lines.put(line)
+    lines.put("")
+
+
+@pytest.mark.process
+def test_whatever_the_value_each_call_gives_a_result_or_an_error_of_this_package() -> None:
+    listed = subprocess.run(command("list"), capture_output=True, text=True, check=True).stdout
+    names = [name for name in listed.split("\n") if name]
+    assert len(names) > 5_000
+    with ThreadPoolExecutor(2) as pool:
+        bad = [each for found in pool.map(make_calls, (names[::2], names[1::2])) for each in found]
+    assert not bad
+
+
+def test_huge_coordinates_do_not_end_the_process() -> None:
+    numbers = ("1e200", "-1e154", "1e308", "nan")
+    names = [f"{call}|target.points.0.0|{number}" for call in ("track", "plan") for number in numbers]
+    assert make_calls(names) == []
