@@ -287,6 +287,20 @@ class MotionError(PostureError, ValueError):
         super().__init__(f"the motion should not be sent to a robot: {'; '.join(self.faults)}; {advice}")
 
 
+class ProcessError(PostureError, RuntimeError):
+    """Processes that were ended from outside, for instance because memory was short.
+
+    Attributes:
+        done: number of calls whose results were returned before.
+        left: number of the others.
+    """
+
+    def __init__(self, done: int, left: int) -> None:
+        self.done, self.left = done, left
+        reason = "processes were ended again and again, perhaps because memory is short"
+        super().__init__(f"{left} of {done + left} calls were not made: {reason}; start fewer (jobs=1)")
+
+
 class ViewerError(PostureError, ConnectionError):
     """A viewer that cannot be started or reached.
 

@@ -20,11 +20,14 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from joblib import Parallel, parallel_config, wrap_non_picklable_objects
 from joblib.externals.loky.backend import get_context
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 from joblib.parallel import get_active_backend
 
 from pinposture import kernels
 from pinposture._validation import is_whole
-from pinposture.errors import InvalidValue, no_warnings
+from pinposture.errors import InvalidValue, ProcessError, no_warnings
+
+logger = logging.getLogger(__name__)
 
 logger = logging.getLogger(__name__)
 
@@ -42,6 +45,8 @@ TRIAL_TIME = 1.0
 START_TIME = 5.0
 """Estimated remaining time above which processes are started [s], which takes 3 to 5 s."""
 
+MOST_ENDINGS = 3
+"""How often processes may be ended from outside before calls are given up."""
 MOST_JOBS = 10_000
 """Most processes that can be asked for."""
 PORTION = 200
@@ -135,8 +140,29 @@ def _run_then_distribute(tasks: Sequence[Any]) -> Iterator[Any]:
 
 
 def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
+    """Return results in order; calls that are lost with a process are made again.
+
+    Raises:
+        ProcessError: processes are ended again and again before the next result.
+    """
+    listed = list(tasks)
+    done, ended = 0, 0
+    while True:
+        try:
+            for result in _distribute_once(listed[done:], jobs, first_here=not ended):
+                done += 1
+                yield result
+            return
+        except TerminatedWorkerError as error:
+            ended += 1
+            if ended > MOST_ENDINGS:
+                raise ProcessError(done, len(listed) - done) from error
+            logger.warning("a process was ended; calls from %d of %d on are made again", done, len(listed))
+
+
+def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool) -> Iterator[Any]:
     waiting = iter(tasks)
-    if jobs != 1 and get_active_backend()[0].supports_inner_max_num_threads:
+    if first_here and jobs != 1 and get_active_backend()[0].supports_inner_max_num_threads:
         # The first call is made here, so that kernels are compiled once and not by each process.
         for function, positional, named in islice(waiting, 1):
             yield function(*positional, **named)

@@ -15,7 +15,7 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.limits import require_limits
-from pinposture.errors import ControllerError, InvalidValue, PostureError, no_warnings, warn_caller
+from pinposture.errors import ControllerError, InvalidValue, PostureError, ProcessError, no_warnings, warn_caller
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track, usual_max_steps
 from pinposture.motion.trajectory import Trajectory, own_clearance
@@ -79,7 +79,8 @@ def track_many(
 
     Returns:
         The results in the order of starts and targets. A run that raises an error of this package is recorded
-        as "failed", with a `PostureWarning`; the other runs continue.
+        as "failed", with a `PostureWarning`; the other runs continue. Runs whose process is killed are made
+        again; if that happens again and again, they are recorded as "failed", too.
 
     Raises:
         InvalidValue: numbers of targets and starts that do not match, one of them that does not fit the arm,
@@ -117,11 +118,17 @@ def track_many(
     ]
     ends, motions = [], []
     with no_warnings():  # given above
-        for done, (end, motion) in enumerate(adaptively_in_order(tasks, jobs), 1):
+        results = adaptively_in_order(tasks, jobs)
+        while len(ends) < count:
+            try:
+                end, motion = next(results)
+            except ProcessError as error:  # the runs that are there are kept
+                results = iter([_lost_run(setting, task, error) for task in tasks[len(ends) :]])
+                continue
             ends.append(end)
             motions.append(motion)
             if progress is not None:
-                progress(done, count)
+                progress(len(ends), count)
     batch = Batch(
         arm=arm,
         targets=tuple(listed),
@@ -205,7 +212,20 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[dict[str, Any
     except ControllerError:  # a mistake in the code of the user
         raise
     except PostureError as error:
-        run = _failed_run(setting, target, start, f"{type(error).__name__}: {' '.join(str(error).split())}")
+        run = _failed_run(setting, target, start, error)
+    return _recorded(setting, run)
+
+
+def _lost_run(
+    setting: _Setting, task: Any, error: PostureError
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Record a run whose process was ended; `task` is its call, made by `joblib.delayed`."""
+    _, (_, target, start), _ = task
+    return _recorded(setting, _failed_run(setting, target, start, error))
+
+
+def _recorded(setting: _Setting, run: Trajectory) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the entries of a run in the columns of `Batch` and, if motions are kept, its arrays."""
     ends = {
         "status": run.status,
         "reason": run.reason,
@@ -221,7 +241,8 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[dict[str, Any
     return ends, run_arrays(run) if setting.keep == "motions" else {}
 
 
-def _failed_run(setting: _Setting, target: Target, start: Array, reason: str) -> Trajectory:
+def _failed_run(setting: _Setting, target: Target, start: Array, error: PostureError) -> Trajectory:
     """Return a run without steps that an error ended."""
+    reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
     record = RunRecord(target, setting.arm.at(start), setting.scene)
     return record.trajectory(setting.arm, setting.controller, setting.limits, FAILED, reason)

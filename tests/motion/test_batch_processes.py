@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import joblib
 import pytest
 from arms import template_arm
 from joblib import delayed
 
+import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion import processes
 from pinposture.motion.processes import Shared, adaptively_in_order, in_order
@@ -114,3 +118,42 @@ def test_a_number_of_processes_that_is_none_is_refused(jobs: object, tmp_path) -
     for call in calls:
         with pytest.raises(InvalidValue, match="jobs"):
             call()
+
+
+def die_once(marker: str) -> str:
+    """End the process that makes the call, except for the second time."""
+    if not Path(marker).exists():
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "made"
+
+
+@pytest.mark.process
+def test_calls_that_are_lost_with_a_process_are_made_again(tmp_path: Path) -> None:
+    tasks = [*squares(6), delayed(die_once)(str(tmp_path / "died")), *squares(4)]
+    assert list(in_order(tasks, 2)) == [0, 1, 4, 9, 16, 25, "made", 0, 1, 4, 9]
+
+
+@dataclass(frozen=True)
+class Deadly(pp.Geodesic):
+    """A controller that ends other processes than its own if it is to move to a certain target."""
+
+    home: int = 0
+
+    def step(self, state, target, limits=None, memory=None):
+        if target.weights[0] == 0.5 and os.getpid() != self.home:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().step(state, target, limits, memory)
+
+
+@pytest.mark.process
+def test_runs_that_are_there_are_kept_if_processes_are_killed_again_and_again() -> None:
+    arm = template_arm("RyRz", 3)
+    goal = pp.Target.from_configuration(arm, [0.1] * arm.nv)
+    deadly = replace(goal, weights=[0.5, 1.0, 1.0])
+    with pytest.warns(pp.PostureWarning, match="runs failed; run 3: ProcessError"):
+        batch = pp.track_many(
+            arm, [goal, goal, goal, deadly], arm.straight(), Deadly(home=os.getpid()), jobs=2
+        )
+    assert batch.status.tolist() == ["converged", "converged", "converged", "failed"]
+    assert "1 of 4 calls were not made" in batch.reason[3]
