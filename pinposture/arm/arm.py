@@ -23,7 +23,12 @@ from pinposture._validation import (
     require_whole,
     rigid_placement,
 )
-from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions, plausible_positions
+from pinposture.arm.configurations import (
+    MOST_MOVING,
+    ConfigurationSpace,
+    check_joint_positions,
+    plausible_positions,
+)
 from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
@@ -51,7 +56,7 @@ from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
-from pinposture.arm.urdf_reader import MOST_MOVING, is_urdf_text
+from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, warn_caller
 from pinposture.kernels.arrays import Screws

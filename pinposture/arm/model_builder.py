@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import pinocchio as pin
 
-from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.configurations import MOST_LINKS, MOST_MOVING, NO_LIMIT
 from pinposture.arm.urdf_reader import is_finite_number, parse_xml
 from pinposture.errors import URDFError
 
@@ -35,9 +35,14 @@ def build_model(text: str, source: str, unlimited: Collection[str] = ()) -> pin.
         unlimited: names of continuous joints to make revolute without limits.
 
     Raises:
-        URDFError: Pinocchio rejects the description.
+        URDFError: Pinocchio rejects the description, or would take too long for it.
     """
     robot = parse_xml(text, source)
+    links = len(robot.findall("link"))
+    moving = sum(joint.get("type") != "fixed" for joint in robot.findall("joint"))
+    for count, what, most in ((links, "links", MOST_LINKS), (moving, "moving joints", MOST_MOVING)):
+        if count > most:
+            raise URDFError(source, "<robot>", f"has {count} {what}; allowed: {most} at most")
     needed = Element("robot", robot.attrib)
     for link in robot.findall("link"):
         made = SubElement(needed, "link", name=link.get("name", ""))

@@ -22,9 +22,10 @@ from pydantic import (
 )
 
 from pinposture._validation import require_whole
+from pinposture.arm.configurations import MOST_MOVING
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.template import JointSpec, ModuleTemplate, template
-from pinposture.arm.urdf_reader import MOST_MOVING, is_urdf_text
+from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.errors import InvalidValue
 
 Vector: TypeAlias = tuple[float, float, float]

@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pinposture._validation import require_instance, require_known, require_name
-from pinposture.arm.urdf_reader import MOST_MOVING
+from pinposture.arm.configurations import MOST_MOVING
 from pinposture.errors import InvalidValue
 
 JOINT_TYPES = ("revolute", "prismatic", "continuous")

@@ -38,10 +38,6 @@ URDF_TEXT = "URDF text"
 
 _BLANK = "\ufeff \t\r\n"
 _MAX_DEPTH = 400  # Pinocchio's XML parser fails slightly below 500
-MOST_MOVING = 5_000
-"""Most moving joints of a description: 4,000 take Pinocchio 18 s and 0.6 GB, 10,000 take 4 min and 3 GB."""
-MOST_LINKS = 10_001
-"""Most links of a description: 10,000 joints in a row, all but one fixed, take Pinocchio 15 s."""
 _VECTOR_ATTRIBUTE = re.compile(r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<]*"|'[^'<]*')""")
 _INFINITE_ATTRIBUTE = re.compile(r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])""", re.I)
 # What Pinocchio accepts as a number; Python would also accept "1_0" and "inf".
@@ -258,10 +254,6 @@ def read_description(source: str | Path, name: str = URDF_TEXT) -> Description:
     _refuse_doubles([material.get("name", "") for material in robot.findall("material")], "material", label)
     _read_names(robot.findall("joint"), "joint", label)
     joints = tuple(_read_joint(element, label) for element in robot.findall("joint"))
-    moving = sum(joint.type != "fixed" for joint in joints)
-    for count, what, most in ((len(links), "links", MOST_LINKS), (moving, "moving joints", MOST_MOVING)):
-        if count > most:
-            raise URDFError(label, "<robot>", f"has {count} {what}; allowed: {most} at most")
     root = _find_root(links, joints, label)
     return Description(name, text_for_pinocchio(text), label, links, joints, root)
 

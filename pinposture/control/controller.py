@@ -172,7 +172,7 @@ def require_step_arguments(state: ArmState, target: Target, memory: object = Non
     require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     if not (memory is None or isinstance(memory, Memory)):
         raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
-    target.check(state.arm)
+    target.check_numbers(state.arm)
 
 
 def task_errors(state: ArmState, target: Target) -> Array:

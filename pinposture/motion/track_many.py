@@ -116,7 +116,8 @@ def track_many(
         delayed(_run_quietly)(shared, listed[k % len(listed)], configurations[k % len(configurations)])
         for k in range(count)
     ]
-    ends, motions = [], []
+    ends: list[dict[str, Any]] = []
+    motions: list[dict[str, NDArray[Any]]] = []
     with no_warnings():  # given above
         results = adaptively_in_order(tasks, jobs)
         while len(ends) < count:

@@ -119,8 +119,14 @@ class Target:
 
     def check(self, arm: Arm) -> None:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
+        self.check_numbers(arm)
+        if not np.any(self.has_target):
+            raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
+
+    def check_numbers(self, arm: Arm) -> None:
+        """Raise InvalidValue unless the target fits an arm and is finite; once for each arm."""
         require_instance("arm", arm, Arm, "an Arm")
-        checked = arm.cache.setdefault(Target.check, WeakSet())
+        checked = arm.cache.setdefault(Target.check_numbers, WeakSet())
         if self in checked:
             return
         m = arm.n_modules
@@ -130,8 +136,6 @@ class Target:
                 raise InvalidValue(f"target.{name} (shape)", values.shape, allowed)
         if self.weights.shape != (m,):
             raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
-        if not np.any(self.has_target):
-            raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
         require_finite("target.weights", self.weights)
         arm.require_near("target.points", self.points)
         if self.q is not None:

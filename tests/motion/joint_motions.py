@@ -18,7 +18,7 @@ from pinposture.motion.joint_trajectory import JointTrajectory
 TABLES = ("time", "positions", "velocities", "accelerations")
 FILES = examples(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
-NUMBER = st.floats(-1e300, 1e300)
+NUMBER = st.floats(-1e30, 1e30)
 NAME = st.text(st.characters(exclude_categories=("C", "Z"), include_characters=" "), min_size=1).filter(
     lambda name: name == name.strip()
 )

