@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.arm import arm_of
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
 from pinposture.control.planner.avoidance import Avoidance, Solution
@@ -255,9 +256,9 @@ def follow(
         InvalidValue: an argument of the wrong type, or of another arm.
     """
     require_instance("path", path, TimedPath, "a TimedPath, as `retime` returns it")
-    require_step_arguments(state, path.path.objective.target, memory)
-    if state.arm is not path.path.arm:
+    if arm_of(state) is not path.path.arm:
         raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")
+    require_step_arguments(state, path.path.objective.target, memory)
     limits, state = path.limits if limits is None else require_limits(limits), state.compiled
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq
