@@ -15,7 +15,14 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.limits import require_limits
-from pinposture.errors import ControllerError, InvalidValue, PostureError, ProcessError, no_warnings, warn_caller
+from pinposture.errors import (
+    ControllerError,
+    InvalidValue,
+    PostureError,
+    ProcessError,
+    no_warnings,
+    warn_caller,
+)
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track, usual_max_steps
 from pinposture.motion.trajectory import Trajectory, own_clearance
