@@ -84,6 +84,7 @@ def test_whatever_the_value_each_call_gives_a_result_or_an_error_of_this_package
     assert not bad
 
 
+@pytest.mark.process
 def test_huge_coordinates_do_not_end_the_process() -> None:
     numbers = ("1e200", "-1e154", "1e308", "nan")
     names = [f"{call}|target.points.0.0|{number}" for call in ("track", "plan") for number in numbers]
