@@ -279,7 +279,7 @@ def test_what_is_remembered_of_an_arm_does_not_keep_it() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: pp.Limits(acceleration=1.0), "dt is None.*needed to limit the acceleration"),
+        (lambda: pp.Limits(acceleration=1.0), "dt is not given.*needed to limit the acceleration"),
         (lambda: pp.Limits(acceleration=0.0, dt=0.1), "acceleration is 0"),
         (lambda: pp.Limits(acceleration=[1.0, -1.0], dt=0.1), "acceleration"),
         (lambda: pp.Limits(acceleration="x", dt=0.1), "acceleration is 'x'"),
