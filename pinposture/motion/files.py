@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
@@ -14,7 +14,7 @@ from zipfile import is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import finite_vector, require_known
+from pinposture._validation import finite_vector, require_finite, require_known
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
@@ -234,11 +234,51 @@ def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
     return Moved(tuple(translation), tuple(rotation))
 
 
-def check_shapes(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise InvalidValue unless arrays have the expected shapes."""
+_TEXTS = frozenset({"status", "reason"})
+_FLAGS = frozenset({"active", "clipped", "error_increasing", "motion_target_mask", "saturated"})
+
+COMPARED_ROWS = 500
+"""Rows of a loaded run whose control points are compared with its configurations, at most."""
+
+SAME_POINTS = 1e-6
+"""Largest difference of control points that counts as rounding, in arm lengths."""
+
+
+def check_arrays(
+    arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]], texts: Collection[str] = ()
+) -> None:
+    """Raise InvalidValue unless arrays have the expected shapes and types.
+
+    Args:
+        arrays: the arrays, by name.
+        shapes: the shapes that some of them must have.
+        texts: names of arrays of text, beside the usual ones; others hold numbers or flags.
+    """
     for name, expected in shapes.items():
-        if arrays[name].shape != expected:
-            raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))
+        array = arrays[name]
+        if array.shape != expected:
+            raise InvalidValue(f"{name} (shape)", array.shape, str(expected))
+        kinds, allowed = "biuf", "numbers"
+        if name in _FLAGS:
+            kinds, allowed = "b", "True or False"
+        elif name in _TEXTS or name in texts:
+            kinds, allowed = "U", "text"
+        if array.dtype.kind not in kinds:
+            raise InvalidValue(f"{name} (type)", str(array.dtype), allowed)
+
+
+def _check_postures(arm: Arm, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Raise InvalidValue unless the control points of a run are those of its configurations."""
+    for name in ("q", "points", "point_errors"):
+        require_finite(name, arrays[name])
+    q = arrays["q"]
+    rows = np.unique(np.linspace(0, len(q) - 1, COMPARED_ROWS).round().astype(np.intp))
+    for row in rows:
+        points = arm.at(arm.checked(q[row], f"q[{row}]")).forward.points
+        off = float(np.abs(points - arrays["points"][row]).max())
+        if off > SAME_POINTS * arm.length:
+            allowed = "those of the configuration in this row"
+            raise InvalidValue(f"points[{row}]", f"{off:.3g} m off", allowed)
 
 
 # Runs.
@@ -280,7 +320,9 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
         "active": (steps, m),
         "clipped": (steps, arm.nv),
     }
-    check_shapes(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS})
+    check_arrays(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS}, TEXT_ARRAYS)
+    check_arrays(arrays, {"target_points": (m, 3), "target_weights": (m,)})
+    _check_postures(arm, arrays)
     require_known("status", about["status"], ENDINGS)
     return Trajectory(
         arm=arm,
@@ -322,7 +364,7 @@ def _unpack_motion(about: About, arrays: Arrays) -> Motion:
     if run.limits.dt is None:
         raise InvalidValue("dt", None, "the duration of a cycle")
     rows, m = run.steps + 1, run.arm.n_modules
-    check_shapes(
+    check_arrays(
         arrays, {"motion_targets": (rows, m, 3), "motion_target_mask": (rows, m), "motion_plan_time": (rows,)}
     )
     return Motion(
@@ -456,11 +498,11 @@ def _check_batch(batch: Batch) -> None:
     for target in batch.targets:
         target.check(arm)
     ends = {"q_start": (count, arm.nq), "q_final": (count, arm.nq)}
-    check_shapes(vars(batch), {name: ends.get(name, (count,)) for name in _BATCH_ARRAYS})
+    check_arrays(vars(batch), {name: ends.get(name, (count,)) for name in _BATCH_ARRAYS})
     motions = batch.motions
     if motions is None:
         return
-    check_shapes(vars(motions), {"offsets": (count + 1,)})
+    check_arrays(vars(motions), {"offsets": (count + 1,)})
     if motions.offsets[0] != 0 or np.any(np.diff(motions.offsets) != batch.steps + 1):
         raise InvalidValue("offsets", motions.offsets, "those of runs of so many steps")
     rows = int(motions.offsets[-1])
@@ -468,7 +510,7 @@ def _check_batch(batch: Batch) -> None:
     shapes: dict[str, tuple[int, ...]] = {name: (steps,) for name in STEP_ARRAYS + TEXT_ARRAYS}
     shapes |= {"q": (rows, arm.nq), "clearance": (rows,)}
     shapes |= {"active": (steps, arm.n_modules), "clipped": (steps, arm.nv)}
-    check_shapes(vars(motions), shapes)
+    check_arrays(vars(motions), shapes)
     for name in TEXT_ARRAYS:
         numbers = getattr(motions, name)
         if np.any((numbers < 0) | (numbers >= n_texts)):

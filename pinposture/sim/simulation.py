@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinposture._validation import make_read_only, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
-from pinposture.motion.files import Format, check_shapes, register
+from pinposture.motion.files import Format, check_arrays, register
 from pinposture.motion.trajectory import FinishedMotion, closest, ending
 from pinposture.sim.model import Servos
 from pinposture.units import length_text
@@ -291,7 +291,7 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
         "targets": (rows, m, 3),
         "weights": (rows, m),
     }
-    check_shapes(arrays, {name: shape for name, shape in shapes.items() if name in arrays})
+    check_arrays(arrays, {name: shape for name, shape in shapes.items() if name in arrays})
     require_positive("dt", about["dt"])
     return Simulation(
         arm=arm,

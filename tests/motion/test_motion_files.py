@@ -6,6 +6,7 @@ import json
 import pickle
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -229,6 +230,34 @@ def test_a_damaged_file_is_refused_or_whole(
         assert "damaged.npz" in str(error)
     else:
         assert_equal(loaded, motion)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        ("q", lambda q: q.astype(str), "q (type) is '<U32'; allowed: numbers"),
+        ("q", lambda q: np.where(np.arange(len(q))[:, None] == 1, np.nan, q), "q[1, 0] is nan"),
+        ("q", np.zeros_like, "allowed: those of the configuration in this row"),
+        ("points", lambda points: points + 0.01, "allowed: those of the configuration in this row"),
+        ("point_errors", lambda errors: errors * np.inf, "point_errors"),
+        ("active", lambda active: active.astype(float), "active (type) is 'float64'; allowed: True or False"),
+        ("method", lambda method: np.zeros(len(method)), "method (type) is 'float64'; allowed: text"),
+        ("target_weights", None, "weights"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_arrays_of_other_content_are_refused(
+    name: str, change: Any, says: str, motion: Motion, tmp_path: Path
+) -> None:
+    stored = dict(np.load(pp.save(motion.run, tmp_path / "run.npz")))
+    if change is None:
+        del stored[name]
+    else:
+        stored[name] = change(stored[name])
+    np.savez(tmp_path / "other.npz", **stored)
+    with pytest.raises(FileError) as caught:
+        pp.load(tmp_path / "other.npz")
+    assert says in str(caught.value)
 
 
 def test_joint_trajectories_of_a_motion_keep_its_rows_and_rest_at_both_ends(motion: Motion) -> None:
