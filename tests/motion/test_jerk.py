@@ -15,6 +15,7 @@ from pinposture.collision import CollisionModel
 from pinposture.control.limits import JerkFilter
 from pinposture.errors import InvalidValue
 from pinposture.motion.trajectory import find_limit_violation
+from pinposture.units import length_text
 
 pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
 
@@ -56,7 +57,8 @@ def test_all_limits_hold_and_the_arm_arrives(
     assert run.excess is None
     if controller != "selection":  # which may stop on the way
         assert run.converged and run.posture_error[-1] <= arm.n_modules * 1.001e-6 * arm.length
-        assert f"mean point error {run.posture_error[-1] / arm.n_modules:.3g} m is within" in run.reason
+        error = length_text(run.posture_error[-1] / arm.n_modules, arm.length)
+        assert f"mean point error {error}, within" in run.reason
 
 
 @examples(15)

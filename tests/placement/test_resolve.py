@@ -323,6 +323,6 @@ def test_points_in_millimetres_are_reported(arm: pp.Arm) -> None:
 def test_a_target_is_printed_in_one_line() -> None:
     arm = template_arm("RyRz", 6)
     target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (1, 0, 0)))
-    assert repr(target) == "Target(6 points, a configuration, sequential a curve of 1 m)"
+    assert repr(target) == "Target(6 points, a configuration, on a curve of 1 m, sequential placement)"
     assert repr(target.region(1, 3)).startswith("Target(3 of 6 points, a configuration")
     assert repr(pp.Target.from_points(arm, target.points)) == "Target(6 points, no configuration)"

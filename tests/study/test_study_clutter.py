@@ -36,7 +36,7 @@ def test_dense_clearance_sees_what_is_between_two_configurations() -> None:
     other[1] = 0.4
     halfway = arm.straight()
     halfway[1] = 0.2
-    scene = Scene({"pole": Sphere(tuple(arm.at(halfway).points[-1]), 0.002)})
+    scene = Scene({"pole": Sphere(tuple(arm.at(halfway).points[-1]), 0.002)}, self_collision=False)
     model = CollisionModel(arm, scene)
     assert min(model.minimum(one).distance, model.minimum(other).distance) > 0.1
     assert dense_clearance(arm, scene, np.array([one, other])) < 0.0

@@ -241,7 +241,7 @@ def test_all_mistakes_are_named_at_once_each_with_its_line(tmp_path: Path) -> No
     ]
     found = reasons(('"20 ms"', '"20 mm"'), ('"1 s"', '"1 m"'), ('"0.5 s"', "true"))
     assert [each.split(":")[0] for each in found] == ["line 21", "line 34", "line 11"]
-    found = reasons(('"10 cm"', '"-1 cm"'), ('"16 cm"', '"-1 cm"'), ('"90 deg/s"', "-1"))
+    found = reasons(('"10 cm"', '"-1 cm"'), ('"17 cm"', '"-1 cm"'), ('"90 deg/s"', "-1"))
     assert [each.split(":")[0] for each in found] == ["line 28", "line 41", "line 12"]
-    found = reasons(("b = [1, 0, 0]", "b = [0.1, 0, 0]"), ('"16 cm"', '"1 cm"'))
+    found = reasons(("b = [1, 0, 0]", "b = [0.1, 0, 0]"), ('"17 cm"', '"1 cm"'))
     assert [each.split(":")[0] for each in found] == ["line 15", "line 38"]

@@ -63,7 +63,7 @@ def test_the_caption_tells_time_place_error_and_clearance(tmp_path):
     near = motion.run.clearance
     assert texts[4] == (
         "0.20 of 3.00 s (0.00 of 1.25 s of the plan), moving to the first posture, mean point error "
-        f"1 mm (largest 1 mm), clearance {1e3 * near[4]:.0f} mm"
+        f"1 mm (largest 1 mm), clearance {1e3 * near[4]:.3g} mm"
     )
     assert texts[34].startswith("1.70 of 3.00 s (0.60 of 1.25 s of the plan), reached straight (1 of 3), ")
     assert "reached S (2 of 3)" in texts[35]

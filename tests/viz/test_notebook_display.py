@@ -141,7 +141,7 @@ def test_a_run_in_a_scene_shows_its_duration_and_what_came_closest(shown: Any, a
     rows = table(shown(run))
     assert rows["duration"] == f"{0.02 * run.steps:.4g} s"
     least = min(pp.CollisionModel(arm, scene).minimum(q) for q in run.q)
-    assert rows["clearance"] == f"{1e3 * least.distance:.0f} mm, {' to '.join(least.pair)}"
+    assert rows["clearance"] == f"{1e3 * least.distance:.3g} mm, {' to '.join(least.pair)}"
 
 
 def test_a_figure_shows_its_picture(shown: Any, arm: pp.Arm) -> None:

@@ -173,7 +173,7 @@ def test_a_control_loop_is_seen_with_its_status_clearance_and_command(arm: pp.Ar
     viewer, client = watch(arm, tracker)
     viewer.show(None)  # nothing is known yet
     found = client.snapshot()
-    assert found["/status"] == {"status": "holding", "reason": "no step yet"}
+    assert found["/status"] == {"status": "holding", "reason": "no step yet", "time": 0.0}
     assert "/tf" not in found
     assert "/joint_commands" not in found
     q, target = arm.straight(), pp.Target.from_configuration(arm, 0.1 * np.ones(arm.nv))
@@ -191,6 +191,7 @@ def test_a_control_loop_is_seen_with_its_status_clearance_and_command(arm: pp.Ar
         "target_age": report.target_age,
         "clearance": near.distance,
         "nearest": " to ".join(near.pair),
+        "time": report.time,
     }
     assert list(positions(found["/joint_commands"]).values()) == [*tracker.command]
     broken = np.full(arm.nq, np.nan)
