@@ -39,9 +39,9 @@ CEILINGS = {
     "imports that go up": 0,  # 0
     "class names defined twice": 0,  # 0
     "constants of two meanings in sight": 0,  # 0
-    "files of a step": 21,  # 12
-    "files of a task": 56,  # 40
-    "files of a drag": 32,  # 15
+    "files of a step": 22,  # 12
+    "files of a task": 72,  # 40
+    "files of a drag": 40,  # 15
 }
 """The most that there may be of each.
 

@@ -27,7 +27,7 @@ laid = reference.marks[-1].target.curve
 print(f"{reference.rows} rows, {reference.duration:.1f} s for {path.length:.3f} m")
 
 # Run it within the limits, in a pipe with a radius of 4.5 cm.
-scene = pipe(laid, radius=0.045)
+scene = pipe(laid, radius=0.045, self_collision=False)  # too narrow to touch itself
 limits = pp.Limits(dt=0.1, acceleration=2.0)
 motion = perform(reference, "geodesic", limits, scene=scene)
 run = motion.run

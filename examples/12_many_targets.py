@@ -17,11 +17,12 @@ if __name__ == "__main__":  # worker processes import this file
     # An arm of 10 modules, 20 degrees of freedom, 0.5 m long, and 40 reachable postures.
     arm = pp.Arm.from_template("RyRz", modules=10)
     rng = np.random.default_rng(0)
-    goals = [smooth_configuration(arm, rng, rng.uniform(0.3, 1.2)) for _ in range(40)]
+    goals = [smooth_configuration(arm, rng, rng.uniform(0.3, 0.7)) for _ in range(40)]
     targets = [pp.Target.from_configuration(arm, goal) for goal in goals]
 
-    # One start for all. Forty runs take a moment; ten thousand would use every core automatically.
-    batch = pp.track_many(arm, targets, arm.straight(), max_steps=100)
+    # One start for all. In a scene, if only an empty one, the arm keeps clear of itself. Forty runs take a
+    # moment; ten thousand would use every core automatically.
+    batch = pp.track_many(arm, targets, arm.straight(), max_steps=100, scene=pp.Scene())
 
     out = Path("out/many_targets")
     pp.save(batch, out / "batch.npz")

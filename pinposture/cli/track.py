@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 @examples(
     "pinposture track arm.urdf --curve helix -o out",
     "pinposture track arm.urdf --curve helix --seed 3 --steps 500 -o out",
-    "pinposture track arm.urdf --curve line --controller switching --json",
+    "pinposture track arm.urdf --curve line --controller switching --no-self-collision --json",
     "pinposture track arm.urdf --curve line --method smooth --modules 4",
     "pinposture track arm.urdf --curve helix --region 10-20",
     "pinposture track arm.urdf --curve helix --dt 0.05 --acceleration 10",

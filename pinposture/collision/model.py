@@ -410,6 +410,8 @@ class CollisionModel:
         geometries of their pieces, nearest to the base of the arm first, for at most `MAX_PREPARED` points or
         triangles. It warns of nothing, as the obstacles may be moved before the first cycle.
         """
+        require_instance("arm", arm, Arm, "an Arm")
+        require_instance("scene", scene, Scene, "a Scene")
         choice = _Choice.known(arm, scene.first)
         left = MAX_PREPARED
         base = np.array(arm.base_placement.translation)

@@ -235,7 +235,7 @@ def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
 
 
 _TEXTS = frozenset({"status", "reason"})
-_FLAGS = frozenset({"active", "clipped", "error_increasing", "motion_target_mask", "saturated"})
+_FLAGS = frozenset({"active", "clipped", "error_increasing", "motion_target_mask"})
 
 COMPARED_ROWS = 500
 """Rows of a loaded run whose control points are compared with its configurations, at most."""

@@ -15,6 +15,7 @@ from pinposture import kernels
 from pinposture._validation import (
     finite_vector,
     is_number,
+    is_usable,
     require_instance,
     require_known,
     require_positive,
@@ -210,7 +211,7 @@ class Tracker:
             ("deadline", deadline),
             ("max_tracking_error", max_tracking_error),
         ):
-            if not (is_number(value) and value > 0.0):
+            if not (is_number(value) and value > 0.0 and (value == inf or is_usable(value))):
                 raise InvalidValue(name, value, "a number > 0, or inf")
         self.arm = arm
         self._limits, self._period = limits, period

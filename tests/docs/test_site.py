@@ -18,7 +18,9 @@ pytestmark = pytest.mark.site
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-SPECS = ("TaskSpec", "KeyframeSpec", "TipSpec", "LeaderSpec", "LimitsSpec", "ControllerSpec", "SceneSpec")
+PHASE_SPECS = ("PhaseSpec", "TipGoalSpec", "WithdrawalSpec")
+OTHER_SPECS = ("TaskSpec", "KeyframeSpec", "TipSpec", "LeaderSpec", "LimitsSpec", "ControllerSpec", "SceneSpec")
+SPECS = (*OTHER_SPECS, *PHASE_SPECS)
 BEHIND = {"editor": ("Session", "Shape", "Live"), "task": SPECS}
 """What else a page shows: what the attributes of public classes are, where a program needs to know."""
 
@@ -44,6 +46,7 @@ def test_the_site_builds_and_every_link_in_it_leads_somewhere(tmp_path: Path) ->
 def test_the_colours_are_those_of_the_pictures() -> None:
     known = {value.lower() for value in vars(palette).values() if isinstance(value, str)}
     known |= {color.lower() for color in palette.MODULES + palette.SPARE}
+    known |= {color.lower() for color in palette.CONTROLLER_COLORS.values()}
     used = re.findall(r"#[0-9a-f]{6}", (DOCS / "style.css").read_text())
     assert len(used) > 5
     assert set(used) <= known
