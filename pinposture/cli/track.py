@@ -52,14 +52,14 @@ if TYPE_CHECKING:
 @examples(
     "pinposture track arm.urdf --curve helix -o out",
     "pinposture track arm.urdf --curve helix --seed 3 --steps 500 -o out",
-    "pinposture track arm.urdf --curve line --controller switching --no-self-collision --json",
+    "pinposture track arm.urdf --curve line --no-self-collision --json",
     "pinposture track arm.urdf --curve line --method smooth --modules 4",
     "pinposture track arm.urdf --curve helix --region 10-20",
     "pinposture track arm.urdf --curve helix --dt 0.05 --acceleration 10",
     "pinposture track arm.urdf --curve line --modules 4 --self-collision",
     "pinposture track arm.urdf --curve line --seed 1 --scene scene.toml",
     "pinposture track arm.urdf --curve line --tip-position 0.8,0.2,0",
-    "pinposture track arm.urdf --curve line --region 1-9 --hold-tip pose",
+    "pinposture track arm.urdf --curve line --start straight --hold-tip pose",
     "pinposture track arm.urdf --curve curve.csv --partial -o out --view",
 )
 def run(
