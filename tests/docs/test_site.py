@@ -19,8 +19,10 @@ pytestmark = pytest.mark.site
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PHASE_SPECS = ("PhaseSpec", "TipGoalSpec", "WithdrawalSpec")
-OTHER_SPECS = ("TaskSpec", "KeyframeSpec", "TipSpec", "LeaderSpec", "LimitsSpec", "ControllerSpec", "SceneSpec")
-SPECS = (*OTHER_SPECS, *PHASE_SPECS)
+SPECS = (
+    *("TaskSpec", "KeyframeSpec", "TipSpec", "LeaderSpec", "LimitsSpec", "ControllerSpec", "SceneSpec"),
+    *PHASE_SPECS,
+)
 BEHIND = {"editor": ("Session", "Shape", "Live"), "task": SPECS}
 """What else a page shows: what the attributes of public classes are, where a program needs to know."""
 

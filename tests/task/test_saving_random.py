@@ -171,9 +171,8 @@ def tasks(draw: Any) -> pp.Task:
         )
     else:
         motion = tuple(draw(st.lists(keyframes(arm), min_size=2, max_size=4)))
-    geodesic = st.builds(
-        pp.Geodesic, joint_weight=st.floats(0.01, 9), relative_position_weight=st.sampled_from([0.0, 0.3, 9.0])
-    )
+    relative = st.sampled_from([0.0, 0.3, 9.0])
+    geodesic = st.builds(pp.Geodesic, joint_weight=st.floats(0.01, 9), relative_position_weight=relative)
     starts = (None, arm.straight(), arm.neutral(), arm.random(np.random.default_rng(draw(st.integers(0, 9)))))
     formats = st.lists(st.sampled_from(["npz", "csv", "json", "png", "html"]), unique=True).map(tuple)
     return pp.Task(
