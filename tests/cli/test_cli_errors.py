@@ -159,7 +159,7 @@ CASES = [
     Case("directory is a file", "study arms ARM", ("ARM", "not a directory")),
     Case("directory without arms", "study arms RUN", ("RUN", "no file that ends in .urdf")),
     Case("study with seed -1", "study arms DIR --seed -1", ("--seed is -1", "at least 0")),
-    Case("study without jobs", "study arms DIR --jobs 0", ("jobs is 0", "at least 1")),
+    Case("study without jobs", "study arms DIR --jobs 0", ("jobs is 0", "from 1 to 10000")),
     # view
     Case("missing run", "view DIR/none.npz", ("DIR/none.npz", "no such file")),
     Case("directory without a run", "view DIR", ("DIR/run.npz", "no such file")),

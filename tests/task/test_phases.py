@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -148,35 +149,43 @@ def test_one_verdict_names_the_phase_that_failed() -> None:
     ("phases", "words"),
     [
         (
-            (Phase(Withdrawal(), "out"),),
+            lambda: (Phase(Withdrawal(), "out"),),
             "phase 1 'out': withdrawal is .* one after a leader that does not return",
         ),
-        ((into(), Phase(Withdrawal()), Phase(Withdrawal())), "phase 3: withdrawal is"),
-        ((into(and_back=True), Phase(Withdrawal())), "phase 2: withdrawal is"),
-        ((Phase((pp.Keyframe(path()),), "one"),), "phase 1 'one': keyframes is 1; allowed: two or more"),
-        ((into(pipe=0.012),), "phase 1 'in': pipe is 0.012; allowed: .* are missing"),
-        ((into(speed=-1.0),), "phase 1 'in': speed is -1.0"),
-        ((into(), pp.Keyframe(path())), "allowed: only phases, or only keyframes"),
+        (lambda: (into(), Phase(Withdrawal()), Phase(Withdrawal())), "phase 3: withdrawal is"),
+        (lambda: (into(and_back=True), Phase(Withdrawal())), "phase 2: withdrawal is"),
+        (
+            lambda: (Phase((pp.Keyframe(path()),), "one"),),
+            "phase 1 'one': keyframes is 1; allowed: two or more",
+        ),
+        (lambda: (into(pipe=0.012),), "phase 1 'in': pipe is 0.012; allowed: .* are missing"),
+        (lambda: (into(speed=-1.0),), "phase 1 'in': speed is -1.0"),
+        (lambda: (into(), pp.Keyframe(path())), "allowed: only phases, or only keyframes"),
     ],
 )
-def test_phases_that_make_no_motion_are_refused(phases: tuple[Phase, ...], words: str) -> None:
+def test_phases_that_make_no_motion_are_refused(phases: Callable[[], tuple[Phase, ...]], words: str) -> None:
     with pytest.raises(pp.PostureError, match=words):
-        small(*phases)
+        small(*phases())
 
 
 @pytest.mark.parametrize(
     ("phases", "words"),
     [
-        ((into(), into()), "phase 2 'in': start is .*joints bent"),
-        ((into(), Phase(TipGoal((9.0, 0, 0)), "far")), "phase 2 'far': .*from the base"),
-        ((into(), Phase(TipGoal((1e8, 0, 0)))), "phase 2: the tip cannot reach .*millimetres"),
-        ((into(), Phase((pp.Keyframe(path()),), "when")), "'when': keyframe 1.*: it has neither a time nor"),
-        ((into(depth=0.9),), "phase 1 'in': depth is 0.9"),
+        (lambda: (into(), into()), "phase 2 'in': start is .*joints bent"),
+        (lambda: (into(), Phase(TipGoal((9.0, 0, 0)), "far")), "phase 2 'far': .*from the base"),
+        (lambda: (into(), Phase(TipGoal((1e8, 0, 0)))), "phase 2: the tip cannot reach .*millimetres"),
+        (
+            lambda: (into(), Phase((pp.Keyframe(path()),), "when")),
+            "'when': keyframe 1.*: it has neither a time nor",
+        ),
+        (lambda: (into(depth=0.9),), "phase 1 'in': depth is 0.9"),
     ],
 )
-def test_a_phase_that_the_arm_cannot_perform_is_named(phases: tuple[Phase, ...], words: str) -> None:
+def test_a_phase_that_the_arm_cannot_perform_is_named(
+    phases: Callable[[], tuple[Phase, ...]], words: str
+) -> None:
     with pytest.raises(TaskError, match=words):
-        small(*phases).reference()
+        small(*phases()).reference()
 
 
 @pytest.mark.parametrize(
