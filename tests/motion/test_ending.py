@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -114,12 +115,21 @@ def test_every_way_to_end_is_in_the_vocabulary(arm: pp.Arm, goal: pp.Target) -> 
 class TestAnArmThatClosesOnItself:
     """Five links of 0.2 m, 40 mm thick: three right angles bring the fourth and the fifth to the base."""
 
-    arm = pp.Arm.from_template("Rz", 5, (0.2,))
     q = np.array([0.0, np.pi / 2, np.pi / 2, np.pi / 2, 0.0])
-    goal = pp.Target.from_configuration(arm, q)
     limits = pp.Limits(step=None, dt=0.1, velocity=1.0)
-    frames = (pp.Keyframe(joints=tuple(arm.straight())), pp.Keyframe(joints=tuple(q), time=3.0))
     off = pp.Scene(self_collision=False)
+
+    @cached_property
+    def arm(self) -> pp.Arm:
+        return pp.Arm.from_template("Rz", 5, (0.2,))
+
+    @cached_property
+    def goal(self) -> pp.Target:
+        return pp.Target.from_configuration(self.arm, self.q)
+
+    @cached_property
+    def frames(self) -> tuple[pp.Keyframe, ...]:
+        return pp.Keyframe(joints=tuple(self.arm.straight())), pp.Keyframe(joints=tuple(self.q), time=3.0)
 
     def track(self, scene: pp.Scene | None, controller: str = "geodesic") -> pp.Trajectory:
         return pp.track(self.arm, self.goal, self.arm.straight(), controller, self.limits, scene)
