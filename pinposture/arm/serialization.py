@@ -62,7 +62,9 @@ def describe_model(
     Raises:
         InvalidValue: a joint of a type that is not known here.
     """
-    names, joints, added = list(model.names), list(model.joints), dict(following or {})
+    names = list(model.names)
+    joints = list(model.joints)
+    added = dict(following or {})
     leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
     described: list[dict[str, Any]] = []
     positions: list[int] = []
@@ -144,7 +146,8 @@ def _kind(joint: Any) -> str:
 
 def _describe_joint(name: str, joint: pin.JointModel, ratio: float | None) -> dict[str, Any]:
     """Return the type of a joint and its parameters; those without its ratio if it follows another."""
-    own, kind = joint.extract(), _kind(joint)
+    own = joint.extract()
+    kind = _kind(joint)
     if kind == COMPOSITE:
         return {
             "type": kind,
@@ -175,7 +178,8 @@ def _divided(products: Array, ratio: float) -> Array:
     quotients = products / ratio
     found, above, below = quotients.copy(), quotients, quotients
     for _ in range(2):  # a product and a quotient are rounded by half a unit each
-        above, below = np.nextafter(above, np.inf), np.nextafter(below, -np.inf)
+        above = np.nextafter(above, np.inf)
+        below = np.nextafter(below, -np.inf)
         for near in (above, below):
             found = np.where((ratio * found != products) & (ratio * near == products), near, found)
     return np.asarray(found)

@@ -73,7 +73,8 @@ def _write_joint(
     composite = whole.shortname() == "JointModelComposite"
     if composite:
         inner = whole.extract()
-        parts, placements = list(inner.joints), list(inner.jointPlacements)
+        parts = list(inner.joints)
+        placements = list(inner.jointPlacements)
     parent, q, v = named[model.parents[joint]], whole.idx_q, whole.idx_v
     for number, (part, placement) in enumerate(zip(parts, placements, strict=True), 1):
         kind = part.shortname().removeprefix("JointModel")

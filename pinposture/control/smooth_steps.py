@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control.limits import JerkFilter, JointBounds, Limits
+from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,8 @@ class SmoothSteps:
             dq: the step of the controller, (nv,) [rad or m]; None if the cycle `needs_step` of none.
         """
         if not self.active:
-            assert dq is not None
+            if dq is None:
+                raise InvalidValue("dq", dq, "the step of the controller, in a cycle that needs one")
             return dq
         before, new = self._owed() @ self._steps, np.zeros(self._steps.shape[1])
         self._place += share

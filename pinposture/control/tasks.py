@@ -379,7 +379,8 @@ class EndEffector(ComparableTask):
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return the rows of the position, then those of the orientation; see `ControlTask.rows`."""
-        arm, k = arm_of(state), _index(state, self.point)
+        arm = arm_of(state)
+        k = _index(state, self.point)
         place = self.position if self.pose is None else self.pose[:3, 3]
         jacobian, apart = arm.plane @ state.jacobians[k], arm.plane @ (place - state.points[k])
         if self.pose is None:
@@ -532,7 +533,8 @@ class Tangents(ComparableTask):
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return two rows for each point, one in a plane; see `ControlTask.rows`."""
-        arm, directions = arm_of(state), np.asarray(self.directions)
+        arm = arm_of(state)
+        directions = np.asarray(self.directions)
         wanted = range(arm.n_modules) if self.points is None else self.points
         points = chosen_points(arm.control_points, wanted)
         if len(points) != len(directions):

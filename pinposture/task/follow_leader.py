@@ -630,7 +630,8 @@ def _require_near(route: Route, deviation: Deviation, depths: Array, method: str
     allowed = link * float(np.clip(DEVIATION_PER_BENDING * bend * link, MIN_DEVIATION, MAX_DEVIATION))
     if deviation.largest <= allowed:
         return
-    where, depth = float(deviation.where[deviation.row]), float(depths[deviation.row])
+    where = float(deviation.where[deviation.row])
+    depth = float(depths[deviation.row])
     lengths = np.cumsum(fed.body.chain.module_lengths)
     module = min(int(np.searchsorted(lengths, where)), fed.body.n_modules - 1)
     number = module + 1 + fed.arm.n_modules - fed.body.n_modules
