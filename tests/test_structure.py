@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 SCRIPT = Path(__file__).parents[1] / ".ci" / "structure.py"
+sys.path.insert(0, str(SCRIPT.parent))
+
+import flows  # noqa: E402
+import imports  # noqa: E402
+import statements  # noqa: E402
 
 FILES = {
     "__init__.py": "",
@@ -33,17 +37,6 @@ ORDER = (("low",), ("high",))
 
 
 @pytest.fixture
-def structure(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    spec = spec_from_file_location("structure", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "structure", module)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture
 def made(tmp_path: Path) -> Path:
     """A package with every fault that is counted."""
     for name, text in FILES.items():
@@ -53,8 +46,8 @@ def made(tmp_path: Path) -> Path:
     return tmp_path / "made"
 
 
-def test_files_and_lines_are_those_of_the_package(structure: ModuleType, made: Path) -> None:
-    modules = structure.read_package(made)
+def test_files_and_lines_are_those_of_the_package(made: Path) -> None:
+    modules = imports.read_package(made)
     assert sorted(modules) == [
         "made",
         "made.high",
@@ -65,33 +58,33 @@ def test_files_and_lines_are_those_of_the_package(structure: ModuleType, made: P
     assert {module.path.name: module.lines for module in modules.values()}["two.py"] == 4
 
 
-def test_cycles_at_run_time_and_with_types(structure: ModuleType, made: Path) -> None:
-    modules = structure.read_package(made)
-    assert structure.cycles(structure.import_graph(modules, late=False)) == [["made.low.one", "made.low.two"]]
+def test_cycles_at_run_time_and_with_types(made: Path) -> None:
+    modules = imports.read_package(made)
+    assert imports.cycles(imports.import_graph(modules, late=False)) == [["made.low.one", "made.low.two"]]
     # With types, one of the modules of `low` imports `high` in turn; three and four only each other.
-    assert structure.cycles(structure.import_graph(modules, late=True)) == [
+    assert imports.cycles(imports.import_graph(modules, late=True)) == [
         ["made.high", "made.low", "made.low.one", "made.low.two"],
         ["made.low.four", "made.low.three"],
     ]
 
 
-def test_imports_that_go_up_and_packages_without_a_place(structure: ModuleType, made: Path) -> None:
-    found = structure.upward(structure.read_package(made), ORDER)
+def test_imports_that_go_up_and_packages_without_a_place(made: Path) -> None:
+    found = imports.upward(imports.read_package(made), ORDER)
     assert found == [
         "made.lone: lone has no place in the order of packages",
         "made.low.one, line 4: imports made.high",
     ]
 
 
-def test_names_of_classes_and_constants_that_mean_two_things(structure: ModuleType, made: Path) -> None:
-    modules = structure.read_package(made)
-    assert structure.doubled_classes(modules) == {"Two": ["made.high", "made.low.two"]}
+def test_names_of_classes_and_constants_that_mean_two_things(made: Path) -> None:
+    modules = imports.read_package(made)
+    assert imports.doubled_classes(modules) == {"Two": ["made.high", "made.low.two"]}
     # One says what it means and two does not; three defines none, and nobody sees the one of `lone`.
-    assert structure.doubled_constants(modules) == {"FAR": ["made.low.one", "made.low.two"]}
+    assert imports.doubled_constants(modules) == {"FAR": ["made.low.one", "made.low.two"]}
 
 
 def test_a_trace_leaves_out_what_is_imported_and_what_comes_after_the_end(
-    structure: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "walked"
     folder.mkdir()
@@ -109,17 +102,79 @@ def test_a_trace_leaves_out_what_is_imported_and_what_comes_after_the_end(
         (folder / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     start, step = import_module("walked.start"), import_module("walked.step")
-    for until, files in (
-        ({}, ["start.py", "step.py", "later.py"]),
-        ({"until_return": step.step.__code__}, ["start.py", "step.py"]),
-        ({"until_call": step.step.__code__}, ["start.py"]),
+    for until, files, counts in (
+        ({}, ["start.py", "step.py", "later.py"], (5, 2)),  # go, first, step, after, later
+        ({"until_return": step.step.__code__}, ["start.py", "step.py"], (3, 1)),
+        ({"until_call": step.step.__code__}, ["start.py"], (2, 0)),
     ):
         for name in ("loaded", "used", "later"):
             sys.modules.pop(f"walked.{name}", None)
-        trace = structure.Trace(folder, **until)
+        trace = flows.Trace(folder, **until)
         with trace:
             start.go()
         assert list(trace.files) == files
+        assert (trace.calls, trace.switches) == counts
+
+
+def read(tmp_path: Path, text: str, name: str = "made/one.py") -> dict[str, imports.Module]:
+    """A package with one module of this text."""
+    path = tmp_path / name
+    path.parent.mkdir(parents=True)
+    path.write_text(text)
+    return imports.read_package(tmp_path / "made")
+
+
+@pytest.mark.parametrize(
+    ("text", "counted"),
+    [
+        ("a, b = f(), g()", True),
+        ("a, b = 1, 2", True),
+        ("self.a, (b, c) = x, f()", True),
+        ("a, b = b, a", False),
+        ("x[i], x[j] = x[j], x[i]", False),
+        ("a, b = f(x)", False),
+        ("a = f(), g()", False),
+        ("for a, b in f(x): pass", False),
+    ],
+)
+def test_assignments_share_a_line_unless_one_needs_the_other(
+    tmp_path: Path, text: str, counted: bool
+) -> None:
+    found = statements.shared_lines(read(tmp_path, text))
+    assert found == ([f"made.one, line 1: {ast.unparse(ast.parse(text))}"] if counted else [])
+
+
+def test_functions_of_too_many_parameters_are_named_kernels_may_take_more(tmp_path: Path) -> None:
+    def function(count: int) -> str:
+        return f"def f({', '.join(f'a{number}' for number in range(count))}): ..."
+
+    method = "class C:\n    def f(self, a, b, c, d, e, f, *, g): ..."
+    for number, (text, name, count) in enumerate(
+        [
+            (function(7), "one", 0),
+            (function(8), "one", 8),
+            (method, "one", 0),
+            (method.replace("g)", "g, h)"), "one", 8),
+            (function(12), "kernels/one", 0),
+            (function(13), "kernels/one", 13),
+        ]
+    ):
+        found = statements.long_parameter_lists(read(tmp_path / str(number), text, f"made/{name}.py"))
+        assert [each.rpartition(" ")[2] for each in found] == ([str(count)] if count else [])
+
+
+def test_calls_of_kernels_that_are_spread_are_found(tmp_path: Path) -> None:
+    (tmp_path / "made" / "kernels").mkdir(parents=True)
+    (tmp_path / "made" / "kernels" / "one.py").write_text("def turn(a, b, c): ...")
+    (tmp_path / "made" / "two.py").write_text("kernels.turn(*pair, c)\nkernels.turn(a, b, c)\nother(*pair)")
+    found = statements.spread_calls(imports.read_package(tmp_path / "made"))
+    assert found == ["made.two, line 1: kernels.turn(*pair, c)"]
+
+
+def test_subtractions_from_the_points_of_a_target_are_found(tmp_path: Path) -> None:
+    text = "target.points - x\nx - self._target.points[k]\ncurve.points - x\ntarget.points + x"
+    found = statements.subtractions_from_targets(read(tmp_path, text))
+    assert [each.partition(": ")[2] for each in found] == ["target.points - x", "x - self._target.points[k]"]
 
 
 @pytest.mark.process
