@@ -3,12 +3,14 @@
     python benchmarks/soak.py --steps 100000
     python benchmarks/soak.py --scenario obstacles --steps 1000000
     python benchmarks/soak.py --all --steps 20000
+    python benchmarks/soak.py --scenario jumps --steps 1000000 --seconds 3600
 
 In the scenario `faults`, targets jump at random, among them straight and folded ones and ones out of reach,
 or arrive late; cycles are late; measurements are missing, not finite, or wrong by radians; now and then
 somebody pushes the arm. Drives lag behind and sag. Each of the others changes one thing, again and again: see
-`SCENARIOS`. Every output is checked: finite, within the limits of speed, acceleration and position. Memory is
-read ten times on the way, and the time of a cycle is compared between the first and the last tenth.
+`SCENARIOS`. Every output is checked: finite, within the limits of speed, acceleration and position. Memory
+and objects are counted ten times on the way, and the processor time of a cycle is compared between the first
+and the last tenth.
 """
 
 from __future__ import annotations
@@ -78,7 +80,8 @@ class Loop:
         self.arm = pp.Arm.from_template("RyRz", modules=given.modules)
         acceleration = None if given.free else ACCELERATION
         limits = pp.Limits(step=None, velocity=SPEED, dt=DT, acceleration=acceleration, jerk=given.jerk)
-        self.first = scene_of(self.arm, self.rng) if scenario in IN_SCENES else None
+        points = 5000 if scenario == "scans" else 0
+        self.first = scene_of(self.arm, self.rng, points) if scenario in IN_SCENES else None
         controller: str | pp.Geodesic = given.controller
         if scenario == "tip":
             tip = pp.EndEffector(position=0.5 * self.arm.at(self.arm.straight()).points[-1], weight=0.1)
@@ -96,15 +99,17 @@ class Loop:
         if self.rng.random() < chance:
             self.tracker.update(self.targets[self.rng.integers(len(self.targets))])
 
-    def cycle(self, change: Callable[[Loop, int], None], number: int) -> tuple[np.ndarray, float]:
-        """Run a cycle; return its step, and how long it took [s]."""
+    def cycle(self, change: Callable[[Loop, int], None], number: int) -> tuple[np.ndarray, float, float]:
+        """Run a cycle; return its step, how long it took, and the processor time of its thread [s]."""
         self.measured, self.scene, self.duration = self.q + self._noise(), None, DT
         change(self, number)
         begun = time.perf_counter()
+        idle = time.thread_time()
         dq = self.tracker.step(self.measured, self.duration, scene=self.scene)
+        worked = time.thread_time() - idle
         taken = time.perf_counter() - begun
         self.q = self.q + (self.tracker.command + self.sag - self.q) * (DT / LAG)
-        return dq, taken
+        return dq, taken, worked
 
     def _noise(self) -> np.ndarray:
         return 1e-4 * self.rng.normal(size=self.arm.nv)
@@ -200,6 +205,11 @@ def jumps(loop: Loop, number: int) -> None:
             loop.jump(1.0)
 
 
+def scans(loop: Loop, number: int) -> None:
+    """New targets ten times a second, beside a scan."""
+    jumps(loop, number)
+
+
 def follow(loop: Loop, number: int) -> None:
     """A target that moves in every cycle."""
     wanted = 0.3 * np.sin(0.01 * number + np.arange(loop.arm.nv))
@@ -220,9 +230,9 @@ def restarts(loop: Loop, number: int) -> None:
 
 SCENARIOS = {
     each.__name__: each
-    for each in (faults, obstacles, drifting, scenes, limits, jumps, follow, tip, restarts)
+    for each in (faults, obstacles, drifting, scenes, limits, jumps, scans, follow, tip, restarts)
 }
-IN_SCENES = ("obstacles", "drifting", "scenes")
+IN_SCENES = ("obstacles", "drifting", "scenes", "scans")
 
 
 def resident() -> float:
@@ -239,11 +249,16 @@ def run(given: argparse.Namespace, scenario: str) -> dict[str, object]:
     change, arm, steps = SCENARIOS[scenario], loop.arm, given.steps
     gc.collect()
     gc.freeze()  # or a pause of some 90 ms would come when the collector goes through all there is
-    taken, outcome = np.empty(steps), Counter[str]()
+    taken = np.full(steps, np.nan)  # written here, so that its pages do not count as growth on the way
+    worked = np.full(steps, np.nan)
+    outcome = Counter[str]()
+    every = max(steps // 1000, 1)
+    counted: list[tuple[float, int]] = []
+    last_moment = time.perf_counter() + given.seconds
     before, fastest, hardest, beyond = np.zeros(arm.nv), 0.0, 0.0, -np.inf
-    changed, roughest, last, memory, flagged = np.zeros(arm.nv), 0.0, DT, [], 0
+    changed, roughest, last, flagged = np.zeros(arm.nv), 0.0, DT, 0
     for step in range(steps):
-        dq, taken[step] = loop.cycle(change, step)
+        dq, taken[step], worked[step] = loop.cycle(change, step)
         if given.pause:
             time.sleep(given.pause)
         outcome[loop.tracker.report.status] += 1
@@ -259,13 +274,21 @@ def run(given: argparse.Namespace, scenario: str) -> dict[str, object]:
             roughest = max(roughest, float(np.abs(jumped - changed).max()) / DT**3)
         beyond = max(beyond, float((np.abs(loop.tracker.command) - arm.limits.upper).max()))
         before, changed, last = dq, jumped, duration
-        if (step + 1) % max(steps // 10, 1) == 0:
-            memory.append(resident())
-    overrun, tenth = min(given.deadline, OVERRUN), max(steps // 10, 1)
+        if (step + 1) % every == 0:
+            gc.collect()
+            counted.append((resident(), len(gc.get_objects())))
+            if time.perf_counter() > last_moment:
+                break
+    done = step + 1
+    taken = taken[:done]
+    worked = worked[:done]
+    overrun = min(given.deadline, OVERRUN)
+    tenth = max(done // 10, 1)
+    ten = counted[:: -max(len(counted) // 10, 1)][9::-1]
     acceleration = None if given.free or scenario == "limits" else hardest / ACCELERATION
     return {
         "scenario": scenario,
-        "steps": steps,
+        "steps": done,
         "controller": loop.tracker._steps.controller.name,
         "largest speed, of its limit": fastest / SPEED,
         "largest acceleration that was not reported, of its limit": acceleration,
@@ -274,11 +297,15 @@ def run(given: argparse.Namespace, scenario: str) -> dict[str, object]:
         "farthest beyond a position limit [rad]": beyond,
         **{f"microseconds p{q:g}": 1e6 * float(np.percentile(taken, q)) for q in (50, 99, 99.9)},
         "microseconds max": 1e6 * float(taken[10:].max()),
-        "median in the first and last tenth [us]": [
-            round(1e6 * float(np.median(part))) for part in (taken[:tenth], taken[-tenth:])
+        "median of processor time in the first and last tenth [us]": [
+            round(1e6 * float(np.median(part))) for part in (worked[:tenth], worked[-tenth:])
+        ],
+        "mean of processor time in the first and last tenth [us]": [
+            round(1e6 * float(np.mean(part))) for part in (worked[:tenth], worked[-tenth:])
         ],
         f"overruns of {1e3 * overrun:g} ms": int(np.sum(taken > overrun)),
-        "memory [MB], ten times on the way": [round(each, 1) for each in memory],
+        "memory [MB], ten times on the way": [round(memory, 1) for memory, _ in ten],
+        "objects, ten times on the way": [objects for _, objects in ten],
         **{f"cycles {status}": count for status, count in sorted(outcome.items())},
     }
 
@@ -287,6 +314,7 @@ def main() -> None:
     """Run the loops and print what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="end after this time [s]")
     parser.add_argument("--scenario", choices=SCENARIOS, default="faults")
     parser.add_argument("--all", action="store_true", help="all scenarios, one after the other")
     parser.add_argument("--modules", type=int, default=20)

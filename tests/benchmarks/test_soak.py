@@ -13,7 +13,10 @@ import pinposture as pp
 from pinposture.collision import CollisionModel
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-SCENARIOS = ("faults", "obstacles", "drifting", "scenes", "limits", "jumps", "follow", "tip", "restarts")
+SCENARIOS = (
+    *("faults", "obstacles", "drifting", "scenes", "limits"),
+    *("jumps", "scans", "follow", "tip", "restarts"),
+)
 
 
 @pytest.fixture
