@@ -11,6 +11,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+LONGEST_MESSAGE = 4000
+"""Length of a message, beyond which its middle is left out: names of files may have any length."""
+
 
 def _rebuild(cls: type[PostureError], args: tuple[Any, ...], data: dict[str, Any]) -> PostureError:
     error = cls.__new__(cls, *args)
@@ -33,7 +36,9 @@ class PostureError(Exception):
         return _rebuild, (type(self), self.args, self.__dict__)
 
     def __str__(self) -> str:  # KeyError and OSError would format the message in their own ways
-        return str(self.args[0]) if self.args else ""
+        text = str(self.args[0]) if self.args else ""
+        half = LONGEST_MESSAGE // 2
+        return text if len(text) <= LONGEST_MESSAGE else f"{text[:half]} ... {text[-half:]}"
 
 
 def gather(*checks: Callable[[], object]) -> list[PostureError]:

@@ -188,7 +188,7 @@ class Description:
         order = {link: number for number, link in enumerate(self.links)}
         tips = [_farthest(group, order) for group in ends.values()]
         if len(tips) > 1:
-            named = ", ".join(map(repr, sorted(tips, key=order.__getitem__)))
+            named = quote_names(sorted(tips, key=order.__getitem__))
             reason = f"are the ends of chains with equally many moving joints ({most}); pass tip= to choose"
             wrist = self.wrist(self.root, tips[0], fingers=2)
             if wrist is not None and all(wrist == self.wrist(self.root, tip, fingers=2) for tip in tips):

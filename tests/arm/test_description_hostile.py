@@ -12,7 +12,7 @@ from sampling import seeds
 import pinposture as pp
 from pinposture.arm.template import modules_to_urdf, template
 from pinposture.arm.urdf_reader import Description, read_description
-from pinposture.errors import InvalidValue, PostureError, URDFError
+from pinposture.errors import FileError, InvalidValue, PostureError, URDFError
 
 BOMB = "<!DOCTYPE robot [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
     f"<!ENTITY {name} '{f'&{before};' * 10}'>" for before, name in zip("abcdefghi", "bcdefghij", strict=True)
@@ -134,3 +134,50 @@ def test_more_modules_than_pinocchio_can_hold_are_refused() -> None:
             pp.Arm.from_template("RyRz", modules=count)
     with pytest.raises(InvalidValue, match="joints of all modules is 6000; allowed: at most 5000"):
         pp.Arm.from_template("RyRz", modules=3_000)
+
+
+def many_tips(count: int) -> str:
+    names = [f"l{k}" for k in range(count)]
+    joints = (moving(f"j_{name}", "hand", name, xyz="0.1 0 0") for name in names)
+    return robot(links(["hand", *names]) + "".join(joints))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        robot(links(["l" * 100_000])),
+        robot(links(["a", "b"]) + fixed("j" * 100_000, "a", "nowhere")),
+        f"<{'r' * 100_000}/>",
+        many_tips(2_000),
+    ],
+    ids=["name of a link", "name of a joint", "name of the root", "many tips"],
+)
+def test_messages_stay_readable_whatever_the_names(text: str) -> None:
+    with pytest.raises(URDFError) as caught:
+        pp.Arm.load(text)
+    assert 40 < len(str(caught.value)) < 4_100
+
+
+def chained_properties(count: int) -> str:
+    each = "<xacro:property name='p{}' value='${{p{}}}'/>"
+    return "".join(each.format(k, k + 1) for k in range(count)) + "<link name='${p0}'/>"
+
+
+CIRCLE = "<xacro:property name='a' value='${b}'/><xacro:property name='b' value='${a}'/><link name='${a}'/>"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "<xacro:if value='1'>" * 5_000 + "</xacro:if>" * 5_000,
+        "<xacro:macro name='m'><xacro:m/></xacro:macro><xacro:m/>",
+        CIRCLE,
+        f"<link name='${{{'(' * 5_000}1{')' * 5_000}}}'/>",
+        chained_properties(5_000),
+    ],
+    ids=["nested", "a macro of itself", "a circle", "parentheses", "a chain of properties"],
+)
+def test_macros_that_lead_too_deep_are_refused(content: str) -> None:
+    head = "<robot name='r' xmlns:xacro='http://www.ros.org/wiki/xacro'>"
+    with pytest.raises((URDFError, FileError)):
+        pp.Arm.load(f"{head}{content}</robot>")
