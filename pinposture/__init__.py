@@ -9,6 +9,10 @@
     pp.plot(run)
 
 SI units throughout: metres, radians, seconds.
+
+Bad input raises a `PostureError` that names it. That includes numbers that can only be mistakes: above 1e30
+in size, or between 0 and 1e-30; joint positions above 1e9; points farther than 1e6 arm lengths from the base;
+arms of more than 5,000 moving joints, and descriptions of more than 10,001 links.
 """
 
 import sys

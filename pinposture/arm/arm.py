@@ -268,7 +268,8 @@ class Arm(ConfigurationSpace):
         Raises:
             FileError: the source is missing, unreadable, or cannot be converted.
             MujocoMissing: the source is MJCF, and MuJoCo is not installed.
-            URDFError: unusable description; names the link or joint and the reason.
+            URDFError: unusable description, or more than 5,000 moving joints or 10,001 links; names the link
+                or joint and the reason.
             UnknownName: `base`, `tip`, a locked joint or an argument of xacro does not exist.
             InvalidValue: `modules` does not fit the chain, or another argument is invalid.
         """

@@ -192,7 +192,8 @@ class Target:
             weights: 1 to control a point, 0 to leave it free, (m,); all 1 if None.
 
         Raises:
-            InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
+            InvalidValue: wrong shape, not finite, a point farther than 1e6 arm lengths from the base,
+                negative weights, or no point with a weight.
         """
         require_instance("arm", arm, Arm, "an Arm")
         m = arm.n_modules
