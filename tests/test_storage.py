@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import reloaded
 
 import pinposture as pp
+from pinposture.arm import TEMPLATES
 from pinposture.errors import FileError
 from pinposture.sim import Simulation, simulate
 from pinposture.storage import check_writable, write_bytes, write_text
@@ -92,3 +96,22 @@ def test_links_in_a_circle_are_refused_and_stay(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="circle"):
         write_bytes(circle, b"new")
     assert circle.is_symlink()
+
+
+@pytest.mark.process
+@pytest.mark.filterwarnings("ignore::pinposture.errors.PostureWarning")
+@pytest.mark.parametrize("coupled", [False, True], ids=["free", "coupled"])
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_another_process_reads_all_that_was_saved(name: str, coupled: bool, tmp_path: Path) -> None:
+    arm = pp.Arm.from_template(name, modules=4)
+    written = reloaded.write_all(reloaded.couple(arm) if coupled else arm, tmp_path)
+    subprocess.run([sys.executable, reloaded.__file__, str(tmp_path)], check=True)
+    for file, original in written.items():
+        expected = reloaded.say(original)
+        with np.load(tmp_path / f"{file}.told.npz") as told:
+            assert set(told.files) == set(expected)
+            for key, value in expected.items():
+                if (file, key) == ("joints.json", "time"):  # in whole nanoseconds
+                    np.testing.assert_allclose(told[key], value, rtol=0.0, atol=1e-9)
+                else:
+                    np.testing.assert_array_equal(told[key], value, err_msg=f"{file}: {key}")
