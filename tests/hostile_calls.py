@@ -5,7 +5,8 @@
 
 The calls are made from the signatures in `pinposture.__all__`: each parameter has an example by its name.
 Every number in the examples, also within arrays, curves, targets, limits, scenes and keyframes, is replaced
-in turn by each of `NUMBERS`, every argument by each of `OTHERS`.
+in turn by each of `NUMBERS`, every argument by each of `OTHERS`. Files, control cycles and the command are
+called in the same way, by the functions in `hostile_inputs.py`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import hostile_inputs
 import numpy as np
+from hostile_inputs import a_target, an_arm
 
 import pinposture as pp
 from pinposture import kernels
@@ -47,15 +50,6 @@ RECORDS = ("Leader",)
 OTHERS: dict[str, Any] = {"text": "x", "object": object(), "list": [], "number": 3, "none": None}
 MEMORY = 3 << 30
 """Address space of a process beyond what it has at the start [bytes]; more is a fault."""
-
-
-@cache
-def an_arm() -> pp.Arm:
-    return pp.Arm.from_template("RyRz", modules=3)
-
-
-def a_target() -> pp.Target:
-    return pp.Target.from_configuration(an_arm(), np.full(6, 0.1))
 
 
 def a_path() -> Any:
@@ -215,6 +209,7 @@ def examples() -> dict[str, Any]:
         "planning": "thread",
         "max_rate": 1.0,
         "length": 0.1,
+        **hostile_inputs.examples(),
     }
 
 
@@ -265,6 +260,7 @@ IN_LOOPS = (
 ON_OTHERS = ("Arm", "Curve", "Controller", "Target", "Tangents.of_curve", "Tracker.step")
 NEED_A_FEED = ("follow_leader", "path_deviation")
 LEFT_OUT = {*RESULTS, *ON_FILES, *IN_LOOPS, *ON_OTHERS, *NEED_A_FEED}
+"""What is not called from its signature; `hostile_inputs.CALLS` reads files, makes cycles and has a feed."""
 
 
 def public_calls() -> dict[str, Callable[..., Any]]:
@@ -285,7 +281,7 @@ def public_calls() -> dict[str, Callable[..., Any]]:
                 found[called] = getattr(value, method)
             elif inspect.isfunction(kind) and name in SUBJECTS:
                 found[called] = kind
-    return found
+    return found | hostile_inputs.CALLS
 
 
 def arguments_of(name: str, function: Callable[..., Any]) -> dict[str, Any]:
@@ -363,7 +359,8 @@ def cases() -> list[str]:
             for place in places(value):
                 where = ".".join(map(str, (argument, *place)))
                 found += [f"{name}|{where}|{number}" for number in NUMBERS]
-            found += [f"{name}|{argument}|!{other}" for other in OTHERS]
+            if not (isinstance(value, str) and name in hostile_inputs.CALLS):
+                found += [f"{name}|{argument}|!{other}" for other in OTHERS]
     return found
 
 
@@ -413,6 +410,7 @@ def make_call(case: str) -> str:
 
 def main() -> None:
     warnings.simplefilter("ignore")
+    os.chdir(tempfile.mkdtemp())
     if sys.argv[1] == "list":
         sys.stdout.write("\n".join(cases()))
         return
@@ -422,7 +420,6 @@ def main() -> None:
     os.dup2(2, 1)
     grown = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (grown + MEMORY, grown + MEMORY))
-    os.chdir(tempfile.mkdtemp())
     for case in sys.stdin.read().split("\n"):
         if case:
             answers.write(f"begin {case}\n")

@@ -46,7 +46,7 @@ def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> Sp
     c = as_points(coefficients, k + 1, "coefficient {}".format)
     try:
         t = np.array(knots, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CurveError("knots", "not a list of numbers") from None
     if t.shape != (len(c) + k + 1,):
         raise CurveError(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import (
+    as_floats,
     finite_array,
     finite_vector,
     make_read_only,
@@ -156,7 +157,7 @@ class Actuators:
         Raises:
             InvalidValue: not a configuration.
         """
-        rows = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        rows = np.atleast_2d(as_floats("q", q))
         moved = np.array([self.arm.positions(row) for row in rows]) @ self.matrix.T
         return np.asarray(moved if np.ndim(q) == 2 else moved[0])
 
@@ -240,7 +241,7 @@ class Actuators:
 
 
 def _positive_limits(name: str, value: float | ArrayLike, count: int) -> Array:
-    listed = np.asarray(value, dtype=np.float64)
+    listed = as_floats(name, value)
     if listed.ndim > 1 or (listed.ndim == 1 and len(listed) != count):
         raise InvalidValue(f"{name} (shape)", listed.shape, f"one number or ({count},)")
     for number in np.atleast_1d(listed):

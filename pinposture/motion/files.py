@@ -499,6 +499,8 @@ def _check_batch(batch: Batch) -> None:
         target.check(arm)
     ends = {"q_start": (count, arm.nq), "q_final": (count, arm.nq)}
     check_arrays(vars(batch), {name: ends.get(name, (count,)) for name in _BATCH_ARRAYS})
+    for name in ("start_error", "final_error", "mean_error", "path_length_ratio", "q_start", "q_final"):
+        require_finite(name, getattr(batch, name))
     motions = batch.motions
     if motions is None:
         return
@@ -511,6 +513,7 @@ def _check_batch(batch: Batch) -> None:
     shapes |= {"q": (rows, arm.nq), "clearance": (rows,)}
     shapes |= {"active": (steps, arm.n_modules), "clipped": (steps, arm.nv)}
     check_arrays(vars(motions), shapes)
+    require_finite("q", motions.q)
     for name in TEXT_ARRAYS:
         numbers = getattr(motions, name)
         if np.any((numbers < 0) | (numbers >= n_texts)):

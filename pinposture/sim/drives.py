@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import finite_array, finite_vector, require_positive
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class Drives:
     def __init__(self, model: DriveModel, positions: ArrayLike, dt: float) -> None:
         require_positive("dt", dt)
         self.model = model
-        self.positions = np.array(positions, dtype=np.float64)
+        self.positions = finite_array("positions", positions, (None,))
         self.sag = np.zeros_like(self.positions)
         self.running = np.ones(len(self.positions), dtype=np.bool_)
         self._dt = dt
@@ -64,7 +64,7 @@ class Drives:
     def advance(self, command: ArrayLike) -> Array:
         """Send joint positions, (nv,) [rad or m], and return those of the arm a cycle later, (nv,)."""
         model = self.model
-        self._sent.appendleft(np.array(command, dtype=np.float64))
+        self._sent.appendleft(finite_vector("command", command, len(self.positions)))
         arrived = self._arrived(model.delay / self._dt) + self.sag
         error = arrived - self.positions
         holds = np.where(self._moving, model.friction, model.friction + model.stiction)

@@ -203,7 +203,7 @@ def _read(path: Path, form: str, keys: Sequence[str]) -> dict[str, Any]:
 def _scored(path: Path, known: Mapping[str, Any], described: Mapping[str, Any], arm: Arm, q: object) -> _Run:
     try:
         positions = np.array(q, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         positions = np.empty(0)
     start = np.array(described["start"])
     if positions.ndim != 2 or positions.shape[1] != len(start) or not np.isfinite(positions).all():

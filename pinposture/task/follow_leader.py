@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
-from pinposture._validation import require_instance, require_known, require_positive
+from pinposture._validation import (
+    LARGEST_COORDINATE,
+    finite_array,
+    require_instance,
+    require_known,
+    require_positive,
+)
 from pinposture.arm import Arm
 from pinposture.collision import Capsule, Cylinder, Scene, Sphere
 from pinposture.collision.bodies import bodies_of
@@ -503,13 +509,14 @@ def follow_leader(
         lambda: require_positive("interval", interval),
         lambda: require_positive("speed", speed),
         lambda: require_known("method", method, PATH_METHODS),
-        lambda: None if depth is None else require_positive("depth", depth),
     )
+    wrong_depth = gather(lambda: None if depth is None else require_positive("depth", depth))
+    misfits += wrong_depth
     try:
         route = Route(arm, path, placement, start)
     except PostureError as error:
         raise_together([*misfits, error])
-    raise_together([*misfits, *route.misfits, *_too_deep(route, depth)])
+    raise_together([*misfits, *route.misfits, *([] if wrong_depth else _too_deep(route, depth))])
     fed = route.fed
     stride = MAX_STRIDE * float(fed.links.chain.module_lengths.min())
     deepest = _depth(route, depth)
@@ -786,15 +793,12 @@ def path_deviation(
         Distances, row by row.
 
     Raises:
-        InvalidValue: as `follow_leader`, or configurations of the wrong shape.
+        InvalidValue: as `follow_leader`, or configurations of the wrong shape or not finite.
         UnknownName: no such placement.
     """
     route = Route(arm, path, placement, start)
     raise_together(route.misfits)
-    rows = np.asarray(q, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != arm.nq or len(rows) == 0:
-        raise InvalidValue("q (shape)", rows.shape, f"(1 or more, {arm.nq})")
-    return _deviation(route, rows)
+    return _deviation(route, finite_array("q", q, (None, arm.nq), LARGEST_COORDINATE))
 
 
 def _deviation(route: Route, rows: Array) -> Deviation:
