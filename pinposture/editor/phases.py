@@ -1,54 +1,73 @@
-"""Editing of a task in phases: the keyframes of one phase are edited, and all else is kept."""
+"""Editing of a task in phases: one phase at a time is shown and edited, and all others are kept."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture.arm import Arm
+from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TaskError
 from pinposture.task import Keyframe, Leader, Phase, Task, TipGoal
-from pinposture.task.phases import is_phased, keyed, phase_title
+from pinposture.task.phases import is_phased, keyed, phase_title, plan_phases
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PhaseKeyframes(Task):
-    """The keyframes of one phase as a task; `save` writes all phases.
+class EditedPhase(Task):
+    """One phase of a task as keyframes; `save` writes all phases.
 
-    In a phase that is not the first, the first keyframe is the posture in which the phase before ends. It is
+    In a phase that is not the first, the first keyframe is the posture in which the phase before ends. A
+    phase without keyframes of its own has two: the postures in which it begins and ends. These postures are
     not part of the file, and cannot be changed.
 
     Attributes:
         phases: all phases of the file.
-        index: the phase whose keyframes are edited, 0-based.
-        begin: its first keyframe, unless it is the first phase.
+        index: the phase that is edited, 0-based.
+        begin: the posture in which it begins; None for keyframes of the first phase.
+        end: the posture in which it ends; None if it has keyframes of its own.
+        begins: planned time of its beginning in the whole motion [s].
+        ends: planned time of its end, when it was planned [s].
+        path: the path of a leader as placed, world frame; None for other phases.
         first: the configuration in which the first phase starts, as `Task.start`.
 
     Raises:
-        PostureError: as `Task`, or a change that phases cannot hold: of the first keyframe, or more laps.
+        PostureError: as `Task`, or a change that phases cannot hold: of those postures, or more laps.
     """
 
     phases: tuple[Phase, ...] = ()
     index: int = 0
     begin: Keyframe | None = None
+    end: Keyframe | None = None
+    begins: float = 0.0
+    ends: float = 0.0
+    path: Curve | None = None
     first: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.begin is not None and self.motion[0] != self.begin:
-            reason = "is where the phase before ends, and cannot be changed, moved or removed"
+            reason = "is where the phase begins, and cannot be changed, moved or removed"
             raise TaskError("keyframe 1", reason)
+        if self.end is not None and tuple(self.motion[1:]) != (self.end,):
+            reason = "has no keyframes, only the postures in which it begins and ends; its values are below "
+            raise TaskError(phase_title(self.phases, self.index), f"{reason}the list of phases")
         if self.repeat != 1:
             raise InvalidValue("repeat", self.repeat, "1, of a phase")
+        _ = self.whole  # refuses what a task in phases cannot hold
 
-    @property
+    @cached_property
     def whole(self) -> Task:
-        """The task of all phases, with the keyframes as they are now."""
-        own = [each for each in self.motion if isinstance(each, Keyframe)]
-        phase = replace(self.phases[self.index], motion=tuple(own if self.begin is None else own[1:]))
-        phases = (*self.phases[: self.index], phase, *self.phases[self.index + 1 :])
+        """The task of all phases, with this phase as it is now."""
+        phases = self.phases
+        if self.end is None:
+            own = [each for each in self.motion if isinstance(each, Keyframe)]
+            phase = replace(phases[self.index], motion=tuple(own if self.begin is None else own[1:]))
+            phases = (*phases[: self.index], phase, *phases[self.index + 1 :])
         values = {key: getattr(self, key) for key in Task.__dataclass_fields__ if key not in KEPT}
         return Task(**{**values, "motion": phases, "start": self.first})
 
@@ -56,20 +75,21 @@ class PhaseKeyframes(Task):
         """Write all phases; see `Task.save`."""
         return self.whole.save(path)
 
-    @property
-    def summary(self) -> str:
-        """Which phase is edited, and what the others are."""
-        others = [
-            f"{phase_title(self.phases, number)} ({_kind(phase)})"
-            for number, phase in enumerate(self.phases)
-            if number != self.index
-        ]
-        kept = f"; kept as they are: {', '.join(others)}" if others else ""
-        return f"keyframes of {phase_title(self.phases, self.index)}{kept}"
-
 
 KEPT = ("motion", "_document")
 """Attributes of a task that are not taken over as they are."""
+
+
+def whole_of(task: Task) -> Task:
+    """Return what is performed, exported and written of a task that is edited: all its phases."""
+    return task.whole if isinstance(task, EditedPhase) else task
+
+
+def phase_label(phases: tuple[Phase, ...], index: int) -> str:
+    """Return the number of a phase, its name, and what it does."""
+    phase = phases[index]
+    name = f" {phase.name}" if phase.name else ""
+    return f"{index + 1}{name}  ·  {_kind(phase)}"
 
 
 def _kind(phase: Phase) -> str:
@@ -78,31 +98,74 @@ def _kind(phase: Phase) -> str:
         return "along a path"
     if isinstance(phase.motion, TipGoal):
         return "tip to a goal"
-    return f"{len(keyed(phase))} keyframes" if keyed(phase) else "way out"
+    if not keyed(phase):
+        return "way out"
+    count = len(keyed(phase))
+    return f"{count} keyframe{'s' * (count > 1)}"
 
 
-def editable(task: Task) -> Task:
-    """Return a task that the editor can edit: itself, or the keyframes of the first phase that has any.
+def editable(task: Task, index: int | None = None) -> Task:
+    """Return a task that the editor can edit: itself, or one phase of it.
+
+    Args:
+        task: any task.
+        index: the phase, 0-based; None: the first that has keyframes, or the first of all.
 
     Raises:
-        PostureError: no phase has keyframes, or the arm cannot perform the phases before.
+        PostureError: the arm cannot perform the phases before it, or this phase if it has no keyframes.
     """
     if not is_phased(task.motion):
         return task
     phases = task.motion
-    indices = [number for number, phase in enumerate(phases) if keyed(phase)]
-    if not indices:
-        raise TaskError("the task", "has no phase with keyframes; only keyframes can be edited")
-    index = indices[0]
-    frames = keyed(phases[index])
+    if index is None:
+        index = next((number for number, phase in enumerate(phases) if keyed(phase)), 0)
+    phase, own = phases[index], keyed(phases[index])
+    # Keyframes of the phase are edited, whether or not the arm can take them.
+    planned = plan_phases(
+        task.arm,
+        phases[: index + (not own)],
+        task.limits,
+        task.effective_scene,
+        task.start,
+        task.continuity,
+    )
     begin: Keyframe | None = None
-    if index > 0:
-        before = task.edited(motion=phases[:index]).reference()
-        joints = task.arm.positions(before.configuration(before.rows - 1))
-        joints = np.clip(joints, task.arm.limits.lower, task.arm.limits.upper)
-        name = phases[index - 1].name or f"phase {index}"
-        begin = Keyframe(joints=tuple(joints), name=f"end of {name}")
-        frames = (begin, *frames)
+    end: Keyframe | None = None
+    begins = ends = planned[-1].ends if planned else 0.0
+    if not own:
+        here = planned[-1]
+        begins = here.begins
+        begin = _posture(task.arm, here.begin, f"begin of {phase.name or _kind(phase)}")
+        end = _posture(task.arm, here.end, f"end of {phase.name or _kind(phase)}")
+        end = replace(end, duration=ends - begins)
+    elif index > 0:
+        before = phases[index - 1].name or f"phase {index}"
+        begin = _posture(task.arm, planned[-1].end, f"end of {before}")
     values = {key: getattr(task, key) for key in Task.__dataclass_fields__ if key not in KEPT}
-    values |= {"motion": frames, "start": task.start if index == 0 else None}
-    return PhaseKeyframes(**values, phases=phases, index=index, begin=begin, first=task.start)
+    values["motion"] = tuple(each for each in (begin, *own, end) if each is not None)
+    values["start"] = task.start if begin is None else None
+    view = EditedPhase(
+        **values,
+        phases=phases,
+        index=index,
+        begin=begin,
+        end=end,
+        begins=begins,
+        ends=ends,
+        path=None if own else planned[-1].path,
+        first=task.start,
+    )
+    vars(view)["whole"] = task  # the same one, so that choosing a phase is no change
+    return view
+
+
+def _posture(arm: Arm, q: NDArray[np.float64], name: str) -> Keyframe:
+    """Return a configuration (nq,) as a taught keyframe."""
+    joints = np.clip(arm.positions(q), arm.limits.lower, arm.limits.upper)
+    return Keyframe(joints=tuple(joints), name=name)
+
+
+def with_phase(task: EditedPhase, **values: Any) -> tuple[Phase, ...]:
+    """Return all phases, with other values of the one that is shown."""
+    phases = cast("tuple[Phase, ...]", task.whole.motion)
+    return (*phases[: task.index], replace(phases[task.index], **values), *phases[task.index + 1 :])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from pinposture.arm import Arm
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import Edit, Shape, joints_at, keyframes_of, reshaped, with_keyframe
-from pinposture.editor.phases import editable
+from pinposture.editor.phases import editable, whole_of
 from pinposture.editor.playback import Playback
 from pinposture.editor.solver import Live, Problem
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
@@ -178,6 +178,11 @@ class Session:
         return self.history.now.task
 
     @property
+    def whole(self) -> Task:
+        """What is performed, exported and written: the task, or all its phases if one of them is edited."""
+        return whole_of(self.task)
+
+    @property
     def shown(self) -> Task:
         """The task as it is shown, with the proposal."""
         return self.task if self.proposal is None else self.proposal.task
@@ -203,7 +208,7 @@ class Session:
     @property
     def changed(self) -> bool:
         """Whether there are unsaved changes."""
-        return self.saved is not self.task
+        return self.saved is None or whole_of(self.saved) is not self.whole
 
     @property
     def problem(self) -> Problem:
@@ -391,13 +396,13 @@ class Session:
         self.tip, self.grid = False, 0.0
         self.touch()
 
-    def take_up(self, task: Task, selected: int) -> None:
-        """Continue with a recovered state of the task; `undo` takes it back."""
-        self._add(task, "recovered changes", selected)
+    def take_up(self, task: Task, selected: int, what: str = "recovered changes") -> None:
+        """Continue with another state of the task, such as a recovered one; `undo` takes it back."""
+        self._add(task, what, selected)
 
     def update_playback(self) -> None:
         """Bring the player up to date with the task, and show its message; called by the loop."""
-        message = self.playback.follow(self.task, self.proposal is not None)
+        message = self.playback.follow(self.whole, self.proposal is not None)
         if message is not None:
             self.say(*message)
 

@@ -17,11 +17,11 @@ from pinposture.collision.files import MESH_FORMATS
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import MAX_PLAUSIBLE_WIDTH
 from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
-from pinposture.editor.edits import Edit, keyframes_of
+from pinposture.editor.edits import Edit, keyframes_of, with_obstacle
 from pinposture.editor.obstacles import free_name, insert_obstacle, obstacles_of
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, VerdictCache
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.storage import write_bytes
 from pinposture.task import Task
 
@@ -75,6 +75,30 @@ class ScanShelf:
                 self._load_obstacle(path, scale)
             except PostureError as error:
                 self._refuse(error)
+
+        self._do(job)
+
+    def remove_outliers(self, name: str, distance: float, session: Session) -> None:
+        """Read a cloud of points again without its outliers, and put it in the place of an obstacle.
+
+        Args:
+            name: the name of the obstacle.
+            distance: as for `Scan.without_outliers` [m]; 0 keeps all points.
+            session: the session.
+        """
+        cloud = obstacles_of(session.task).get(name)
+        if not isinstance(cloud, Scan) or distance == (cloud.outlier_distance or 0.0):
+            return
+        session.say(f"reading {cloud.name} again ...")
+
+        def job() -> None:
+            try:
+                found = _without_outliers(cloud, distance or None)
+            except PostureError as error:
+                self._refuse(error)
+                return
+            what = f"{name}: {found.outliers} outliers removed" if distance else f"{name}: all points kept"
+            self._post(partial(_replace_points, name, cloud, found, what))
 
         self._do(job)
 
@@ -191,6 +215,42 @@ def read_obstacle(path: Path, scale: float) -> Mesh | Scan:
         if scan.faces is None or suffix not in MESH_FORMATS:
             return scan
     return Mesh.load(path, scale)
+
+
+def _without_outliers(cloud: Scan, distance: float | None) -> Scan:
+    """Return a cloud of points without its outliers, read again if it is from a file.
+
+    Args:
+        cloud: the cloud.
+        distance: as for `Scan.without_outliers` [m]; None keeps all points.
+
+    Raises:
+        FileError: the file cannot be read.
+        InvalidValue: an invalid distance, or a cloud without a file, whose outliers are gone already.
+    """
+    if cloud.path is not None:
+        return Scan.load(
+            cloud.path,
+            cloud.scale,
+            center=cloud.center,
+            rotation=cloud.rotation,
+            point_radius=cloud.point_radius,
+            outlier_distance=distance,
+        )
+    if distance is None:
+        raise InvalidValue("outlier_distance", 0.0, "more than 0 m: the points are in no file; undo restores")
+    return cloud.without_outliers(distance)
+
+
+def _replace_points(name: str, before: Scan, found: Scan, what: str, session: Session) -> None:
+    """Put a cloud of points in the place of an obstacle, unless that has become another one meanwhile."""
+    now = obstacles_of(session.task).get(name)
+    if not isinstance(now, Scan) or now.points is not before.points:
+        session.say(f"{name}: not changed, the obstacle was changed meanwhile", "warning")
+    elif len(found.points) == len(now.points):
+        session.say(f"{name}: no outliers, all {len(now.points)} points stay")
+    else:
+        session.edit(with_obstacle(name, found.placed(now.center, now.rotation)), what)
 
 
 def with_scans(scans: tuple[Path, ...]) -> Edit:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import Any, Literal, TypeAlias, TypeGuard
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeGuard
 
 import numpy as np
 import pinocchio as pin
@@ -23,6 +23,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.control.planner.objective import Objective
 from pinposture.control.reach import reach, reach_from, require_within_reach, tip_task
 from pinposture.control.tasks import EndEffector, link_axes
+from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, TaskError, gather, raise_together
 from pinposture.placement import Target
 from pinposture.task.follow_leader import Leader, check_leader, follow_leader
@@ -257,10 +258,42 @@ def phased_reference(
         TaskError: the arm cannot perform a phase; names it.
     """
     planner = _Planner(arm, limits, scene, start, continuity, progress)
-    for index, phase in enumerate(phases):
-        with _naming(phases, index, begun=index > 0 and bool(keyed(phase))):
-            planner.append(phase, phase.name or f"phase {index + 1}")
+    for index in range(len(phases)):
+        planner.append(phases, index)
     return planner.joined()
+
+
+class PlannedPhase(NamedTuple):
+    """Where and when a phase begins and ends in the plan."""
+
+    begin: Array  # configuration in which it begins, (nq,)
+    end: Array  # configuration in which it ends, (nq,)
+    begins: float  # planned time of its beginning [s]
+    ends: float  # planned time of its end [s]
+    path: Curve | None  # the path of a leader as placed, world frame; None for other phases
+
+
+def plan_phases(
+    arm: Arm,
+    phases: tuple[Phase, ...],
+    limits: Limits,
+    scene: Scene | None = None,
+    start: Array | None = None,
+    continuity: Literal["velocity", "acceleration"] = "velocity",
+) -> list[PlannedPhase]:
+    """Plan phases one after the other; arguments and errors are those of `phased_reference`."""
+    planner = _Planner(arm, limits, scene, start, continuity, None)
+    planned: list[PlannedPhase] = []
+    time = 0.0
+    for index, phase in enumerate(phases):
+        pieces = planner.append(phases, index)
+        first, last = pieces[0], pieces[-1]
+        ends = time + sum(piece.duration for piece in pieces)
+        path = first.marks[0].target.curve if isinstance(phase.motion, Leader) else None
+        begin, end = first.configuration(0), last.configuration(last.rows - 1)
+        planned.append(PlannedPhase(begin, end, time, ends, path))
+        time = ends
+    return planned
 
 
 def surrounded(phases: Sequence[Phase], reference: Reference, scene: Scene) -> Scene:
@@ -314,17 +347,24 @@ class _Planner:
         self._pieces: list[Reference] = []
         self._inside: tuple[Leader, Reference] | None = None
 
-    def append(self, phase: Phase, name: str) -> None:
-        """Plan a phase from the configuration in which the last one ended."""
-        motion = phase.motion
-        if isinstance(motion, Leader):
-            self._follow(motion, name)
-        elif isinstance(motion, TipGoal):
-            self._reach(motion, name)
-        elif isinstance(motion, Withdrawal):
-            self._withdraw(motion, name)
-        else:
-            self._take(motion, name)
+    def append(self, phases: Sequence[Phase], index: int) -> list[Reference]:
+        """Plan a phase from the configuration in which the last one ended; return its pieces.
+
+        Raises:
+            TaskError: the arm cannot perform it; names it.
+        """
+        phase, before = phases[index], len(self._pieces)
+        name = phase.name or f"phase {index + 1}"
+        with _naming(phases, index, begun=index > 0 and bool(keyed(phase))):
+            if isinstance(phase.motion, Leader):
+                self._follow(phase.motion, name)
+            elif isinstance(phase.motion, TipGoal):
+                self._reach(phase.motion, name)
+            elif isinstance(phase.motion, Withdrawal):
+                self._withdraw(phase.motion, name)
+            else:
+                self._take(phase.motion, name)
+        return self._pieces[before:]
 
     def joined(self) -> Reference:
         """Return all phases as one reference."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,11 @@ import pytest
 import pinposture as pp
 from pinposture.editor import edits
 from pinposture.editor.files import Files
-from pinposture.editor.phases import PhaseKeyframes, editable
+from pinposture.editor.phases import EditedPhase, editable
 from pinposture.editor.session import Session
 from pinposture.editor.ui.keyframes import about
+from pinposture.editor.ui.phases import PhasePlanner, rename_phase
+from pinposture.editor.ui.player import _schedule
 from pinposture.errors import InvalidValue, TaskError
 
 FILE = Path(__file__).parents[2] / "examples" / "tasks" / "inspection.toml"
@@ -53,14 +56,14 @@ def file(tmp_path: Path) -> Path:
 def test_the_first_keyframe_is_where_the_phase_before_ends(file: Path) -> None:
     task = pp.Task.load(file)
     view = editable(task)
-    assert isinstance(view, PhaseKeyframes)
+    assert isinstance(view, EditedPhase)
     first, left = edits.keyframes_of(view)
     ended = task.reference()
     inside = next(mark.row for mark in ended.marks if mark.name == "in: inside")
     assert first.joints == pytest.approx(task.arm.positions(ended.configuration(inside)))
     assert left.name == "left"
     assert edits.times_of(view) == [0.0, 2.0]
-    assert "phase 1 'in' (along a path), phase 3 (way out)" in about(left, view).replace("&#x27;", "'")
+    assert "Keyframe 1 is where the phase before ends" in about(left, view)
     assert editable(view.edited(motion=view.motion)).motion == view.motion
 
 
@@ -98,7 +101,7 @@ def test_more_keyframes_and_obstacles_are_saved(file: Path) -> None:
     first, left = edits.keyframes_of(view)
     right = replace(left, name="right", joints=tuple(-np.array(left.joints)))
     scene = pp.Scene({"ball": pp.Sphere((0.0, 1.0, 0.0), 0.1)})
-    assert isinstance(view, PhaseKeyframes)
+    assert isinstance(view, EditedPhase)
     low = np.r_[0.2, np.array(right.joints)[1:]]
     view.edited(motion=(first, left, replace(right, joints=tuple(low))), scene=scene).save(file)
     again = pp.Task.load(file)
@@ -108,10 +111,87 @@ def test_more_keyframes_and_obstacles_are_saved(file: Path) -> None:
     assert all(word in file.read_text() for word in ("# kept", "# along a path", "# edited"))
 
 
-def test_a_task_without_keyframes_in_any_phase_is_refused_in_words(file: Path) -> None:
+def test_every_phase_is_shown_by_the_postures_in_which_it_begins_and_ends(file: Path) -> None:
     task = pp.Task.load(file)
-    with pytest.raises(TaskError, match="has no phase with keyframes"):
-        editable(task.edited(motion=(task.motion[0], task.motion[2])))
+    whole = task.reference()
+    ends = {mark.name: whole.configuration(mark.row) for mark in whole.marks}
+    here = editable(task, 0)
+    assert isinstance(here, EditedPhase)
+    begin, end = edits.keyframes_of(here)
+    assert begin.joints == pytest.approx(task.arm.positions(whole.configuration(0)))
+    assert end.joints == pytest.approx(task.arm.positions(ends["in: inside"]))
+    assert here.path == task.motion[0].motion.path
+    out = editable(task, 2)
+    assert isinstance(out, EditedPhase)
+    assert edits.keyframes_of(out)[1].joints == pytest.approx(begin.joints, abs=1e-9)
+    assert out.ends == pytest.approx(whole.duration)
+    with pytest.raises(TaskError, match="phase 1 'in' has no keyframes"):
+        here.edited(motion=(*here.motion, replace(end, duration=1.0)))
+
+
+def test_choosing_a_phase_is_no_change_and_changes_of_any_phase_are_saved(file: Path) -> None:
+    posted: list[object] = []
+    session = Session(pp.Task.load(file), file)
+    planner = PhasePlanner(lambda request, key="": posted.append(request))
+
+    def planned(before: pp.Task) -> None:
+        while not posted:
+            time.sleep(0.01)
+        posted.pop()(session)  # type: ignore[operator]
+        assert session.task is not before, session.notice.text
+
+    before = session.task
+    planner.choose(0, session)
+    planned(before)
+    assert not session.changed
+    assert session.whole is before.whole
+    before = session.task
+    planner.change({"speed": 0.2}, "speed 200 mm/s", session)
+    planned(before)
+    assert session.changed
+    assert edits.times_of(session.task)[1] == pytest.approx(edits.times_of(before)[1] / 2, rel=0.1)
+    rename_phase("inwards", session)
+    session.task.save(file)
+    assert file.read_text() == SHORT.replace("speed = 0.1 }", "speed = 0.2 }").replace('"in"', '"inwards"')
+    for _ in range(3):
+        session.undo()
+    assert not session.changed
+    assert edits.keyframes_of(session.task)[1].name == "left"
+
+
+def test_a_phase_that_cannot_be_planned_changes_nothing(file: Path) -> None:
+    posted: list[object] = []
+    session = Session(pp.Task.load(file), file)
+    session.take_up(editable(session.whole, 0), 0)
+    planner, before = PhasePlanner(lambda request, key="": posted.append(request)), session.task
+    planner.change({"depth": 5.0}, "depth 5000 mm", session)
+    while not posted:
+        time.sleep(0.01)
+    posted.pop()(session)  # type: ignore[operator]
+    assert session.task is before
+    assert session.notice.kind == "error"
+    assert "depth" in session.notice.text
+
+
+def test_all_phases_are_performed_and_stand_on_the_timeline(file: Path) -> None:
+    session = Session(pp.Task.load(file), file)
+    motion = session.whole.perform()
+    assert motion.converged
+    playback = session.playback
+    playback.motion = motion
+    duration, drawn = _schedule(session.task, playback)
+    assert duration == motion.time[-1]
+    assert [each.place.keyframe for each in drawn] == [0, 1]
+    places = {place.name: place.reached for place in motion.waypoints}
+    assert drawn[0].place.time == pytest.approx(places["in: inside"], abs=0.05)
+    assert drawn[1].place.time == pytest.approx(places["turn: left"])
+
+
+def test_a_task_without_keyframes_in_any_phase_is_shown_from_its_first_phase(file: Path) -> None:
+    task = pp.Task.load(file)
+    view = editable(task.edited(motion=(task.motion[0], task.motion[2])))
+    assert isinstance(view, EditedPhase)
+    assert view.index == 0
 
 
 def test_the_example_is_saved_to_the_last_byte(tmp_path: Path) -> None:

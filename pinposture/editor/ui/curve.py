@@ -17,6 +17,7 @@ from pinposture.editor.postures import arm_line, drag_tip, hold_tip
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
+    MILLIMETRE,
     Post,
     Typed,
     add_axes,
@@ -379,12 +380,16 @@ class OtherCurves:
         return np.asarray(laid.at(np.linspace(0.0, end, OTHER_PIECES + 1)))
 
 
+TIP = -1
+"""Index of the tip among what has coordinates in the Shape tab."""
+
+
 class ShapeTab:
     """Controls for the control points of the curve that is edited."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._post, gui = post, server.gui
-        self._index, self._keyframe = 0, 0
+        self._index, self._keyframe, self._start = 0, 0, arm.straight()
         hint = "Or click on one in the picture; Shift and a click selects several"
         self._taught = gui.add_markdown(
             "A taught configuration has no control points. *Keyframes*, *To curve* draws a curve through it.",
@@ -393,18 +398,20 @@ class ShapeTab:
         self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
         hint = "Shows axes at the tip, by which it is dragged; key T"
         self._tip = gui.add_checkbox("Drag the tip", False, hint=hint)
-        self._digits = coordinate_digits(arm.length)
-        step = 10.0**-self._digits
-        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=step, hint="World frame")
-        self._place = Typed(place, self._move, preview=True)
+        digits = coordinate_digits(arm.length)
+        hint = "World frame; of the control point, or of the tip while it is selected"
+        place = gui.add_vector3("x, y, z [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, hint=hint)
+        place.precision = digits
+        self._place = Typed(place, self._move, preview=True, unit=MILLIMETRE)
         hint = "Insert after keeps the curve, Duplicate keeps the other points"
         edit = gui.add_button_group("Points", tuple(POINT_ACTIONS), hint=hint)
         self._snap = gui.add_checkbox(
             "Snap to a grid", False, hint="Snap dragged points to a grid in the world frame"
         )
-        first = 1e3 * round_number(GRID * arm.length)
-        self._step = gui.add_number("Grid [mm]", first, min=100.0 * step, step=1e3 * step)
-        self._step.precision = self._digits - 2
+        first = round_number(GRID * arm.length) / MILLIMETRE
+        least = 10.0**-digits
+        self._step = gui.add_number("Grid [mm]", first, min=0.1 * least, step=least)
+        self._step.precision = digits + 1
         for control in (self._snap, self._step):
             on_change(control, lambda _: post(partial(set_grid, self._grid)))
         on_change(self._point, self._select)
@@ -414,7 +421,7 @@ class ShapeTab:
     @property
     def _grid(self) -> float:
         """The step of the grid [m]; 0 if there is none."""
-        return 1e-3 * self._step.value if self._snap.value else 0.0
+        return MILLIMETRE * self._step.value if self._snap.value else 0.0
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
@@ -427,16 +434,17 @@ class ShapeTab:
             self._point.options = names
         handle = session.handle
         put(self._point, value="none" if handle is None else names[handle + 1])
-        if handle is not None and (handle, session.selected) != (self._index, self._keyframe):
+        self._start = live.state.q
+        index = TIP if session.tip else handle
+        if index is not None and (index, session.selected) != (self._index, self._keyframe):
             self._place.finish()  # it was meant for the one before
-            self._index, self._keyframe = handle, session.selected
-        place = self._place.control.value
-        if handle is not None:
-            place = session.shape.points[self._index]
-        elif session.tip:
-            place = live.state.points[-1]
-        shown = tuple(round(float(x), self._digits) + 0.0 for x in place)  # no -0.0
-        self._place.show(shown, disabled=handle is None or handle == 0)
+            self._index, self._keyframe = index, session.selected
+        if index == TIP:
+            self._place.show(live.state.points[-1], disabled=False)
+        elif index is not None:
+            self._place.show(session.shape.points[index], disabled=index == 0)
+        else:
+            self._place.keep(disabled=True)
         put(self._snap, value=session.grid > 0.0)
 
     def _select(self, name: str) -> None:
@@ -445,6 +453,10 @@ class ShapeTab:
 
     def _move(self, place: tuple[float, float, float], final: bool) -> None:
         index, keyframe = self._index, self._keyframe
+        if index == TIP:
+            if final:  # a tip that follows each key would swing about
+                self._post(partial(drag_tip, np.array(place), self._start, final, keyframe=keyframe))
+            return
 
         def request(session: Session) -> None:
             if session.selected == keyframe:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import viser
 
 from pinposture.editor.files import EXPORT_KINDS, Files, export, task_files, within
-from pinposture.editor.phases import PhaseKeyframes
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
@@ -207,7 +206,7 @@ class ExportButtons:
                 )
                 self._running = wanted, thread
                 thread.start()
-        elif wanted.task is not session.task or not rehearsal.working:
+        elif wanted.task is not session.whole or not rehearsal.working:
             self._queue.pop(0)
             text = f"{wanted.kind}: not exported, the task changed or the motion was cancelled"
             session.say(text, "warning")
@@ -217,13 +216,9 @@ class ExportButtons:
             self._post(partial(self._request, event.target.value, event.client))
 
     def _request(self, kind: str, client: viser.ClientHandle, session: Session) -> None:
-        if isinstance(session.task, PhaseKeyframes):
-            text = "the motion shown is that of one phase; save the task, and perform it with pinposture run"
-            session.say(f"{kind}: not exported: {text}", "error")
-            return
         stem = session.path.stem if session.path is not None else session.task.name or "motion"
-        self._queue.append(RequestedExport(kind, client, session.task, stem))
-        session.playback.rehearse(session.task)
+        self._queue.append(RequestedExport(kind, client, session.whole, stem))
+        session.playback.rehearse(session.whole)
 
     def _export(self, wanted: RequestedExport, motion: Motion) -> None:
         kind = "error"

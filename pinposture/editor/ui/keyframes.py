@@ -15,11 +15,12 @@ from pinposture.control import EndEffector
 from pinposture.editor import edits
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.measured_arm import JointStates
-from pinposture.editor.phases import PhaseKeyframes
+from pinposture.editor.phases import EditedPhase
 from pinposture.editor.postures import add_taught, draw_curve, teach
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
+from pinposture.editor.ui.phases import PhaseControls, PhasePlanner
 from pinposture.errors import InvalidValue
 from pinposture.placement.resolve import METHODS
 from pinposture.task import Keyframe, Task
@@ -41,6 +42,7 @@ class KeyframesTab:
         self._present = arm.straight()
         self._first, self._shown = 0, (-1, -1)  # the first row; which keyframe of how many was selected
         self._index = 0
+        self._phases = PhaseControls(server, arm, PhasePlanner(post), post)
         self._above = gui.add_button("", icon=viser.Icon.CHEVRON_UP, color="gray", visible=False)
         self._rows = [gui.add_button("", color="gray", visible=False) for _ in range(LISTED_ROWS)]
         self._below = gui.add_button("", icon=viser.Icon.CHEVRON_DOWN, color="gray", visible=False)
@@ -84,6 +86,7 @@ class KeyframesTab:
         measured = None if self._states is None else self._states.latest
         self._present = measured.q if measured is not None and measured.count > 0 else live.state.q
         keyframes, times = keyframes_of(session.task), edits.times_of(session.task)
+        self._phases.show(session, live)
         self._list(keyframes, times, session.selected, session.marks)
         if session.selected != self._index:
             self._index = session.selected
@@ -98,7 +101,7 @@ class KeyframesTab:
         put(self._method, value=own.method, disabled=own.curve is None)
         text = about(own, session.task)
         put(self._about, content=text, visible=bool(text))
-        self._laps.show(session.task.repeat)
+        self._laps.show(session.task.repeat, visible=not isinstance(session.task, EditedPhase))
         self._back.show(keyframes[0].duration or 0.0, visible=session.task.repeat > 1)
 
     def _list(
@@ -225,8 +228,12 @@ def row_label(keyframes: tuple[Keyframe, ...], times: list[float], index: int, m
 
 
 def about(keyframe: Keyframe, task: Task | None = None) -> str:
-    """Return the region and the tip task of a keyframe, and the phases of its task, as HTML; may be empty."""
-    lines = [f"Edited: {task.summary}."] if isinstance(task, PhaseKeyframes) else []
+    """Return the region and the tip task of a keyframe, and what its phase fixes, as HTML; may be empty."""
+    lines: list[str] = []
+    if isinstance(task, EditedPhase) and task.end is not None:
+        lines.append("This phase has no keyframes; these are the postures in which it begins and ends.")
+    elif isinstance(task, EditedPhase) and task.begin is not None:
+        lines.append("Keyframe 1 is where the phase before ends, and stays.")
     if keyframe.region is not None:
         first, last = keyframe.region
         lines.append(f"Only control points {first + 1} to {last + 1} have to take the shape.")

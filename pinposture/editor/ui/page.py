@@ -19,6 +19,7 @@ from pinposture.editor.edits import TIME_TOLERANCE, keyframes_of, lap_time
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.obstacles import obstacles_of
+from pinposture.editor.phases import EditedPhase
 from pinposture.editor.playback import Playback
 from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
@@ -50,6 +51,7 @@ from pinposture.editor.ui.parts import (
     put,
     round_number,
 )
+from pinposture.editor.ui.phases import PhaseDrawing
 from pinposture.editor.ui.player import Player, covered_height, play_or_pause
 from pinposture.editor.ui.scene import ClearanceLine, Obstacles, Scans, SceneTab, clearance_text
 from pinposture.editor.ui.server import serve
@@ -120,8 +122,12 @@ class Toolbar:
         """Bring it up to date."""
         keyframe, count = session.keyframe, len(keyframes_of(session.shown))
         name = f": {escape(keyframe.name)}" if keyframe.name else ""
-        unsaved = "" if session.saved is session.task else " (not saved)"
+        unsaved = " (not saved)" if session.changed else ""
         words = f"Keyframe {session.selected + 1}/{count}{name}{unsaved}"
+        if isinstance(session.task, EditedPhase):
+            words = (
+                f"Phase {session.task.index + 1}/{len(session.task.phases)}, {words[0].lower()}{words[1:]}"
+            )
         style = "font-size:13px;padding:0 10px;white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
         put(self._html, content=f'<div id="keyframe" style="{style}">{words}</div>')
 
@@ -413,6 +419,7 @@ class Page:
         self._arm = ArmDrawing(server, arm)
         self._parts: list[Part] = [
             CurveDrawing(server, arm),
+            PhaseDrawing(server, arm),
             Handles(server, arm, post),
             TipHandle(server, arm, post),
             Points(server, arm),

@@ -49,9 +49,13 @@ def round_number(value: float) -> float:
     return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - value)) * power)
 
 
+MILLIMETRE = 1e-3
+"""Unit of lengths in fields [m]: that of the status for all that is smaller than a metre."""
+
+
 def coordinate_digits(length: float) -> int:
-    """Return the number of decimals of coordinates [m]: 3, or more for an arm of less than a metre."""
-    return max(3, 3 - int(np.floor(np.log10(length) + 1e-9)))  # 0.999... m counts as 1 m
+    """Return the number of decimals of coordinates [mm]: none, or some for an arm of less than a metre."""
+    return max(0, -int(np.floor(np.log10(length) + 1e-9)))  # 0.999... m counts as 1 m
 
 
 def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -> str:
@@ -140,10 +144,18 @@ class Typed:
         control: the field.
         act: called with the value, and whether the typing is over; may only post.
         preview: whether it is called during the typing, too.
+        unit: the value of what the field shows as 1, such as `MILLIMETRE`; None: values are shown as they
+            are, without rounding.
     """
 
-    def __init__(self, control: Any, act: Callable[[Any, bool], None], preview: bool = False) -> None:
-        self.control, self._act, self._preview = control, act, preview
+    def __init__(
+        self,
+        control: Any,
+        act: Callable[[Any, bool], None],
+        preview: bool = False,
+        unit: float | None = None,
+    ) -> None:
+        self.control, self._act, self._preview, self._unit = control, act, preview, unit
         self._typed: Any = None
         self._value: Any = control.value
         self._since: float | None = None
@@ -152,7 +164,7 @@ class Typed:
     def _changed(self, value: Any) -> None:
         self._typed, self._since = value, time.monotonic()
         if self._preview:
-            self._act(value, False)
+            self._act(self._meant(value), False)
 
     def show(self, value: Any, **others: Any) -> None:
         """Write the current value into the field, or pass on what was typed; called by the loop.
@@ -161,19 +173,37 @@ class Typed:
             value: the current value.
             others: further attributes of the field.
         """
-        self._value = value
+        self._value = self._written(value)
         if self._since is None:
-            put(self.control, value=value)
+            put(self.control, value=self._value)
         elif time.monotonic() - self._since >= TYPING_PAUSE:
             self.finish()
+        put(self.control, **others)
+
+    def keep(self, **others: Any) -> None:
+        """Leave what the field shows, and set further attributes of it; called by the loop."""
+        self._since = None
         put(self.control, **others)
 
     def finish(self) -> None:
         """Pass on what was typed, if it does not count yet."""
         since, self._since = self._since, None
         if since is not None and (self._preview or self._typed != self._value):
-            self._act(self._typed, True)
+            self._act(self._meant(self._typed), True)
 
     def forget(self) -> None:
         """Drop what was typed and does not count yet."""
         self._since = None
+
+    def _written(self, value: Any) -> Any:
+        """Return a value as the field shows it."""
+        if self._unit is None:
+            return value
+        shown = np.round(np.asarray(value, dtype=np.float64) / self._unit, self.control.precision) + 0.0
+        return float(shown) if shown.ndim == 0 else tuple(shown.tolist())
+
+    def _meant(self, shown: Any) -> Any:
+        """Return the value of what the field shows."""
+        if self._unit is None:
+            return shown
+        return self._unit * shown if np.ndim(shown) == 0 else tuple(self._unit * each for each in shown)

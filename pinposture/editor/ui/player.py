@@ -18,7 +18,8 @@ from viser import uplot
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.editor import edits
-from pinposture.editor.edits import TIME_DIGITS, Pass, keyframes_of, passes_of, times_of
+from pinposture.editor.edits import TIME_DIGITS, TIME_TOLERANCE, Pass, keyframes_of, passes_of, times_of
+from pinposture.editor.phases import EditedPhase
 from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, limits_per_step
@@ -452,7 +453,7 @@ class Player:
 
 def play(session: Session) -> None:
     """Play the motion of the task."""
-    session.playback.play(session.task)
+    session.playback.play(session.whole)
 
 
 def play_or_pause(session: Session) -> None:
@@ -467,7 +468,7 @@ def stop(session: Session) -> None:
 
 def seek(at: float, session: Session) -> None:
     """Show a moment of the motion of the task [s]."""
-    session.playback.seek(session.task, at)
+    session.playback.seek(session.whole, at)
 
 
 def drag_keyframe(index: int, by: float, step: float, session: Session) -> None:
@@ -529,6 +530,8 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     """
     motion = playback.motion
     passes = passes_of(task)
+    if motion is not None and isinstance(task, EditedPhase):
+        return playback.lasting, _within_phases(task, motion)[:MAX_DRAWN]
     if motion is None:
         duration = passes[-1].time + keyframes_of(task)[-1].hold
         return duration, [DrawnPass(each, True) for each in passes[:MAX_DRAWN]]
@@ -542,3 +545,20 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
         for each, row in zip(passes, rows, strict=False)
     ]
     return max(playback.lasting, *(each.place.time for each in drawn)), drawn[:MAX_DRAWN]
+
+
+def _within_phases(task: EditedPhase, motion: Motion) -> list[DrawnPass]:
+    """Return the keyframes of a phase in the motion of all phases."""
+    passes = passes_of(task)
+    begin = float(motion.time[min(int(np.searchsorted(motion.plan_time, task.begins)), motion.steps)])
+    drawn: list[DrawnPass] = []
+    if task.begin is not None:
+        drawn.append(DrawnPass(passes.pop(0)._replace(time=begin), True))
+    least = task.begins + TIME_TOLERANCE * (-1.0 if task.begin is None else 1.0)
+    ahead = [place for place in motion.waypoints if place.planned > least]
+    if task.end is not None:  # its last posture: of several on its way, the last one
+        ahead = [place for place in ahead if place.planned <= task.ends + TIME_TOLERANCE][-1:]
+    for each, place in zip(passes, ahead, strict=False):
+        at = begin + each.time if place.row is None else float(motion.time[place.row])
+        drawn.append(DrawnPass(each._replace(time=at), place.row is not None))
+    return drawn

@@ -26,6 +26,7 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import ScanShelf, remove_scan
 from pinposture.editor.ui.parts import (
+    MILLIMETRE,
     Post,
     Typed,
     add_axes,
@@ -176,15 +177,18 @@ CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE,
 MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the arm
 
 VECTOR_LABELS = {
-    "center": ("Centre [m]", "World frame"),
-    "start": ("Start [m]", "Centre of one end, world frame"),
-    "end": ("End [m]", "Centre of the other end"),
-    "point": ("Point [m]", "Any point on its surface"),
+    "center": ("Centre [mm]", "World frame"),
+    "start": ("Start [mm]", "Centre of one end, world frame"),
+    "end": ("End [mm]", "Centre of the other end"),
+    "point": ("Point [mm]", "Any point on its surface"),
     "normal": ("Normal", "Points out of the solid"),
-    "size": ("Size [m]", "Edges along its own axes"),
+    "size": ("Size [mm]", "Edges along its own axes"),
     "rotation": ("Rotation [deg]", "Roll, pitch, yaw"),
 }
 """Labels and hints of values of three numbers, by attribute."""
+
+VECTOR_UNITS = {"normal": 1.0, "rotation": np.pi / 180.0}
+"""Units of those that are no lengths."""
 
 
 def number_labels() -> dict[str, str]:
@@ -193,11 +197,12 @@ def number_labels() -> dict[str, str]:
     for kind in obstacles.new_obstacle_kinds():
         for each in number_fields(OBSTACLE_TYPES[kind]):
             words = each.name.replace("_", " ").capitalize()
-            labels.setdefault(each.name, f"{words} [{each.metadata.get('unit', 'm')}]")
+            labels.setdefault(each.name, f"{words} [{each.metadata.get('unit', 'mm')}]")
     return labels
 
 
 NORMAL_DIGITS, ANGLE_DIGITS = 4, 2  # of shown directions and angles [deg]
+FINER_DIGITS = 3  # more of radii and margins than of coordinates: they are small
 
 
 class DrawnObstacle(NamedTuple):
@@ -423,10 +428,10 @@ class SceneTab:
     """Controls for the surroundings of the arm: obstacles in numbers, margins, scans, and the clearance."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, scans: ScanShelf, post: Post) -> None:
-        self._post, gui = post, server.gui
+        self._post, self._shelf, gui = post, scans, server.gui
         digits = coordinate_digits(arm.length)
         step = 10.0**-digits
-        self._digits = digits + 3  # of radii and margins, which are small
+        finer = digits + FINER_DIGITS
         self._points = np.zeros((0, 3))
         self._name = ""
         self._about = gui.add_html("")
@@ -439,24 +444,29 @@ class SceneTab:
             by = {"rotation": 1.0, "normal": 0.005}.get(key, step)
             field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=by, hint=hint, visible=False)
             field.precision = {"rotation": ANGLE_DIGITS, "normal": NORMAL_DIGITS}.get(key, digits)
-            self._vectors[key] = Typed(field, partial(self._set_value, key), preview=True)
+            unit = VECTOR_UNITS.get(key, MILLIMETRE)
+            self._vectors[key] = Typed(field, partial(self._set_value, key), preview=True, unit=unit)
         self._numbers: dict[str, Typed] = {}
         for key, label in number_labels().items():
             number = gui.add_number(label, 0.0, min=0.0, step=step, visible=False)
-            number.precision = self._digits
-            self._numbers[key] = Typed(number, partial(self._set_value, key), preview=True)
+            number.precision = finer
+            unit = MILLIMETRE if label.endswith("[mm]") else 1.0
+            self._numbers[key] = Typed(number, partial(self._set_value, key), preview=True, unit=unit)
+        hint = "Points with fewer than eight others within this distance are left out; 0: none"
+        outliers = gui.add_number("Outliers [mm]", 0.0, min=0.0, step=step, hint=hint, visible=False)
+        self._outliers = Typed(outliers, self._remove_outliers, unit=MILLIMETRE)
         self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, color="gray", visible=False)
         with gui.add_folder("Keep clear"):
             hint = "Distance to keep from obstacles"
-            margin = gui.add_number("Margin [m]", 0.0, min=0.0, step=step, hint=hint)
-            self._margin = Typed(margin, self._set_margin)
+            margin = gui.add_number("Margin [mm]", 0.0, min=0.0, step=step, hint=hint)
+            self._margin = Typed(margin, self._set_margin, unit=MILLIMETRE)
             hint = "Avoid collisions of the arm with itself, too"
             self._self_collision = gui.add_checkbox("Self-collision", True, hint=hint)
             hint = "Radius of its links; 0: as in its description"
-            thickness = gui.add_number("Arm radius [m]", 0.0, min=0.0, step=step, hint=hint)
-            self._arm_radius = Typed(thickness, self._set_arm_radius)
-        for each in (margin, thickness):
-            each.precision = self._digits
+            thickness = gui.add_number("Arm radius [mm]", 0.0, min=0.0, step=step, hint=hint)
+            self._arm_radius = Typed(thickness, self._set_arm_radius, unit=MILLIMETRE)
+        for each in (outliers, margin, thickness):
+            each.precision = finer
         with gui.add_folder("Meshes and scans", expand_by_default=False):
             self._scans = ScanControls(server, scans, post)
         on_choice(add, lambda label: post(partial(obstacles.add_obstacle, kinds[label], self._points)))
@@ -480,9 +490,9 @@ class SceneTab:
                 typed.finish()  # it was meant for the one before
             self._name = name or ""
         self._show_values(listed.get(self._name))
-        self._margin.show(round(scene.margin, self._digits))
+        self._margin.show(scene.margin)
         put(self._self_collision, value=scene.self_collision)
-        self._arm_radius.show(0.0 if scene.arm_radius is None else round(scene.arm_radius, self._digits))
+        self._arm_radius.show(scene.arm_radius or 0.0)
         found = session.nearest
         shade = palette.QUIET if found is None else CLEARANCE_COLORS[found.level]
         text = escape(clearance_text(found))
@@ -494,14 +504,20 @@ class SceneTab:
         self._called.show(self._name, visible=obstacle is not None)
         put(self._delete, visible=obstacle is not None)
         for key, typed in self._vectors.items():
-            own = getattr(obstacle, key, None)
-            field = typed.control
-            shown = field.value if own is None else _shown_vector(key, own, field.precision)
-            typed.show(shown, visible=own is not None)
+            own: Any = getattr(obstacle, key, None)
+            if own is None:
+                typed.keep(visible=False)
+            else:
+                typed.show(pin.rpy.matrixToRpy(np.array(own)) if key == "rotation" else own, visible=True)
         for key, typed in self._numbers.items():
             number = getattr(obstacle, key, None)
-            shown_number = 0.0 if number is None else round(number, self._digits)
-            typed.show(shown_number, visible=number is not None)
+            if number is None:
+                typed.keep(visible=False)
+            else:
+                typed.show(number, visible=True)
+        is_cloud = isinstance(obstacle, Scan) and obstacle.faces is None
+        distance = obstacle.outlier_distance if isinstance(obstacle, Scan) else None
+        self._outliers.show(distance or 0.0, visible=is_cloud)
 
     def _select(self, name: str) -> None:
         self._post(partial(obstacles.select_obstacle, None if name == "none" else name))
@@ -510,12 +526,12 @@ class SceneTab:
         self._post(partial(obstacles.rename_obstacle, self._name, to))
 
     def _set_value(self, key: str, value: Any, final: bool) -> None:
-        if key == "rotation":
-            value = tuple(np.radians(value))
-        elif key in self._numbers:
-            value = float(value)
         request = partial(obstacles.edit_obstacle, self._name, key, value, final)
         self._post(request, "" if final else "obstacle")
+
+    def _remove_outliers(self, distance: float, _: bool) -> None:
+        name = self._name
+        self._post(lambda session: self._shelf.remove_outliers(name, distance, session))
 
     def _set_margin(self, value: float, _: bool) -> None:
         edit = with_scene(margin=float(value))
@@ -529,9 +545,3 @@ class SceneTab:
     def _set_self_collision(self, value: bool) -> None:
         text = "self-collision avoided" if value else "self-collision not avoided"
         self._post(lambda session: session.edit(with_scene(self_collision=value), text))
-
-
-def _shown_vector(key: str, value: Any, digits: int) -> tuple[float, ...]:
-    if key == "rotation":
-        value = np.degrees(pin.rpy.matrixToRpy(np.array(value)))
-    return tuple(round(float(each), digits) + 0.0 for each in value)

@@ -1,0 +1,300 @@
+"""The phases of a task in the page: which one is shown, its values, its path and its goal."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from threading import Thread
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.curve import Curve
+from pinposture.editor.phases import EditedPhase, editable, phase_label, with_phase
+from pinposture.editor.session import Session
+from pinposture.editor.solver import Live
+from pinposture.editor.ui.parts import (
+    MILLIMETRE,
+    Post,
+    Typed,
+    add_lines,
+    color,
+    coordinate_digits,
+    on_change,
+    put,
+    put_at,
+)
+from pinposture.errors import PostureError
+from pinposture.task import Leader, Phase, Task, TipGoal
+from pinposture.task.phases import phase_title
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
+
+Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
+
+DEGREE = np.pi / 180.0
+NUMBER_STEP = 0.1  # of the arrows beside a number
+PATH_PIECES = 120  # straight pieces of the path of a leader
+PATH_COLOR, GOAL_COLOR = palette.SPARE[2], palette.SPARE[1]
+GOAL_RADIUS = 1.8  # of a goal of the tip, relative to that of the bars of the arm
+
+
+class PhaseField(NamedTuple):
+    """A field for a value of the motion of a phase."""
+
+    label: str  # with its unit
+    unit: float  # the value of what it shows as 1
+    digits: int  # decimals that it shows
+    hint: str
+    none: str = ""  # what 0 means, in words; empty if the value must not be None
+
+
+NUMBERS = {
+    "speed": PhaseField("Speed [mm/s]", MILLIMETRE, 2, "Largest speed of the feed", "as on the way in"),
+    "depth": PhaseField("Depth [mm]", MILLIMETRE, 2, "How far along the path; 0: to its end", "to the end"),
+    "pipe": PhaseField("Pipe [mm]", MILLIMETRE, 2, "Radius of a pipe around the path; 0: none", "no pipe"),
+    "duration": PhaseField("Duration [s]", 1.0, 3, "0: as fast as the limits allow", "as fast as possible"),
+    "hold": PhaseField("Stay [s]", 1.0, 3, "How long to stay there"),
+}
+VECTORS = {
+    "position": PhaseField("Goal [mm]", MILLIMETRE, 0, "Where the tip has to be, world frame"),
+    "direction": PhaseField("Tip along", 1.0, 4, "Direction of the last link there, world frame"),
+    "rotation": PhaseField("Tip turned [deg]", DEGREE, 2, "Roll, pitch and yaw of the last link there"),
+}
+"""Fields for the values of phases, by attribute."""
+
+
+class PhasePlanner:
+    """Shows another phase of a task, or a changed one, once it is planned in a thread.
+
+    Args:
+        post: `Editor.post`.
+    """
+
+    def __init__(self, post: Callable[..., None]) -> None:
+        self._post = post
+        self._number = 0  # of the last request; what an earlier one finds is dropped
+
+    def choose(self, index: int, session: Session) -> None:
+        """Show another phase, 0-based."""
+        task = session.task
+        if isinstance(task, EditedPhase) and 0 <= index < len(task.phases) and index != task.index:
+            self._show(session, task.whole, index, f"shown: {phase_title(task.phases, index)}")
+
+    def change(self, values: dict[str, Any], what: str, session: Session) -> None:
+        """Change values of the motion of the phase that is shown, such as the speed of a leader.
+
+        Args:
+            values: the values, by attribute.
+            what: the change in words, for `undo`.
+            session: the session.
+
+        Raises:
+            PostureError: a value that is not allowed.
+        """
+        task = session.task
+        if not isinstance(task, EditedPhase) or task.end is None:
+            return
+        motion: Any = task.phases[task.index].motion
+        motion = motion._replace(**values) if isinstance(motion, Leader) else replace(motion, **values)
+        whole = task.whole.edited(motion=with_phase(task, motion=motion))
+        self._show(session, whole, task.index, f"{phase_title(task.phases, task.index)}: {what}")
+
+    def _show(self, session: Session, whole: Task, index: int, what: str) -> None:
+        """Show a phase once it is planned; `what` says in words what then has changed."""
+        self._number += 1
+        phases = cast("tuple[Phase, ...]", whole.motion)
+        session.say(f"planning up to {phase_title(phases, index)} ...")
+        given = (self._number, session.task, whole, index, what)
+        Thread(target=self._plan, args=given, name="pinposture-phase", daemon=True).start()
+
+    def _plan(self, number: int, before: Task, whole: Task, index: int, what: str) -> None:
+        try:
+            view = editable(whole, index)
+        except Exception as error:
+            if not isinstance(error, PostureError):  # a bug, which has to be reported, too
+                logger.exception("a phase could not be planned")
+            self._post(partial(self._refuse, number, f"{what}: not possible: {error}"))
+            return
+        self._post(partial(self._take, number, before, view, what))
+
+    def _refuse(self, number: int, reason: str, session: Session) -> None:
+        if self._number == number:
+            session.say(reason, "error")
+
+    def _take(self, number: int, before: Task, view: Task, what: str, session: Session) -> None:
+        if self._number != number:
+            return
+        if session.task is not before:
+            session.say(f"{what}: dropped, since the task was changed meanwhile; try again", "warning")
+            return
+        first = 1 if isinstance(view, EditedPhase) and view.begin is not None else 0
+        session.take_up(view, first, what)
+
+
+def rename_phase(name: str, session: Session) -> None:
+    """Rename the phase that is shown."""
+    task = session.task
+    if isinstance(task, EditedPhase):
+        phases = with_phase(task, name=name)
+        session.edit(lambda now: now.edited(phases=phases), f"named phase {task.index + 1} {name!r}")
+
+
+class PhaseControls:
+    """Controls that choose a phase, and edit what is no keyframe of it."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, planner: PhasePlanner, post: Post) -> None:
+        self._planner, self._post, gui = planner, post, server.gui
+        self._key: tuple[int, ...] = ()
+        self._index = 0
+        self._choice = gui.add_dropdown("Phase", ("none",), visible=False, hint="Which phase is shown")
+        self._name = Typed(gui.add_text("Phase name", "", visible=False), self._rename)
+        self._fields: dict[str, Typed] = {}
+        for key, (label, unit, digits, hint, _) in NUMBERS.items():
+            number = gui.add_number(label, 0.0, min=0.0, step=NUMBER_STEP, visible=False, hint=hint)
+            number.precision = digits
+            self._fields[key] = Typed(number, partial(self._set, key), unit=unit)
+        finest = {"position": coordinate_digits(arm.length)}
+        for key, (label, unit, digits, hint, _) in VECTORS.items():
+            step = 10.0 ** -finest.get(key, digits)
+            vector = gui.add_vector3(label, (0.0, 0.0, 0.0), step=step, visible=False, hint=hint)
+            vector.precision = finest.get(key, digits)
+            self._fields[key] = Typed(vector, partial(self._set, key), unit=unit)
+        self._back = gui.add_checkbox("Come back", False, visible=False, hint="Return along the path")
+        self._point = gui.add_dropdown("Path point", ("1",), visible=False, hint="Control point of the path")
+        digits = coordinate_digits(arm.length)
+        place = gui.add_vector3("Point [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, visible=False)
+        place.precision = digits
+        self._place = Typed(place, self._move_point, unit=MILLIMETRE)
+        on_change(self._choice, self._choose)
+        on_change(self._back, lambda back: self._change({"and_back": back}, "comes back" * back or "stays"))
+        on_change(self._point, lambda _: self._place.finish())
+
+    def show(self, session: Session, _: Live) -> None:
+        """Bring it up to date."""
+        task = session.task
+        phased = isinstance(task, EditedPhase)
+        put(self._choice, visible=phased)
+        put(self._name.control, visible=phased)
+        motion: Any = None
+        if isinstance(task, EditedPhase):
+            self._show_choice(task)
+            motion = task.phases[task.index].motion if task.end is not None else None
+        for key, typed in self._fields.items():
+            value = getattr(motion, key, None)
+            absent = not hasattr(motion, key) or (value is None and key in VECTORS)
+            if absent:
+                typed.keep(visible=False)
+            else:
+                typed.show(0.0 if value is None else value, visible=True)
+        is_leader = isinstance(motion, Leader)
+        put(self._back, visible=is_leader)
+        points = motion.path.control_points if is_leader else None
+        put(self._point, visible=points is not None)
+        if is_leader:
+            put(self._back, value=motion.and_back)
+        if points is None:
+            self._place.keep(visible=False)
+            return
+        names = tuple(str(number) for number in range(1, len(points) + 1))
+        if tuple(self._point.options) != names:
+            self._point.options = names
+        self._place.show(points[int(self._point.value) - 1], visible=True)
+
+    def _show_choice(self, task: EditedPhase) -> None:
+        options = tuple(phase_label(task.phases, index) for index in range(len(task.phases)))
+        if tuple(self._choice.options) != options:
+            self._choice.options = options
+        put(self._choice, value=options[task.index])
+        if task.index != self._index:
+            self._index = task.index
+            for typed in (self._name, self._place, *self._fields.values()):
+                typed.forget()  # it was meant for the phase before
+        self._name.show(task.phases[task.index].name)
+
+    def _choose(self, label: str) -> None:
+        index = int(label.split(maxsplit=1)[0]) - 1
+        self._post(partial(self._planner.choose, index))
+
+    def _rename(self, name: str, _: bool) -> None:
+        self._post(partial(rename_phase, name))
+
+    def _set(self, key: str, value: Any, _: bool) -> None:
+        field = {**NUMBERS, **VECTORS}[key]
+        words = field.label.partition(" [")[0].lower()
+        if key in VECTORS:
+            self._change({key: value}, f"{words} changed")
+        elif value == 0.0 and field.none:
+            self._change({key: None}, f"{words}: {field.none}")
+        else:
+            unit = field.label.partition("[")[2].rstrip("]")
+            self._change({key: value}, f"{words} {value / field.unit:g} {unit}")
+
+    def _move_point(self, place: tuple[float, float, float], _: bool) -> None:
+        index = int(self._point.value) - 1
+        self._post(partial(move_path_point, self._planner, index, place))
+
+    def _change(self, values: dict[str, Any], what: str) -> None:
+        self._post(partial(self._planner.change, values, what))
+
+
+def move_path_point(
+    planner: PhasePlanner, index: int, place: tuple[float, float, float], session: Session
+) -> None:
+    """Move a control point of the path of a leader, 0-based, to a place (3,) [m]."""
+    task = session.task
+    motion = task.phases[task.index].motion if isinstance(task, EditedPhase) else None
+    if not isinstance(motion, Leader) or motion.path.control_points is None:
+        return
+    points = np.array(motion.path.control_points)
+    if index < len(points):
+        points[index] = place
+        path = Curve.spline(points, motion.path.degree)
+        planner.change({"path": path}, f"point {index + 1} of the path moved", session)
+
+
+class PhaseDrawing:
+    """The path of the leader, or the goal of the tip, of the phase that is shown; each with its name."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
+        self._shown: Task | None = None
+        self._line = add_lines(server, "/phase/path", PATH_PIECES, 0.6 * link_radius(arm), visible=False)
+        self._goal = server.scene.add_icosphere(
+            "/phase/goal",
+            GOAL_RADIUS * link_radius(arm),
+            color(GOAL_COLOR),
+            subdivisions=2,
+            cast_shadow=False,
+            visible=False,
+        )
+        self._label = server.scene.add_label("/phase/label", "", visible=False)
+
+    def show(self, session: Session, _: Live) -> None:
+        """Bring it up to date."""
+        task = session.task
+        if task is self._shown:
+            return
+        self._shown = task
+        path = task.path if isinstance(task, EditedPhase) else None
+        motion = task.phases[task.index].motion if isinstance(task, EditedPhase) else None
+        goal = np.array(motion.position) if isinstance(motion, TipGoal) else None
+        put(self._line, visible=path is not None)
+        put(self._goal, visible=goal is not None)
+        put(self._label, visible=path is not None or goal is not None)
+        if path is not None:
+            places = np.asarray(path.at(np.linspace(0.0, path.length, PATH_PIECES + 1)))
+            self._line.points = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
+            self._line.colors = np.full((PATH_PIECES, 2, 3), color(PATH_COLOR), dtype=np.uint8)
+            put(self._label, text="path of the tip")
+            put_at(self._label, places[-1])
+        elif goal is not None:
+            put_at(self._goal, goal)
+            put(self._label, text="goal of the tip")
+            put_at(self._label, goal)
