@@ -40,7 +40,7 @@ SINKS = ("add_html", "add_markdown", "add_modal", "add_notification", "add_label
 
 PLACES = {
     "ui/arm.py": ["add_html", "add_markdown"],  # what is wrong with joint states: their text; numbers
-    "ui/curve.py": ["add_markdown"],  # our text
+    "ui/curve.py": ["add_markdown", "add_html"],  # our texts
     "ui/files.py": [
         "add_modal",
         "add_markdown",
@@ -48,6 +48,7 @@ PLACES = {
         "add_markdown",
     ],  # the name of the task file; our texts
     "ui/keyframes.py": ["add_html"],  # what is asked of the tip, a control point by its name
+    "ui/phases.py": ["add_label"],  # our text
     "ui/player.py": ["add_html", "add_html"],  # numbers, and the names of the keyframes at the timeline
     "ui/page.py": ["add_html", "add_html"],  # verdicts, what was last said, the name of the keyframe
     "ui/scene.py": ["add_markdown", "add_html"],  # our texts; which link is near which obstacle or scan

@@ -19,7 +19,9 @@ from collision.test_obstacle_types import NEW
 from editor.edited_tasks import six_modules, task
 
 import pinposture as pp
+from pinposture.collision import Scan
 from pinposture.collision.obstacles import OBSTACLE_TYPES
+from pinposture.editor import edits
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.obstacles import (
     Pose,
@@ -29,6 +31,7 @@ from pinposture.editor.obstacles import (
     obstacles_of,
     select_obstacle,
 )
+from pinposture.editor.postures import hold_tip
 from pinposture.editor.session import Session
 from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
@@ -111,9 +114,11 @@ def test_a_new_type_is_drawn_and_has_a_field_for_each_number(name, arm, live, se
     )
     tab = SceneTab(server, arm, ScanShelf(post), post)
     tab.show(session, live)
+    # In millimetres, but for an angle.
     numbers = {key: parts.control.value for key, parts in tab._numbers.items() if parts.control.visible}
     own = {key: value for key, value in vars(NEW[name]).items() if isinstance(value, float)}
-    assert numbers == pytest.approx(own)
+    shown = {key: value if key == "bend" else 1e3 * value for key, value in own.items()}
+    assert numbers == pytest.approx(shown)
     assert {key for key, parts in tab._vectors.items() if parts.control.visible} == {"center", "rotation"}
     tab._set_value("radius", 0.05, True)
     drawing.show(session, live)
@@ -218,14 +223,14 @@ def test_the_tab_shows_what_the_selected_obstacle_has(arm, live, server, desk, t
     select_obstacle("box", session)
     tab.show(session, live)
     assert tab._vectors["rotation"].control.value == pytest.approx((0, 0, 90))
-    assert tab._vectors["center"].control.value == pytest.approx(BOX.center)
+    assert tab._vectors["center"].control.value == pytest.approx(1e3 * np.array(BOX.center))
     select_obstacle(None, session)
     tab.show(session, live)
     assert not tab._delete.visible
     assert tuple(tab._chosen.options) == ("none", "ball", "box", "floor", "rod")
 
 
-@pytest.mark.parametrize(("length", "step"), [(0.009, 1e-6), (1.0, 1e-3), (80.0, 1e-3)])
+@pytest.mark.parametrize(("length", "step"), [(0.009, 1e-3), (1.0, 1.0), (80.0, 1.0)])  # [m], [mm]
 def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
     _, post = desk
     module = pp.arm.template("RyRz").with_lengths([length / 12] * 2)
@@ -239,8 +244,8 @@ def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
         (tab._vectors["center"].control, center, 1e-3),
         (tab._numbers["radius"].control, radius, 1e-6),
     ):
-        np.testing.assert_allclose(field.value, own, rtol=0.0, atol=error * length)
-        np.testing.assert_allclose(np.round(field.value, field.precision), field.value, rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(1e-3 * np.array(field.value), own, rtol=0.0, atol=error * length)
+        np.testing.assert_allclose(np.round(field.value, field.precision), field.value, rtol=1e-15)
         assert field.step == pytest.approx(step)
     grid = ShapeTab(server, arm, post)._step
     assert 1e-3 * np.round(grid.value, grid.precision) == pytest.approx(0.02 * length, rel=0.3)
@@ -254,15 +259,15 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(arm, live, ser
     clock = [100.0]
     monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
     states = len(session.history._states)
-    for radius in (0.0, 0.03, 0.035):  # "0.035", key by key
+    for radius in (0.0, 3.0, 35.0):  # "35" [mm], key by key
         tab._numbers["radius"]._changed(radius)
         clock[0] += 0.2
         tab.show(session, live)
     assert len(session.history._states) == states
-    assert obstacles_of(session.shown)["ball"].radius == 0.035
+    assert obstacles_of(session.shown)["ball"].radius == pytest.approx(0.035)
     clock[0] += parts.TYPING_PAUSE
     tab.show(session, live)
-    assert obstacles_of(session.task)["ball"].radius == 0.035
+    assert obstacles_of(session.task)["ball"].radius == pytest.approx(0.035)
     assert len(session.history._states) == states + 1
 
 
@@ -278,7 +283,7 @@ def test_what_is_refused_returns_to_what_it_was(arm, live, server, desk, monkeyp
     clock[0] += 2.0
     tab.show(session, live)
     tab.show(session, live)
-    assert tab._vectors["center"].control.value == pytest.approx(BALL.center)
+    assert tab._vectors["center"].control.value == pytest.approx(1e3 * np.array(BALL.center))
     assert "base" in session.notice.text
 
 
@@ -297,7 +302,7 @@ def test_margin_self_collision_and_thickness(arm, live, server, desk, monkeypatc
     tab._set_margin(-1.0, True)
     assert session.task is before
     tab.show(session, live)
-    assert tab._margin.control.value == pytest.approx(0.02)
+    assert tab._margin.control.value == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(
@@ -427,3 +432,54 @@ def test_a_mesh_or_a_scan_is_drawn_where_its_corners_are(arm, live, server, desk
     drawing.show(session, live)
     assert drawing._drawn["part"].handle is handle  # moved, not sent again
     np.testing.assert_allclose(handle.position, (1.0, 0.0, 0.0), atol=1e-6)
+
+
+def test_outliers_of_a_cloud_are_removed_and_taken_back(arm, live, server, desk, tmp_path):
+    session, post = desk
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([np.full(400, 0.5), rng.uniform(-0.1, 0.1, (400, 2))])
+    flying = np.column_stack([np.full(3, 0.3), rng.uniform(-0.3, 0.3, (3, 2))])
+    path = tmp_path / "cloud.npy"
+    np.save(path, np.vstack([wall, flying]))
+    insert_obstacle("cloud", Scan.load(path, center=(0.0, 0.0, 0.2)), session)
+    shelf = ScanShelf(post)
+    tab = SceneTab(server, arm, shelf, post)
+    tab.show(session, live)
+    assert tab._outliers.control.visible
+    assert tab._outliers.control.value == 0.0
+    tab._remove_outliers(0.05, True)
+    shelf.close()
+    cloud = obstacles_of(session.task)["cloud"]
+    assert (len(cloud.points), cloud.outliers, cloud.center) == (400, 3, (0.0, 0.0, 0.2))
+    assert "3 outliers removed" in session.notice.text
+    assert session.whole.save(tmp_path / "task.toml").read_text().count("outlier_distance = 0.05") == 1
+    tab.show(session, live)
+    assert tab._outliers.control.value == 50.0
+    for distance, points, words in ((0.0, 403, "all points kept"), (-0.1, 403, "outlier_distance is -0.1")):
+        shelf = ScanShelf(post)
+        shelf.remove_outliers("cloud", distance, session)
+        shelf.close()
+        assert len(obstacles_of(session.task)["cloud"].points) == points
+        assert words in session.notice.text
+    select_obstacle("ball", session)
+    tab.show(session, live)
+    assert not tab._outliers.control.visible
+
+
+def test_the_tip_is_brought_to_a_place_that_is_typed(arm, server, desk):
+    session, post = desk
+    q = arm.integrate(arm.straight(), np.full(arm.nv, 0.1))
+    here = SimpleNamespace(arm=arm, state=arm.at(q), target=None)
+    tab = ShapeTab(server, arm, post)
+    session.select(1)
+    hold_tip(session)
+    tab.show(session, here)
+    place = tab._place.control
+    assert not place.disabled
+    np.testing.assert_allclose(1e-3 * np.array(place.value), here.state.points[-1], atol=1e-4)
+    goal = here.state.points[-1] + [0.0, 0.01, 0.005]
+    tab._move(tuple(goal), False)  # while it is typed
+    assert session.proposal is None
+    tab._move(tuple(goal), True)
+    taken = edits.configuration_of(arm, edits.keyframes_of(session.shown)[1])
+    np.testing.assert_allclose(arm.at(taken).points[-1], goal, atol=1e-4)

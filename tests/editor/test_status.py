@@ -177,7 +177,9 @@ def test_a_keyframe_is_judged_again_only_when_it_is_another() -> None:
 def test_a_new_page_shows_the_whole_arm_with_its_base_at_the_left(heading: tuple[float, ...]) -> None:
     turn = Rotation.align_vectors([heading], [(1.0, 0.0, 0.0)])[0].as_matrix()
     arm = pp.Arm.from_template("RyRz", 6, base_placement=pin.SE3(turn, np.array([0.5, 0.2, 0.1])))
-    view = viewpoint(arm)
+    curve = pp.Curve.spline(arm.chain.base + L * np.outer([0.0, 1.0, 2.0, 3.0], heading), degree=1)
+    curve = curve.trimmed(0.0, 1.2 * arm.length)
+    view = viewpoint(task(Keyframe(curve), Keyframe(curve, time=1.0), arm=arm))
     ahead = view.look_at - view.position
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     axes = np.array([each / np.linalg.norm(each) for each in (right, np.cross(right, ahead), ahead)])

@@ -48,7 +48,18 @@ GRID = 0.02  # first step of the grid, relative to the arm
 AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
 SMALL_ERROR, LARGE_ERROR = 1e-3, 0.3  # green below, red above; relative to a module length
 LINE_ERROR = 1e-2  # from which on a line leads to the target, relative to a module length
-PALE_SHARE = 0.1  # of white in the colours of other curves
+BALL_COLOR = palette.mixed(palette.SPARE[0], palette.START, 0.6)  # of control points of the curve
+SELECTED_BALL_COLOR = palette.mixed(palette.START, palette.TARGET, 0.45)  # of those that are selected
+EARLIEST = 0.25  # place of the first curve on the scale of times: earlier ones are too pale on white
+LEGEND = (
+    (palette.MODULES[0], "the arm"),
+    (palette.TARGET, "the curve, where the arm lies on it"),
+    (palette.REST, "the curve beyond the arm"),
+    (palette.MARK, "a curve that the arm cannot take"),
+    (BALL_COLOR, "control points of the curve"),
+    (palette.REGULAR, "points of the arm on their targets; red: far off"),
+)
+"""Colours in the picture, and what they say."""
 
 
 def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
@@ -56,6 +67,13 @@ def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
     if keyframe.curve is not None:
         return place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)[0]
     return Curve.spline(arm_line(arm, configuration_of(arm, keyframe)), degree=1)
+
+
+def needed_part(arm: Arm, keyframe: Keyframe) -> Array:
+    """Return places along the part of a curve that the arm needs, (OTHER_PIECES + 1, 3) [m]."""
+    laid = drawn_curve(arm, keyframe)
+    end = min(laid.length, required_length(arm))
+    return np.asarray(laid.at(np.linspace(0.0, end, OTHER_PIECES + 1)))
 
 
 class CurveDrawing:
@@ -198,7 +216,7 @@ class Handles:
         for index, (ball, point) in enumerate(zip(self._balls, points, strict=True)):
             if index not in self._grabbed:
                 put_at(ball, point)
-            own = palette.START if index in session.handles else palette.SPARE[0]
+            own = SELECTED_BALL_COLOR if index in session.handles else BALL_COLOR
             own = palette.BASE if index == 0 else own
             if self._colors[index] != own:
                 self._colors[index] = own
@@ -223,7 +241,7 @@ class Handles:
             ball = self._server.scene.add_icosphere(
                 f"/handles/point_{index + 1}",
                 self._radius,
-                color(palette.SPARE[0]),
+                color(BALL_COLOR),
                 subdivisions=2,
                 cast_shadow=False,
             )
@@ -364,20 +382,14 @@ class OtherCurves:
     def _draw(self, keyframes: tuple[Keyframe, ...], selected: int) -> None:
         before, self._drawn = self._drawn, {}
         for each in keyframes:  # kept with its line, so that its id stays its own
-            self._drawn[id(each)] = before.get(id(each)) or (each, self._line(each))
+            self._drawn[id(each)] = before.get(id(each)) or (each, needed_part(self._arm, each))
         others = [index for index in range(len(keyframes)) if index != selected]
         lines = np.stack([self._drawn[id(keyframes[index])][1] for index in others])
-        times = [palette.in_time(k / (len(keyframes) - 1)) for k in others]
-        colors = np.array([color(palette.mixed(each, "#FFFFFF", PALE_SHARE)) for each in times], np.uint8)
+        shares = EARLIEST + (1.0 - EARLIEST) * np.array(others) / (len(keyframes) - 1)
+        colors = np.array([color(palette.in_time(share)) for share in shares], np.uint8)
         ends = np.stack([lines[:, :-1], lines[:, 1:]], axis=2).reshape(-1, 2, 3)
         self._lines.points = ends.astype(np.float32)
         self._lines.colors = np.repeat(np.repeat(colors, OTHER_PIECES, axis=0)[:, None], 2, axis=1)
-
-    def _line(self, keyframe: Keyframe) -> Array:
-        """Return places along the part of the curve that the arm needs, (OTHER_PIECES + 1, 3) [m]."""
-        laid = drawn_curve(self._arm, keyframe)
-        end = min(laid.length, required_length(self._arm))
-        return np.asarray(laid.at(np.linspace(0.0, end, OTHER_PIECES + 1)))
 
 
 TIP = -1
@@ -417,6 +429,7 @@ class ShapeTab:
         on_change(self._point, self._select)
         on_change(self._tip, lambda held: post(hold_tip if held else release))
         on_choice(edit, lambda what: post(POINT_ACTIONS[what]))
+        gui.add_html(_legend())
 
     @property
     def _grid(self) -> float:
@@ -465,6 +478,13 @@ class ShapeTab:
                 session.handles = chosen
 
         self._post(request, "" if final else "move")
+
+
+def _legend() -> str:
+    """Return the legend of the picture, as HTML."""
+    style = "display:inline-block;width:18px;height:8px;border-radius:2px;margin-right:8px"
+    lines = [f'<span style="{style};background:{shade}"></span>{words}' for shade, words in LEGEND]
+    return f'<div style="font-size:12px;line-height:1.5;padding:8px 12px">{"<br>".join(lines)}</div>'
 
 
 def release(session: Session) -> None:

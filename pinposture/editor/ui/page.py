@@ -38,6 +38,7 @@ from pinposture.editor.ui.curve import (
     duplicate_points,
     insert_point,
     move_point,
+    needed_part,
     selected_points,
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
@@ -76,7 +77,7 @@ MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
-STATUS_HEIGHT = 124  # [pixels]
+STATUS_HEIGHT, STATUS_SHARE = 124, 45  # least [pixels], and most, of a hundred of the page
 IN_SIGHT = """<style>
 div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}
 div:has(> div > div > div > #always) {overflow: visible !important}
@@ -100,8 +101,8 @@ class Status:
             about = f'id="notice" data-kind="{notice.kind}" style="{style}"'
             message = f"<div {about}>{escape(notice.text)}</div>"
         content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)
-        # Of fixed height, so that nothing below it jumps.
-        style = f"height:min({STATUS_HEIGHT}px, 15vh);overflow-y:auto"
+        # At least so high that what is below it seldom jumps; long reasons are shown whole.
+        style = f"min-height:min({STATUS_HEIGHT}px, 15vh);max-height:{STATUS_SHARE}vh;overflow-y:auto"
         put(self._html, content=f'{IN_SIGHT}<div id="always" style="{style}">{content}</div>')
 
 
@@ -220,7 +221,7 @@ FLOOR_CELLS = 10  # along the arm
 FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
 # Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
 # screen, which may be several to one of the page.
-MIN_COVERED, MAX_COVERED, COVERED_AT_FIRST = 0.3, 0.6, 0.1
+MIN_COVERED, MAX_COVERED, COVERED_AT_FIRST = 0.3, 0.6, 0.39
 MIN_ASPECT = 1.0  # of a picture in which the initial camera sees the whole arm
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
@@ -314,11 +315,13 @@ def camera_direction(arm: Arm) -> Array:
     return np.asarray(turn @ CAMERA_DIRECTION)
 
 
-def viewpoint(arm: Arm) -> Viewpoint:
-    """Return a camera that has the straight arm in sight."""
-    points = np.vstack([arm.chain.base, arm.at(arm.straight()).points])
+def viewpoint(task: Task) -> Viewpoint:
+    """Return a camera that has the straight arm and the curves of all keyframes in sight."""
+    arm = task.arm
+    points = [arm.chain.base[None], arm.at(arm.straight()).points]
+    points += [needed_part(arm, each) for each in keyframes_of(task)]
     radius = BALL_RADIUS * link_radius(arm)
-    return framing(points, radius, camera_direction(arm), MIN_ASPECT, COVERED_AT_FIRST)
+    return framing(np.vstack(points), radius, camera_direction(arm), MIN_ASPECT, COVERED_AT_FIRST)
 
 
 def framing(points: Array, radius: float, direction: Array, aspect: float, covered: float) -> Viewpoint:
@@ -351,10 +354,10 @@ def framing(points: Array, radius: float, direction: Array, aspect: float, cover
     return Viewpoint(position, position + (middle[2] - depth) * ahead, float(np.radians(FIELD_OF_VIEW)))
 
 
-def set_stage(server: viser.ViserServer, arm: Arm) -> None:
-    """Set light and camera for an arm, and a floor below it."""
+def set_stage(server: viser.ViserServer, arm: Arm, view: Viewpoint) -> None:
+    """Set light and the initial camera for an arm, and a floor below it."""
     base, length = arm.chain.base, arm.length
-    tip, view = arm.at(arm.straight()).points[-1], viewpoint(arm)
+    tip = arm.at(arm.straight()).points[-1]
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map("city", environment_intensity=0.55)
@@ -385,6 +388,7 @@ class Page:
 
     Attributes:
         url: where a browser on this machine finds it; anyone who has it can edit.
+        view: the initial camera.
 
     Raises:
         ViewerError: it cannot be served.
@@ -407,15 +411,17 @@ class Page:
         )
         offer_tour(self._server)
         self._server.on_client_connect(self._watch_aspect)
-        self._build(session.arm)
+        self._build(session.task)
 
-    def _build(self, arm: Arm) -> None:
-        """Make all parts for an arm."""
+    def _build(self, task: Task) -> None:
+        """Make all parts for the arm of a task."""
+        arm = task.arm
+        self.view = viewpoint(task)
         server, post, scans = self._server, self._post, self._surroundings.scans
         server.gui.set_panel_label("pinposture")
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(CONTROLS_WIDTH)
-        set_stage(server, arm)
+        set_stage(server, arm, self.view)
         self._arm = ArmDrawing(server, arm)
         self._parts: list[Part] = [
             CurveDrawing(server, arm),
@@ -457,9 +463,10 @@ class Page:
         client.camera.on_update(watch)
 
     def _frame(self, direction: str, session: Session, only: int | None = None) -> None:
-        """Move the camera of one or all browsers so that the arm and all control points are in sight."""
+        """Move the camera of one or all browsers so that the arm, its curves and balls are in sight."""
         arm, q = session.arm, self._arm.q
-        points = np.vstack([self._arm.foot, arm.chain.base, session.shape.points, arm.at(q).points])
+        own = [self._arm.foot, arm.chain.base[None], session.shape.points, arm.at(q).points]
+        points = np.vstack([*own, *(needed_part(arm, each) for each in keyframes_of(session.shown))])
         radius = BALL_RADIUS * link_radius(arm)
         for number, client in self._server.get_clients().items():
             camera = client.camera
@@ -480,7 +487,7 @@ class Page:
             if live.arm is not self._arm.arm:
                 self._server.gui.reset()
                 self._server.scene.reset()
-                self._build(live.arm)
+                self._build(session.task)
             live = session.playback.seen(live)
             self._arm.move(live.state.q)
             for part in self._parts:

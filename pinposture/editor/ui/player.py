@@ -244,7 +244,7 @@ class Plots:
         entries = [
             (palette.INK, f"last {LIVE_SPAN:g} s" if moment is None else f"{moment:.2f} s"),
             (self._color, f"mean error {self._in_words(mean)}"),
-            (_lighter(self._color), f"largest {self._in_words(largest)}"),
+            (_darker(self._color), f"largest {self._in_words(largest)}"),
         ]
         if speed is not None:
             entries.append((SPEED_COLOR, f"speed {100.0 * speed:.0f} %"))
@@ -266,7 +266,7 @@ def _lines(color: str) -> tuple[uplot.Series, ...]:
 
     return (
         {"label": "time"},
-        line("largest error", "mm", _lighter(color), 1.2),
+        line("largest error", "mm", _darker(color), 1.2),
         line("mean error", "mm", color, 2.0),
         line("acceleration", "share", ACCELERATION_COLOR, 1.0),
         line("speed", "share", SPEED_COLOR, 1.6),
@@ -290,8 +290,8 @@ def _axes() -> tuple[uplot.Axis, ...]:
     )
 
 
-def _lighter(color: str) -> str:
-    return palette.mixed(color, "#FFFFFF", 0.5)
+def _darker(color: str) -> str:
+    return palette.mixed(color, palette.TARGET, 0.4)
 
 
 ON_PRESS = """

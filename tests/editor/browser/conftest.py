@@ -92,7 +92,7 @@ def look(browser: Any, edit: object, pictures: Path | None) -> Iterator[Callable
     windows: list[Window] = []
 
     def open_window(editor: Editor, **named: Any) -> Window:
-        windows.append(Window(browser, editor.url, editor.session.arm, pictures, **named))
+        windows.append(Window(browser, editor.url, editor.page.view, pictures, **named))
         return windows[-1]
 
     yield open_window

@@ -18,6 +18,7 @@ from editor.browser.window import Window
 import pinposture as pp
 from pinposture.editor.edits import Shape, keyframes_of
 from pinposture.editor.files import autosave_path
+from pinposture.editor.ui.page import viewpoint
 
 pytestmark = pytest.mark.browser
 
@@ -32,7 +33,7 @@ def test_what_a_killed_server_leaves_is_taken_up_again(
 ) -> None:
     content, task = file.read_text(), pp.Task.load(file)
     with served(file) as (server, url):
-        window = Window(browser, url, task.arm, None)
+        window = Window(browser, url, viewpoint(task), None)
         window.key("n")
         wait_until(lambda: window.field("Control point").input_value() == "2", "a key selects a point")
         window.key("Shift+ArrowUp")
@@ -46,7 +47,7 @@ def test_what_a_killed_server_leaves_is_taken_up_again(
     assert np.allclose(moved(left) - moved(task), [0.0, 0.0, 0.01 * task.arm.length], atol=1e-9)
 
     with served(file) as (server, url):
-        window = Window(browser, url, task.arm, pictures)
+        window = Window(browser, url, viewpoint(task), pictures)
         window.says("recovered unsaved changes (from walk.autosave.toml)")
         window.tab("File")
         window.picture("09-recovered")
@@ -62,7 +63,7 @@ def test_a_page_whose_server_is_gone_says_so_and_greys_out(browser: Any, file: P
     port = free_port()
     task = pp.Task.load(file)
     with served(file, port) as (server, url):
-        window = Window(browser, url, task.arm, None)
+        window = Window(browser, url, viewpoint(task), None)
         note = window.page.locator("#gone")
         assert not note.is_visible()
         assert window.page.title() == "pinposture"

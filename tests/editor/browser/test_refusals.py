@@ -85,16 +85,17 @@ def test_a_point_upon_another_and_one_too_few(edit: Edit, look: Look, stiff: Pat
     for _ in range(3):
         window.key("n")
     wait_until(lambda: window.field("Control point").input_value() == "4 (end)", "the last point is selected")
-    numbers = [window.field("x, y, z [m]", k) for k in range(3)]
+    numbers = [window.field("x, y, z [mm]", k) for k in range(3)]
     for number, value in zip(numbers, points[2], strict=True):
-        number.fill(f"{value:g}")
+        number.fill(f"{1e3 * value:g}")
     window.says("is too close to point 3")
     window.picture("08-on-another")
     arrived(editor)
     assert session.task is task
     assert np.array_equal(session.shape.points, points)
     wait_until(
-        lambda: [float(each.input_value()) for each in numbers] == points[3].tolist(), "it stands there"
+        lambda: [float(each.input_value()) for each in numbers] == (1e3 * points[3]).tolist(),
+        "it stands there",
     )
 
     # Four points are the fewest that a cubic curve can do with.

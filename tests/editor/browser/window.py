@@ -11,9 +11,8 @@ import numpy as np
 from editor.browser.desk import PATIENCE, wait_until
 from PIL import Image
 
-from pinposture.arm import Arm
 from pinposture.editor.ui.files import TOUR_SEEN_KEY
-from pinposture.editor.ui.page import viewpoint
+from pinposture.editor.ui.page import Viewpoint
 
 SIZE = {"width": 1280, "height": 720}
 COARSE = 0.4
@@ -46,13 +45,15 @@ class Window:
     Args:
         browser: the browser.
         url: where the editor is.
-        arm: the arm in it.
+        view: its initial camera.
         pictures: where to keep pictures; None if nobody wants any.
         toured: whether this is not the first visit.
     """
 
-    def __init__(self, browser: Any, url: str, arm: Arm, pictures: Path | None, toured: bool = True) -> None:
-        self._arm, self._pictures = arm, pictures
+    def __init__(
+        self, browser: Any, url: str, view: Viewpoint, pictures: Path | None, toured: bool = True
+    ) -> None:
+        self._view, self._pictures = view, pictures
         self._context = browser.new_context(viewport=SIZE)
         self._context.set_default_timeout(1000.0 * PATIENCE)
         if toured:
@@ -68,7 +69,7 @@ class Window:
 
     def at(self, point: Any) -> tuple[float, float]:
         """Where a place of the world is in the window [pixels], while nobody has moved the camera."""
-        view, box = viewpoint(self._arm), self.page.locator(CANVAS).bounding_box()
+        view, box = self._view, self.page.locator(CANVAS).bounding_box()
         ahead = view.look_at - view.position
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
