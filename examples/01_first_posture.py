@@ -9,6 +9,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.units import length_text
 
 # An arm of 20 modules, each with two crossed hinges: 40 degrees of freedom, 1 m long.
 arm = pp.Arm.from_template("RyRz", modules=20)
@@ -24,7 +25,8 @@ start = smooth_configuration(arm, np.random.default_rng(0), amplitude=0.6)
 run = pp.track(arm, target, start, limits=pp.Limits(step=0.1))
 
 print(run.status, "-", run.reason)
-print(f"mean point error {run.mean_error[0]:.3f} m -> {run.mean_error[-1]:.2g} m in {run.steps} steps")
+errors = [length_text(error, arm.length) for error in run.mean_error]
+print(f"mean point error {errors[0]} -> {errors[-1]} in {run.steps} steps")
 
 out = Path("out/first_posture")
 pp.save(run, out / "run.npz")

@@ -9,6 +9,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.units import length_text
 
 arm = pp.Arm.from_template("RyRz", modules=20)
 out = Path("out/your_own_curve")
@@ -22,7 +23,8 @@ largest = curve.curvature(np.linspace(0, curve.length, 500)).max()
 print(f"length {curve.length:.3f} m, largest curvature {largest:.1f} /m")
 
 target = pp.resolve_targets(arm, curve)
-print(f"modules end at {target.parameters[:3].round(3)} ... m, residual {target.residual.max():.1g} m")
+residual = length_text(target.residual.max(), arm.length)
+print(f"modules end at {target.parameters[:3].round(3)} ... m, residual {residual}")
 
 # A curve that is too short raises an error, or is placed as far as it goes.
 short = pp.Curve.line((0, 0, 0), (0.6, 0, 0))

@@ -9,6 +9,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.study import bent_configuration
+from pinposture.units import length_text
 
 # A planar arm of 45 joints; each joint is a control point.
 arm = pp.Arm.from_template("Rz", modules=45, link_lengths=(0.15,))
@@ -25,7 +26,8 @@ target = goal.region(22, 44)
 names = ("geodesic", "selection", "projection", "switching")
 runs = {name: pp.track(arm, target, start, name) for name in names}
 for name, run in runs.items():
-    print(f"{name}: {run.status} after {run.steps} steps, mean point error {run.mean_error[-1]:.2g} m")
+    error = length_text(run.mean_error[-1], arm.length)
+    print(f"{name}: {run.status} after {run.steps} steps, mean point error {error}")
 for switch in runs["switching"].switches:
     print(f"  step {switch.step + 1}: {switch.method}, because {switch.reason}")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import pinposture as pp
+from pinposture.units import length_text
 
 # An arm of 20 modules, each with two crossed hinges: 40 degrees of freedom, 1 m long.
 arm = pp.Arm.from_template("RyRz", modules=20)
@@ -35,7 +36,7 @@ print(f"largest joint velocity: {np.abs(motion.velocities).max():.3f} of {limits
 print(f"largest acceleration: {np.abs(motion.accelerations).max():.3f} of {limits.acceleration} rad/s^2")
 for place in motion.waypoints:
     print(f"  {place.name:14}  planned {place.planned:.2f} s, reached {place.reached:.2f} s")
-print(f"largest mean point error: {motion.mean_error.max():.2g} m")
+print(f"largest mean point error: {length_text(motion.mean_error.max(), arm.length)}")
 
 out = Path("out/five_postures")
 pp.save(motion, out / "motion.npz")

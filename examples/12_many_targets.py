@@ -10,6 +10,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.units import length_text
 from pinposture.viz.palette import add_colorbar, colors_along
 from pinposture.viz.postures import PosturePanel
 
@@ -39,8 +40,9 @@ if __name__ == "__main__":  # worker processes import this file
     figure.savefig(out / "reached.png", dpi=120)
 
     # The runs with the most steps.
-    print("\n run  status     steps  start error [m]  end error [m]   path")
+    print("\n run  status     steps     start error       end error   path")
     for k in np.argsort(-batch.steps, kind="stable")[:8]:
-        errors = f"{batch.start_error[k]:18.3g}  {batch.final_error[k]:11.2g}"
-        print(f"{k:4}  {batch.status[k]:9}  {batch.steps[k]:5}  {errors}  {batch.path_length_ratio[k]:5.2f}")
+        errors = [length_text(each[k], arm.length) for each in (batch.start_error, batch.final_error)]
+        shown = "  ".join(f"{text:>14}" for text in errors)
+        print(f"{k:4}  {batch.status[k]:9}  {batch.steps[k]:5}  {shown}  {batch.path_length_ratio[k]:5.2f}")
     print(f"figure: {out / 'reached.png'}")

@@ -10,6 +10,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.control import CONTROLLERS, Diagnostics, Memory, Step
+from pinposture.units import length_text
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def main() -> None:
     CONTROLLERS["transpose"] = JacobianTranspose  # now it has a name
     runs = {name: pp.track(arm, target, q0, name) for name in ("transpose", "projection", "geodesic")}
     for name, run in runs.items():
-        print(f"{name:12}{run.mean_error[-1]:8.2g} m after {run.steps} steps")
+        print(f"{name:12}{length_text(run.mean_error[-1], arm.length):>15} after {run.steps} steps")
 
     out = Path("out/your_own_controller")
     out.mkdir(parents=True, exist_ok=True)

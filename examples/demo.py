@@ -13,6 +13,7 @@ from rich.table import Table
 import pinposture as pp
 from pinposture.study import case
 from pinposture.study.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS
+from pinposture.units import length_text
 
 SEED = 17
 OUT = Path("out")
@@ -30,7 +31,7 @@ def main() -> None:
     scenarios = (*SPATIAL_SCENARIOS, *PLANAR_SCENARIOS[:2])
     console.print(f"starts and targets from seed {SEED}, |dq| <= 0.1 rad per step")
     table = Table(
-        "arm", "scenario", "controller", r"mean point error \[m]", "steps", "paths", "points used", "ending"
+        "arm", "scenario", "controller", "mean point error", "steps", "paths", "points used", "ending"
     )
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("tracking", total=len(CONTROLLERS) * len(scenarios))
@@ -42,7 +43,7 @@ def main() -> None:
                 run = runs[name] = pp.track(arm, target, start, name)
                 errors, points = run.mean_error, run.active.sum(axis=1)
                 used = f"{points[0]} -> {points[-1]}" if run.steps else "none"
-                change = f"{errors[0]:.3g} -> {errors[-1]:.3g}"
+                change = " -> ".join(length_text(error, arm.length) for error in (errors[0], errors[-1]))
                 ending = f"{run.status}: {run.reason}"
                 row = (change, str(run.steps), f"{run.path_length_ratio:.2f}", used, ending)
                 table.add_row(scenario.arm, scenario.title, name, *row)

@@ -21,7 +21,7 @@ from pinposture.cli.inputs import (
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
 from pinposture.errors import InvalidValue, UnsupportedModule, enumerated
 from pinposture.storage import write_figure
-from pinposture.units import error_text
+from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -376,7 +376,7 @@ def print_scene(about: Mapping[str, Any]) -> None:
     """Print the result of `describe_scene`: obstacles, bodies of the arm, and what is nearest to each."""
     excluded = [f"{each['first']} to {each['second']}" for each in about["excluded_pairs"]]
     facts = {
-        "margin": f"{about['margin']:.4g} m",
+        "margin": length_text(about["margin"]),
         "to itself": "distances of the arm from itself count" if about["self_collision"] else "not looked at",
         "pairs": f"{about['pairs']}, nearest at zero joint positions below",
     }

@@ -10,6 +10,7 @@ import typer
 from pinposture.cli.inputs import MOST_RUNS, MOTION, OUTPUT, JobsOption, JsonOption, Panel
 from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
+from pinposture.units import length_text
 
 if TYPE_CHECKING:
     from pinposture.control import Controller
@@ -156,7 +157,7 @@ def _print(done: Reproduction) -> None:
         (
             figure.about.number,
             name,
-            f"{run.posture_error[0]:.3g} -> {run.posture_error[-1]:.3g}",
+            " -> ".join(length_text(run.posture_error[row], run.arm.length) for row in (0, -1)),
             run.steps,
             run.status,
             figure.about.title,

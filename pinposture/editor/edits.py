@@ -25,6 +25,7 @@ from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import MOST_CYCLES, OF_A_CURVE, lap_of
 from pinposture.task.phases import is_phased
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -251,7 +252,7 @@ class Shape:
         other = int(np.argmin(distances))
         least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
         if distances[other] < least:
-            reason = f"is too close to point {other + 1}; allowed: {least:.2g} m or more from it"
+            reason = f"is too close to point {other + 1}; allowed: {length_text(least)} or more from it"
             raise CurveError(f"point {index + 1}", reason)
 
     def _lengthened(self, arm: Arm) -> Shape:
@@ -271,7 +272,9 @@ class Shape:
             step = (missing + 0.01 * arm.length) / max(float(np.linalg.norm(ahead)), 1e-12)
             points[-1] = rounded(into_plane(arm, points[-1] + step * ahead))
             longer = replace(self, points=points)
-        reason = f"cannot be moved far enough to make the curve {required:.4g} m long, as the arm requires"
+        reason = (
+            f"cannot be moved far enough to make the curve {length_text(required)} long, as the arm requires"
+        )
         raise CurveError(f"point {len(self.points)}", reason)
 
 

@@ -34,6 +34,7 @@ from pinposture.motion.feedback import Feedback, FeedbackState, read_start
 from pinposture.motion.track import in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -102,7 +103,7 @@ class Report(NamedTuple):
 
     def __repr__(self) -> str:
         why = f": {self.reason}" if self.reason else ""
-        error = "" if self.mean_error is None else f", mean error {self.mean_error:.3g} m"
+        error = "" if self.mean_error is None else f", mean error {length_text(self.mean_error)}"
         violated = f", violates {'; '.join(self.violated_constraints)}" if self.violated_constraints else ""
         return f"Report({self.status}{why}{error}{violated})"
 

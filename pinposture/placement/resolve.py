@@ -57,6 +57,7 @@ from pinposture.placement.target import (
     length_misfit,
     place_curve,
 )
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -250,10 +251,10 @@ class Walk:
         gap = float(np.linalg.norm(curve.at(at) - base.translation))
         to_end = float(np.linalg.norm(curve.at(curve.length) - base.translation))
         if in_reach or (left < reach and to_end < reach):
-            advice = f"the module reaches {reach:.4g} m; lengthen the curve or use fewer modules"
-            return CurveEndsEarly(module, at, f"the curve ends {left:.4g} m beyond its base; {advice}")
+            advice = f"the module reaches {length_text(reach)}; lengthen the curve or use fewer modules"
+            return CurveEndsEarly(module, at, f"the curve ends {length_text(left)} beyond its base; {advice}")
         if gap > reach:
-            text = f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
+            text = f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
             return CurveLeavesTooSharply(module, at, text)
         text = "no posture within its joint limits puts its end on the curve"
         kind = CurveLeavesTooSharply if unit.module == 0 else CurveBendsTooMuch
@@ -285,21 +286,23 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) ->
     off_axis = unit.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0])) > 1e-6
     left = curve.length - at
     if (found and left < reach - slack) or not (found or beyond):  # where it could only fold, it also ends
-        away = "" if found else f", {np.linalg.norm(last):.4g} m away from it"
+        away = "" if found else f", {length_text(float(np.linalg.norm(last)))} away from it"
         text = (
-            f"the curve ends {left:.4g} m beyond its base{away}" if left > slack else "the curve ends there"
+            f"the curve ends {length_text(left)} beyond its base{away}"
+            if left > slack
+            else "the curve ends there"
         )
-        advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
+        advice = f"the module is {length_text(reach)} long; lengthen the curve or use fewer modules"
         return CurveEndsEarly(module, at, f"{text}; {advice}")
     if found:
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
         return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {GENTLER}")
     gap = float(np.linalg.norm(first))
     if gap > reach:
-        text = f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
+        text = f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
         return CurveLeavesTooSharply(module, at, text)
     if unit.kinematics.dof == 1 and abs(last[1]) > slack:
-        text = f"the curve is {abs(last[1]):.4g} m off the plane in which the module moves"
+        text = f"the curve is {length_text(abs(last[1]))} off the plane in which the module moves"
         return CurveBendsTooMuch(module, at, f"{text}; use a planar curve in that plane, or two hinges")
     direction = last / np.linalg.norm(last)
     angle = float(np.degrees(np.arccos(np.clip(direction[0], -1.0, 1.0))))
@@ -615,7 +618,7 @@ def _obstruction(
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
     if gap > ON_CURVE * arm.length and not np.any(arm.roaming):
-        return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {AT_THE_BASE}"
+        return CurveLeavesTooSharply, f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"
         return CurveBendsTooMuch, f"its joint axes are parallel, so it moves in a plane; {advice}"

@@ -21,7 +21,7 @@ from matplotlib.ticker import NullFormatter
 
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
-from pinposture.units import ROUNDING
+from pinposture.units import ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.panels import (
     mark_projection,
@@ -270,7 +270,8 @@ def _finished(figure: Figure, width: float | None) -> Figure:
 
 
 def _change(run: Trajectory) -> str:
-    return f"{run.posture_error[0]:.3g} m -> {run.posture_error[-1]:.3g} m"
+    first, last = (length_text(run.posture_error[row], run.arm.length) for row in (0, -1))
+    return f"{first} -> {last}"
 
 
 def _head(ax: Axes, text: str, letter: int) -> None:

@@ -31,6 +31,7 @@ from pinposture.placement.module_kinematics import is_compiled, unit_arrays
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
 from pinposture.placement.target import beginning, fitting_slides, length_misfit
 from pinposture.task.reference import AnchoredCurve, BentCurve
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -556,7 +557,7 @@ def _warn_of_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolve
     length = anchored.curve.length - anchored.parameter
     allowed = float(arm.chain.module_lengths.max()) * (SLIDING_REST if np.any(fitting_slides(arm)) else 1.0)
     if not keyframes[index].trim and length - covered > allowed:
-        text = f"the arm takes the first {covered:.4g} m of its curve of {length:.4g} m"
+        text = f"the arm takes the first {length_text(covered)} of its curve of {length_text(length)}"
         warn_caller(f"{title(keyframes, index)}: {text}; set trim to accept this")
 
 
@@ -591,7 +592,7 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
         state, missed = bring_to_goal(arm, keyframe.tip, state)
     if missed > STRICT_TIP_TOLERANCE * arm.length:
         advice = "move it nearer, limit the posture to a region, or use a weight instead of priority"
-        reason = f"its tip task with priority is missed by {missed:.4g} m in the closest posture found"
+        reason = f"its tip task with priority is missed by {length_text(missed)} in the closest posture found"
         raise TaskError(where, f"{reason}; {advice}")
     return np.asarray(arm.difference(q, state.q))
 

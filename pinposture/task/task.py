@@ -57,6 +57,7 @@ from pinposture.task.reference import (
 from pinposture.task.specification import DEFAULT_CYCLE, RESULT_FORMATS, shown
 from pinposture.task.toml import Place, TomlLayout
 from pinposture.task.writer import layout_of, write_task
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -706,13 +707,14 @@ class _Performance:
         for mark, waypoint in zip(self.guide.reference.marks, waypoints, strict=True):
             off = waypoint.off_curve or 0.0
             if mark.way is not None and waypoint.missed and off > self._max_distance(mark.way):
-                allowed = f"planned: {mark.way.planned:.3g} m, allowed: {self._max_distance(mark.way):.3g} m"
-                return f"the arm left its path by {off:.3g} m on the way to {mark.name} ({allowed})"
+                most = length_text(self._max_distance(mark.way))
+                allowed = f"planned: {length_text(mark.way.planned)}, allowed: {most}"
+                return f"the arm left its path by {length_text(off)} on the way to {mark.name} ({allowed})"
         missed = [waypoint for waypoint in waypoints if waypoint.missed]
         worst = max(missed, key=lambda waypoint: waypoint.mean_error or 0.0)
         one, number = len(missed) == 1, f"{len(missed)} of {len(waypoints)} postures"
         text = f"{number} {'is' if one else 'are'} missed, {'' if one else 'most '}{worst.name}, by "
-        text += f"{worst.mean_error:.3g} m on average (allowed: {self._max_lag:.3g} m)"
+        text += f"{length_text(worst.mean_error or 0.0)} on average (allowed: {length_text(self._max_lag)})"
         row = self.guide.reference.marks[waypoints.index(worst)].row
         if not self.guide.is_within_limits(row):
             text += "; it is outside the joint limits, or within their position margin"
@@ -844,7 +846,7 @@ class _Performance:
             place, behind = self._place, loop.record.mean_error > self._max_lag
             if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
                 error = loop.record.mean_error
-                self._note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")
+                self._note(place, f"the arm was {length_text(error)} behind on average, and did not catch up")
                 patient = False
             if behind and patient:
                 speed = 0.0

@@ -25,7 +25,7 @@ from pinposture.arm import Arm
 from pinposture.control import registry
 from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import ENDINGS
-from pinposture.units import BELOW_ROUNDING
+from pinposture.units import BELOW_ROUNDING, length_text
 
 START = "#0072B2"  # initial posture
 FINAL = "#6A51A3"  # final posture of a controller without a colour of its own
@@ -187,7 +187,7 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
     right, up, ha, va = styles[where]
     taken = [text.get_window_extent().padded(2.0) for text in ax.texts]
     written = ax.annotate(
-        BELOW_ROUNDING if abs(value) < floor else f"{value:.3g} m",
+        BELOW_ROUNDING if abs(value) < floor else length_text(value),
         place,
         xycoords=scale,
         xytext=(right, up),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.motion.trajectory import closest, limit_shares
-from pinposture.units import BELOW_ROUNDING, ROUNDING
+from pinposture.units import BELOW_ROUNDING, ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
 from pinposture.viz.postures import (
@@ -238,7 +238,7 @@ def plot_clearance(
     values = np.where(np.isfinite(run.clearance), run.clearance, np.nan)
     ax.plot(places, values, color=color, lw=1.6, label=label, marker=marker(run.steps + 1))
     if run.scene is not None:
-        margin = f"margin to keep, {run.scene.margin:.3g} m"
+        margin = f"margin to keep, {length_text(run.scene.margin)}"
         if margin not in [line.get_label() for line in ax.get_lines()]:
             ends = [0.0, places[-1] or 1.0]
             ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=DASHES, label=margin)

@@ -90,7 +90,7 @@ def test_a_tip_out_of_reach_is_refused_without_a_wrong_number() -> None:
     goal = pp.EndEffector((0, 0, 2 * L), priority=True)
     verdict = judge(six_modules(), Keyframe(straight_line(), name="third", tip=goal), None)
     assert verdict.target is None
-    assert "is missed by 0.3 m" in verdict.reason
+    assert "is missed by 300 mm" in verdict.reason
     assert "keyframe" not in verdict.reason
 
 

@@ -159,7 +159,7 @@ def test_placements_mean_what_they_say(arm: pp.Arm) -> None:
     np.testing.assert_allclose(turned.points[-1], [1.0, 0, 0], atol=1e-9)
     backward = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (-1.1, 0, 0)))
     np.testing.assert_allclose(backward.points[-1], [1.0, 0, 0], atol=1e-9)
-    with pytest.raises(CurveLeavesTooSharply, match=r"passes 0\.3 m from the base"):
+    with pytest.raises(CurveLeavesTooSharply, match=r"passes 300 mm from the base"):
         pp.resolve_targets(arm, curve, placement="as_is")
 
 

@@ -27,6 +27,7 @@ from pinposture.errors import (
 from pinposture.task.follow_leader import advance, follow_leader, path_deviation
 from pinposture.task.reference import off_curve
 from pinposture.task.task import perform
+from pinposture.units import length_text
 
 LINK = 0.05
 
@@ -333,7 +334,7 @@ def test_a_motion_that_leaves_the_path_on_its_way_is_missed_though_it_arrives():
     assert off > 0.1 * LINK + path_deviation(arm, rows(reference), path).largest
     assert motion.run.mean_error[-1] < 1e-6
     assert motion.run.status == "missed"
-    assert f"the arm left its path by {off:.3g} m on the way to inside" in motion.run.reason
+    assert f"the arm left its path by {length_text(off)} on the way to inside" in motion.run.reason
     assert motion.faults
 
 

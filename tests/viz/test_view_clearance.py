@@ -53,9 +53,9 @@ def test_the_clearance_panel_shows_every_step_the_margin_and_the_least_value():
     np.testing.assert_array_equal(line.get_xdata(), np.arange(free.steps + 1))
     np.testing.assert_array_equal(margin.get_ydata(), [0.02, 0.02])
     pair = pp.CollisionModel(run.arm, run.scene).minimum(run.q[5]).pair
-    assert entries(ax) == [f"closest: {' to '.join(pair)}", "margin to keep, 0.02 m"]
+    assert entries(ax) == [f"closest: {' to '.join(pair)}", "margin to keep, 20 mm"]
     (text,) = ax.texts
-    assert text.get_text() == "0.0213 m"
+    assert text.get_text() == "21.3 mm"
     assert text.xy == (5, 0.0213)
 
 
@@ -87,7 +87,7 @@ def test_only_a_run_in_a_scene_has_a_clearance_panel():
 def test_a_comparison_names_the_margin_once():
     figure = pp.plot_comparison({"a": in_scene(), "b": in_scene()})
     (ax,) = (each for each in figure.axes if each.get_ylabel() == "clearance [m]")
-    assert entries(ax).count("margin to keep, 0.02 m") == 1
+    assert entries(ax).count("margin to keep, 20 mm") == 1
     assert len(ax.texts) == 2
 
 
