@@ -290,8 +290,8 @@ def plan_phases(
         first, last = pieces[0], pieces[-1]
         ends = time + sum(piece.duration for piece in pieces)
         path = first.marks[0].target.curve if isinstance(phase.motion, Leader) else None
-        begin, end = first.configuration(0), last.configuration(last.rows - 1)
-        planned.append(PlannedPhase(begin, end, time, ends, path))
+        end = last.configuration(last.rows - 1)
+        planned.append(PlannedPhase(first.configuration(0), end, time, ends, path))
         time = ends
     return planned
 
