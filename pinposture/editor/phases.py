@@ -119,7 +119,8 @@ def editable(task: Task, index: int | None = None) -> Task:
     phases = task.motion
     if index is None:
         index = next((number for number, phase in enumerate(phases) if keyed(phase)), 0)
-    phase, own = phases[index], keyed(phases[index])
+    phase = phases[index]
+    own = keyed(phase)
     # Keyframes of the phase are edited, whether or not the arm can take them.
     planned = plan_phases(
         task.arm,
@@ -131,7 +132,8 @@ def editable(task: Task, index: int | None = None) -> Task:
     )
     begin: Keyframe | None = None
     end: Keyframe | None = None
-    begins = ends = planned[-1].ends if planned else 0.0
+    ends = planned[-1].ends if planned else 0.0
+    begins = ends
     if not own:
         here = planned[-1]
         begins = here.begins

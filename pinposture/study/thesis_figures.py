@@ -270,8 +270,7 @@ def _finished(figure: Figure, width: float | None) -> Figure:
 
 
 def _change(run: Trajectory) -> str:
-    first, last = (length_text(run.posture_error[row], run.arm.length) for row in (0, -1))
-    return f"{first} -> {last}"
+    return " -> ".join(length_text(run.posture_error[row], run.arm.length) for row in (0, -1))
 
 
 def _head(ax: Axes, text: str, letter: int) -> None:

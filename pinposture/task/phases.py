@@ -287,7 +287,8 @@ def plan_phases(
     time = 0.0
     for index, phase in enumerate(phases):
         pieces = planner.append(phases, index)
-        first, last = pieces[0], pieces[-1]
+        first = pieces[0]
+        last = pieces[-1]
         ends = time + sum(piece.duration for piece in pieces)
         path = first.marks[0].target.curve if isinstance(phase.motion, Leader) else None
         end = last.configuration(last.rows - 1)
@@ -353,7 +354,8 @@ class _Planner:
         Raises:
             TaskError: the arm cannot perform it; names it.
         """
-        phase, before = phases[index], len(self._pieces)
+        phase = phases[index]
+        before = len(self._pieces)
         name = phase.name or f"phase {index + 1}"
         with _naming(phases, index, begun=index > 0 and bool(keyed(phase))):
             if isinstance(phase.motion, Leader):

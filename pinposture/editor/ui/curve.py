@@ -401,7 +401,9 @@ class ShapeTab:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._post, gui = post, server.gui
-        self._index, self._keyframe, self._start = 0, 0, arm.straight()
+        self._index = 0
+        self._keyframe = 0
+        self._start = arm.straight()
         hint = "Or click on one in the picture; Shift and a click selects several"
         self._taught = gui.add_markdown(
             "A taught configuration has no control points. *Keyframes*, *To curve* draws a curve through it.",
@@ -451,7 +453,8 @@ class ShapeTab:
         index = TIP if session.tip else handle
         if index is not None and (index, session.selected) != (self._index, self._keyframe):
             self._place.finish()  # it was meant for the one before
-            self._index, self._keyframe = index, session.selected
+            self._index = index
+            self._keyframe = session.selected
         if index == TIP:
             self._place.show(live.state.points[-1], disabled=False)
         elif index is not None:

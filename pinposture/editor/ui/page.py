@@ -77,7 +77,8 @@ MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
-STATUS_HEIGHT, STATUS_SHARE = 124, 45  # least [pixels], and most, of a hundred of the page
+STATUS_HEIGHT = 124  # at least [pixels]
+STATUS_SHARE = 45  # of the height of the page, at most [%]
 IN_SIGHT = """<style>
 div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}
 div:has(> div > div > div > #always) {overflow: visible !important}

@@ -155,7 +155,10 @@ class Typed:
         preview: bool = False,
         unit: float | None = None,
     ) -> None:
-        self.control, self._act, self._preview, self._unit = control, act, preview, unit
+        self.control = control
+        self._act = act
+        self._preview = preview
+        self._unit = unit
         self._typed: Any = None
         self._value: Any = control.value
         self._since: float | None = None

@@ -42,7 +42,8 @@ logger = logging.getLogger(__name__)
 DEGREE = np.pi / 180.0
 NUMBER_STEP = 0.1  # of the arrows beside a number
 PATH_PIECES = 120  # straight pieces of the path of a leader
-PATH_COLOR, GOAL_COLOR = palette.SPARE[2], palette.SPARE[1]
+PATH_COLOR = palette.SPARE[2]
+GOAL_COLOR = palette.SPARE[1]
 GOAL_RADIUS = 1.8  # of a goal of the tip, relative to that of the bars of the arm
 
 
@@ -151,7 +152,9 @@ class PhaseControls:
     """Controls that choose a phase, and edit what is no keyframe of it."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, planner: PhasePlanner, post: Post) -> None:
-        self._planner, self._post, gui = planner, post, server.gui
+        self._planner = planner
+        self._post = post
+        gui = server.gui
         self._key: tuple[int, ...] = ()
         self._index = 0
         self._choice = gui.add_dropdown("Phase", ("none",), visible=False, hint="Which phase is shown")

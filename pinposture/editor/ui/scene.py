@@ -428,7 +428,9 @@ class SceneTab:
     """Controls for the surroundings of the arm: obstacles in numbers, margins, scans, and the clearance."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, scans: ScanShelf, post: Post) -> None:
-        self._post, self._shelf, gui = post, scans, server.gui
+        self._post = post
+        self._shelf = scans
+        gui = server.gui
         digits = coordinate_digits(arm.length)
         step = 10.0**-digits
         finer = digits + FINER_DIGITS
