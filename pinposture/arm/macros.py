@@ -6,7 +6,7 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -25,6 +25,9 @@ EXTRA = "pip install 'pinposture[descriptions]'"
 
 MACROS = "http://www.ros.org/wiki/xacro"
 """The namespace of xacro."""
+
+MOST_ELEMENTS = 100_000
+"""Most elements to which macros may expand: xacro takes 2 s for 32,000, and minutes for 300,000."""
 
 _ARGUMENT = re.compile(r"""<xacro:arg\s[^>]*?\bname\s*=\s*["']([^"']+)|\$\(arg\s+([^\s()]+)""")
 _LOCK = Lock()  # xacro keeps the state of an expansion in its modules
@@ -208,6 +211,16 @@ def _adapted(xacro: Any, arguments: Arguments, folders: Sequence[Path]) -> Itera
             xacro.filestack.pop()  # it is not being read
             raise xacro.XacroException(str(error), exc=error) from error  # which "optional" includes catch
 
+    evaluate = xacro.eval_all
+    evaluated = count(1)
+
+    def evaluate_counted(node: Any, macros: Any, symbols: Any) -> None:
+        if next(evaluated) > MOST_ELEMENTS:
+            label = xacro.filestack[-1] or "xacro text"
+            reason = f"expands to more than {MOST_ELEMENTS} elements; call fewer macros in macros"
+            raise URDFError(str(label), "<robot>", reason)
+        evaluate(node, macros, symbols)
+
     def log(*words: object, **_: object) -> None:
         logger.warning(" ".join(map(str, words)))
 
@@ -215,6 +228,7 @@ def _adapted(xacro: Any, arguments: Arguments, folders: Sequence[Path]) -> Itera
         (vars(substitution_args), "_eval_find", find),
         (substitution_args._eval_dict, "find", find),
         (vars(xacro), "parse", parse),
+        (vars(xacro), "eval_all", evaluate_counted),
         (vars(xacro), "print", log),
         (vars(color), "print", log),
     ]

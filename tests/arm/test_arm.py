@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from xml.etree import ElementTree
 
 import numpy as np
@@ -436,3 +438,23 @@ def test_positions_called_plausible_pass_the_check_in_silence(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_joint_positions("q", np.clip(positions, low, high), limits, slides, list("abcde"))
+
+
+def test_threads_may_share_an_arm(arm: pp.Arm) -> None:
+    fresh = pp.Arm.from_template("RyRz", 6, (L1, L2))
+    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (40, arm.nv))
+
+    def measure(q: np.ndarray) -> list[np.ndarray]:
+        state = fresh.at(q)
+        return [state.points, state.rotations, state.jacobians, state.manipulability(), state.compiled.points]
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)  # threads take turns within each call
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            found = list(pool.map(measure, rows))
+    finally:
+        sys.setswitchinterval(interval)
+    for q, values in zip(rows, found, strict=True):
+        for value, expected in zip(values, measure(q), strict=True):
+            np.testing.assert_array_equal(value, expected)

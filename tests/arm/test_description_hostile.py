@@ -181,3 +181,13 @@ def test_macros_that_lead_too_deep_are_refused(content: str) -> None:
     head = "<robot name='r' xmlns:xacro='http://www.ros.org/wiki/xacro'>"
     with pytest.raises((URDFError, FileError)):
         pp.Arm.load(f"{head}{content}</robot>")
+
+
+def test_macros_that_multiply_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pinposture.arm.macros.MOST_ELEMENTS", 300)  # for the sake of time
+    macros = "<xacro:macro name='m0'><link name='a'/></xacro:macro>"
+    for k in range(8):
+        macros += f"<xacro:macro name='m{k + 1}'>{f'<xacro:m{k}/>' * 10}</xacro:macro>"
+    head = "<robot name='r' xmlns:xacro='http://www.ros.org/wiki/xacro'>"
+    with pytest.raises(URDFError, match="expands to more than 300 elements"):
+        pp.Arm.load(f"{head}{macros}<xacro:m8/></robot>")
