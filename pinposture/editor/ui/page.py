@@ -172,24 +172,26 @@ def _heading(session: Session, live: Live) -> str:
     """Return what the arm is doing, and how near it is to what it should do."""
     length = session.arm.length
     error = length_text(live.mean_error, length)
+    to_go = "" if error == BELOW_ROUNDING else f", {error} to go"
     distance = live.verdict.distance_from_curve
     if session.playback.q is not None:
         playback = session.playback
         head = "Playing the motion" if playback.playing else f"Motion at {playback.time:.1f} s"
         head += _lap(session.task, playback)
-        head += f", {error} off its targets"
+        head += ", on its targets" if error == BELOW_ROUNDING else f", {error} off its targets"
     elif live.reason == NOT_DONE:
-        head = f"Planning, {error} to go"
+        head = f"Planning{to_go}"
     elif live.status == "moving":
-        head = f"Moving, {error} to go"
+        head = f"Moving{to_go}"
     elif live.status != "converged":
-        head = f"Stopped, {error} to go"
+        head = f"Stopped{to_go}"
     elif distance is not None:
         head = f"On the curve{_within(distance, length)}"
     else:
         head = f"On target{_within(live.mean_error, length)}"
     if live.tip_error is not None:
-        head += f", tip {length_text(live.tip_error, length)} off"
+        off = length_text(live.tip_error, length)
+        head += ", tip on its goal" if off == BELOW_ROUNDING else f", tip {off} off"
     if session.nearest is not None:
         clearance = session.nearest.distance
         head += f", {length_text(abs(clearance))} {'inside' if clearance < 0.0 else 'clear'}"
