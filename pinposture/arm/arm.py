@@ -832,14 +832,24 @@ class ArmState:
     def screws(self) -> Screws:
         """The joint screws, for kernels; do not write to them."""
         chain, forward, frames = self.arm.kinematics, self.forward, self.frames
-        constants, points = chain.task_constants, (frames or forward).points
+        constants = chain.task_constants
+        points = (frames or forward).points
         found = Screws(np.empty((len(constants.joints), 6)), chain.ends, points)
         if frames is not None:
-            given = frames.motions, chain.columns, constants.units
-            kernels.carry_screws(*given, chain.ends, points, found.screws)
+            kernels.carry_screws(
+                frames.motions, chain.columns, constants.units, chain.ends, points, found.screws
+            )
         else:
-            joints = chain.constants, constants.joints, constants.units
-            kernels.find_screws(*joints, forward.axes, forward.origins, chain.ends, points, found.screws)
+            kernels.find_screws(
+                chain.constants,
+                constants.joints,
+                constants.units,
+                forward.axes,
+                forward.origins,
+                chain.ends,
+                points,
+                found.screws,
+            )
         return found
 
     def jacobian(self, frame: str) -> Array:

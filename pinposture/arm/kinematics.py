@@ -502,10 +502,14 @@ class Kinematics:
 
     def forward(self, positions: Array) -> ForwardKinematics:
         """Compute all placements at joint positions (nv,) [rad or m]."""
-        k, m = len(self.constants.slides), len(self.ends)
-        arrays = np.empty((k, 3)), np.empty((k, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
-        kernels.placements(self.constants, positions, *arrays)
-        return ForwardKinematics(*arrays, positions)
+        k = len(self.constants.slides)
+        m = len(self.ends)
+        axes = np.empty((k, 3))
+        origins = np.empty((k, 3))
+        points = np.empty((m, 3))
+        rotations = np.empty((m, 3, 3))
+        kernels.placements(self.constants, positions, axes, origins, points, rotations)
+        return ForwardKinematics(axes, origins, points, rotations, positions)
 
     def points(self, positions: Array) -> Array:
         """Compute the control points, (s, m, 3) [m], at several joint positions, (s, nv) [rad or m]."""

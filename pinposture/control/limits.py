@@ -21,6 +21,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.arm.arm import arm_of
 from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.errors import InvalidValue, warn_caller
+from pinposture.kernels.arrays import LimitArrays
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,11 @@ class JointBounds(NamedTuple):
     acceleration: Array | None
     jerk: Array | None
 
+    @property
+    def arrays(self) -> LimitArrays:
+        """The limits of a step, for kernels."""
+        return LimitArrays(self.units, self.slack, self.edges, self.bound)
+
 
 def joint_bounds(
     arm: Arm,
@@ -74,7 +80,10 @@ def joint_bounds(
     Raises:
         InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
     """
-    bound, brake, change, change_of_change = np.full(arm.nv, np.inf), None, None, None
+    bound = np.full(arm.nv, np.inf)
+    brake: Array | None = None
+    change: Array | None = None
+    change_of_change: Array | None = None
     if step is not None:
         bound = np.minimum(bound, _per_joint("step", step, arm))
     if dt is not None:
@@ -376,11 +385,24 @@ class Limits:
         bounds = self.for_arm(arm)
         positions = state.forward.positions
         before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
-        sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
+        sides = np.empty((2, arm.nv))
         brake = _NO_BOUND if bounds.brake is None else bounds.brake
-        given = bounds.edges, bounds.bound, brake, before
-        found = kernels.step_box(positions, *given, LIMIT_ROUNDING, columns, bounds.slack, sides)
-        relaxed = violated_limits(arm, positions, *given, LIMIT_ROUNDING) if found % 2 else ()
+        found = kernels.step_box(
+            positions,
+            bounds.edges,
+            bounds.bound,
+            brake,
+            before,
+            LIMIT_ROUNDING,
+            arm.kinematics.columns,
+            bounds.slack,
+            sides,
+        )
+        relaxed: tuple[str, ...] = ()
+        if found % 2:
+            relaxed = violated_limits(
+                arm, positions, bounds.edges, bounds.bound, brake, before, LIMIT_ROUNDING
+            )
         return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
@@ -402,9 +424,11 @@ class Limits:
         dq = finite_vector("dq", dq, arm.nv, LARGEST_NUMBER)
         before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
         brake = _NO_BOUND if bounds.brake is None else bounds.brake
-        cut, clipped = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
-        given = state.forward.positions, bounds.edges, bounds.bound, brake, before
-        scale = kernels.shorten_step(dq, *given, cut, clipped)
+        cut = np.empty(arm.nv)
+        clipped = np.empty(arm.nv, dtype=np.bool_)
+        scale = kernels.shorten_step(
+            dq, state.forward.positions, bounds.edges, bounds.bound, brake, before, cut, clipped
+        )
         return LimitedStep(cut, scale, clipped)
 
     def hold(self, state: ArmState, previous: Array | None = None) -> LimitedStep:

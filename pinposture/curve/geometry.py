@@ -336,8 +336,10 @@ class Geometry:
         except ValueError:  # rows of different lengths
             one = False
         given = as_points(np.asarray(points)[None] if one else points, least=0)
-        found = kernels.nearest_places(*self.measured, _MIN_PIECES, given)
-        parameter, distance = found[:, 0].copy(), found[:, 1].copy()
+        spline, length = self.measured
+        found = kernels.nearest_places(spline, length, _MIN_PIECES, given)
+        parameter = found[:, 0].copy()
+        distance = found[:, 1].copy()
         return Nearest(parameter[0], distance[0]) if one else Nearest(parameter, distance)
 
     def _values(self, u: Array, order: int = 0) -> Array:

@@ -119,6 +119,82 @@ class ChainArrays(NamedTuple):
     starts: Ints1
 
 
+class LimitArrays(NamedTuple):
+    """The limits of a step, of a chain of n joints among nv joint positions.
+
+    Attributes:
+        units: unit of motion of each joint of the chain, (n,) [rad or m].
+        slack: excess over a position limit beyond which a joint is brought back, (n,) [rad or m].
+        edges: position limits, (2, nv) [rad or m].
+        bound: largest step of each joint, (nv,) [rad or m].
+    """
+
+    units: Array1
+    slack: Array1
+    edges: Array2
+    bound: Array1
+
+
+class PointGoals(NamedTuple):
+    """Where m points are to be.
+
+    Attributes:
+        targets: their places, (m, 3) [m].
+        flags: which of them have one, (m,).
+    """
+
+    targets: Array2
+    flags: Flags1
+
+
+class PathTolerances(NamedTuple):
+    """Tolerances of the steps along a path, in units of motion of the joints.
+
+    Attributes:
+        disturbed: largest difference from the expected joint positions.
+        arrived: remaining joint motion at which the path ends.
+        rounding: excess over the limits that counts as rounding.
+        max_motion: largest motion of a joint in a step.
+    """
+
+    disturbed: float
+    arrived: float
+    rounding: float
+    max_motion: float
+
+
+class StepArrays(NamedTuple):
+    """A step of nv joints, filled by a kernel.
+
+    Attributes:
+        dq: the step, (nv,) [rad or m].
+        reached: joint positions after it, (nv,) [rad or m].
+        at_limit: joints that are at a position limit then, (nv,).
+    """
+
+    dq: Array1
+    reached: Array1
+    at_limit: Flags1
+
+
+class NextSteps(NamedTuple):
+    """Several steps of nv joints along a path, filled by a kernel.
+
+    Attributes:
+        places: the place on the path at the end of each, (s,).
+        errors: sum of distances from the targets, before the first step and after each, (s + 1,) [m].
+        dq: the steps, (s, nv) [rad or m]; initially zeros.
+        reached: joint positions after each, (s, nv) [rad or m].
+        at_limit: joints that are at a position limit then, (s, nv).
+    """
+
+    places: Array1
+    errors: Array1
+    dq: Array2
+    reached: Array2
+    at_limit: Flags2
+
+
 class PointObjective(NamedTuple):
     """A weighted least-squares objective of points along a chain, and of chords between successive points.
 

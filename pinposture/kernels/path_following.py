@@ -4,7 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, ChainArrays, Flags1, Flags2, Ints1
+from pinposture.kernels.arrays import (
+    Array1,
+    Array2,
+    Array3,
+    ChainArrays,
+    Flags1,
+    Ints1,
+    LimitArrays,
+    NextSteps,
+    PathTolerances,
+    PointGoals,
+    StepArrays,
+)
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 
@@ -524,106 +536,156 @@ def sum_point_errors(points: Array2, targets: Array2, has_target: Flags1) -> flo
 def advance(
     chain: ChainArrays,
     endless: Flags1,
-    units: Array1,
-    slack: Array1,
-    edges: Array2,
-    bound: Array1,
+    limits: LimitArrays,
     positions: Array1,
     points: Array2,
     offsets: Array2,
     start: Array1,
     place: float,
     expected: Array1,
-    disturbed: float,
-    arrived: float,
-    rounding: float,
-    max_motion: float,
-    targets: Array2,
-    has_target: Flags1,
-    places: Array1,
-    errors: Array1,
-    dq: Array2,
-    reached: Array2,
-    at_limit: Flags2,
+    tolerances: PathTolerances,
+    goals: PointGoals,
+    found: NextSteps,
 ) -> int:
     """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` for consecutive simple steps.
 
-    Arguments are those of these kernels. All joints of the chain move on the path. `disturbed` is the largest
-    difference from the `expected` joint positions, (nv,), and `arrived` the remaining joint motion at which
-    the path ends, both in units. Filled are, for each step, the place at its end, `places` (s,), and the rows
-    of `dq` (initially zeros), `reached` and `at_limit`, (s, nv); and `errors` (s + 1,) with the sum of
-    distances from the targets, before the first step and after each.
+    All joints of the chain move on the path.
+
+    Args:
+        chain: the chain.
+        endless: joints without position limits that turn on, (nv,).
+        limits: the limits of each step.
+        positions: joint positions, (nv,).
+        points: the control points there, (m, 3).
+        offsets: waypoints of the path, (N + 1, nv); see `step_along`.
+        start: joint positions at its start, (nv,).
+        place: the place on the path.
+        expected: joint positions expected there, (nv,).
+        tolerances: tolerances of the path.
+        goals: where the points are to be.
+        found: filled with at most s steps.
 
     Returns:
         Number of steps, at most s; the next step is not simple, or the path ends.
     """
-    none, limits = np.empty(0), np.empty((2, len(positions)))
-    if joint_distance(expected, positions, endless, chain.inputs, units) > disturbed:
+    none = np.empty(0)
+    box = np.empty((2, len(positions)))
+    if joint_distance(expected, positions, endless, chain.inputs, limits.units) > tolerances.disturbed:
         return 0
     here = positions
-    for i in range(len(places)):
-        if step_box(here, edges, bound, none, none, rounding, chain.inputs, slack, limits) != 0:
+    for i in range(len(found.places)):
+        outside = step_box(
+            here,
+            limits.edges,
+            limits.bound,
+            none,
+            none,
+            tolerances.rounding,
+            chain.inputs,
+            limits.slack,
+            box,
+        )
+        if outside != 0:
             return i
         place, left, inside = step_along(
-            offsets, start, here, endless, chain.inputs, units, place, limits, max_motion, dq[i]
+            offsets,
+            start,
+            here,
+            endless,
+            chain.inputs,
+            limits.units,
+            place,
+            box,
+            tolerances.max_motion,
+            found.dq[i],
         )
-        if not inside or (place >= len(offsets) - 1 and left <= arrived):
+        if not inside or (place >= len(offsets) - 1 and left <= tolerances.arrived):
             return i
-        before, errors[i + 1] = look_ahead(
-            chain, here, units, limits, edges, points, targets, has_target, dq[i], reached[i], at_limit[i]
+        before, after = look_ahead(
+            chain,
+            here,
+            limits.units,
+            box,
+            limits.edges,
+            points,
+            goals.targets,
+            goals.flags,
+            found.dq[i],
+            found.reached[i],
+            found.at_limit[i],
         )
-        if not np.isfinite(errors[i + 1]):
+        found.errors[i + 1] = after
+        if not np.isfinite(after):
             return i
         if i == 0:
-            errors[0] = before
-        places[i], here = place, reached[i]
-    return len(places)
+            found.errors[0] = before
+        found.places[i] = place
+        here = found.reached[i]
+    return len(found.places)
 
 
 @compiled
 def step_to(
     chain: ChainArrays,
     turns: Flags1,
-    units: Array1,
-    slack: Array1,
-    edges: Array2,
-    bound: Array1,
+    limits: LimitArrays,
     positions: Array1,
     points: Array2,
     goal: Array1,
     nearest_turn: Flags1,
     farthest: float,
     rounding: float,
-    targets: Array2,
-    has_target: Flags1,
-    dq: Array1,
-    reached: Array1,
-    at_limit: Flags1,
+    goals: PointGoals,
+    found: StepArrays,
 ) -> tuple[bool, float, float]:
     """Step to a configuration that is within one step.
 
-    Arguments are those of `advance`. `goal` are the joint positions to reach, (nv,), up to whole turns of
-    continuous joints (`turns`) and of multi-turn ones (`nearest_turn`). `farthest` is the largest motion of a
-    joint, in units.
+    Args:
+        chain: the chain.
+        turns: continuous joints, (nv,).
+        limits: the limits of the step.
+        positions: joint positions, (nv,).
+        points: the control points there, (m, 3).
+        goal: joint positions to reach, (nv,), up to whole turns of continuous and of multi-turn joints.
+        nearest_turn: multi-turn joints, (nv,).
+        farthest: largest motion of a joint, in units.
+        rounding: excess over the limits that counts as rounding.
+        goals: where the points are to be.
+        found: filled with the step.
 
     Returns:
         Whether the limits allow the step and a joint moves; and the sums of distances before and after it.
     """
-    none, limits, columns = np.empty(0), np.empty((2, len(positions))), chain.inputs
-    if step_box(positions, edges, bound, none, none, rounding, columns, slack, limits) != 0:
+    none = np.empty(0)
+    box = np.empty((2, len(positions)))
+    columns = chain.inputs
+    outside = step_box(
+        positions, limits.edges, limits.bound, none, none, rounding, columns, limits.slack, box
+    )
+    if outside != 0:
         return False, 0.0, 0.0
-    dq[:] = 0.0
+    found.dq[:] = 0.0
     moves = False
     for k in range(len(columns)):
         u = columns[k]
         ahead = goal[u] - positions[u]
         if turns[u] or nearest_turn[u]:
             ahead -= 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
-        if not (abs(ahead) <= farthest * units[k] and limits[0, u] <= ahead <= limits[1, u]):
+        if not (abs(ahead) <= farthest * limits.units[k] and box[0, u] <= ahead <= box[1, u]):
             return False, 0.0, 0.0
-        dq[u] = ahead
+        found.dq[u] = ahead
         moves = moves or ahead != 0.0
     before, after = look_ahead(
-        chain, positions, units, limits, edges, points, targets, has_target, dq, reached, at_limit
+        chain,
+        positions,
+        limits.units,
+        box,
+        limits.edges,
+        points,
+        goals.targets,
+        goals.flags,
+        found.dq,
+        found.reached,
+        found.at_limit,
     )
     return moves, before, after

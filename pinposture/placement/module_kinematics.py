@@ -330,7 +330,9 @@ class NumericModule:
 
     def inverse(self, p: Array) -> list[Array]:
         """IK: positions (k,) within the limits that put the end at p, (3,) [m]; one or none."""
-        joints, k, found = self.joints, self.dof, np.clip(self.preferred, self._low, self._high)
+        joints = self.joints
+        k = self.dof
+        found = np.clip(self.preferred, self._low, self._high)
         chain = ScrewChain(
             slides=~joints.revolute,
             axes=joints.axes,
@@ -345,9 +347,11 @@ class NumericModule:
             upper=np.array(joints.upper),
             near=found.copy(),
         )
-        goals, shares = np.array(p, dtype=float).reshape(1, 3), qmc.Sobol(k, scramble=False).random(32)
-        given = chain, goals, self.reach, EXACT * self.reach, 1, IK_VISITS, np.ascontiguousarray(shares)
-        return [found] if kernels.search_branches(*given, found) == 1 else []
+        goals = np.array(p, dtype=float).reshape(1, 3)
+        shares = np.ascontiguousarray(qmc.Sobol(k, scramble=False).random(32))
+        exact = EXACT * self.reach
+        reached = kernels.search_branches(chain, goals, self.reach, exact, 1, IK_VISITS, shares, found)
+        return [found] if reached == 1 else []
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
         """TP, as `ModuleKinematics.target_point`, within the limits and near the preferred positions."""
@@ -371,14 +375,29 @@ class NumericModule:
         """
         placed = np.ascontiguousarray(np.column_stack([base.rotation, base.translation]))
         wanted = self.preferred if near is None else near
-        found, inside = np.empty(self.dof), np.clip(wanted, self.joints.lower, self.joints.upper)
+        found = np.empty(self.dof)
+        inside = np.clip(wanted, self.joints.lower, self.joints.upper)
         samples, ends = self._samples
         if near is not None:
-            samples, ends = samples.copy(), ends.copy()
+            samples = samples.copy()
+            ends = ends.copy()
             samples[0] = inside
             kernels.module_ends(self._arrays, samples[:1], ends[:1])
-        given = self._arrays, *curve.measured, placed, start, self.joints.lower, self.joints.upper, inside
-        return float(kernels.next_target_point(*given, samples, ends, found)), found
+        spline, length = curve.measured
+        s = kernels.next_target_point(
+            self._arrays,
+            spline,
+            length,
+            placed,
+            start,
+            self.joints.lower,
+            self.joints.upper,
+            inside,
+            samples,
+            ends,
+            found,
+        )
+        return float(s), found
 
 
 @dataclass(frozen=True, eq=False)

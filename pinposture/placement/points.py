@@ -94,9 +94,12 @@ def place_sequentially(
         (center, exact, JOINT_SAMPLES),
         (chain.near, rough, 0),
     ):
-        shuffled, found = np.roll(samples, first, axis=0), start.copy()
-        given = chain._replace(near=start), goals, arm.length, accepted
-        reached = kernels.search_branches(*given, WINDOW, visits, shuffled, found)
+        shuffled = np.roll(samples, first, axis=0)
+        found = start.copy()
+        nearby = chain._replace(near=start)
+        reached = kernels.search_branches(
+            nearby, goals, arm.length, accepted, WINDOW, visits, shuffled, found
+        )
         positions[arm.columns] = found
         if reached == len(goals):
             return positions, True
@@ -129,9 +132,11 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
     chain, goals = _screw_chain(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
     if np.diff(chain.begins).max() > 2:
         return None
-    m, found, samples = len(goals), chain.near.copy(), _joint_samples(len(chain.near))
-    given = chain, goals, arm.length, EXACT_DISTANCE * arm.length
-    if kernels.search_branches(*given, 1, 2 * m, samples, found) < m:
+    m = len(goals)
+    found = chain.near.copy()
+    samples = _joint_samples(len(chain.near))
+    exact = EXACT_DISTANCE * arm.length
+    if kernels.search_branches(chain, goals, arm.length, exact, 1, 2 * m, samples, found) < m:
         return None
     positions = np.array(near)
     positions[arm.columns] = found

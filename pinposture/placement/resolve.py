@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -145,15 +144,22 @@ def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...
     state = np.empty(9)
     state[0], state[1:4], state[4:7] = parameter, base, base if on_curve else curve.at(parameter)
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
-    found, parameters = np.zeros(len(lower)), np.full(arm.n_modules, curve.length)
-    given, initial = (*curve.measured, samples, numbers, shapes), state.copy()
-    stopped = kernels.place_modules(*given, lower, upper, state, found, parameters)
+    found = np.zeros(len(lower))
+    parameters = np.full(arm.n_modules, curve.length)
+    spline, length = curve.measured
+    initial = state.copy()
+    stopped = kernels.place_modules(
+        spline, length, samples, numbers, shapes, lower, upper, state, found, parameters
+    )
     positions = np.zeros(arm.nv)
     positions[arm.columns] = found
     failure: TargetError | None = None
     if stopped >= 0:
         unit = units[stopped]
-        exceeded = _exceeded_limit(arm, unit, given, lower, upper, initial, unit.inputs) if state[8] else ""
+        exceeded = ""
+        if state[8]:
+            without = Unlimited(curve, samples, numbers, shapes, initial)
+            exceeded = without.exceeded_limit(arm, unit, lower, upper, unit.inputs)
         failure = _failure(arm, curve, unit, state, exceeded)
         parameters[failure.module - 1 :] = curve.length
     return Placement(positions, parameters, failure)
@@ -196,26 +202,40 @@ class Walk:
 
     def _carry(self, stop: int) -> None:
         """Advance the frame along the joints before an index."""
-        chain, own = self._arm.chain, slice(self._carried, stop)
-        amounts = chain.ratios[own] * self.positions[chain.columns[own]]
-        screws = ~chain.revolute[own], chain.axes[own], chain.origins[own]
-        kernels.move_frame(*screws, np.ascontiguousarray(amounts), self._turn, self._place)
+        chain = self._arm.chain
+        own = slice(self._carried, stop)
+        amounts = np.ascontiguousarray(chain.ratios[own] * self.positions[chain.columns[own]])
+        kernels.move_frame(
+            ~chain.revolute[own], chain.axes[own], chain.origins[own], amounts, self._turn, self._place
+        )
         self._carried = stop
 
     def _by_closed_form(
         self, unit: Unit, form: ClosedForm, base: pin.SE3
     ) -> tuple[float, Array] | TargetError:
-        arm, state = self._arm, np.empty(9)
-        numbers, shapes = np.array([[form.form, 0, 0]], dtype=np.int64), form.shape_in(base.rotation)[None]
-        state[0], state[1:4] = self.parameter, base.translation
+        arm = self._arm
+        numbers = np.array([[form.form, 0, 0]], dtype=np.int64)
+        shapes = form.shape_in(base.rotation)[None]
+        state = np.empty(9)
+        state[0] = self.parameter
+        state[1:4] = base.translation
         here = unit.joints.start > 0 or self._from_base
         state[4:7] = base.translation if here else self._curve.at(self.parameter)
         columns = arm.columns[unit.inputs]
-        found, parameters = np.zeros(form.dof), np.zeros(1)
-        limits, initial = (arm.limits.lower[columns], arm.limits.upper[columns]), state.copy()
-        given = *self._curve.measured, self._samples, numbers, shapes
-        if kernels.place_modules(*given, *limits, state, found, parameters) >= 0:
-            exceeded = _exceeded_limit(arm, unit, given, *limits, initial, slice(None)) if state[8] else ""
+        lower = arm.limits.lower[columns]
+        upper = arm.limits.upper[columns]
+        found = np.zeros(form.dof)
+        parameters = np.zeros(1)
+        spline, length = self._curve.measured
+        initial = state.copy()
+        stopped = kernels.place_modules(
+            spline, length, self._samples, numbers, shapes, lower, upper, state, found, parameters
+        )
+        if stopped >= 0:
+            exceeded = ""
+            if state[8]:
+                without = Unlimited(self._curve, self._samples, numbers, shapes, initial)
+                exceeded = without.exceeded_limit(arm, unit, lower, upper, slice(None))
             return _failure(arm, self._curve, unit, state, exceeded)
         return float(parameters[0]), found
 
@@ -261,21 +281,59 @@ class Walk:
         return kind(module, at, f"{text}; {GENTLER}")
 
 
-def _exceeded_limit(
-    arm: Arm, unit: Unit, given: Sequence[Any], lower: Array, upper: Array, state: Array, own: slice
-) -> str:
-    """Describe the limit that a unit has to exceed most on the curve, found by placing it without its limits.
+class Unlimited(NamedTuple):
+    """A placement to be repeated without the limits of one unit; see `kernels.place_modules`.
 
-    The arguments are those of `kernels.place_modules`, and the joints of the unit in `lower` and `upper`.
+    Attributes:
+        curve: the curve.
+        samples: number of samples of each module.
+        numbers: the units.
+        shapes: their shapes.
+        state: where the placement began, (9,).
     """
-    low, high, wide, found = lower[own], upper[own], np.array([lower, upper]), np.zeros(len(lower))
-    wide[:, own] = [[-np.inf], [np.inf]]
-    arguments = [*given, *wide, state, found, np.empty(arm.n_modules)]
-    kernels.place_modules(*arguments)
-    needed = found[own]
-    worst = int(np.argmax(np.maximum(low - needed, needed - high)))
-    name, allowed = arm.chain.input_names[unit.inputs][worst], f"{low[worst]:.4g} to {high[worst]:.4g} rad"
-    return f": joint {name!r} would be at {needed[worst]:.4g} rad, allowed: {allowed}"
+
+    curve: Curve
+    samples: int
+    numbers: NDArray[np.int64]
+    shapes: Array
+    state: Array
+
+    def exceeded_limit(self, arm: Arm, unit: Unit, lower: Array, upper: Array, own: slice) -> str:
+        """Describe the limit that a unit has to exceed most on the curve.
+
+        Args:
+            arm: the arm.
+            unit: the unit.
+            lower: lower limits of all joints that are placed, (n,) [rad or m].
+            upper: their upper limits, (n,) [rad or m].
+            own: the joints of the unit among these.
+        """
+        wide_lower = lower.copy()
+        wide_upper = upper.copy()
+        wide_lower[own] = -np.inf
+        wide_upper[own] = np.inf
+        found = np.zeros(len(lower))
+        parameters = np.empty(arm.n_modules)
+        spline, length = self.curve.measured
+        kernels.place_modules(
+            spline,
+            length,
+            self.samples,
+            self.numbers,
+            self.shapes,
+            wide_lower,
+            wide_upper,
+            self.state,
+            found,
+            parameters,
+        )
+        low = lower[own]
+        high = upper[own]
+        needed = found[own]
+        worst = int(np.argmax(np.maximum(low - needed, needed - high)))
+        name = arm.chain.input_names[unit.inputs][worst]
+        allowed = f"{low[worst]:.4g} to {high[worst]:.4g} rad"
+        return f": joint {name!r} would be at {needed[worst]:.4g} rad, allowed: {allowed}"
 
 
 def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) -> TargetError:
@@ -508,8 +566,9 @@ def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
     for k, joints in enumerate(chain.module_slices):
         turn, place = np.eye(3), np.zeros(3)
         amounts = np.ascontiguousarray(chain.ratios[joints] * positions[chain.columns[joints]])
-        screws = ~chain.revolute[joints], chain.axes[joints], chain.origins[joints]
-        kernels.move_frame(*screws, amounts, turn, place)
+        kernels.move_frame(
+            ~chain.revolute[joints], chain.axes[joints], chain.origins[joints], amounts, turn, place
+        )
         before[k] = np.cross(axes[k], turn @ axes[k])
         after[k] = before[k] @ turn
     return before, after

@@ -664,8 +664,10 @@ class SequentialFollower:
     """Sequential placement on curves that begin at or near the base of the arm."""
 
     def __init__(self, arm: Arm) -> None:
-        self._arm, (self._units, self._shapes) = arm, unit_arrays(arm)
-        self._limits = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+        self._arm = arm
+        self._units, self._shapes = unit_arrays(arm)
+        self._lower = arm.limits.lower[arm.columns]
+        self._upper = arm.limits.upper[arm.columns]
         self._base = np.array(arm.chain.base)
 
     def positions(self, curve: BentCurve) -> Array | None:
@@ -677,9 +679,20 @@ class SequentialFollower:
         length = LengthArrays(ends, ends, np.full((1, 2), 0.5 * curve.length))
         state = np.empty(9)
         state[0], state[1:4], state[4:7] = 0.0, self._base, curve.points[0]
-        found, parameters = np.zeros(len(self._arm.columns)), np.empty(self._arm.n_modules)
-        arm = self._units, self._shapes, *self._limits
-        if kernels.place_modules(spline, length, SEQUENTIAL_SAMPLES, *arm, state, found, parameters) >= 0:
+        found = np.zeros(len(self._arm.columns))
+        stopped = kernels.place_modules(
+            spline,
+            length,
+            SEQUENTIAL_SAMPLES,
+            self._units,
+            self._shapes,
+            self._lower,
+            self._upper,
+            state,
+            found,
+            np.empty(self._arm.n_modules),
+        )
+        if stopped >= 0:
             return None
         positions = np.zeros(self._arm.nv)
         positions[self._arm.columns] = found

@@ -33,7 +33,7 @@ from pinposture.control.planner.damped_least_squares import (
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import ChainArrays
+from pinposture.kernels.arrays import NextSteps, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
 
@@ -48,6 +48,11 @@ PROGRESS_SHARE = 0.005
 
 ARRIVED = 1e-9
 """Remaining joint motion at which the arm is at the end of a path, in `Arm.joint_units`."""
+
+PATH_TOLERANCES = PathTolerances(
+    disturbed=MAX_DEVIATION, arrived=ARRIVED, rounding=LIMIT_ROUNDING, max_motion=MAX_STEP
+)
+"""Tolerances of the steps that a kernel computes ahead."""
 
 ERROR_ROUNDING = 1e-12
 """Increase of the posture error that is attributed to rounding, in arm lengths."""
@@ -184,8 +189,11 @@ class PathProgress(NamedTuple):
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
         chain = arm.kinematics
-        given = self.expected, state.forward.positions, chain.endless, chain.columns, self.timed.bounds.units
-        return kernels.joint_distance(*given) <= MAX_DEVIATION
+        units = self.timed.bounds.units
+        away = kernels.joint_distance(
+            self.expected, state.forward.positions, chain.endless, chain.columns, units
+        )
+        return away <= MAX_DEVIATION
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return this progress on another path with as many waypoints, or within other limits."""
@@ -320,29 +328,38 @@ def _is_expected(progress: PathProgress, state: ArmState) -> bool:
 
 def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -> StepsAhead:
     """Compute the next simple steps on a path; only one if the arm is not at its expected position."""
-    arm, path, wanted = state.arm, progress.path, progress.objective.chain
-    expected, count = progress.expected, STEPS_AHEAD
+    arm = state.arm
+    path = progress.path
+    wanted = progress.objective.chain
+    expected = progress.expected
+    count = STEPS_AHEAD
     if expected is None:
         expected = state.forward.positions
     elif not _is_expected(progress, state):
         count = 1
-    places, errors = np.empty(count), np.empty(count + 1)
-    dq, reached = np.zeros((count, arm.nv)), np.empty((count, arm.nv))
-    at_limit = np.empty((count, arm.nv), dtype=np.bool_)
-    along = path.offsets, path.positions, progress.place, expected
-    given = *_step_arguments(state, bounds), *along, MAX_DEVIATION, ARRIVED, LIMIT_ROUNDING, MAX_STEP
-    goals = wanted.targets, wanted.flags
-    found = kernels.advance(*given, *goals, places, errors, dq, reached, at_limit)
-    return StepsAhead(bounds, places[:found].tolist(), errors.tolist(), dq, reached, at_limit)
-
-
-def _step_arguments(
-    state: ArmState, bounds: JointBounds
-) -> tuple[ChainArrays, NDArray[np.bool_], Array, Array, Array, Array, Array, Array]:
-    """Return the first arguments of `kernels.advance` and `kernels.step_to`."""
-    chain, forward = state.arm.kinematics, state.forward
-    limits = bounds.units, bounds.slack, bounds.edges, bounds.bound
-    return chain.constants, chain.endless, *limits, forward.positions, forward.points
+    found = NextSteps(
+        places=np.empty(count),
+        errors=np.empty(count + 1),
+        dq=np.zeros((count, arm.nv)),
+        reached=np.empty((count, arm.nv)),
+        at_limit=np.empty((count, arm.nv), dtype=np.bool_),
+    )
+    steps = kernels.advance(
+        arm.kinematics.constants,
+        arm.kinematics.endless,
+        bounds.arrays,
+        state.forward.positions,
+        state.forward.points,
+        path.offsets,
+        path.positions,
+        progress.place,
+        expected,
+        PATH_TOLERANCES,
+        PointGoals(wanted.targets, wanted.flags),
+        found,
+    )
+    places = found.places[:steps].tolist()
+    return StepsAhead(bounds, places, found.errors.tolist(), found.dq, found.reached, found.at_limit)
 
 
 def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:
@@ -363,14 +380,26 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
     goal = find_positions_near(objective, state, bounds.edges)
     if goal is None:
         return None
-    arm, wanted = state.arm, objective.chain
-    dq, reached, at_limit = np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
-    given = *_step_arguments(state, bounds), goal, arm.multi_turn, SHORT_MOTION, LIMIT_ROUNDING
-    simple, before, after = kernels.step_to(*given, wanted.targets, wanted.flags, dq, reached, at_limit)
+    arm = state.arm
+    wanted = objective.chain
+    found = StepArrays(np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_))
+    simple, before, after = kernels.step_to(
+        arm.kinematics.constants,
+        arm.kinematics.endless,
+        bounds.arrays,
+        state.forward.positions,
+        state.forward.points,
+        goal,
+        arm.multi_turn,
+        SHORT_MOTION,
+        LIMIT_ROUNDING,
+        PointGoals(wanted.targets, wanted.flags),
+        found,
+    )
     if not (simple and after <= len(objective.active) * GOAL_TOLERANCE * arm.length):
         return None
-    diagnostics = _diagnose(objective, at_limit, before, after, following_path=True)
-    return Step(dq, objective.active, diagnostics, GeodesicMemory(dq))
+    diagnostics = _diagnose(objective, found.at_limit, before, after, following_path=True)
+    return Step(found.dq, objective.active, diagnostics, GeodesicMemory(found.dq))
 
 
 def pursue(
@@ -668,13 +697,22 @@ def _check_step(
         violated += relaxed + avoidance.describe_violations(state)
         near = avoidance.describe_obstruction(state, candidate.solution, bool(candidate.reason))
         near += (progress.path.hindrance,) if progress.path.hindrance else ()
-    forward, objective = state.forward, progress.objective
-    reached, at_limit = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
+    objective = progress.objective
+    reached = np.empty(arm.nv)
+    at_limit = np.empty(arm.nv, dtype=np.bool_)
     sides = box.sides if share == 1.0 else UNBOUNDED_STEP * np.ones((2, arm.nv))
-    given = forward.positions, bounds.units, sides, bounds.edges, forward.points
-    targets = objective.chain.targets, objective.chain.flags
     before_error, after_error = kernels.look_ahead(
-        arm.kinematics.constants, *given, *targets, dq, reached, at_limit
+        arm.kinematics.constants,
+        state.forward.positions,
+        bounds.units,
+        sides,
+        bounds.edges,
+        state.forward.points,
+        objective.chain.targets,
+        objective.chain.flags,
+        dq,
+        reached,
+        at_limit,
     )
     following = not progress.arrived and progress.idle_travel == 0.0
     diagnostics = _diagnose(objective, at_limit, before_error, after_error, following)

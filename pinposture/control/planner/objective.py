@@ -228,9 +228,12 @@ class Objective:
 
         The errors of a planar arm are measured in its plane. The sum is weighted and includes chords.
         """
-        chain, errors = self.chain, np.empty((len(self.active), 3))
-        given = chain.points_of(state), chain.goals, chain.weights, chain.chords, chain.normal
-        return errors, kernels.measure_point_errors(*given, errors)
+        chain = self.chain
+        errors = np.empty((len(self.active), 3))
+        squares = kernels.measure_point_errors(
+            chain.points_of(state), chain.goals, chain.weights, chain.chords, chain.normal, errors
+        )
+        return errors, squares
 
     def cost(self, state: ArmState) -> float:
         """Return half the sum of all squares [m^2], tasks with priority times `PRIORITY_WEIGHT`."""
@@ -322,11 +325,23 @@ class ChainSolver:
     """
 
     def __init__(self, objective: Objective, state: ArmState, weight: float = 1.0) -> None:
-        self._objective, self._state, self._weight = objective, state, weight
-        chain, forward = objective.chain, state.forward
-        screws, points = np.empty((len(chain.joints), 6)), chain.points_of(state)
-        given = state.arm.kinematics.constants, chain.joints, chain.units, forward.axes, forward.origins
-        kernels.find_screws(*given, chain.ends, points, screws)
+        self._objective = objective
+        self._state = state
+        self._weight = weight
+        chain = objective.chain
+        forward = state.forward
+        points = chain.points_of(state)
+        screws = np.empty((len(chain.joints), 6))
+        kernels.find_screws(
+            state.arm.kinematics.constants,
+            chain.joints,
+            chain.units,
+            forward.axes,
+            forward.origins,
+            chain.ends,
+            points,
+            screws,
+        )
         self._points = PointObjective(
             screws, chain.ends, points, weight * chain.weights, weight * chain.chords
         )
@@ -376,14 +391,20 @@ class ChainSolver:
         Infeasible rows are violated by the smallest sum of squares. Rows have length 1; the other arguments
         are those of `step`.
         """
-        n, matrix, least = len(center), rows.matrix, rows.errors
-        x, binding = np.empty(n), np.empty(len(least), dtype=np.bool_)
-        problem = self._points, errors, np.full(n, damping), center
-        given = problem, lower, upper, matrix, least
+        n = len(center)
+        matrix = rows.matrix
+        least = rows.errors
+        x = np.empty(n)
+        binding = np.empty(len(least), dtype=np.bool_)
+        problem = (self._points, errors, np.full(n, damping), center)
+
+        def minimise(violable: bool) -> bool:
+            return kernels.minimise_with_rows(problem, lower, upper, matrix, least, violable, binding, x)
+
         hopeless = np.any(np.maximum(matrix * lower, matrix * upper).sum(axis=1) < least)
-        if not hopeless and kernels.minimise_with_rows(*given, False, binding, x):
+        if not hopeless and minimise(violable=False):
             return ConstrainedStep(x, binding, False) if np.all(np.isfinite(x)) else None
-        if not (kernels.minimise_with_rows(*given, True, binding, x) and np.all(np.isfinite(x))):
+        if not (minimise(violable=True) and np.all(np.isfinite(x))):
             return None
         # The objective adds to the violations; accept only if they are minimal within the box.
         missing = np.maximum(least - matrix @ x, 0.0)

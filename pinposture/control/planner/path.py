@@ -193,11 +193,20 @@ class JointPath:
             place: its place on the path.
             sides: smallest and largest step, (2, nv) [rad or m].
         """
-        dq, objective = np.zeros(self.arm.nv), self.objective
-        positions, endless = state.forward.positions, self.arm.kinematics.endless
-        given = objective.columns, objective.chain.units, place, sides, MAX_STEP
-        found = kernels.step_along(self.offsets, self.positions, positions, endless, *given, dq)
-        return Stride(*found, dq)
+        dq = np.zeros(self.arm.nv)
+        reached, left, inside = kernels.step_along(
+            self.offsets,
+            self.positions,
+            state.forward.positions,
+            self.arm.kinematics.endless,
+            self.objective.columns,
+            self.objective.chain.units,
+            place,
+            sides,
+            MAX_STEP,
+            dq,
+        )
+        return Stride(reached, left, inside, dq)
 
 
 # Time-optimal speed along a path with acceleration limits.
@@ -238,17 +247,28 @@ class SpeedProfile:
     def __init__(
         self, path: JointPath, bounds: JointBounds, max_rate: float | Array = inf, initial_speed: float = 0.0
     ) -> None:
-        n, self._waypoints = path.offsets.shape[1], len(path.offsets) - 1
+        n = path.offsets.shape[1]
+        self._waypoints = len(path.offsets) - 1
         rates = np.full(self._waypoints, max_rate, dtype=np.float64)
         self._most = float(rates.max())
         count = -(-LEAST_PARTS // self._waypoints) * self._waypoints
         brake = np.full(n, np.inf) if bounds.brake is None else ACCELERATION_SHARE * bounds.brake
-        rows = np.empty((count, 3, n)), np.empty((count, 3, n))
+        self._brake = brake
+        self._slopes = np.empty((count, 3, n))
+        self._bends = np.empty((count, 3, n))
         self.top = np.empty(count + 1)
-        bound = SPEED_SHARE * np.array(bounds.bound)
-        given = path.offsets, path.slopes, bound, brake, initial_speed, rates, ZERO_SLOPE
-        kernels.find_speed_profile(*given, *rows, self.top)
-        self._rows = (brake, *rows)
+        kernels.find_speed_profile(
+            path.offsets,
+            path.slopes,
+            SPEED_SHARE * np.array(bounds.bound),
+            brake,
+            initial_speed,
+            rates,
+            ZERO_SLOPE,
+            self._slopes,
+            self._bends,
+            self.top,
+        )
 
     @property
     def steps(self) -> float:
@@ -259,7 +279,15 @@ class SpeedProfile:
     def next(self, place: float, speed: float) -> float:
         """Return the number of waypoints to advance in this step, after `speed` in the previous one."""
         return kernels.next_path_speed(
-            place, speed, ZERO_SLOPE, self._most, *self._rows, self.top, self._waypoints
+            place,
+            speed,
+            ZERO_SLOPE,
+            self._most,
+            self._brake,
+            self._slopes,
+            self._bends,
+            self.top,
+            self._waypoints,
         )
 
 

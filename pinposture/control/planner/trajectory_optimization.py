@@ -241,8 +241,14 @@ class _Waypoints:
         arm = self.objective.arm
         pieces = FIRST_PIECES if arm.n_modules < LONG_ARM else FIRST_PIECES_OF_LONG
         stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
-        given = _STAGES, stiffness, MIN_DECREASE, KEPT_RATIO
-        return kernels.find_direct_waypoints(self._problem, self.interpolate(change, bend, pieces), *given)
+        return kernels.find_direct_waypoints(
+            self._problem,
+            self.interpolate(change, bend, pieces),
+            _STAGES,
+            stiffness,
+            MIN_DECREASE,
+            KEPT_RATIO,
+        )
 
     def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
         """Return a damped Gauss-Newton step of all waypoints, (N + 1, n); None if it is not finite."""

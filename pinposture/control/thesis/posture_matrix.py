@@ -80,8 +80,10 @@ class PostureMatrix:
         return np.asarray(np.linalg.svd(blocks, compute_uv=False))
 
     def _extreme(self, smallest: bool) -> float:
-        given = self._screws.points, self._rows, self._factors
-        return float(kernels.extreme_value(*given, smallest, VALUE_TOLERANCE))
+        found = kernels.extreme_value(
+            self._screws.points, self._rows, self._factors, smallest, VALUE_TOLERANCE
+        )
+        return float(found)
 
 
 Gain: TypeAlias = "float | Sequence[float]"

@@ -177,9 +177,11 @@ class Projection:
             eligible = best_chain(arm, screws, eligible, self.strides)
         stations = np.flatnonzero(eligible)  # where sections end; modules, if all points have a target
         lengths = _differences(np.cumsum(arm.chain.module_lengths)[stations])
-        directions, ranks = np.empty((len(stations), 3, 3)), np.zeros(len(stations), dtype=np.int64)
-        given = arm.kinematics.task_constants.plane, stations, self.threshold * lengths
-        smallest = float(kernels.module_spaces(screws, *given, directions, ranks))
+        directions = np.empty((len(stations), 3, 3))
+        ranks = np.zeros(len(stations), dtype=np.int64)
+        plane = arm.kinematics.task_constants.plane
+        found = kernels.module_spaces(screws, plane, stations, self.threshold * lengths, directions, ranks)
+        smallest = float(found)
         if not np.any(ranks):
             return None, 0.0
         return Rows(stations, ranks, directions, NUMBERS[self.coupling]), smallest

@@ -195,13 +195,15 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
     Returns:
         The best set; empty if Algorithm 2 removes all points from every branch.
     """
-    root, leaf, path = _root(first), last + 1, np.empty(last + 2, dtype=np.int64)
+    root = _root(first)
+    leaf = last + 1
+    path = np.empty(last + 2, dtype=np.int64)
     root_counts = root > 0 and bool(edges.usable[root - 1])
     bonus = np.log(np.arange((leaf - root) // int(edges.strides[0]) + 2) + 1.0)
     if not root_counts:
         bonus[0] = -np.inf
-    given = edges.strides, edges.stable, edges.logs, bonus, score == "geometric"
-    left, found = kernels.best_branch(root, leaf, *given, path)
+    mean = score == "geometric"
+    left, found = kernels.best_branch(root, leaf, edges.strides, edges.stable, edges.logs, bonus, mean, path)
     if found == -np.inf:
         return EMPTY_SET
     points = [root - 1] * root_counts + (path[:left][::-1] - 1).tolist()
