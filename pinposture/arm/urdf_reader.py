@@ -420,6 +420,11 @@ def _read_joint(element: Element, source: str) -> JointDescription:
     parent, child = _read_link(element, "parent", fault), _read_link(element, "child", fault)
     if parent == child:
         raise fault(f"has link {parent!r} as both parent and child")
+    turned = element.find("origin[@quat_xyzw]")
+    if turned is not None:
+        raise fault(
+            f"<origin> quat_xyzw is {turned.get('quat_xyzw')!r}; allowed: rpy=, roll, pitch, yaw [rad]"
+        )
     origin = _read_vector(element, "origin", "xyz", (0.0, 0.0, 0.0), fault)
     rpy = _read_vector(element, "origin", "rpy", (0.0, 0.0, 0.0), fault)
     axis: Vector = (1.0, 0.0, 0.0)

@@ -73,6 +73,10 @@ class Commands(TyperGroup):
         return code
 
 
+OBSTACLE_TYPES_HERE = "{types of obstacles}"
+"""What stands for the types of obstacles in the help of a verb: they are imported where it is printed."""
+
+
 def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
     """Return a class of verbs whose help ends with examples, one per line, without rewrapping.
 
@@ -90,7 +94,13 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
                 raise typer.Exit(REFUSED) from error
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
+            written = self.help
+            if written is not None and OBSTACLE_TYPES_HERE in written:
+                from pinposture.collision.obstacles import describe_types
+
+                self.help = written.replace(OBSTACLE_TYPES_HERE, describe_types())
             super().format_help(ctx, formatter)
+            self.help = written
             lines = "".join(f"   $ {example}\n" for example in examples)
             formatter.write(f" Examples:\n\n{lines}\n")
 

@@ -105,9 +105,8 @@ def run(
     All controllers keep the limits. Only geodesic avoids obstacles and self-collision, and can bring or hold
     the tip somewhere; with others, distances are only recorded. A scene file has a line for each obstacle, in
     TOML: obstacles.post = {type = "cylinder", start = [0.3, 0.1, -1], end = [0.3, 0.1, 1], radius = 0.02}.
-    There are also sphere (center, radius), capsule (as cylinder), box (center, size, rotation), half_space
-    (point; normal, towards the free side), mesh (path, scale, center, rotation) and scan (as mesh; of points
-    or a surface). A rotation is roll, pitch, yaw in rad, or a 3x3 matrix. The file may also set margin (the
+    The types are {types of obstacles}. A normal points to the free side; a rotation is roll, pitch, yaw in
+    rad, or a 3x3 matrix. The file may also set margin (the
     clearance to keep; default 0.005), self_collision (true or false) and arm_radius (of capsules that replace
     the geometry of the arm). Lengths are in metres, in the world frame.
 

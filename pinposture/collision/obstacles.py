@@ -64,12 +64,16 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
     kind = OBSTACLE_TYPES[name]
     if issubclass(kind, Mesh | Scan):
         return kind.from_dict(values, folder)
-    allowed = [each.name for each in fields(kind)]
-    known_keys(f"a {name}", values, allowed)
+    known_keys(f"a {name}", values, kind.keys())
     for key in (each.name for each in fields(kind) if each.default is MISSING):
         if key not in values:
-            raise InvalidValue(key, None, f"a value; a {name} has {', '.join(allowed)}")
+            raise InvalidValue(key, None, f"a value; a {name} has {', '.join(kind.keys())}")
     return kind(**values)
+
+
+def describe_types() -> str:
+    """Return the types of obstacles, each with the names that its description may have, in words."""
+    return ", ".join(f"{name} ({', '.join(kind.keys())})" for name, kind in OBSTACLE_TYPES.items())
 
 
 def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:

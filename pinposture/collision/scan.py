@@ -291,10 +291,15 @@ class Scan(Surface):
             raise FileError(path, str(error)) from error
 
     @classmethod
+    def keys(cls) -> tuple[str, ...]:
+        """Return the names that a description of it may have, beside its type."""
+        pose = ("center", "rotation")
+        return "path", "scale", *pose, "point_radius", "outlier_distance", "points", "faces"
+
+    @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scan:
         """Create a scan from its description by `to_dict`, or from a file; see `obstacle_from_dict`."""
-        pose = ("center", "rotation", "point_radius", "outlier_distance")
-        known_keys("a scan", described, ("points", "faces", "path", "scale", *pose))
+        known_keys("a scan", described, cls.keys())
         scan: Scan = from_points_or_path(cls, described, "points", folder)
         return scan
 

@@ -155,6 +155,11 @@ class Described:
 
     type: ClassVar[str]
 
+    @classmethod
+    def keys(cls) -> tuple[str, ...]:
+        """Return the names that a description of it may have, beside its type."""
+        return tuple(each.name for each in fields(cls))
+
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
         """Return the shape as JSON-compatible data; see `obstacle_from_dict`.
 
@@ -458,9 +463,14 @@ class Mesh(Surface):
         return mesh.placed(center, rotation)
 
     @classmethod
+    def keys(cls) -> tuple[str, ...]:
+        """Return the names that a description of it may have, beside its type."""
+        return "path", "scale", "center", "rotation", "vertices", "faces"
+
+    @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Mesh:
         """Create a mesh from its description by `to_dict`, or from a file; see `obstacle_from_dict`."""
-        known_keys("a mesh", described, ("vertices", "faces", "path", "scale", "center", "rotation"))
+        known_keys("a mesh", described, cls.keys())
         mesh: Mesh = from_points_or_path(cls, described, "vertices", folder)
         return mesh
 

@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory
+from pinposture.motion.trajectory import CONTACT_TOLERANCE, RAISE_STEPS, Trajectory
 from pinposture.placement import Target
 from pinposture.units import error_text, length_text
 
@@ -132,6 +132,7 @@ class Batch:
             (count,).
         clearance: smallest distance to an obstacle, or between parts of the arm, (count,) [m]; negative
             in penetration. Without a scene, that between parts of the arm.
+        closest: names of the two that are that close, joined by "and", (count,); "" if there are none.
         q_start: configurations at the start, (count, nq).
         q_final: configurations at the end, (count, nq).
         motions: the motions; None if only the ends were kept.
@@ -152,6 +153,7 @@ class Batch:
     mean_error: Array
     path_length_ratio: Array
     clearance: Array
+    closest: NDArray[np.str_]
     q_start: Array
     q_final: Array
     motions: Motions | None = None
@@ -168,6 +170,7 @@ class Batch:
             allowed = '"motions" in track_many; the ends alone are in q_start and q_final'
             raise InvalidValue("keep", "ends", allowed)
         target = self.target(number)
+        arrays = self.motions.arrays_of(number, self.arm, target)
         return Trajectory(
             arm=self.arm,
             target=target,
@@ -176,7 +179,7 @@ class Batch:
             status=str(self.status[number]),
             reason=str(self.reason[number]),
             scene=self.scene,
-            **self.motions.arrays_of(number, self.arm, target),
+            **arrays,
         )
 
     def __iter__(self) -> Iterator[Trajectory]:
@@ -209,8 +212,10 @@ class Batch:
             found.append(f"{len(away)} of {len(self)} runs did not reach the target")
         if len(inside):
             deepest = int(self.clearance.argmin())
-            depth = f"{-1e3 * self.clearance[deepest]:.3g} mm in run {deepest}"
-            found.append(f"bodies penetrate in {len(inside)} of {len(self)} runs, by at most {depth}")
+            most = (
+                f"most {self.closest[deepest]}, by {-1e3 * self.clearance[deepest]:.3g} mm in run {deepest}"
+            )
+            found.append(f"bodies penetrate in {len(inside)} of {len(self)} runs, {most}")
         return tuple(found)
 
     @property
@@ -223,6 +228,7 @@ class Batch:
         names = ("status", "reason", "steps", "start_error", "final_error", "mean_error", "path_length_ratio")
         columns: dict[str, list[Any]] = {name: getattr(self, name).tolist() for name in names}
         columns["clearance"] = [each if np.isfinite(each) else None for each in self.clearance.tolist()]
+        columns["closest"] = [each or None for each in self.closest.tolist()]
         runs = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return {
             "verdict": self.verdict,
@@ -255,12 +261,19 @@ class Batch:
         if far is not None:
             words["curve"] = f"{far} to the base of the arm" + (" at most" if len(self.targets) > 1 else "")
         if self.scene is not None:
-            words["clearance"] = f"{length_text(self.clearance.min())} where it is smallest, in run " + (
-                f"{int(self.clearance.argmin())}; the margin is {length_text(self.scene.margin)}"
+            least = int(self.clearance.argmin())
+            between = f", between {self.closest[least]}" if self.closest[least] else ""
+            words["clearance"] = (
+                f"{length_text(self.clearance[least])} where it is smallest, in run {least}{between}; "
+                f"the margin is {length_text(self.scene.margin)}"
             )
         if not self.converged.all():
             worst = int(np.where(self.converged, -1.0, self.mean_error).argmax())
             words["worst"] = f"run {worst}, {self.status[worst]}: {self.reason[worst]}"
+        enough = [reason.rpartition(f"{RAISE_STEPS} ")[2] for reason in self.reason.tolist()]
+        known = [int(steps) for steps in enough if steps.isdecimal()]
+        if known:
+            words["out of steps"] = f"{RAISE_STEPS} {max(known)}, which is enough for {len(known)} of them"
         failed = np.flatnonzero(self.status == FAILED)
         if len(failed):
             words["failed"] = f"{len(failed)}, run {failed[0]} first: {self.reason[failed[0]]}"

@@ -234,7 +234,7 @@ def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
     return Moved(tuple(translation), tuple(rotation))
 
 
-_TEXTS = frozenset({"status", "reason"})
+_TEXTS = frozenset({"status", "reason", "closest"})
 _FLAGS = frozenset({"active", "clipped", "error_increasing", "motion_target_mask"})
 
 COMPARED_ROWS = 500
@@ -391,6 +391,7 @@ _BATCH_ARRAYS = (
     "mean_error",
     "path_length_ratio",
     "clearance",
+    "closest",
     "q_start",
     "q_final",
 )
@@ -547,5 +548,5 @@ _NO_MOTION = {
 _JOINTS = "pinposture-joint-trajectory"
 register(Format("pinposture-run", 5, Trajectory, "run", _pack_run, _unpack_run, _NO_RUN))
 register(Format("pinposture-motion", 3, Motion, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
-register(Format("pinposture-batch", 3, Batch, "batch", _pack_batch, _unpack_batch, {}))
+register(Format("pinposture-batch", 4, Batch, "batch", _pack_batch, _unpack_batch, {}))
 register(Format(_JOINTS, 1, JointTrajectory, "joint trajectory", _pack_joints, _unpack_joints, {}))

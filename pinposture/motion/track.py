@@ -16,9 +16,14 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
+from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import JerkFilter, require_limits
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.motion.trajectory import Trajectory
+from pinposture.motion.trajectory import (
+    ENDINGS,
+    RAISE_STEPS,
+    Trajectory,
+)
 from pinposture.placement import Target
 from pinposture.units import length_text
 
@@ -42,7 +47,7 @@ class RunRecord:
 
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
         self._target, self._scene = target, scene
-        self._distances_of = None if scene is None else CollisionModel(start.arm, scene)
+        self._distances_of = None if scene is None or scene.empty else CollisionModel(start.arm, scene)
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
         self._last = start
@@ -212,8 +217,11 @@ def cycles_between(arm: Arm, start: Array, target: Target, limits: Limits) -> fl
 
 def usual_max_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
     """Return the number of steps after which a run stops unless another one is given; as `cycles_between`."""
-    if limits.dt is None:
-        return FEWEST_STEPS
+    return FEWEST_STEPS if limits.dt is None else ample_steps(arm, start, target, limits)
+
+
+def ample_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
+    """Return a number of steps that is enough for most runs; as `cycles_between`."""
     needed = DETOUR * cycles_between(arm, start, target, limits)
     return max(FEWEST_STEPS, ceil(min(needed, MAX_USUAL_STEPS)))
 
@@ -324,13 +332,6 @@ class ControlLoop:
         note = Diagnostics(still, error_increasing=rises)
         self.take_step(Step(memory.dq, (), note, memory))
 
-    def _needed_steps(self, target: Target) -> str:
-        """Name the number of steps of the straight joint path from here on, in tens; empty if unknown."""
-        if target.q is None:
-            return ""
-        left = cycles_between(self.arm, self.state.q, target, self.limits)
-        return f"to at least {10 * ceil((self.record.steps + left) / 10)} " if np.isfinite(left) else ""
-
     def _cannot_stop(self) -> bool:
         """Whether the arm cannot stop in the next step."""
         brake = self.limits.for_arm(self.arm).brake
@@ -345,7 +346,7 @@ class ControlLoop:
             return "converged", _describe_arrival(self.arm, mean, tolerance)
         if self.record.steps >= max_steps:
             above = f"mean point error {length_text(mean)}, above the tolerance of {length_text(tolerance)}"
-            return "max_steps", f"{above}; raise max_steps {self._needed_steps(target)}to continue"
+            return "max_steps", above
         idle = self.record.travel_without_progress(PROGRESS_SHARE)
         if idle >= STALL_TRAVEL * (1.0 - STEP_ROUNDING):
             error = f"mean point error {length_text(mean)}"
@@ -436,18 +437,47 @@ def track(
     start = arm.checked_start(q0, "q0")
     if max_steps is None:
         max_steps = usual_max_steps(arm, start, target, limits)
-    loop = ControlLoop(arm, start, target, controller, limits, scene)
-    status, reason = loop.run(target, tolerance, max_steps, callback)
-    loop.brake_to_rest()
-    if status == "converged":  # at rest it may be nearer
-        reason = _describe_arrival(arm, loop.record.mean_error, tolerance)
-    if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
-        reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
-    if status in ("stalled", "max_steps"):
-        reason = describe_blocked_goal(arm, target, scene) + reason
-    record = loop.record
-    logger.info("%s: %s after %d steps: %s", controller.name, status, record.steps, reason)
-    return record.trajectory(arm, controller, limits, status, reason)
+
+    def move(most: int, callback: Callback | None) -> Trajectory:
+        loop = ControlLoop(arm, start, target, controller, limits, scene)
+        status, reason = loop.run(target, tolerance, most, callback)
+        loop.brake_to_rest()
+        if status == "converged":  # at rest it may be nearer
+            reason = _describe_arrival(arm, loop.record.mean_error, tolerance)
+        if status in ("stalled", "max_steps"):
+            reason = describe_blocked_goal(arm, target, scene) + reason
+            if target.q is None and not isinstance(controller, Geodesic):
+                reason += f"; {NO_CONFIGURATION}"
+        return loop.record.trajectory(arm, controller, limits, status, reason)
+
+    run = move(max_steps, callback)
+    if run.status == "max_steps":
+        advice = f"{RAISE_STEPS} continue"
+        most = ample_steps(arm, start, target, limits)
+        if run.steps < most and _goes_on_fast(controller, run.scene):
+            advice = _advise_on_steps(move(most, None))
+        run = replace(run, reason=f"{run.reason}; {advice}")
+    logger.info("%s: %s after %d steps: %s", controller.name, run.status, run.steps, run.reason)
+    return run
+
+
+NO_CONFIGURATION = "the target has no configuration: fit_points finds one, and Switching can then use it"
+
+
+def _goes_on_fast(controller: Controller, scene: Scene | None) -> bool:
+    """Whether it is worth finding out how many steps a run needs; with tasks in a scene, each may plan."""
+    if isinstance(controller, Geodesic):
+        return scene is None or not controller.tasks
+    return isinstance(controller, JointInterpolation)
+
+
+def _advise_on_steps(longer: Trajectory) -> str:
+    """Return advice on a run that ran out of steps, given the same run with more of them."""
+    if longer.converged:
+        return f"{RAISE_STEPS} {longer.steps}"
+    if longer.status == "max_steps":
+        return f"{RAISE_STEPS} more than {longer.steps}"
+    return f"more steps do not help: after {longer.steps} it {ENDINGS[longer.status]}: {longer.reason}"
 
 
 def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:

@@ -25,7 +25,7 @@ from pinposture.errors import (
 )
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track, usual_max_steps
-from pinposture.motion.trajectory import Trajectory, own_clearance
+from pinposture.motion.trajectory import Trajectory, smallest_distance
 from pinposture.placement import Target
 
 if TYPE_CHECKING:
@@ -234,6 +234,7 @@ def _lost_run(
 
 def _recorded(setting: _Setting, run: Trajectory) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the entries of a run in the columns of `Batch` and, if motions are kept, its arrays."""
+    closest = smallest_distance(run)
     ends = {
         "status": run.status,
         "reason": run.reason,
@@ -242,7 +243,8 @@ def _recorded(setting: _Setting, run: Trajectory) -> tuple[dict[str, Any], dict[
         "final_error": float(run.posture_error[-1]),
         "mean_error": float(run.mean_error[-1]),
         "path_length_ratio": run.path_length_ratio,
-        "clearance": own_clearance(run) if run.scene is None else float(run.clearance.min()),
+        "clearance": closest.distance,
+        "closest": " and ".join(closest.pair or ()),
         "q_start": run.q[0],
         "q_final": run.q[-1],
     }

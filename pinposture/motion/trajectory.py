@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pinposture._validation import make_read_only
 from pinposture.arm import Arm
 from pinposture.collision import Closest, CollisionModel, Scene
-from pinposture.collision.model import Pair, arm_alone, effective_scene
+from pinposture.collision.model import Pair, arm_alone
 from pinposture.control import Limits
 from pinposture.control.controller import CONSTRAINTS
 from pinposture.control.limits import cycle_of
@@ -152,6 +152,9 @@ controller found none that it can move. "max_steps": no steps or cycles are left
 "unstable": the simulation diverged. "failed": an error ended the run.
 """
 
+RAISE_STEPS = "raise max_steps to"
+"""How advice on a run that ran out of steps begins; the number of steps that is enough follows."""
+
 CONTACT_TOLERANCE = 1e-6
 """Largest penetration that is attributed to rounding, in arm lengths."""
 
@@ -249,23 +252,23 @@ def find_penetration(motion: FinishedMotion) -> Penetration | None:
 
     Verdicts, exports and the editor all judge collisions of a finished motion by it.
     """
-    arm, clearance = motion.arm, motion.clearance
-    touching = -CONTACT_TOLERANCE * arm.length
-    model = CollisionModel(arm, effective_scene(arm, motion.scene))
-    if motion.scene is None:
-        if own_clearance(motion) >= touching:
-            return None
-        clearance = np.array([model.minimum(q).distance for q in motion.q])
-    row = int(clearance.argmin())
-    pair = model.minimum(motion.q[row]).pair
-    if clearance[row] >= touching or pair is None:
+    arm, least = motion.arm, smallest_distance(motion)
+    if least.pair is None or least.distance >= -CONTACT_TOLERANCE * arm.length:
         return None
-    return Penetration(pair, -float(clearance[row]), row)
+    clearance = motion.clearance
+    if motion.scene is None:
+        model = CollisionModel(arm, arm_alone(arm))
+        clearance = np.array([model.minimum(q).distance for q in motion.q])
+    return Penetration(least.pair, -least.distance, int(clearance.argmin()))
 
 
-def own_clearance(motion: FinishedMotion) -> float:
-    """Return the smallest distance between parts of the arm in a motion [m]; infinite without such parts."""
-    return _minimum_in(motion, arm_alone(motion.arm)).distance
+def smallest_distance(motion: FinishedMotion) -> Closest:
+    """Return the smallest distance in a motion and its pair; without a scene, of parts of the arm."""
+    if motion.scene is None:
+        return _minimum_in(motion, arm_alone(motion.arm))
+    row = int(motion.clearance.argmin())
+    pair = CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair
+    return Closest(float(motion.clearance[row]), pair)
 
 
 def _minimum_in(motion: FinishedMotion, scene: Scene) -> Closest:
@@ -299,11 +302,10 @@ def closest(motion: FinishedMotion) -> dict[str, Any] | None:
     if scene is None:
         return None
     after = int(motion.clearance.argmin())
-    least = CollisionModel(motion.arm, scene).minimum(motion.q[after])
     obstacles = _minimum_in(motion, scene.without_self_collision()) if scene.obstacles else None
     itself = _minimum_in(motion, scene.without_obstacles()) if scene.self_collision else None
     return {
-        **_closest_as_data(least),
+        **_closest_as_data(smallest_distance(motion)),
         "final": float(motion.clearance[-1]),
         "after_steps": after,
         "margin": scene.margin,
@@ -506,7 +508,7 @@ class Waypoint(NamedTuple):
         off_curve: largest distance of the targets of the control points from the curve of the waypoint, if
             the arm cannot take the curve exactly, or of the tip from the end of a curve that is not to be
             trimmed [m]; None without a curve. After following a leader, the largest distance of any part of
-            the arm from the path on the way.
+            the arm from the path on the way from the waypoint before, as `path_deviation` measures it.
         tip_off: error of the tip task at that time [m]; None without a tip task, or if never reached.
         moved: how its curve was moved from its original position; None without a curve.
         speed: largest share of the velocity limits for the motion to it.

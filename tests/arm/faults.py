@@ -121,6 +121,12 @@ FAULTS = {
         "effort is -1.0",
         False,
     ),
+    "quaternion": (
+        one_joint(inside="<origin quat_xyzw='0 0 0.6 0.8'/>" + LIMIT),
+        "joint 'j'",
+        "allowed: rpy=, roll, pitch, yaw",
+        True,
+    ),
     "zero axis": (one_joint(inside="<axis xyz='0 0 0'/>" + LIMIT), "joint 'j'", "not zero", True),
     "axis that squares to zero": (
         one_joint(inside="<axis xyz='0 0 1e-300'/>" + LIMIT),

@@ -51,13 +51,19 @@ def test_the_file_holds_what_was_said(command, arm_file, tmp_path):
 
 
 def test_words_on_stdout_and_the_file_on_stderr(command, arm_file, tmp_path):
-    result = command("batch", arm_file, "--curve", "helix", "--count", 2, *SHORT, "-o", tmp_path)
+    asked = ("batch", arm_file, "--curve", "helix", "--count", 2, "-o", tmp_path)
+    result = command(*asked, "--steps", 2)
     batch = pp.load(tmp_path / "batch.npz", pp.Batch)
     assert result.err.splitlines() == [f"wrote {tmp_path / 'batch.npz'}"]
     lines = [line.split("  ", 1) for line in result.out.splitlines()]
     said = {name.strip(): text.strip().replace("--steps", "max_steps") for name, text in lines}
     assert said == {**batch.in_words(), "starts": "smooth, seeds 0 to 1"}
-    assert re.search(r"; raise --steps to at least \d+0 to continue", result.out)
+    (needed,) = re.findall(r"raise --steps to (\d+), which is enough for 2 of them", result.out)
+    again = command(*asked, "--steps", needed)
+    assert (again.code, again.out.splitlines()[0].split("  ")[-1].strip()) == (
+        0,
+        "reached the target in all 2 runs",
+    )
 
 
 def test_starts_in_collision_are_told_of_with_advice(command, arm_file, tmp_path):
