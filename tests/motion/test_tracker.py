@@ -83,7 +83,7 @@ def test_a_report_is_printed_in_one_line(arm: pp.Arm) -> None:
     assert repr(tracker.report) == "Report(holding: no measurement)"
     tracker.update(Target.from_configuration(arm, arm.neutral()))
     tracker.step(np.full(arm.nq, 0.1))
-    assert repr(tracker.report).startswith("Report(moving, mean error 0.")
+    assert repr(tracker.report).startswith("Report(moving, mean error ")
     assert repr(tracker) == f"Tracker({arm.name!r}, 'geodesic', {tracker.report})"
 
 
