@@ -118,11 +118,13 @@ class PlannedStep:
 
     @controller.setter
     def controller(self, controller: Controller) -> None:
+        before = getattr(self, "_controller", None)
         self._controller = cast(Geodesic, controller)
         self._prompt = PromptGeodesic(
             **{each.name: getattr(controller, each.name) for each in fields(Geodesic)}
         )
-        self._shared = Shared(self._controller)
+        if before is None or before.scene is not self._controller.scene:  # plans do not use the offset
+            self._shared = Shared(self._controller)
 
     def compute(
         self, state: ArmState, target: Target, limits: Limits, memory: Memory | None

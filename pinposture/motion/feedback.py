@@ -28,6 +28,13 @@ LONGEST_LAG = 0.5
 """Longest time constant of drives that lag behind their commands [s]; 0.18 to 0.38 s in logs of robots."""
 
 
+SLOWEST_AVERAGE = 4.0 * LONGEST_LAG
+"""Longest time over which the displacement of the arm from its command is averaged [s]. An arm that evades
+obstacles by its average does not oscillate if the lag is at most a quarter of it (see `Feedback`)."""
+
+AVERAGE_DEVIATIONS = 3.0
+"""Change of an average that noise explains, in its standard deviations."""
+
 LIMIT_TOLERANCE = 1e-6
 """Distance from a limit that counts as being there, in `Arm.joint_units`, or relative."""
 
@@ -119,6 +126,9 @@ class Feedback:
         restarted: whether this cycle starts at rest from a new measured configuration.
         points: last measured control points, (m, 3) [m], world frame; None before the first measurement.
         deviation: their distances from those of the command, (m, 3) [m].
+        displacement: displacement of the measured arm from the command, (nv,) [rad or m], averaged over T and
+            constant within the noise of its average; None if it is zero within that, or without feedback of
+            positions.
         response: how the drives respond.
         settled: whether the arm is at its target, so that estimates stay as they are.
 
@@ -146,6 +156,7 @@ class Feedback:
         self._agreed_for = 0.0
         self._at_rest = True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
+        self._averaging_time = min(time_constant, SLOWEST_AVERAGE)
         self._forget(np.zeros(arm.nv))
 
     @property
@@ -166,6 +177,8 @@ class Feedback:
         self._sent = positions.copy()
         self._held: Target | None = None
         self._deviating = None
+        self._displacement = np.zeros(self.arm.nv)
+        self.displacement: Array | None = None
 
     def restart(self, measured: Measurement, moving: bool = False) -> None:
         """Start from a measurement, at rest or not, and forget all estimates."""
@@ -371,8 +384,10 @@ class Feedback:
         expected = self.arm.at(cast(Array, self.command)).compiled.points
         if self._time_constant == 0.0:
             self._move_to(measured)
-        elif not self.settled:
-            self._estimate(difference, share)
+        else:
+            self._average(difference, dt)
+            if not self.settled:
+                self._estimate(difference, share)
         points = np.array(self.arm.at(measured.q).compiled.points)
         off = np.zeros_like(points)
         if measured_points is not None:
@@ -392,6 +407,17 @@ class Feedback:
         if not (response.moved or self._at_rest):
             shares = 0.0 * shares  # nothing is known of the drives yet
         self._offset = np.clip(self._offset + shares * (difference - self._offset), -most, most)
+
+    def _average(self, difference: Array, dt: float) -> None:
+        """Average the displacement of the measured arm from the command."""
+        share = 1.0 - exp(-dt / self._averaging_time)
+        self._displacement += share * (difference - self._displacement)
+        # The variance of noise after a low-pass filter is share / (2 - share) of that before.
+        noise = AVERAGE_DEVIATIONS * np.sqrt(share / (2.0 - share) * self.response.history.variances)
+        before = 0.0 if self.displacement is None else self.displacement
+        if np.any(np.abs(self._displacement - before) > noise):
+            known = np.any(np.abs(self._displacement) > noise)
+            self.displacement = self._displacement.copy() if known else None
 
     def _is_confirmed(self, measured: Measurement, dt: float) -> bool:
         """Restart, and return True, once deviating measurements at rest have agreed long enough."""

@@ -31,7 +31,7 @@ from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion.arrival import ARRIVAL_TOLERANCE, Arrival
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
-from pinposture.motion.track import in_scene
+from pinposture.motion.track import ERROR_ROUNDING, in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
 from pinposture.units import length_text
@@ -77,7 +77,8 @@ class Report(NamedTuple):
         status: "moving", "converged" (the measured arm has the target posture, as far as the noise of the
             measurements tells), "stalled" (no step reduces the error, or a joint stays short of its target),
             "holding" (braking or at rest, as an input is missing or invalid, or a path is not planned yet) or
-            "evading" (the same, but it moves to keep clear of obstacles that approach).
+            "evading" (the same, but it moves to keep clear of obstacles that approach, or to which the
+            measured arm has lost the margin).
         reason: why it is stalled, holding or evading; else empty.
         mean_error: mean distance of the control points from their targets at the start of the cycle, from the
             last usable measurement [m]; None before the first target and measurement.
@@ -86,7 +87,8 @@ class Report(NamedTuple):
         target_age: sum of cycle times since the target was set [s]; None without a target.
         violated_constraints: constraints that the step violates, as in `Diagnostics`, and the margin to
             obstacles if the measured arm has lost it.
-        step: the step of the controller; None if it computed none.
+        step: the step that was sent, with the diagnostics of the controller; None if it computed none. With a
+            limit of jerk, `dq` and `diagnostics.error_increasing` are those after the filter, as in runs.
         time: how long `Tracker.step` took [s].
         overran: whether that is longer than the nominal cycle time.
     """
@@ -135,7 +137,7 @@ class Tracker:
 
     It never extrapolates the target: without one, with one older than `timeout`, without a measurement, or
     with an implausible one, it brakes within its limits and holds, and `report` gives the reason. If it has a
-    measurement, it evades moving obstacles meanwhile.
+    measurement, it evades meanwhile obstacles that approach, or to which the measured arm lost the margin.
 
     The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
     would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
@@ -143,7 +145,8 @@ class Tracker:
     Send `positions` to position-controlled drives. They move by `dq`, and restart from the measured
     configuration only if the arm stays elsewhere (`resync_time`). Smaller errors, for instance because the
     arm sags or lags, are fed back slowly: the command overshoots the target by as much as the arm falls
-    short. Send dq / dt to velocity-controlled drives; each step then starts at the measurement.
+    short. If the measured arm loses the margin to an obstacle, the command moves such that it regains it.
+    Send dq / dt to velocity-controlled drives; each step then starts at the measurement.
 
     The constructor makes what cycles need, so that none waits for it. It loads all compiled kernels: half a
     second for the first tracker in a process, and about a minute if they are not compiled yet (`pinposture
@@ -404,12 +407,14 @@ class Tracker:
             self._rates.restart()
         self._age += passed
         self._judge_arrival(feedback, dt)
+        self._watch_clearance()
         share = dt / self._period
         needed = self._smooth.needs_step(share) or self._decision is None
         decision = self._decide(feedback, dt) if needed or self._decision is None else self._decision
         dq = self._smooth.advance(share, decision.memory.dq if needed else None)
         self._memory, self._decision = decision.memory, decision
         self._feedback.apply_step(dq)
+        decision = decision._replace(step=self._describe_sent(feedback, decision, dq))
         report = self._make_report(feedback, decision, dq, passed)
         taken = perf_counter() - begun
         self.report = report._replace(time=taken, overran=taken > self._period)
@@ -448,6 +453,14 @@ class Tracker:
         memory = held if step is None else step.memory.with_motion_of(held)
         return Decision(step, memory, reason, compensated, evading)
 
+    def _watch_clearance(self) -> None:
+        """Let the controller keep the measured arm clear, too, where drives lag or sag."""
+        controller, displacement = self._steps.controller, self._feedback.displacement
+        if not isinstance(controller, Geodesic) or controller.offset is displacement:
+            return
+        if controller.scene is not None:
+            self._steps.controller = controller.with_offset(displacement)
+
     def _is_at_rest(self) -> bool:
         """Whether the arm does not move, and no step that is still to come moves it."""
         return self._memory is None or not (self._smooth.moving or bool(np.any(self._memory.dq)))
@@ -479,7 +492,7 @@ class Tracker:
         return self.arm.at(self.arm.integrate(state.q, self._smooth.ahead))
 
     def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> tuple[Memory, bool]:
-        """Brake and hold, or evade approaching obstacles, which needs a measured state.
+        """Brake and hold, or evade obstacles that approach or are too close, which needs a measured state.
 
         Returns:
             The memory after that step, and whether the arm evades.
@@ -487,8 +500,9 @@ class Tracker:
         memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
         braked = memory.braked(limits, self._neutral_state)
         controller = self._steps.controller
-        moving = self.scene is not None and self.scene.velocities
-        if not moving or state is None or not isinstance(controller, Geodesic):
+        if state is None or not isinstance(controller, Geodesic) or controller.scene is None:
+            return braked, False
+        if not controller.scene.velocities and controller.offset is None:
             return braked, False
         target = self._target or Target.from_configuration(self.arm, state.q)
         kept = controller.keep_clear(state, target, limits, memory)
@@ -528,6 +542,17 @@ class Tracker:
             text = BRAKING_HARDER if harder else exceeded
             relaxed += (text,) * (text not in relaxed)
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
+
+    def _describe_sent(self, feedback: FeedbackState, decision: Decision, dq: Array) -> Step | None:
+        """Return the step dq that was sent, with diagnostics; None if the controller computed none."""
+        step, aim = decision.step, decision.compensated or self._target
+        command, before = self._feedback.command, feedback.state
+        if step is None or aim is None or command is None or before is None or np.array_equal(step.dq, dq):
+            return step
+        after = self.arm.at(command).compiled
+        most = ERROR_ROUNDING * self.arm.length
+        rises = _mean_distance(after.points, aim) > _mean_distance(before.compiled.points, aim) + most
+        return step._replace(dq=np.array(dq), diagnostics=step.diagnostics._replace(error_increasing=rises))
 
     def _judge_status(
         self, feedback: FeedbackState, decision: Decision, dq: Array, error: float | None

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from arms import template_arm
 
@@ -213,3 +214,71 @@ def test_a_measured_arm_that_sags_into_an_obstacle_is_reported() -> None:
         sag[0] = 0.1 * min(cycle / 50, 1) + (0.1 if cycle > 100 else 0.0)
         q = tracker.command + sag
     assert lost > 10
+
+
+BALL, BALL_RADIUS, LINK_RADIUS, MARGIN = np.array([0.3, 0.0, -0.1]), 0.07, 0.008, 0.01
+
+
+def distance_to_ball(arm: pp.Arm, q: np.ndarray) -> float:
+    """Distance of the round links from the ball, by the closest points of the segments between joints."""
+    data = arm.model.createData()
+    pin.forwardKinematics(arm.model, data, q)
+    ends = [data.oMi[joint].translation for joint in range(1, arm.model.njoints)]
+    ends = np.array([*ends, arm.at(q).points[-1]])
+    along = np.diff(ends, axis=0)
+    lengths = np.maximum((along**2).sum(axis=1), 1e-12)
+    shares = np.clip(((BALL - ends[:-1]) * along).sum(axis=1) / lengths, 0.0, 1.0)
+    apart = np.linalg.norm(ends[:-1] + shares[:, None] * along - BALL, axis=1)
+    return float(apart.min()) - BALL_RADIUS - LINK_RADIUS
+
+
+@pytest.mark.parametrize(
+    ("aims", "lag", "noise", "jerk", "time_constant"),
+    [
+        (False, 0.05, 0.0, None, 0.25),
+        pytest.param(True, 0.05, 0.0, None, np.inf, marks=pytest.mark.soak),
+        pytest.param(False, 0.05, 3e-4, None, 0.25, marks=pytest.mark.soak),
+        pytest.param(False, 0.3, 0.0, None, 1.2, marks=pytest.mark.soak),
+        pytest.param(False, 0.05, 0.0, 100.0, 0.25, marks=pytest.mark.soak),
+        pytest.param(True, 0.05, 3e-4, None, np.inf, marks=pytest.mark.soak),
+        pytest.param(True, 0.05, 0.0, 100.0, np.inf, marks=pytest.mark.soak),
+    ],
+)
+def test_the_command_moves_a_sagging_arm_back_to_its_margin_and_rests(
+    aims: bool, lag: float, noise: float, jerk: float | None, time_constant: float
+) -> None:
+    arm = template_arm("RyRz", 6)
+    ball = pp.Sphere(BALL, BALL_RADIUS)
+    scene = pp.Scene({"ball": ball}, margin=MARGIN, self_collision=False, arm_radius=LINK_RADIUS)
+    limits = pp.Limits(step=None, dt=DT, velocity=1.0, acceleration=5.0, jerk=jerk)
+    model = DriveModel(lag=lag, friction=0.0)
+    options = {"limits": limits, "scene": scene, "feedback_time_constant": time_constant}
+    robot = Robot(arm, model, Sensing(noise=noise), **options)
+    if aims:
+        robot.tracker.update(Target.from_configuration(arm, arm.straight()))
+    robot.drives.sag[0] = 0.15
+    logs = [robot.go(3.0 if time_constant < 0.5 else 12.0), robot.go(1.0)]
+    sent = np.vstack([log.sent for log in logs])
+    assert distance_to_ball(arm, arm.configuration(logs[0].true[20])) < 0.9 * MARGIN
+    assert min(distance_to_ball(arm, arm.configuration(q)) for q in logs[1].true[::5]) > 0.99 * MARGIN
+    assert min(distance_to_ball(arm, arm.configuration(q)) for q in sent[::5]) > 0.99 * MARGIN
+    assert np.ptp(logs[1].sent, axis=0).max() < 0.02
+    speeds = np.diff(sent, axis=0) / DT
+    assert np.abs(speeds).max() <= 1.0 + 1e-9 and np.abs(np.diff(speeds, axis=0)).max() / DT <= 5.0 + 1e-6
+    assert "evading" in logs[0].statuses or aims
+    assert "converged" not in logs[1].statuses
+
+
+@pytest.mark.soak
+def test_an_arm_that_cannot_leave_an_obstacle_stands_and_says_so() -> None:
+    arm = template_arm("RyRz", 6)
+    slab, low = pp.Box((0.3, 0.0, -0.06), (0.3, 2.0, 0.08)), pp.Box((0.3, 0.0, 0.06), (0.3, 2.0, 0.08))
+    scene = pp.Scene({"slab": slab, "low": low}, margin=0.01, self_collision=False, arm_radius=0.008)
+    robot = Robot(arm, QUICK, Sensing(noise=0.0), limits=LIMITS, scene=scene, feedback_time_constant=np.inf)
+    robot.tracker.update(Target.from_configuration(arm, arm.straight()))
+    robot.drives.sag[0] = 0.15
+    robot.go(4.0)
+    last = robot.go(1.0)
+    assert set(last.statuses) <= {"stalled", "holding"}
+    assert np.ptp(last.sent, axis=0).max() < 1e-3
+    assert any("overlap" in text for text in robot.tracker.report.violated_constraints)

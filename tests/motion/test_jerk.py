@@ -213,7 +213,7 @@ def test_limits_hold_in_cycles_of_all_durations_or_steps_beyond_them_are_named(
     tracker, measured = pp.Tracker(arm, limits=limits, interface=interface), Measured(arm.nv)
     named = 0
     for cycle in range(250):
-        if cycle % 60 == 0:
+        if cycle % 45 == 0:
             goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.9))
             tracker.update(pp.Target.from_configuration(arm, goal))
         if changes and cycle % 40 == 39:
@@ -317,6 +317,32 @@ def test_clearance_that_a_cut_corner_costs_is_reported(arm: pp.Arm, monkeypatch:
             break
     assert tracker.report.status == "converged"
     assert lowest < 0.95 * scene.margin  # so that there was something to report
+
+
+@pytest.mark.parametrize("shares", [(1.0,), (1.0, 0.4, 0.7)])
+def test_a_report_flags_the_steps_that_were_sent_and_raise_the_error(
+    arm: pp.Arm, shares: tuple[float, ...]
+) -> None:
+    rng, unflagged, flagged = np.random.default_rng(3), 0, 0
+    start, *goals = (smooth_configuration(arm, rng, 0.9) for _ in range(4))
+    tracker, q = pp.Tracker(arm, limits=limited(20.0, 2.0, 10.0)), start
+    for cycle in range(240):
+        if cycle % 45 == 0:
+            target = pp.Target.from_points(arm, arm.at(goals[cycle // 45 % 3]).points)
+            tracker.update(target)
+        dq = tracker.step(q, dt=DT * shares[cycle % len(shares)])
+        step = tracker.report.step
+        before, after = (
+            float(np.linalg.norm(arm.at(each).points - target.points, axis=1).sum())
+            for each in (q, tracker.command)
+        )
+        q = tracker.command
+        if step is None:
+            continue
+        assert np.array_equal(step.dq, dq)
+        flagged += step.diagnostics.error_increasing
+        unflagged += after - before > 1e-11 * arm.length and not step.diagnostics.error_increasing
+    assert flagged and not unflagged
 
 
 def test_what_is_asked_for_is_checked(arm: pp.Arm) -> None:

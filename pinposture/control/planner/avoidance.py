@@ -149,6 +149,9 @@ MAX_NAMED_PAIRS = 3
 
 BRAKING_HARDER = "acceleration limit: braking within it would cause contact"
 
+MEASURED_ARM = "the measured arm"
+"""Beginning of messages on pairs at which the measured arm limits a step, not the commanded one."""
+
 MAX_HALVINGS = 6
 """How often a step from which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
@@ -209,10 +212,13 @@ class Avoidance:
         objective: the objective.
         bounds: the limits of the joints.
         previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
+        offset: displacement of the measured arm from the state of the arm, (nv,) [rad or m], where steps keep
+            or restore the margin, too; None: none.
 
     Attributes:
         margin: the distance to keep [m].
         moving: whether obstacles move.
+        offset: as above.
     """
 
     def __init__(
@@ -221,11 +227,14 @@ class Avoidance:
         objective: Objective,
         bounds: JointBounds,
         previous: Array | None = None,
+        offset: Array | None = None,
     ) -> None:
         self.clearance, self.margin = clearance, clearance.scene.margin
+        self.offset = offset
         self.objective, self._length, self._bounds = objective, objective.arm.length, bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
         self._seen: tuple[ArmState, Distances] | None = None
+        self._seen_displaced: tuple[ArmState, Distances] | None = None
         self._approved: tuple[Array, Array] | None = None
         brake = bounds.brake
         # The stopping distance, this step included, is the step times half the number of braking steps.
@@ -239,12 +248,17 @@ class Avoidance:
 
     @classmethod
     def of(
-        cls, scene: Scene | None, objective: Objective, bounds: JointBounds, previous: Array | None = None
+        cls,
+        scene: Scene | None,
+        objective: Objective,
+        bounds: JointBounds,
+        previous: Array | None = None,
+        offset: Array | None = None,
     ) -> Avoidance | None:
         """Return the avoidance of a scene; None if there is no scene."""
         if scene is None:
             return None
-        return cls(CollisionModel(objective.arm, scene), objective, bounds, previous)
+        return cls(CollisionModel(objective.arm, scene), objective, bounds, previous, offset)
 
     def for_objective(self, objective: Objective) -> Avoidance:
         """Return the avoidance for another objective and an arm at rest."""
@@ -253,9 +267,22 @@ class Avoidance:
     def near(self, state: ArmState) -> Distances:
         """Return the pairs within the constrained distance; the last result is cached."""
         if self._seen is None or self._seen[0] is not state:
-            sight = self.margin + CONSTRAINED_DISTANCE * self._length
-            self._seen = state, self.clearance.nearest(state, sight)
+            self._seen = state, self.clearance.nearest(state, self._sight)
         return self._seen[1]
+
+    def near_measured(self, state: ArmState) -> Distances | None:
+        """Return the same of the measured arm; None without an offset. The last result is cached."""
+        if self.offset is None:
+            return None
+        if self._seen_displaced is None or self._seen_displaced[0] is not state:
+            displaced = state.arm.at(state.arm.integrate(state.q, self.offset)).compiled
+            self._seen_displaced = state, self.clearance.nearest(displaced, self._sight)
+        return self._seen_displaced[1]
+
+    @property
+    def _sight(self) -> float:
+        """Distance up to which pairs are constrained [m]."""
+        return self.margin + CONSTRAINED_DISTANCE * self._length
 
     def rows(self, state: ArmState, lower: Array, upper: Array) -> ConstraintRows | None:
         """Return the velocity damper: no pair may lose more than a share of its clearance in one step.
@@ -264,12 +291,24 @@ class Avoidance:
         as far as the bounds of the step allow. From an approaching obstacle the arm retreats early enough to
         match its speed within the acceleration limits.
 
+        The rows of the arm at its state come first, then those of the measured arm. That one has to gain as
+        much as the other may lose: its offset follows the measurements slowly.
+
         Args:
             state: the state of the arm.
             lower: smallest step, (n,), in `Arm.joint_units`.
             upper: largest step, (n,).
         """
-        near = self.near(state)
+        rows = self._damper(self.near(state), lower, upper)
+        measured = self.near_measured(state)
+        more = None if measured is None else self._damper(measured, lower, upper)
+        if rows is None or more is None:
+            return more if rows is None else rows
+        matrix = np.vstack([rows.matrix, more.matrix])
+        return ConstraintRows(matrix, np.concatenate([rows.least, more.least]))
+
+    def _damper(self, near: Distances, lower: Array, upper: Array) -> ConstraintRows | None:
+        """Return the rows of pairs that are near; None if there are none."""
         if not len(near.distances):
             return None
         matrix = near.jacobian[:, self.objective.columns] * self.objective.units
@@ -437,19 +476,29 @@ class Avoidance:
     def describe_closest(self, state: ArmState) -> str:
         """Describe the closest pair."""
         near = self.near(state)
-        return self._describe(state, near.distances == near.minimum)[0]
+        return self._describe(near, near.distances == near.minimum)[0]
 
     def describe_obstruction(
         self, state: ArmState, solution: Solution | None, stuck: bool
     ) -> tuple[str, ...]:
         """Describe the pairs that limit a step: those with active rows, or all close ones if stuck."""
         near = self.near(state)
-        which = near.distances <= self.margin + 1.5 * STEP_CLEARANCE * self._length if stuck else None
-        if solution is not None and len(solution.binding) == len(near.distances):
-            which = solution.binding if which is None else which | solution.binding
-        return () if which is None else self._describe(state, which)
+        count = len(near.distances)
+        binding = np.zeros(0, dtype=np.bool_) if solution is None else solution.binding
+        words = self._describe(near, self._which(near, binding[:count], stuck))
+        measured = self.near_measured(state)
+        if measured is None:
+            return words
+        which = self._which(measured, binding[count:], stuck)
+        return words + tuple(f"{MEASURED_ARM}: {each}" for each in self._describe(measured, which))
 
-    def _describe(self, state: ArmState, which: NDArray[np.bool_]) -> tuple[str, ...]:
-        near = self.near(state)
+    def _which(self, near: Distances, binding: NDArray[np.bool_], stuck: bool) -> NDArray[np.bool_]:
+        """Return which pairs limit a step."""
+        which = near.distances <= self.margin + 1.5 * STEP_CLEARANCE * self._length
+        which &= stuck
+        return which | binding if len(binding) == len(which) else which
+
+    @staticmethod
+    def _describe(near: Distances, which: NDArray[np.bool_]) -> tuple[str, ...]:
         chosen = np.flatnonzero(which)
         return tuple(describe_distance(near.pairs[k], near.distances[k]) for k in chosen)

@@ -42,6 +42,9 @@ FEW_ROWS, SQUARED_JOINTS_PER_ROW = 2, 1000.0
 """Number of constraints up to which the time that is linear in the number of joints is the shorter one: the
 first, and for long arms the square of the number of joints over the second."""
 
+RETREAT_TOLERANCE = 1e-6
+"""Gain of clearance in a step that a measured arm at rest need not make, in arm lengths."""
+
 CURVATURE_CORRECTIONS = 4
 """How often a step is corrected for the second-order errors of tasks with priority."""
 
@@ -54,7 +57,8 @@ class StepBounds(NamedTuple):
         lower: smallest step, (n,), in `Arm.joint_units`.
         upper: largest step, (n,).
         rows: further constraints; None: none.
-        retreating: whether an approaching obstacle forces the arm to move.
+        retreating: whether an approaching obstacle, or a lost margin of the measured arm, forces the arm to
+            move.
     """
 
     state: ArmState
@@ -72,7 +76,9 @@ class StepBounds(NamedTuple):
         if avoidance is None:
             return cls(state, lower, upper, None)
         rows = avoidance.rows(state, lower, upper)
-        retreating = avoidance.moving and rows is not None and bool(np.any(rows.least > 0.0))
+        may_retreat = rows is not None and (avoidance.moving or avoidance.offset is not None)
+        least = 0.0 if avoidance.moving else RETREAT_TOLERANCE * state.arm.length
+        retreating = may_retreat and rows is not None and bool(np.any(rows.least > least))
         return cls(state, lower, upper, rows, retreating)
 
     def admit(self, x: Array) -> bool:

@@ -54,6 +54,9 @@ PATH_TOLERANCES = PathTolerances(
 )
 """Tolerances of the steps that a kernel computes ahead."""
 
+CANNOT_EVADE = "no step within the limits leads the measured arm away from what it is too close to"
+"""Reason for which an arm at its target stands, though the measured one has lost the margin there."""
+
 ERROR_ROUNDING = 1e-12
 """Increase of the posture error that is attributed to rounding, in arm lengths."""
 
@@ -543,7 +546,8 @@ def step_along(
     progress = progress.moved_to(place, bounds.travel, hindered)
     tasks = objective.task_rows(state, priority=True)
     may_follow = inside and tasks is None
-    if may_follow and avoidance is not None and not avoidance.moving and avoidance.stops_clear(state, dq):
+    still = avoidance is not None and not avoidance.moving and avoidance.offset is None
+    if may_follow and still and avoidance is not None and avoidance.stops_clear(state, dq):
         return CandidateStep(dq, progress)  # without computing the rows of constraints
     step_bounds, wanted = StepBounds.of(objective, state, box, avoidance), objective.normalize(dq)
     if may_follow and step_bounds.admit(wanted):
@@ -678,6 +682,7 @@ def _check_step(
     dq, violated, share = candidate.dq, box.violated_constraints, 1.0
     stopping: Array | None = None
     near: tuple[str, ...] = ()
+    reason = candidate.reason
     if not isfinite(dq @ dq):
         dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
     if avoidance is not None:
@@ -694,8 +699,10 @@ def _check_step(
                 progress_place=moved.progress_place,
                 idle_travel=moved.idle_travel,
             )
+        if progress.arrived and avoidance.offset is not None and not (reason or np.any(dq)):
+            reason = CANNOT_EVADE
         violated += relaxed + avoidance.describe_violations(state)
-        near = avoidance.describe_obstruction(state, candidate.solution, bool(candidate.reason))
+        near = avoidance.describe_obstruction(state, candidate.solution, bool(reason))
         near += (progress.path.hindrance,) if progress.path.hindrance else ()
     objective = progress.objective
     reached = np.empty(arm.nv)
@@ -716,8 +723,6 @@ def _check_step(
     )
     following = not progress.arrived and progress.idle_travel == 0.0
     diagnostics = _diagnose(objective, at_limit, before_error, after_error, following)
-    diagnostics = diagnostics._replace(
-        reason=candidate.reason, scale=share, violated_constraints=violated, near=near
-    )
+    diagnostics = diagnostics._replace(reason=reason, scale=share, violated_constraints=violated, near=near)
     memory = GeodesicMemory(dq, stopping, progress._replace(expected=reached, ahead=None))
     return Step(dq, objective.active, diagnostics, memory)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -78,6 +78,8 @@ class Geodesic:
         relative_position_weight: weight of the squared error of a chord, relative to that of a point.
         tasks: further tasks.
         scene: the obstacles; None: none. `track(..., scene=)` sets it.
+        offset: displacement of the measured arm from the state in which steps begin, (nv,) [rad or m]. Steps
+            keep that arm clear, too, as far as its offset stays. None: none. A `Tracker` sets it.
     """
 
     joint_weight: float = 0.2
@@ -85,6 +87,7 @@ class Geodesic:
     tasks: tuple[ControlTask, ...] = ()
     scene: Scene | None = None
     name: str = "geodesic"
+    offset: Array | None = field(default=None, compare=False, repr=False)
 
     plans: ClassVar[bool] = True
     """Whether a step plans when it needs a path; if not, it raises `PlanNeeded`."""
@@ -99,6 +102,10 @@ class Geodesic:
     def with_scene(self, scene: Scene | None) -> Geodesic:
         """Return this controller in another scene."""
         return replace(self, scene=scene)
+
+    def with_offset(self, offset: Array | None) -> Geodesic:
+        """Return this controller for another offset of the measured arm."""
+        return replace(self, offset=offset)
 
     def objective(self, arm: Arm, target: Target) -> Objective:
         """Return the objective of an arm: the target posture and the tasks."""
@@ -155,7 +162,7 @@ class Geodesic:
         progress = self._update(state, target, limits, before)
         if before is None or progress.path.start is not before.path.start:
             progress = PathProgress.begin(progress.timed, previous)
-        avoidance = Avoidance.of(self.scene, progress.objective, bounds, previous)
+        avoidance = Avoidance.of(self.scene, progress.objective, bounds, previous, self.offset)
         if avoidance is None and progress is not before:
             step = fast_step(progress, state, bounds)
             if step is not None:
@@ -286,10 +293,10 @@ class Geodesic:
         dq, violated = np.zeros(arm.nv), box.violated_constraints
         dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
         objective = self.objective(arm, target)
-        avoidance = Avoidance.of(self.scene, objective, limits.for_arm(arm), previous)
+        avoidance = Avoidance.of(self.scene, objective, limits.for_arm(arm), previous, self.offset)
         share, stopping = 1.0, None
         if avoidance is not None:
-            if avoidance.moving:
+            if avoidance.moving or avoidance.offset is not None:
                 evading = _smallest_motion(avoidance, StepBounds.of(objective, state, box, avoidance))
                 dq[objective.columns] = evading[objective.columns]
             dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
@@ -327,7 +334,7 @@ class Geodesic:
     ) -> Memory:
         """Take the smallest step that keeps the arm clear, regardless of the target, while a path is planned.
 
-        Without moving obstacles, the arm brakes to a stop.
+        Without moving obstacles and an `offset`, the arm brakes to a stop.
 
         Args:
             state: the state of the arm.
@@ -344,11 +351,11 @@ class Geodesic:
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
         memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
-        if self.scene is None or not self.scene.velocities:
+        if self.scene is None or not (self.scene.velocities or self.offset is not None):
             return memory.braked(limits, state)
         state, objective = state.compiled, self.objective(state.arm, target)
         model = CollisionModel(state.arm, self.scene)
-        avoidance = Avoidance(model, objective, limits.for_arm(state.arm), memory.dq)
+        avoidance = Avoidance(model, objective, limits.for_arm(state.arm), memory.dq, self.offset)
         box = limits.box(state, memory.dq)
         cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
         return replace(memory, dq=cleared.dq, stopping=cleared.stopping)
