@@ -35,6 +35,10 @@ obstacles by its average does not oscillate if the lag is at most a quarter of i
 AVERAGE_DEVIATIONS = 3.0
 """Change of an average that noise explains, in its standard deviations."""
 
+LIMIT_NOISE = 1e-3
+"""Excess of a measured position over a limit that is attributed to noise, in `Arm.joint_units`: three
+standard deviations of the encoders of a robot, 3e-4 rad."""
+
 LIMIT_TOLERANCE = 1e-6
 """Distance from a limit that counts as being there, in `Arm.joint_units`, or relative."""
 
@@ -63,15 +67,27 @@ def read_measurement(arm: Arm, given: ArrayLike) -> Measurement:
     return Measurement(arm.checked(given, "q_measured"), None)
 
 
-def read_start(arm: Arm, given: ArrayLike) -> Measurement:
-    """Return a measurement from which an arm starts; as `read_measurement`.
+def without_noise_at_limits(arm: Arm, measured: Measurement) -> Measurement:
+    """Return a measurement with joints at their limits that are beyond them by no more than `LIMIT_NOISE`."""
+    positions = arm.positions(measured.q) if measured.positions is None else measured.positions
+    inside = np.minimum(np.maximum(positions, arm.limits.lower), arm.limits.upper)
+    change = inside - positions
+    change[np.abs(change) > LIMIT_NOISE * arm.joint_units] = 0.0
+    if not np.any(change):
+        return measured
+    counted = None if measured.positions is None else positions + change
+    return Measurement(arm.integrate(measured.q, change), counted)
 
-    A `PostureWarning` reports joints outside their limits.
+
+def read_start(arm: Arm, given: ArrayLike) -> Measurement:
+    """Return a measurement from which an arm starts; as `read_measurement`, without noise at limits.
+
+    A `PostureWarning` reports joints outside their limits by more than noise.
 
     Raises:
         InvalidValue: also if the positions may be in degrees.
     """
-    measured = read_measurement(arm, given)
+    measured = without_noise_at_limits(arm, read_measurement(arm, given))
     if measured.positions is None:
         arm.checked_start(measured.q, "q_measured")
     else:
@@ -367,7 +383,8 @@ class Feedback:
         return self.arm.difference(self.command, measured.q)
 
     def _move_to(self, measured: Measurement) -> None:
-        """Set the command to a measurement."""
+        """Set the command to a measurement, and within the limits of joints if only noise is not."""
+        measured = without_noise_at_limits(self.arm, measured)
         if measured.positions is not None:
             self.positions = measured.positions
         elif self.positions is None:

@@ -24,7 +24,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory
-from pinposture.control.limits import cycle_of
+from pinposture.control.limits import POSITION_SLACK, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.errors import InvalidValue, PostureError
@@ -533,7 +533,7 @@ class Tracker:
         status, reason = self._judge_status(feedback, decision, dq, error)
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
-        relaxed += self._lost_clearance()
+        relaxed += self._lost_limits(relaxed) + self._lost_clearance()
         period = cycle_of(self._limits)
         duration = min(max(passed, MIN_CYCLE * period), period)
         for exceeded in self._rates.exceeded(dq, duration, self._limits.for_arm(self.arm)):
@@ -583,6 +583,20 @@ class Tracker:
         if self._arrival.standing < STANDING_TIME or self._target is None or self._arrival.positions is None:
             return "moving", ""
         return "stalled", self._feedback.describe_shortfall(self._target, self._arrival.positions)
+
+    def _lost_limits(self, known: tuple[str, ...]) -> tuple[str, ...]:
+        """Return a message if a joint of the command is outside its limits, unless it is known."""
+        positions, limits = self._feedback.positions, self.arm.limits
+        if positions is None or any(text.startswith("position limit") for text in known):
+            return ()
+        outside = np.maximum(limits.lower - positions, positions - limits.upper) / self.arm.joint_units
+        joint = int(outside.argmax())
+        if outside[joint] <= POSITION_SLACK:
+            return ()
+        unit = "m" if self.arm.slides[joint] else "rad"
+        allowed = f"{limits.lower[joint]:.4g} to {limits.upper[joint]:.4g} {unit}"
+        name = self.arm.joint_names[joint]
+        return (f"position limit: joint {name!r} is at {positions[joint]:.4g}, outside {allowed}",)
 
     def _lost_clearance(self) -> tuple[str, ...]:
         """Return a message if the measured arm or the command is too close to something.

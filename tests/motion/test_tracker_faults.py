@@ -307,3 +307,40 @@ def test_an_arm_that_was_measured_outside_its_limits_comes_back() -> None:
         if k == 0:
             assert tracker.report.violated_constraints
     assert tracker.report.status == "converged"
+
+
+@pytest.mark.parametrize("interface", ["position", "velocity"])
+def test_noise_at_a_limit_is_not_a_joint_outside_it(interface: str) -> None:
+    arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-1.5, 1.2)] * 3)
+    limits = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=5.0)
+    tracker = pp.Tracker(arm, limits=limits, interface=interface)
+    rng, q = np.random.default_rng(0), np.full(arm.nv, 1.2)
+    for cycle in range(60):
+        if cycle == 20:
+            tracker.update(pp.Target.from_configuration(arm, np.full(arm.nv, 1.2)))
+        dq = tracker.step(q + np.clip(2e-4 * rng.normal(size=arm.nv), -4e-4, 4e-4))
+        q = q + dq if interface == "velocity" else tracker.command
+        assert not tracker.report.violated_constraints
+        assert np.all(tracker.positions <= 1.2 + 1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:q_measured")
+@pytest.mark.parametrize("interface", ["position", "velocity"])
+@pytest.mark.parametrize("excess", [2e-3, 0.2])
+def test_a_joint_outside_its_limits_is_named_until_it_is_back(interface: str, excess: float) -> None:
+    arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-1.5, 1.2)] * 3)
+    limits = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=5.0)
+    tracker = pp.Tracker(arm, limits=limits, interface=interface)
+    q = np.zeros(arm.nv)
+    q[2] = 1.2 + excess
+    for cycle in range(120):
+        before = q[2]
+        if cycle == 5:
+            tracker.update(pp.Target.from_configuration(arm, np.full(arm.nv, 0.3)))
+        q = arm.integrate(q, tracker.step(q))
+        named = [text for text in tracker.report.violated_constraints if arm.joint_names[2] in text]
+        if q[2] > 1.201:
+            assert named and named[0].startswith("position limit") and q[2] <= before + 1e-12
+        elif before <= 1.2:
+            assert not named
+    assert q[2] < 1.0
