@@ -13,14 +13,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import (
     finite_array,
+    finite_vector,
     make_read_only,
     require_instance,
     require_positive,
     set_fields,
 )
 from pinposture.arm import Arm
+from pinposture.arm.configurations import FULL_TURN
 from pinposture.arm.couplings import joint_axes
 from pinposture.errors import InvalidValue, enumerated
+
+START_TOLERANCE = 0.5
+"""Largest distance of a continuous joint from the start of a motion, apart from full turns, at which they are
+not in doubt [rad]: controllers do not accept a start that is farther away."""
 
 # Checks of joint trajectories.
 
@@ -321,8 +327,9 @@ class JointTrajectory:
     def from_configurations(cls, arm: Arm, q: ArrayLike, time: ArrayLike) -> JointTrajectory:
         """Return the trajectory of an arm through configurations, with all joints of its model.
 
-        Continuous joints turn the shorter way between rows. The first and the last row are at rest, as
-        ros2_control may require. In between, rates keep the limits that the steps keep; see `compute_rates`.
+        Continuous joints start within +-pi (see `starting_at`) and turn the shorter way between rows. The
+        first and the last row are at rest, as ros2_control may require. In between, rates keep the limits
+        that the steps keep; see `compute_rates`.
 
         Args:
             arm: the arm.
@@ -403,6 +410,32 @@ class JointTrajectory:
             accelerations=self.accelerations[:, order],
             units=units,
         )
+
+    def starting_at(self, arm: Arm, positions: ArrayLike) -> JointTrajectory:
+        """Return the same motion with continuous joints at the full turns at which a robot starts.
+
+        Other joints stay: their positions already tell their turns.
+
+        Args:
+            arm: the arm; joints are matched by name.
+            positions: joint positions of the robot at the start, (nv,) [rad or m], as its drives count them.
+
+        Raises:
+            InvalidValue: a continuous joint is farther than half a radian from the first row, apart from full
+                turns; or the joints are not those of the arm.
+        """
+        given = finite_vector("positions", positions, arm.nv)
+        matched = self.matched(arm)
+        first = matched.positions[0]
+        turns = np.where(arm.kinematics.endless, np.rint((given - first) / FULL_TURN), 0.0)
+        off = np.where(arm.kinematics.endless, np.abs(given - first - FULL_TURN * turns), 0.0)
+        joint = int(off.argmax())
+        if off[joint] > START_TOLERANCE:
+            allowed = (
+                f"{first[joint]:.4g} rad to within {START_TOLERANCE:g} rad, plus full turns: move there first"
+            )
+            raise InvalidValue(f"positions[{joint}]", float(given[joint]), allowed)
+        return replace(matched, positions=matched.positions + FULL_TURN * turns)
 
     def configurations(self, arm: Arm) -> Array:
         """Return the configurations of an arm, (N, nq); joints are matched by name, in any order.

@@ -140,6 +140,21 @@ def test_a_continuous_joint_that_turned_twice_ends_at_4_pi(varied: pp.Arm, turn:
     np.testing.assert_allclose(found.velocities[1:-1], np.tile(dq / count / 0.1, (count - 1, 1)), atol=1e-11)
 
 
+@pytest.mark.parametrize("turns", [(2, -3), (0, 0), (-1, 5)])
+def test_a_motion_starts_at_the_turns_of_the_robot(varied: pp.Arm, turns: tuple[int, int]) -> None:
+    begin = np.array([np.pi - 0.05, 0.02, -np.pi + 0.1, 0.3])
+    q = [varied.configuration(begin + k * np.array([0.1, 0.0, -0.2, 0.05])) for k in range(5)]
+    plain = JointTrajectory.from_configurations(varied, q, 0.1)
+    robot = begin + 2.0 * np.pi * np.array([turns[0], 0, turns[1], 0]) + [0.1, 0.5, -0.2, 0.1]
+    found = plain.starting_at(varied, robot)
+    assert np.abs(found.positions[0] - robot)[[0, 2]].max() < 0.25
+    np.testing.assert_allclose(found.configurations(varied), plain.configurations(varied), atol=1e-12)
+    np.testing.assert_allclose(np.diff(found.positions, axis=0), np.diff(plain.positions, axis=0), atol=1e-12)
+    np.testing.assert_array_equal(found.velocities, plain.velocities)
+    with pytest.raises(InvalidValue, match=r"positions\[0\].*move there first"):
+        plain.starting_at(varied, robot + [2.0, 0.0, 0.0, 0.0])
+
+
 @MOVES
 @given(st.integers(0, 10**6), st.integers(1, 12))
 def test_motions_on_the_manifold_come_back(varied: pp.Arm, seed: int, rows: int) -> None:
