@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 export MPLBACKEND := Agg
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all test-rest mutation lint edit docs pictures urdf bench clean
+.PHONY: demo test test-all test-rest mutation lint edit docs pictures urdf bench study reproduce score clean
 
 demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
@@ -51,12 +51,25 @@ pictures: $(VENV)/test-all.stamp
 
 # The generated robot descriptions under urdf/; a test fails when they are stale.
 urdf: $(VENV)/base.stamp
-	$(RUN) -m pinposture.study urdf
+	$(RUN) -m benchmarks.cases urdf
+
+# The evidence for what the documentation says. Options follow "--", with a blank between a name and its value:
+#     make study STUDY=clutter -- --seeds 5 -o out/clutter
+# or stand in ARGS: make study STUDY=clutter ARGS="--seeds=5". `make study` alone lists the studies.
+EVIDENCE := bench study reproduce score
+ifneq ($(filter $(EVIDENCE),$(firstword $(MAKECMDGOALS))),)
+OPTIONS := $(wordlist 2,$(words $(MAKECMDGOALS)),$(MAKECMDGOALS))
+.PHONY: $(sort $(OPTIONS))
+$(sort $(filter-out $(EVIDENCE),$(OPTIONS))):
+	@:
+endif
 
 # Our controllers and others on the same cases; makes environments for the others under build/bench.
-# Options: make bench ARGS="--quick"
 bench: $(VENV)/base.stamp
-	$(RUN) benchmarks/bench.py $(ARGS)
+	$(RUN) -m benchmarks.peers.bench $(OPTIONS) $(ARGS)
+
+study reproduce score: $(VENV)/base.stamp
+	@$(RUN) -m benchmarks $@ $(STUDY) $(OPTIONS) $(ARGS)
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -42,7 +42,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 201,  # 180
+    "files": 179,  # 170
     "definitions": 4200,
     "constants": 1350,
     "import cycles at run time": 0,  # 0
@@ -121,7 +121,6 @@ ORDER = (
     ("sim",),
     ("viz",),
     ("editor",),
-    ("study",),
     ("notebook",),
     ("cli",),
     ("__main__",),

@@ -1,7 +1,7 @@
 """Does a change of the code leave every number as it was? 300 seeded runs, saved before and compared after.
 
-    python benchmarks/same_results.py --save before.npz      # in the tree as it was
-    python benchmarks/same_results.py --compare before.npz   # in the tree as it is now
+    python -m benchmarks.same_results --save before.npz      # in the tree as it was
+    python -m benchmarks.same_results --compare before.npz   # in the tree as it is now
 
 Arms, controllers, limits, scenes, streamed targets, task files, paths to follow, curves to take and points to
 fit: of each run the configuration of every step is kept, and what else comes out of it: times, target points,
@@ -35,8 +35,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import pinposture as pp
+from benchmarks.baselines import register_baselines
 from pinposture.collision import pipe, pipe_axis
-from pinposture.study import register_baselines
 
 register_baselines()
 
@@ -57,11 +57,11 @@ ROBOTS = next(
 
 EXAMPLES = """
 examples:
-  python benchmarks/same_results.py --list
-  python benchmarks/same_results.py --save before.npz
-  python benchmarks/same_results.py --compare before.npz
-  python benchmarks/same_results.py --compare before.npz --only 'track|stream'
-  python benchmarks/same_results.py --only tasks/keyframes      # how long do these take?
+  python -m benchmarks.same_results --list
+  python -m benchmarks.same_results --save before.npz
+  python -m benchmarks.same_results --compare before.npz
+  python -m benchmarks.same_results --compare before.npz --only 'track|stream'
+  python -m benchmarks.same_results --only tasks/keyframes      # how long do these take?
 
 Exit code 1 if a run differs, is missing or is new.
 """

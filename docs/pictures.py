@@ -29,12 +29,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinposture as pp
-from pinposture.study import case
-from pinposture.study.clutter import KINDS_OF_CLUTTER, draw_problem, run_problem
-from pinposture.study.pictures import draw_clutter
-from pinposture.study.reproduce.runs import thesis_arm
-from pinposture.study.scenarios import SCENARIOS
-from pinposture.study.scenes import situation_arm
+from benchmarks.cases.scenarios import SCENARIOS, case
+from benchmarks.reproduce.runs import thesis_arm
+from benchmarks.studies.clutter import KINDS_OF_CLUTTER, draw_problem, run_problem
+from benchmarks.studies.pictures import draw_clutter
+from benchmarks.studies.scenes import situation_arm
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
@@ -219,7 +218,7 @@ def scene() -> Figure:
 
 
 def clutter() -> Figure:
-    """A problem of each kind of `pinposture study clutter`, and its run."""
+    """A problem of each kind of `make study STUDY=clutter`, and its run."""
     arm = situation_arm()
     return draw_clutter({kind: run_problem(arm, draw_problem(arm, kind, 0)) for kind in KINDS_OF_CLUTTER})
 
@@ -380,12 +379,12 @@ ANIMATIONS = {
 """The animation that an example saves, the share of its time that is shown, and how far it is enlarged."""
 
 MEASURED = {
-    "steps.png": "python benchmarks/bench.py",
-    "obstacle_joints.png": "python benchmarks/obstacle_joints.py",
-    "leader.png": "pinposture study leader",
-    "figure-6.04.png": "pinposture reproduce 6.4",
-    "figure-6.04-own.png": "pinposture reproduce 6.4 --controller 14_your_own_controller:JacobianTranspose",
-    "figure-6.12.png": "pinposture reproduce 6.12",
+    "steps.png": "make bench",
+    "obstacle_joints.png": "make study STUDY=obstacle_joints",
+    "leader.png": "make study STUDY=leader",
+    "figure-6.04.png": "make reproduce -- 6.4",
+    "figure-6.04-own.png": "make reproduce -- 6.4 --controller 14_your_own_controller:JacobianTranspose",
+    "figure-6.12.png": "make reproduce -- 6.12",
 }
 """Pictures beside the pages that other commands draw from what they measure."""
 

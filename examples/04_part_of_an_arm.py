@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import pinposture as pp
-from pinposture.study import bent_configuration
+from pinposture.arm import bent_configuration
 from pinposture.units import length_text
 
 # A planar arm of 45 joints; each joint is a control point.

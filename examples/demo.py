@@ -11,8 +11,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 import pinposture as pp
-from pinposture.study import case
-from pinposture.study.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS
+from benchmarks.cases.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS, case
 from pinposture.units import length_text
 
 SEED = 17

@@ -17,9 +17,9 @@ if TESTS not in sys.path:  # so that `from analytic import ryrz` works from any 
 
 from sampling import draw_fully, draws_more  # noqa: E402
 
+from benchmarks.baselines import register_baselines  # noqa: E402
 from pinposture.arm import Arm  # noqa: E402
 from pinposture.curve import Curve  # noqa: E402
-from pinposture.study import register_baselines  # noqa: E402
 
 register_baselines()  # so that tests can name them
 

@@ -9,9 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from scenarios import Problem
-
-    from peers.method import Method
+    from benchmarks.peers.method import Method
+    from benchmarks.peers.problem import Problem
 
 
 class Entry(NamedTuple):
@@ -57,5 +56,5 @@ REFERENCE = "geodesic"
 def build(name: str, problem: Problem) -> Method:
     """Set a method up for an arm; imports what it needs."""
     entry = METHODS[name]
-    made: Method = import_module(f"peers.{entry.home}").Peer(problem, entry.option)
+    made: Method = import_module(f"benchmarks.peers.{entry.home}").Peer(problem, entry.option)
     return made

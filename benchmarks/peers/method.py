@@ -6,7 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scenarios import POSITION, Problem
+
+from benchmarks.peers.problem import POSITION, Problem
 
 Array = NDArray[np.float64]
 

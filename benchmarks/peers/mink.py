@@ -10,9 +10,9 @@ import mink
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scenarios import DT, LINK, Problem
 
-from peers.method import Method, require_limits
+from benchmarks.peers.method import Method, require_limits
+from benchmarks.peers.problem import DT, LINK, Problem
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scenarios import POSITION, Problem
 from scipy.linalg.lapack import dposv
 
-from peers.method import Method, require_limits
+from benchmarks.peers.method import Method, require_limits
+from benchmarks.peers.problem import POSITION, Problem
 
 Array = NDArray[np.float64]
 

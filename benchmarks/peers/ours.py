@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scenarios import DT, LINK, Problem
 
 import pinposture as pp
-from peers.method import Method
+from benchmarks.baselines import register_baselines
+from benchmarks.peers.method import Method
+from benchmarks.peers.problem import DT, LINK, Problem
 from pinposture.control import controller_named
-from pinposture.study import register_baselines
 
 register_baselines()
 

@@ -13,9 +13,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pink.limits import ConfigurationLimit, VelocityLimit
 from pink.tasks import FrameTask
-from scenarios import DT, Problem
 
-from peers.method import Method, require_limits
+from benchmarks.peers.method import Method, require_limits
+from benchmarks.peers.problem import DT, Problem
 
 Array = NDArray[np.float64]
 

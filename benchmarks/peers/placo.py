@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import placo
 from numpy.typing import NDArray
-from scenarios import DT, Problem
 
-from peers.method import Method, require_limits
+from benchmarks.peers.method import Method, require_limits
+from benchmarks.peers.problem import DT, Problem
 
 Array = NDArray[np.float64]
 

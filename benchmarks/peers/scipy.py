@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scenarios import POSITION, Problem
 from scipy.optimize import least_squares
 
-from peers.method import Method
-from peers.numpy_lm import Kinematics
+from benchmarks.peers.method import Method
+from benchmarks.peers.numpy_lm import Kinematics
+from benchmarks.peers.problem import POSITION, Problem
 
 Array = NDArray[np.float64]
 

@@ -990,3 +990,40 @@ def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -
         positions[columns] = wave[: len(columns)]
     positions *= amplitude / max(float(np.abs(positions).max()), 1e-300)
     return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
+
+
+def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Array:
+    """Draw a smooth random configuration of a planar arm with a given largest heading of its links.
+
+    A long arm that bends slightly at each of many joints rolls up, so the heading of its links describes a
+    posture better than its joint angles, whatever the number of joints.
+
+    Args:
+        arm: a planar arm with revolute joints.
+        rng: source of randomness.
+        heading: largest angle between a link and the same link of the straight arm [rad].
+
+    Returns:
+        Configuration within the limits of the arm, (nq,).
+
+    Raises:
+        InvalidValue: the heading is not a finite number >= 0, or the arm is not planar.
+    """
+    if not (np.isfinite(heading) and heading >= 0.0):
+        raise InvalidValue("heading", heading, "a finite number >= 0 [rad]")
+    if arm.dimension != 2:
+        raise InvalidValue("arm", arm, "a planar arm")
+    positions = arm.positions(smooth_configuration(arm, rng, 1.0))
+    largest = float(np.abs(link_headings(arm, positions)).max())
+    positions = positions * (heading / max(largest, 1e-300))
+    return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
+
+
+def link_headings(arm: Arm, positions: Array) -> Array:
+    """Return the rotation of each link of a planar arm about the normal of its plane, relative to the base.
+
+    It is the sum of the positions, or displacements, (nv,) of the joints of the chain up to each link, full
+    turns included, (n,) [rad].
+    """
+    senses = np.sign(arm.chain.axes @ np.cross(*arm.plane)) * arm.chain.revolute
+    return np.asarray(np.cumsum(senses * positions[arm.columns]))

@@ -22,10 +22,8 @@ from pinposture.cli import (
     generate,
     inspect,
     reach,
-    reproduce,
     run,
     simulate,
-    studies,
     track,
     view,
 )
@@ -108,11 +106,8 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
 
 
 OPTIONS_OF_ARGUMENTS = {
-    "absolute": "index",
-    "first_seed": "seed0",
     "max_steps": "steps",
     "step": "step_limit",
-    "threshold": "kappa",
     "weight": "tip_weight",
 }
 """Parameters of the verbs that are called otherwise in Python."""
@@ -177,17 +172,8 @@ def _paragraphs(docstring: str) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in docstring.split("\n\n"))
 
 
-study = typer.Typer()
-
-
-@study.callback(invoke_without_command=True)
-def _study(ctx: typer.Context) -> None:
-    """Studies of many arms, methods or scenes: one example proves little."""
-    if ctx.invoked_subcommand is None:
-        typer.echo(ctx.get_help())
-
-
-def _add(name: str, run: Callable[..., None], group: typer.Typer) -> None:
+def add_verb(name: str, run: Callable[..., None], group: typer.Typer) -> None:
+    """Add a verb to a group, with its docstring as help, its examples, and the options of its dataclasses."""
     verb = verb_with_examples(verb_examples[run])
     group.command(name, cls=verb, help=_paragraphs(run.__doc__ or ""))(_with_single_options(run))
 
@@ -227,15 +213,10 @@ VERBS: dict[str, Callable[..., None]] = {
     "view": view.run,
     "export": export.run,
     "simulate": simulate.run,
-    "reproduce": reproduce.run,
-    "score": reproduce.run_score,
     "compile": compile.run,
 }
 for name, verb in VERBS.items():
-    _add(name, verb, app)
-for name, verb in studies.STUDIES.items():
-    _add(name, verb, study)
-app.add_typer(study, name="study")
+    add_verb(name, verb, app)
 
 
 def main() -> None:

@@ -608,11 +608,9 @@ class ControllerOptions:
 
 
 def _controller_named(name: str) -> Controller:
-    """Return the controller of a name, including those for comparison."""
+    """Return the controller of a name."""
     from pinposture.control import controller_named
-    from pinposture.study import register_baselines
 
-    register_baselines()
     return controller_named(name)
 
 

@@ -26,7 +26,7 @@ CONTROLLERS: dict[str, Callable[[], Controller]] = {
 }
 """All controllers with their default parameters, by the names that `track` and the command line accept.
 
-Add your own with `CONTROLLERS["mine"] = Mine`. `pinposture.study.register_baselines` adds the baselines."""
+Add your own with `CONTROLLERS["mine"] = Mine`."""
 
 ENTRY_POINTS = "pinposture.controllers"
 """Entry point group in which installed packages register their controllers."""

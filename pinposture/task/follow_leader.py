@@ -314,7 +314,7 @@ DEVIATION_PER_BENDING, MIN_DEVIATION, MAX_DEVIATION = 1.25, 0.1, 0.6
 """Largest distance of any part of the arm from the route, in lengths of its longest link l: the first times
 kappa l for the largest curvature kappa of the path, but not below the second, nor above the third. An arc
 over two links is kappa l / 2 high. Placements that keep to the path came to 97 % of this or less, on the
-paths of `pinposture study leader` and on six public robots; those that went astray to 1.6 to 6 times as
+paths of `make study STUDY=leader` and on six public robots; those that went astray to 1.6 to 6 times as
 much."""
 
 ROUTE_SAMPLES_PER_LINK = 80

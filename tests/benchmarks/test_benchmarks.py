@@ -14,57 +14,51 @@ import pytest
 from PIL import Image
 
 import pinposture as pp
+from benchmarks.peers import problem
+from benchmarks.studies import moving_obstacles
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture
-def scenarios(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import scenarios
-
-    return scenarios
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("modules", [1, 2, 7, 20])
-def test_the_judge_the_arm_and_the_urdf_of_the_peers_agree(scenarios, modules: int) -> None:
+def test_the_judge_the_arm_and_the_urdf_of_the_peers_agree(modules: int) -> None:
     q = np.random.default_rng(modules).uniform(-np.pi, np.pi, 2 * modules)
-    judged = scenarios.points_at(q)
-    arm = pp.Arm.from_template("RyRz", modules, (scenarios.LINK, scenarios.LINK))
+    judged = problem.points_at(q)
+    arm = pp.Arm.from_template("RyRz", modules, (problem.LINK, problem.LINK))
     np.testing.assert_allclose(judged, arm.at(q).points, atol=1e-12)
-    model = pin.buildModelFromXML(scenarios.urdf_text(modules))
+    model = pin.buildModelFromXML(problem.urdf_text(modules))
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     for k, point in enumerate(judged):
-        frame = model.getFrameId(scenarios.point_name(k))
+        frame = model.getFrameId(problem.point_name(k))
         np.testing.assert_allclose(data.oMf[frame].translation, point, atol=1e-12)
-    given = scenarios.problem(modules, 1)
+    given = problem.problem(modules, 1)
     assert model.velocityLimit == pytest.approx(given.speed)
     assert model.upperPositionLimit == pytest.approx(np.pi)
 
 
-def test_cases_are_reachable_and_the_same_for_everybody(scenarios, tmp_path: Path) -> None:
-    given = scenarios.problem(30, 2, seed=3)
-    scenarios.save(tmp_path / "problem.npz", given)
-    read = scenarios.load(tmp_path / "problem.npz")
+def test_cases_are_reachable_and_the_same_for_everybody(tmp_path: Path) -> None:
+    given = problem.problem(30, 2, seed=3)
+    problem.save(tmp_path / "problem.npz", given)
+    read = problem.load(tmp_path / "problem.npz")
     assert [case.family for case in read.cases] == ["near", "random", "near", "random"]
     for case, before in zip(read.cases, given.cases, strict=True):
         np.testing.assert_array_equal(case.start, before.start)
-        np.testing.assert_array_equal(case.points, scenarios.points_at(case.q))
+        np.testing.assert_array_equal(case.points, problem.points_at(case.q))
         assert np.abs(case.q).max() < np.pi
         if case.family == "near":
-            assert np.abs(case.q - case.start).max() <= scenarios.NEAR
-    again = scenarios.problem(30, 2, seed=3)
+            assert np.abs(case.q - case.start).max() <= problem.NEAR
+    again = problem.problem(30, 2, seed=3)
     np.testing.assert_array_equal(again.cases[-1].q, given.cases[-1].q)
-    assert np.abs(np.diff(scenarios.stream(30, 50), axis=0)).max() < given.bound
+    assert np.abs(np.diff(problem.stream(30, 50), axis=0)).max() < given.bound
 
 
 @pytest.mark.studies
 def test_a_tiny_run_without_peers(tmp_path: Path) -> None:
-    command = [sys.executable, str(BENCHMARKS / "bench.py"), "--here", "--steps-only", "--sizes", "8"]
+    command = [sys.executable, "-m", "benchmarks.peers.bench", "--here", "--steps-only", "--sizes", "8"]
     command += ["--seconds", "0.5", "--methods", "joint", "numpy-lm", "placo", "--out", str(tmp_path)]
     saved = tmp_path / "saved.json"
-    subprocess.run([*command, "--save", str(saved)], check=True, capture_output=True, timeout=120)
+    subprocess.run([*command, "--save", str(saved)], check=True, capture_output=True, timeout=120, cwd=ROOT)
     found = json.loads(saved.read_text())
     results = {(each["method"], each["dof"]): each for each in found["results"]}
     assert len(results) == 3
@@ -81,21 +75,22 @@ def test_a_tiny_run_without_peers(tmp_path: Path) -> None:
     assert (tmp_path / "steps.png").stat().st_size > 1000
     command[command.index("joint") : command.index("placo") + 1] = ["numpy-lm"]
     ran = subprocess.run(
-        [*command, "--compare", str(saved)], check=True, capture_output=True, text=True, timeout=120
+        [*command, "--compare", str(saved)], check=True, capture_output=True, text=True, timeout=120, cwd=ROOT
     )
     assert "before" in ran.stdout
 
 
-def printed(script: str, *options: str) -> Any:
-    """What a benchmark prints as JSON."""
-    command = [sys.executable, str(BENCHMARKS / script), "--json", *options]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=300).stdout)
+def printed(study: str, *options: str) -> Any:
+    """What a study prints as JSON."""
+    command = [sys.executable, "-m", f"benchmarks.studies.{study}", "--json", *options]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300, cwd=ROOT)
+    return json.loads(done.stdout)
 
 
 @pytest.mark.studies
 def test_every_problem_with_many_joints_is_solved_and_drawn(tmp_path: Path) -> None:
     plot = tmp_path / "joints.png"
-    rows = printed("obstacle_joints.py", "--joints", "20,40", "--draws", "2", "-o", str(plot))
+    rows = printed("obstacle_joints", "--joints", "20,40", "--draws", "2", "-o", str(plot))
     assert [(row["joints"], row["boxes"]) for row in rows] == [(20, 30), (40, 30), (20, 150), (40, 150)]
     assert all(row["found"] == row["of"] == 2 for row in rows)
     assert all(0.0 < row["cycle_ms"] <= row["cycle_p99_ms"] for row in rows)
@@ -104,7 +99,7 @@ def test_every_problem_with_many_joints_is_solved_and_drawn(tmp_path: Path) -> N
 
 @pytest.mark.studies
 def test_boxes_and_scans_of_them_are_equally_far() -> None:
-    boxes, points, triangles = printed("scan_obstacles.py", "--boxes", "5", "--items", "4000").values()
+    boxes, points, triangles = printed("scan_obstacles", "--boxes", "5", "--items", "4000").values()
     assert set(boxes) == set(points) == set(triangles)
     assert triangles["clearance"] == pytest.approx(boxes["clearance"], abs=0.5)
     assert -0.5 < points["clearance"] - boxes["clearance"] < 5.0  # there is nothing between the points
@@ -129,9 +124,6 @@ class Recorder:
 def test_goals_swing_and_measurements_are_noisy_as_asked(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], swing: float, noise: float
 ) -> None:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import moving_obstacles
-
     made: list[Recorder] = []
 
     def make(arm: pp.Arm, **_: object) -> Recorder:
@@ -159,7 +151,7 @@ def test_goals_swing_and_measurements_are_noisy_as_asked(
 @pytest.mark.studies
 @pytest.mark.parametrize("options", [(), ("--swing", "0.15", "--noise", "0.002")])
 def test_the_margin_to_a_moving_ball_is_kept(options: tuple[str, ...]) -> None:
-    found = printed("moving_obstacles.py", "--draws", "2", *options)
+    found = printed("moving_obstacles", "--draws", "2", *options)
     assert (found["draws"], found["margin_kept"], found["arrived"]) == (2, 2, 2)
     assert found["smallest_distance"] > 0.0048
     assert 0.5 < found["largest_acceleration"] <= 1.0 + 1e-9
@@ -169,7 +161,7 @@ def test_the_margin_to_a_moving_ball_is_kept(options: tuple[str, ...]) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("options", [(), ("--free", "--seed", "3")])
 def test_limits_hold_in_a_loop_where_everything_goes_wrong(options: tuple[str, ...]) -> None:
-    found = printed("soak.py", "--steps", "400", "--modules", "4", *options)
+    found = printed("soak", "--steps", "400", "--modules", "4", *options)
     assert found["steps"] == 400 and len(found["memory [MB], ten times on the way"]) == 10
     assert found["largest speed, of its limit"] <= 1.0 + 1e-9
     hardest = found["largest acceleration that was not reported, of its limit"]

@@ -5,26 +5,17 @@ from __future__ import annotations
 import argparse
 import gc
 import tracemalloc
-from pathlib import Path
 
 import pytest
 
 import pinposture as pp
+from benchmarks.studies import soak
 from pinposture.collision import CollisionModel
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SCENARIOS = (
     *("faults", "obstacles", "drifting", "scenes", "limits"),
     *("jumps", "scans", "follow", "tip", "restarts"),
 )
-
-
-@pytest.fixture
-def soak(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import soak
-
-    return soak
 
 
 @pytest.mark.soak
@@ -32,7 +23,7 @@ def soak(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     ("scenario", "jerk"), [*((name, None) for name in SCENARIOS), ("obstacles", 100.0), ("limits", 100.0)]
 )
-def test_a_loop_keeps_nothing_of_the_cycles_before(soak, scenario: str, jerk: float | None) -> None:
+def test_a_loop_keeps_nothing_of_the_cycles_before(scenario: str, jerk: float | None) -> None:
     assert set(SCENARIOS) == set(soak.SCENARIOS)
     given = argparse.Namespace(
         seed=0, modules=4, free=False, jerk=jerk, controller="geodesic", deadline=float("inf")

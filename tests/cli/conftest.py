@@ -2,44 +2,20 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
-from typer.main import get_command
-from typer.testing import CliRunner
+from calls import Command, calls
 
 from pinposture.cli import app
 from pinposture.storage import write_text
 
 
-class Result(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Command = Callable[..., Result]
-
-
 @pytest.fixture(scope="session")
 def command() -> Iterator[Command]:
     """Calls the command: `command("inspect", "arm.urdf", input="")` -> exit code, stdout, stderr."""
-    # Older Clicks mix the two streams unless told otherwise, newer ones cannot be told.
-    separate = "mix_stderr" in inspect.signature(CliRunner).parameters
-    runner = CliRunner(**({"mix_stderr": False} if separate else {}))
-
-    def call(*arguments: object, **options: object) -> Result:
-        result = runner.invoke(app, [str(argument) for argument in arguments], **options)
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        return Result(result.exit_code, result.stdout, result.stderr)
-
-    with pytest.MonkeyPatch.context() as patch:  # the runner would build all verbs anew for each call
-        patch.setattr("typer.testing._get_command", cache(get_command), raising=False)
+    with calls(app) as call:
         yield call
 
 

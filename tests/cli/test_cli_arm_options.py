@@ -89,9 +89,7 @@ def test_locks_that_are_none_are_refused_in_one_line(command, arm_file, given, s
     assert says in result.err
 
 
-@pytest.mark.parametrize(
-    "verb", ["inspect", "track", "batch", "simulate", "edit", "study methods", "study postures"]
-)
+@pytest.mark.parametrize("verb", ["inspect", "track", "batch", "simulate", "edit"])
 def test_every_verb_that_loads_an_arm_has_the_options(command, verb):
     text = command(*verb.split(), "--help", env={"COLUMNS": "200"}).out
     assert "--locked" in text

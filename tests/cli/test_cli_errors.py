@@ -132,10 +132,6 @@ CASES = [
     Case("nul bytes", "track ARM --curve DIR/nul.csv", ("DIR/nul.csv", "line 1", r"\x00\x1b[31m", " ...")),
     # numbers without measure
     Case("too many jobs", "batch ARM --curve line --jobs 100000000000", ("'--jobs'", "1000")),
-    Case("too many seeds", "study scenes --seeds 100000000000", ("'--seeds'", "1000000")),
-    Case("too wide", "reproduce 6.3 --width 1e300 -o DIR/rep", ("'--width'", "1000")),
-    Case("too narrow", "reproduce 6.3 --width 1e-300 -o DIR/rep", ("'--width'", "20")),
-    Case("negative seed", "study scenes --seed0 -1", ("--seed0 is -1", "at least 0")),
     # the output
     Case("output is a file", "track ARM --curve line -o ARM", ("ARM", "is a file", "a directory")),
     *(
@@ -149,17 +145,9 @@ CASES = [
             "batch": "ARM --curve line",
             "reach": "ARM --to 0,0,0.1",
             "run": "DIR/task.toml",
-            "study postures": "--cases 1",
         }.items()
     ),
     Case("output under a file ", "track ARM --curve line -o ARM/out", ("ARM", "is a file")),
-    # study
-    Case("unknown study", "study armz", ("'armz'", "arms", "pinposture study --help")),
-    Case("no directory", "study arms DIR/none", ("DIR/none", "not a directory")),
-    Case("directory is a file", "study arms ARM", ("ARM", "not a directory")),
-    Case("directory without arms", "study arms RUN", ("RUN", "no file that ends in .urdf")),
-    Case("study with seed -1", "study arms DIR --seed -1", ("--seed is -1", "at least 0")),
-    Case("study without jobs", "study arms DIR --jobs 0", ("jobs is 0", "from 1 to 10000")),
     # view
     Case("missing run", "view DIR/none.npz", ("DIR/none.npz", "no such file")),
     Case("directory without a run", "view DIR", ("DIR/run.npz", "no such file")),

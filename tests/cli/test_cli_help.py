@@ -25,11 +25,9 @@ QUICK = (
     "edit",
     "view",
     "export",
-    "study arms",
     "compile",
 )
-STUDIES = ("methods", "postures", "headings", "scenes", "cycles")  # these take minutes, as does reproduce
-VERBS = (*QUICK, *(f"study {name}" for name in STUDIES), "reproduce")
+VERBS = QUICK
 
 
 def examples(command, verb):
@@ -44,15 +42,6 @@ def test_the_command_alone_tells_of_every_verb(command, arguments):
     assert result.code == 0
     for verb in VERBS:
         assert f" {verb.split()[0]} " in result.out
-
-
-@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",)])
-def test_the_group_alone_tells_of_its_verbs(command, arguments):
-    result = command("study", *arguments)
-    assert (result.code, result.err) == (0, "")
-    assert " arms " in result.out
-    for verb in STUDIES:
-        assert f" {verb} " in result.out
 
 
 def test_the_version_is_that_of_the_package(command):

@@ -44,7 +44,7 @@ def test_stdout_holds_one_json_object_and_nothing_else(arm_file, tmp_path):
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("verb", [*(command.name for command in app.registered_commands), "study"])
+@pytest.mark.parametrize("verb", [command.name for command in app.registered_commands])
 def test_every_verb_starts_in_a_process_of_its_own(verb):
     result = process(verb, "--help", env=environment(COLUMNS="80"))
     assert (result.returncode, result.stderr) == (0, "")

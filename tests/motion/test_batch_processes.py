@@ -14,11 +14,12 @@ from arms import template_arm
 from joblib import delayed
 
 import pinposture as pp
+from benchmarks.cases.scenarios import SPATIAL_SCENARIOS, study
+from benchmarks.studies.arms import survey_arms
+from benchmarks.studies.methods import compare_methods
 from pinposture.errors import InvalidValue
 from pinposture.motion import processes
 from pinposture.motion.processes import Shared, adaptively_in_order, in_order
-from pinposture.study import compare_methods, study, survey_arms
-from pinposture.study.scenarios import SPATIAL_SCENARIOS
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 

@@ -28,7 +28,7 @@ for file in (Path(kernels.__file__).parent / "__pycache__").glob("*.nb?"):
     if file.name.split("-")[0].split(".")[-1] not in sys.argv[1:]:
         shutil.copy(file, there)
 from pinposture.control import CONTROLLERS
-from pinposture.study.scenarios import PLANAR
+from benchmarks.cases.scenarios import PLANAR
 
 late, imported = set(), set()
 box = pp.Scene({"box": pp.Box(center=(0.1, 0.15, 0.1), size=(0.05, 0.05, 0.05))}, self_collision=False)

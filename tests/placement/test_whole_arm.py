@@ -13,6 +13,7 @@ from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
 from sampling import seeds
 
 import pinposture as pp
+from benchmarks.studies.arms import awkward_arms
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
@@ -20,7 +21,6 @@ from pinposture.errors import (
     CurveOutOfReach,
     PostureWarning,
 )
-from pinposture.study import awkward_arms
 
 WIDE = limit(-1e6, 1e6)
 

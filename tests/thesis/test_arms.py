@@ -13,10 +13,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from benchmarks.cases import scenarios
 from pinposture.arm.template import DENSITY
 from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError
-from pinposture.study import scenarios
 
 DIRECTORY = Path(__file__).resolve().parents[2] / "urdf"
 # name: joint letters, links [m], length [m]; written down here from Sections 6.1 and 6.2
@@ -187,7 +187,7 @@ def test_the_command_says_what_it_wrote(tmp_path, monkeypatch):
 
 @pytest.mark.process
 def test_the_command_runs_as_a_module(tmp_path):
-    command = [sys.executable, "-m", "pinposture.study", str(tmp_path)]
+    command = [sys.executable, "-m", "benchmarks.cases", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=DIRECTORY.parent, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert {path.name for path in tmp_path.iterdir()} == set(scenarios.urdf_files())

@@ -10,9 +10,8 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
+from benchmarks.cases.scenarios import SPATIAL_SCENARIOS, Outcome, case, study
 from pinposture.arm import smooth_configuration
-from pinposture.study import Outcome, case, study
-from pinposture.study.scenarios import SPATIAL_SCENARIOS
 
 pytestmark = pytest.mark.reproduction
 

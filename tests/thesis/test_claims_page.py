@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pinposture.study.claims import CLAIMS
-from pinposture.study.reproduce.measures import RULES, Share, judge
-from pinposture.study.reproduce.page import PARTS, span, tables, with_tables
-from pinposture.study.reproduce.runs import READINGS
+from benchmarks.reproduce.claims import CLAIMS
+from benchmarks.reproduce.measures import RULES, Share, judge
+from benchmarks.reproduce.page import PARTS, span, tables, with_tables
+from benchmarks.reproduce.runs import READINGS
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "claims.md").read_text()
@@ -85,8 +85,8 @@ def test_the_command_on_the_page_has_the_seeds_of_the_results() -> None:
 
 @pytest.mark.reproduction
 def test_a_few_runs_of_the_results_come_out_again() -> None:
-    from pinposture.study.reproduce.evaluate import MEASURES
-    from pinposture.study.reproduce.runs import DEFAULT, Reading, RunSet, make_pool
+    from benchmarks.reproduce.evaluate import MEASURES
+    from benchmarks.reproduce.runs import DEFAULT, Reading, RunSet, make_pool
 
     first, steps = RESULTS["parameters"]["first_seed"], RESULTS["parameters"]["max_steps"]
     batches = [RunSet("from-straight", "selection"), RunSet("from-straight", "projection")]

@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
-from pinposture.arm import smooth_configuration
-from pinposture.errors import InvalidValue
-from pinposture.study import case
-from pinposture.study.reproduce.runs import thesis_arm
-from pinposture.study.scenarios import (
+from benchmarks.cases.scenarios import (
     HEADINGS,
     NEARLY,
     SCENARIOS,
     SLIGHT_HEADINGS,
     SPATIAL_SCENARIOS,
     bent_configuration,
+    case,
 )
+from benchmarks.reproduce.runs import thesis_arm
+from pinposture.arm import smooth_configuration
+from pinposture.errors import InvalidValue
 
 
 def planar():

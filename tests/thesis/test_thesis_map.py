@@ -14,7 +14,7 @@ MAP = PAGE.split("\n## Map\n")[1].split("\n## ")[0]
 ROWS = [[cell.strip() for cell in line.strip("|").split("|")] for line in MAP.splitlines() if line[:1] == "|"]
 ROWS = [row for row in ROWS if len(row) == 5 and row[0] != "thesis" and not row[0].startswith("---")]
 QUOTED = re.findall(r"`([^`]+)`", PAGE)
-ROOMS = ["arm", "curve", "placement", "control", "motion", "viz", "study", "thesis", "cli", "editor"]
+ROOMS = ["arm", "curve", "placement", "control", "motion", "viz", "benchmarks", "thesis", "cli", "editor"]
 LENGTHS = {"2": 16, "3": 4, "4": 8, "5": 10, "6": 17, "A": 6}
 
 
@@ -54,7 +54,7 @@ def test_every_row_says_where_it_is_and_what_checks_it(row: list[str]) -> None:
     "name", sorted({q for q in QUOTED if re.fullmatch(rf"({'|'.join(ROOMS)})\.[\w.]+", q)})
 )
 def test_every_name_exists(name: str) -> None:
-    assert resolve_name(f"pinposture.{name}") is not None
+    assert resolve_name(name if name.startswith("benchmarks.") else f"pinposture.{name}") is not None
 
 
 @pytest.mark.parametrize("name", sorted({q for q in QUOTED if q.startswith("test_")}))

@@ -1,0 +1,1 @@
+"""Arms, starts, targets and obstacles of the studies."""

@@ -1,0 +1,193 @@
+"""How long runs and motions take, relative to the shortest time in which their paths can be followed.
+
+    python -m benchmarks.peers.durations                    # 16 to 200 joints, 20 draws each
+    python -m benchmarks.peers.durations --joints 40 --draws 5 --json
+
+Arms of RyRz modules, 1 m long. Runs go from one smooth random posture to another; motions through five of
+them, at times at which limits bind throughout. Limits of all joints are 1 rad/s, and 2, 5 or 20 rad/s^2; or
+5 rad/s^2 alone. The cycle is 10 ms. The shortest time is that of TOPP-RA (the `toppra` package, in an
+environment of its own, made when first needed) for the same path, from rest to rest. What the output takes of
+the limits is measured from the joint positions of the run.
+
+Single joints also have limits of jerk; their shortest time is that of Ruckig (package `ruckig`, as above).
+Ratios below 1 come from cycles: limits hold for differences between them, not for all times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track as with_progress
+from scipy.interpolate import CubicSpline
+
+import pinposture as pp
+from benchmarks.peers import environments
+from pinposture.arm import smooth_configuration
+from pinposture.kernels import load
+from pinposture.task.reference import Reference
+from pinposture.task.task import ReferencePath
+
+CYCLE = 0.01
+LIMITS = ((1.0, 2.0), (1.0, 5.0), (1.0, 20.0), (1000.0, 5.0))
+"""Limits of speed [rad/s] and acceleration [rad/s^2]."""
+
+JERKS, DISTANCES = (20.0, 50.0, 200.0), (0.02, 0.1, 0.3, 1.0, 2.5)
+"""Limits of jerk [rad/s^3], and distances that single joints move [rad]."""
+
+BEND, POSTURES, ROWS, SAMPLES = 32.0, 5, 401, 4
+"""Joint motion of postures, times the number of joints [rad]; postures and waypoints of a motion; and samples
+of each waypoint for TOPP-RA."""
+
+
+class Run(NamedTuple):
+    """A run or a motion.
+
+    Attributes:
+        path: its path, sampled at equal distances, (s, n) [rad].
+        q: its joint positions in each cycle, (k, n) [rad].
+        arrived: whether it came to its end.
+    """
+
+    path: np.ndarray
+    q: np.ndarray
+    arrived: bool
+
+
+def sample(path: pp.JointPath) -> np.ndarray:
+    """Return joint positions along the curve that is followed, (s, n)."""
+    places = np.linspace(0.0, path.end, SAMPLES * int(path.end) + 1)
+    return path.start + np.array([path.smooth_offset(place) for place in places])
+
+
+def run_between(arm: pp.Arm, rng: np.random.Generator, limits: pp.Limits) -> Run:
+    """Go from one posture to another."""
+    start, goal = (smooth_configuration(arm, rng, BEND / arm.nv) for _ in range(2))
+    target = pp.Target.from_configuration(arm, goal)
+    timed = pp.retime(pp.plan(arm.at(start), target, limits=limits), limits)
+    run = pp.track(arm, target, start, limits=limits, max_steps=20_000)
+    return Run(sample(timed.path), run.q, run.status == "converged")
+
+
+def perform_postures(arm: pp.Arm, rng: np.random.Generator, limits: pp.Limits) -> Run:
+    """Go through several postures, much faster than limits allow."""
+    postures = np.array([smooth_configuration(arm, rng, BEND / arm.nv) for _ in range(POSTURES)])
+    spline = CubicSpline(np.linspace(0.0, 1.0, POSTURES), postures, bc_type="clamped")
+    q = spline(np.linspace(0.0, 1.0, ROWS))
+    reference = Reference(arm, CYCLE / 10.0, q[0], q - q[0], np.ones((ROWS, arm.n_modules)))
+    motion = pp.perform(reference, limits=limits)
+    path = ReferencePath(reference, limits).timed.path
+    return Run(sample(path), motion.run.q, motion.run.status == "converged")
+
+
+def shortest_durations(runs: list[Run], limits: np.ndarray) -> list[float]:
+    """Return the shortest durations by TOPP-RA [s]."""
+    where = environments.prepare({"toppra"})["toppra"]
+    if where.python is None:
+        raise SystemExit(f"toppra cannot be installed: {where.reason}")
+    with tempfile.TemporaryDirectory() as folder:
+        source, output = Path(folder, "paths.npz"), Path(folder, "durations.json")
+        arrays = {f"path_{k}": run.path for k, run in enumerate(runs)}
+        np.savez(source, **arrays, **{f"limits_{k}": limits for k in range(len(runs))})
+        script = ["-m", "benchmarks.peers.toppra_durations", str(source), str(output)]
+        subprocess.run([where.python, *script], cwd=environments.ROOT, check=True)
+        return [float(each) for each in json.loads(output.read_text())]
+
+
+def measure_jerk(jerk: float) -> list[dict[str, Any]]:
+    """Return the figures of motions of a single joint."""
+    arm, (speed, acceleration) = pp.Arm.from_template("RyRz", 1), LIMITS[1]
+    limits = pp.Limits(step=None, velocity=speed, acceleration=acceleration, jerk=jerk, dt=CYCLE)
+    rows, motions = [], [(distance, speed, acceleration, jerk) for distance in DISTANCES]
+    for motion, best in zip(motions, shortest_motions(motions), strict=True):
+        target = pp.Target.from_configuration(arm, [motion[0], 0.0])
+        run = pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=20_000)
+        jerks = np.diff(np.pad(run.q, ((3, 3), (0, 0)), mode="edge"), 3, axis=0) / CYCLE**3
+        duration, used = CYCLE * run.steps, float(np.abs(jerks).max() / jerk)
+        row = {"kind": "joint", "distance": motion[0], "jerk": jerk, "arrived": run.converged}
+        rows.append({**row, "duration": duration, "ratio": duration / best, "jerk_used": used})
+    return rows
+
+
+def shortest_motions(motions: list[tuple[float, ...]]) -> list[float]:
+    """Return the shortest durations of motions of one joint, by Ruckig [s]."""
+    where = environments.prepare({"ruckig"})["ruckig"]
+    if where.python is None:
+        raise SystemExit(f"ruckig cannot be installed: {where.reason}")
+    with tempfile.TemporaryDirectory() as folder:
+        source, output = Path(folder, "motions.json"), Path(folder, "durations.json")
+        source.write_text(json.dumps(motions))
+        script = ["-m", "benchmarks.peers.ruckig_durations", str(source), str(output)]
+        subprocess.run([where.python, *script], cwd=environments.ROOT, check=True)
+        return [float(each) for each in json.loads(output.read_text())]
+
+
+def measure(kind: str, joints: int, speed: float, acceleration: float, draws: int) -> dict[str, Any]:
+    """Return the figures of one kind of runs with one number of joints."""
+    arm = pp.Arm.from_template("RyRz", joints // 2, (1.0 / joints, 1.0 / joints))
+    limits = pp.Limits(step=None, velocity=speed, acceleration=acceleration, dt=CYCLE)
+    make = run_between if kind == "run" else perform_postures
+    runs = [make(arm, np.random.default_rng(draw), limits) for draw in range(draws)]
+    least = shortest_durations(runs, np.tile([[speed], [acceleration]], arm.nv))
+    ratios = [CYCLE * (len(run.q) - 1) / best for run, best in zip(runs, least, strict=True)]
+    rest, used = np.zeros((1, arm.nv)), [0.0, 0.0]
+    for run in runs:
+        speeds = np.diff(run.q, axis=0) / CYCLE
+        changes = np.diff(np.concatenate([rest, speeds, rest]), axis=0) / CYCLE
+        used = [max(used[0], np.abs(speeds).max()), max(used[1], np.abs(changes).max())]
+    return {
+        "kind": kind,
+        "joints": joints,
+        "speed": speed,
+        "acceleration": acceleration,
+        "arrived": sum(run.arrived for run in runs),
+        "of": draws,
+        "ratio": float(np.median(ratios)),
+        "largest_ratio": max(ratios),
+        "speed_used": float(used[0] / speed),
+        "acceleration_used": float(used[1] / acceleration),
+    }
+
+
+def main() -> None:
+    """Measure, and print a line for each kind, number of joints and limits."""
+    kind = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
+    parser.add_argument("--joints", type=int, nargs="+", default=[16, 40, 100, 200], help="even numbers")
+    parser.add_argument("--draws", type=int, default=20, help="runs for each")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    given = parser.parse_args()
+    load()
+    cases = [(each, n, *limits) for each in ("run", "motion") for n in given.joints for limits in LIMITS]
+    console, rows = Console(stderr=True), []
+    for case in with_progress(cases, "durations", console=console, transient=True):
+        row = measure(*case, given.draws)
+        rows.append(row)
+        if not given.json:
+            print(
+                "{kind:6s} {joints:4d} joints, {speed:6g} rad/s, {acceleration:4g} rad/s^2: {ratio:.3f} "
+                "times the shortest (largest {largest_ratio:.3f}); arrived {arrived} of {of}; at most "
+                "{speed_used:.1%} of the speed, {acceleration_used:.1%} of the acceleration".format(**row),
+                flush=True,
+            )
+    for row in (row for jerk in JERKS for row in measure_jerk(jerk)):
+        rows.append(row)
+        if not given.json:
+            print(
+                "one joint by {distance:4g} rad, {jerk:4g} rad/s^3: {duration:.2f} s, {ratio:.3f} times the "
+                "shortest; at most {jerk_used:.1%} of the jerk".format(**row),
+                flush=True,
+            )
+    if given.json:
+        json.dump(rows, sys.stdout, indent=1)
+
+
+if __name__ == "__main__":
+    main()
