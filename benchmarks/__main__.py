@@ -5,10 +5,22 @@ from __future__ import annotations
 import typer
 
 from benchmarks.reproduce import command
-from benchmarks.studies.commands import STUDIES
+from benchmarks.studies import arms, clutter, cycles, headings, leader, methods, postures, scenes
 from pinposture.cli.app import OPTIONS_OF_ARGUMENTS, Commands, add_verb
 
 OPTIONS_OF_ARGUMENTS |= {"absolute": "index", "first_seed": "seed0", "threshold": "kappa"}
+
+STUDIES = {
+    "arms": arms.run,
+    "methods": methods.run,
+    "postures": postures.run,
+    "headings": headings.run,
+    "scenes": scenes.run,
+    "clutter": clutter.run,
+    "cycles": cycles.run,
+    "leader": leader.run,
+}
+"""The studies by name, in help order."""
 
 SETTINGS = {"help_option_names": ["-h", "--help"]}
 

@@ -9,15 +9,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
+from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.cases.clutter import draw_problem
 from benchmarks.cases.scenarios import ARMS, SCENARIOS, case, urdf_files
-from benchmarks.studies.clutter import dense_clearance, draw_problem
-from benchmarks.studies.scenes import situation_arm
+from benchmarks.cases.situations import situation_arm
+from benchmarks.harness import Case, Row, Study, count, median, summarise
+from benchmarks.studies.clutter import dense_clearance
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.errors import FileError
@@ -59,7 +63,8 @@ def make_cases(each: int = 5) -> dict[str, Any]:
     for kind in SCENE_GROUPS:
         for seed in range(BENCHMARK_SEED, BENCHMARK_SEED + each):
             problem = draw_problem(arm, kind, seed)
-            described = _case(kind, seed, "ryrz20", problem.start, arm.at(problem.goal).points)
+            assert problem.scene is not None
+            described = _case(kind, seed, "ryrz20", problem.start, problem.target.points)
             cases.append(described | {"scene": problem.scene.to_dict()})
     return {
         "format": CASES_FORMAT,
@@ -106,51 +111,11 @@ def checksum(path: Path) -> str:
     return hashlib.sha256(read_text(path).encode()).hexdigest()
 
 
-class Score(NamedTuple):
-    """Score of a program for the cases of one group.
-
-    Attributes:
-        group: name of the group.
-        cases: number of cases in it.
-        tried: number of cases in the results.
-        reached: number of cases that end at the target, within all limits, and without collision.
-        limits_held: number of cases within the limits of step, position and number of steps.
-        clear: number of cases that never touch an obstacle, including those without obstacles.
-        error: mean point error at the end per arm length, median of the tried cases.
-        steps: number of steps, median of the reached cases.
-        path: path length of the control points relative to straight lines, median of the reached cases.
-        rising: share of steps on which the posture error rises, median of the reached cases.
-    """
-
-    group: str
-    cases: int
-    tried: int
-    reached: int
-    limits_held: int
-    clear: int
-    error: float | None
-    steps: float | None
-    path: float | None
-    rising: float | None
-
-
-class _Run(NamedTuple):
-    """One case by one program; fields as in `Score`."""
-
-    reached: bool
-    limits_held: bool
-    clear: bool
-    error: float
-    steps: int
-    path: float
-    rising: float
-
-
 LIMIT_ROUNDING = 1e-5
 """Tolerance of limits [rad], because solvers satisfy constraints only approximately."""
 
 
-def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
+def score(results: str | Path, cases: str | Path) -> tuple[str, list[Row]]:
     """Score a file of results.
 
     Args:
@@ -159,7 +124,17 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
         cases: the file of cases.
 
     Returns:
-        The name of the program, and a score for each group. Missing cases count as not reached.
+        The name of the program, and a row for each group. Missing cases count as not reached.
+            group: name of the group.
+            cases: number of cases in it.
+            tried: number of cases in the results.
+            reached: number of cases that end at the target, within all limits, and without collision.
+            limits_held: number of cases within the limits of step, position and number of steps.
+            clear: number of cases that never touch an obstacle, including those without obstacles.
+            error: mean point error at the end per arm length, median of the tried cases.
+            steps: number of steps, median of the reached cases.
+            path: path length of the control points relative to straight lines, median of the reached cases.
+            rising: share of steps on which the posture error rises, median of the reached cases.
 
     Raises:
         FileError: a file is missing, malformed or of another version; or the results are for other cases,
@@ -176,16 +151,31 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
         name: Arm.load(each["urdf"], modules=each["joints_per_module"])
         for name, each in known["arms"].items()
     }
-    named = {each["id"]: each for each in known["cases"]}
-    runs: dict[str, _Run] = {}
+    ids = {each["id"] for each in known["cases"]}
+    answers: dict[str, Any] = {}
     for run in given["runs"]:
         name = str(run.get("case")) if isinstance(run, Mapping) else ""
-        if name not in named or name in runs:
+        if name not in ids or name in answers:
             raise FileError(results, f"contains a run of case {name!r}; allowed: each case of {cases} once")
-        described = named[name]
-        runs[name] = _scored(results, known, described, arms[described["arm"]], run.get("q"))
-    groups = list(dict.fromkeys(each["group"] for each in known["cases"]))
-    return str(given["program"]), [_score(group, named.values(), runs) for group in groups]
+        answers[name] = run.get("q")
+    listed = [Case({"group": each["group"]}, partial(dict, each)) for each in known["cases"]]
+    judge = partial(_judge, results, known, arms)
+    rows = Study(listed, [answers], judge).rows()
+    tried, reached = attrgetter("tried"), attrgetter("reached")
+    scores = summarise(
+        rows,
+        ["group"],
+        cases=len,
+        tried=count(tried),
+        reached=count(reached),
+        limits_held=count(attrgetter("limits_held")),
+        clear=count(itemgetter("clear")),
+        error=median("error", tried),
+        steps=median("steps", reached),
+        path=median("path", reached),
+        rising=median("rising", reached),
+    )
+    return str(given["program"]), scores
 
 
 def _read(path: Path, form: str, keys: Sequence[str]) -> dict[str, Any]:
@@ -200,12 +190,18 @@ def _read(path: Path, form: str, keys: Sequence[str]) -> dict[str, Any]:
     return content
 
 
-def _scored(path: Path, known: Mapping[str, Any], described: Mapping[str, Any], arm: Arm, q: object) -> _Run:
-    try:
-        positions = np.array(q, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        positions = np.empty(0)
-    start = np.array(described["start"])
+def _judge(
+    path: Path,
+    known: Mapping[str, Any],
+    arms: Mapping[str, Arm],
+    described: Mapping[str, Any],
+    answers: Mapping[str, Any],
+) -> Row:
+    """Judge the answer of a program to a case, if there is one; columns as in `score`."""
+    if described["id"] not in answers:
+        return Row(tried=False, reached=False, limits_held=False, clear=False)
+    arm, start = arms[described["arm"]], np.array(described["start"])
+    positions = _positions(answers[described["id"]])
     if positions.ndim != 2 or positions.shape[1] != len(start) or not np.isfinite(positions).all():
         raise FileError(
             path, f"case {described['id']}: q is not an array of (steps + 1, {len(start)}) finite numbers"
@@ -223,7 +219,8 @@ def _scored(path: Path, known: Mapping[str, Any], described: Mapping[str, Any], 
         or dense_clearance(arm, Scene.from_dict(described["scene"]), positions) > 0.0
     )
     error = float(errors[-1].mean()) / arm.length
-    return _Run(
+    return Row(
+        tried=True,
         reached=held and clear and error <= known["reached"],
         limits_held=held,
         clear=clear,
@@ -234,23 +231,9 @@ def _scored(path: Path, known: Mapping[str, Any], described: Mapping[str, Any], 
     )
 
 
-def _score(group: str, cases: Any, runs: Mapping[str, _Run]) -> Score:
-    ids = [each["id"] for each in cases if each["group"] == group]
-    tried = [runs[name] for name in ids if name in runs]
-    reached = [run for run in tried if run.reached]
-
-    def median(values: Sequence[float]) -> float | None:
-        return float(np.median(values)) if values else None
-
-    return Score(
-        group=group,
-        cases=len(ids),
-        tried=len(tried),
-        reached=len(reached),
-        limits_held=sum(run.limits_held for run in tried),
-        clear=sum(run.clear for run in tried),
-        error=median([run.error for run in tried]),
-        steps=median([run.steps for run in reached]),
-        path=median([run.path for run in reached]),
-        rising=median([run.rising for run in reached]),
-    )
+def _positions(q: object) -> Array:
+    """Return joint positions as an array; an empty one if they are none."""
+    try:
+        return np.array(q, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.empty(0)

@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinposture as pp
+from benchmarks.cases.clutter import KINDS_OF_CLUTTER, draw_problem
 from benchmarks.cases.scenarios import SCENARIOS, case
+from benchmarks.cases.situations import situation_arm
 from benchmarks.reproduce.runs import thesis_arm
-from benchmarks.studies.clutter import KINDS_OF_CLUTTER, draw_problem, run_problem
-from benchmarks.studies.pictures import draw_clutter
-from benchmarks.studies.scenes import situation_arm
+from benchmarks.studies.clutter import draw_clutter, run_problem
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
@@ -220,7 +220,7 @@ def scene() -> Figure:
 def clutter() -> Figure:
     """A problem of each kind of `make study STUDY=clutter`, and its run."""
     arm = situation_arm()
-    return draw_clutter({kind: run_problem(arm, draw_problem(arm, kind, 0)) for kind in KINDS_OF_CLUTTER})
+    return draw_clutter({kind: run_problem(draw_problem(arm, kind, 0)) for kind in KINDS_OF_CLUTTER})
 
 
 def between() -> Figure:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import pinposture as pp
-from benchmarks.cases.scenarios import Outcome
+from benchmarks.harness import Row
 from benchmarks.reproduce.runs import Descent, MeasuredRun, Steps
 
 
@@ -67,18 +67,15 @@ def one(
 
     rose = int(np.count_nonzero(np.diff(errors) > 0))
     return MeasuredRun(
-        outcome=Outcome(
-            "s",
-            "c",
-            0,
-            errors[0],
-            errors[-1],
-            errors[-1],
-            count,
-            status,
-            int(counts[0]) if count else 0,
-            int(counts[-1]) if count else 0,
-            rose / max(count, 1),
+        outcome=Row(
+            start_error=errors[0],
+            final_error=errors[-1],
+            ratio=errors[-1] / errors[0] if errors[0] else 0.0,
+            steps=count,
+            status=status,
+            first_points=int(counts[0]) if count else 0,
+            last_points=int(counts[-1]) if count else 0,
+            rising=rose / max(count, 1),
         ),
         mean_errors=errors,
         off_curve=off_curve,

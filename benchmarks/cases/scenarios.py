@@ -5,26 +5,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
-from joblib import delayed
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.baselines import named_controllers
 from pinposture.arm import Arm, bent_configuration, smooth_configuration
 from pinposture.arm.arm import link_headings
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
-from pinposture.control import Controller
 from pinposture.curve import HELIX, LINE, PLANAR_LINE, Curve
 from pinposture.errors import PostureError
-from pinposture.motion import Trajectory, track
-from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target, resolve_targets
 from pinposture.storage import write_text
 
@@ -134,41 +128,6 @@ NEARLY = 1e-3
 """Largest joint position of a nearly straight start [rad or m]."""
 
 
-class Outcome(NamedTuple):
-    """Outcome of one run.
-
-    Attributes:
-        scenario: name of the scenario.
-        controller: name of the controller.
-        seed: seed of the case.
-        start_error: posture error at the start [m].
-        final_error: posture error at the end [m].
-        mean_share: mean point error at the end, relative to the arm length.
-        steps: number of steps.
-        status: how the run ended, as `Trajectory.status`.
-        first_points: active control points at the first step; 0 if there was none.
-        last_points: active control points at the last step; 0 if there was none.
-        rising: share of steps on which the posture error rose.
-    """
-
-    scenario: str
-    controller: str
-    seed: int
-    start_error: float
-    final_error: float
-    mean_share: float
-    steps: int
-    status: str
-    first_points: int
-    last_points: int
-    rising: float
-
-    @property
-    def ratio(self) -> float:
-        """Final posture error relative to that at the start; 0 if that was zero."""
-        return self.final_error / self.start_error if self.start_error else 0.0
-
-
 def case(arm: Arm, scenario: Scenario, seed: int) -> tuple[Array, Target]:
     """Return the start configuration and the target of one seed.
 
@@ -216,63 +175,6 @@ def curve_along(arm: Arm, q: Array) -> Curve:
     points = np.vstack([arm.chain.base, arm.at(q).points])
     on = points[-1] + np.outer((1.0, 2.0), points[-1] - points[-2])
     return Curve.points(np.vstack([points, on]))
-
-
-def outcome(run: Trajectory, scenario: str, controller: str, seed: int) -> Outcome:
-    """Summarise a run."""
-    points = run.active.sum(axis=1)
-    errors = run.posture_error
-    return Outcome(
-        scenario=scenario,
-        controller=controller,
-        seed=seed,
-        start_error=float(errors[0]),
-        final_error=float(errors[-1]),
-        mean_share=float(errors[-1]) / int(run.target.has_target.sum()) / run.arm.length,
-        steps=run.steps,
-        status=run.status,
-        first_points=int(points[0]) if len(points) else 0,
-        last_points=int(points[-1]) if len(points) else 0,
-        rising=float(np.mean(np.diff(errors) > 0.0)) if run.steps else 0.0,
-    )
-
-
-def study(
-    arm: Arm,
-    scenarios: Sequence[Scenario],
-    controllers: Sequence[str | Controller],
-    seeds: Sequence[int],
-    max_steps: int = 200,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> list[Outcome]:
-    """Run every controller on every seed of every scenario.
-
-    Args:
-        arm: the arm.
-        scenarios: the scenarios.
-        controllers: controllers or their names.
-        seeds: seeds of the cases.
-        max_steps: maximum number of steps per run.
-        jobs: number of processes; joblib's backends apply, including clusters.
-        progress: called with the numbers of finished and of all runs.
-
-    Returns:
-        The outcomes, in the order of scenarios, then controllers, then seeds; independent of `jobs`.
-
-    Raises:
-        InvalidValue: no controller.
-        UnknownName: no controller has that name.
-    """
-    listed = named_controllers(controllers)
-    cases = product([arm], scenarios, listed, seeds, [max_steps])
-    return collect_results([delayed(_one)(*each) for each in cases], jobs, progress)
-
-
-def _one(arm: Arm, scenario: Scenario, controller: Controller, seed: int, max_steps: int) -> Outcome:
-    start, target = case(arm, scenario, seed)
-    run = track(arm, target, start, controller, max_steps=max_steps)
-    return outcome(run, scenario.name, controller.name, seed)
 
 
 SPATIAL: tuple[ModuleTemplate, ...] = (template("RyRz").with_lengths((0.025, 0.025)),) * 20

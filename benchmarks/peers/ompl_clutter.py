@@ -18,19 +18,14 @@ from time import perf_counter
 import numpy as np
 from ompl import base, geometric, util
 
-from benchmarks.studies.clutter import (
-    KINDS_OF_CLUTTER,
-    RUN_LIMITS,
-    ClutterProblem,
-    dense_clearance,
-    draw_problem,
-)
-from benchmarks.studies.scenes import situation_arm
+from benchmarks.cases.clutter import KINDS_OF_CLUTTER, draw_problem
+from benchmarks.cases.situations import situation_arm
+from benchmarks.harness import Problem
+from benchmarks.studies.clutter import RUN_LIMITS, dense_clearance
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel
 from pinposture.control import plan
 from pinposture.motion.trajectory import path_length_ratio
-from pinposture.placement import Target
 
 SIMPLIFY, RANGE, RESOLUTION = 2.0, 1.0, 0.05
 """Time to simplify [s], longest edge of the trees, and distance between two states that are checked, as the
@@ -42,17 +37,18 @@ def ratio_of(arm: Arm, q: np.ndarray) -> float:
     return path_length_ratio(np.array([arm.at(each).compiled.points for each in q]))
 
 
-def by_pinposture(arm: Arm, problem: ClutterProblem) -> tuple[float, np.ndarray | None]:
+def by_pinposture(problem: Problem) -> tuple[float, np.ndarray | None]:
     """Time to plan [s] and the path, (N, nq); None if it is not clear."""
-    target = Target.from_configuration(arm, problem.goal)
+    arm, start, target, scene = problem
     began = perf_counter()
-    path = plan(arm.at(problem.start), target, problem.scene, RUN_LIMITS)
+    path = plan(arm.at(start), target, scene, RUN_LIMITS)
     return perf_counter() - began, None if path.hindrance else path.configurations
 
 
-def by_rrt_connect(arm: Arm, problem: ClutterProblem, budget: float) -> tuple[float, np.ndarray | None]:
+def by_rrt_connect(problem: Problem, budget: float) -> tuple[float, np.ndarray | None]:
     """Time to plan [s] and the simplified path, (N, nq); None if there is none within the budget [s]."""
-    model, n = CollisionModel(arm, problem.scene), arm.nv
+    arm, first, target, scene = problem
+    model, n = CollisionModel(arm, scene), arm.nv
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
     for joint in range(n):
         bounds.setLow(joint, float(arm.limits.lower[joint]))
@@ -63,14 +59,14 @@ def by_rrt_connect(arm: Arm, problem: ClutterProblem, budget: float) -> tuple[fl
     def keeps_margin(state: base.State) -> bool:
         for joint in range(n):
             offset[0, joint] = state[joint]
-        return model.keeps(origin, offset, problem.scene.margin)
+        return bool(model.minimum_along(origin, offset).distance >= scene.margin)
 
     setup.setStateValidityChecker(keeps_margin)
     information = setup.getSpaceInformation()
     information.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
     start, goal = space.allocState(), space.allocState()
     for joint in range(n):
-        start[joint], goal[joint] = float(problem.start[joint]), float(problem.goal[joint])
+        start[joint], goal[joint] = float(first[joint]), float(target.q[joint])
     setup.setStartAndGoalStates(start, goal)
     planner = geometric.RRTConnect(information)
     planner.setRange(RANGE)
@@ -104,9 +100,9 @@ def main() -> int:
             for seed in range(asked.seeds):
                 problem = draw_problem(arm, kind, seed)
                 if name == "pinposture":
-                    took, q = by_pinposture(arm, problem)
+                    took, q = by_pinposture(problem)
                 else:
-                    took, q = by_rrt_connect(arm, problem, asked.budget)
+                    took, q = by_rrt_connect(problem, asked.budget)
                 times.append(took)
                 if q is not None:
                     ratios.append(ratio_of(arm, q))

@@ -208,7 +208,7 @@ def run_score(
         )
     program, scores = score(results, cases)
     if as_json:
-        print_json({"program": program, "scores": [each._asdict() for each in scores]})
+        print_json({"program": program, "scores": scores})
         return
     heads = ("group", "reached", "of", "limits held", "clear", "error", "steps", "path", "rising")
     rows = [
@@ -217,7 +217,7 @@ def run_score(
             each.reached,
             each.cases,
             each.limits_held,
-            each.clear,
+            each["clear"],
             _short(each.error, ".2g"),
             _short(each.steps, ".0f"),
             _short(each.path, ".2f"),

@@ -270,7 +270,7 @@ def _departs(reading: Reading) -> Finding:
 
 
 def _is_stranded(run: MeasuredRun) -> bool:
-    return run.outcome.status == "no_control_points"
+    return bool(run.outcome.status == "no_control_points")
 
 
 NEAR = 0.03

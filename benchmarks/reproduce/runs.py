@@ -14,7 +14,9 @@ import pinocchio as pin
 from joblib import delayed
 from numpy.typing import NDArray
 
-from benchmarks.cases.scenarios import ARMS, SCENARIOS, Outcome, case, outcome
+from benchmarks.cases.scenarios import ARMS, SCENARIOS, case
+from benchmarks.harness import Row
+from benchmarks.studies.runs import outcome
 from pinposture import kernels
 from pinposture._validation import require_known
 from pinposture.arm import Arm, ArmState
@@ -340,7 +342,7 @@ class MeasuredRun(NamedTuple):
             configuration of the target is known.
     """
 
-    outcome: Outcome
+    outcome: Row
     mean_errors: Array
     off_curve: float | None
     points: NDArray[np.intp]
@@ -418,7 +420,7 @@ def measured(
     placed = int(run.target.has_target.sum())
     residual = run.target.residual
     return MeasuredRun(
-        outcome=outcome(run, batch.scenario, batch.variant, seed),
+        outcome=outcome(run, batch.variant),
         mean_errors=run.posture_error / (placed * run.arm.length),
         off_curve=None if residual is None else float(residual[run.target.has_target].max()) / run.arm.length,
         points=run.active.sum(axis=1),

@@ -1,27 +1,30 @@
-"""Survey of foreign and awkward arms; arms and families of cases for the studies."""
+"""Survey of foreign and awkward arms: loaded, placed on a curve, and tracked."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
-from dataclasses import replace
+from functools import partial
+from itertools import groupby
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Annotated
 
 import numpy as np
-from joblib import delayed
+import typer
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from benchmarks.cases.scenarios import NEARLY, PLANAR, SPATIAL, TARGET_CURVES, arbitrary_configuration
-from pinposture._validation import require_known
+from benchmarks.cases.families import gentle_curve
+from benchmarks.harness import Case, Row, Study
+from benchmarks.report import Columns, Report, StudyOptions, short, table
+from pinposture._validation import require_whole
 from pinposture.arm import Arm, JointSpec, ModuleTemplate
 from pinposture.arm.template import modules_to_urdf
+from pinposture.cli.inputs import ARM, MOTION
+from pinposture.cli.output import examples
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue, PostureError, no_warnings
+from pinposture.errors import FileError, PostureError, no_warnings
 from pinposture.motion import track
-from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
 
 # The survey loads every file of a directory, or arms of shapes that once caused problems (`awkward_arms`),
@@ -29,62 +32,8 @@ from pinposture.placement import Target, resolve_targets
 
 Array = NDArray[np.float64]
 
-
-class ArmSurvey(NamedTuple):
-    """Result of the survey for one file. Distances are relative to the arm length; None if not available.
-
-    Attributes:
-        file: file name.
-        refused: why the file was rejected, or empty.
-        joints: number of moving joints of the chain.
-        modules: number of joints of each module.
-        dimension: 2 if planar, 3 if spatial.
-        length: length from the first joint to the tip [m].
-        method: how its modules were placed on the gentle curve.
-        residual: root mean square distance of its control points from the curve.
-        farthest: largest distance of the links from the curve in the placement
-            (`Target.distance_from_curve`).
-        reference: residual of the best of several independent bounded least-squares fits.
-        reached: mean point error after tracking from a random start by joint interpolation.
-        steps: steps of that run.
-        switching: mean point error after at most 300 steps of Switching from the same start.
-        switching_steps: steps of that run.
-        geodesic: mean point error after at most 300 steps of Geodesic, the default, from the same start.
-        geodesic_steps: steps of that run.
-        qp_status: how the Geodesic run ended, as `Trajectory.status`.
-        path_length_ratio: its path length of all control points relative to straight lines.
-        qp_within_limits: whether all its configurations were within the joint limits.
-        within_limits: whether all configurations of all three runs were.
-        notes: warnings from loading.
-    """
-
-    file: str
-    refused: str = ""
-    joints: int = 0
-    modules: tuple[int, ...] = ()
-    dimension: int = 0
-    length: float = 0.0
-    method: str = ""
-    residual: float | None = None
-    farthest: float | None = None
-    reference: float | None = None
-    reached: float | None = None
-    steps: int = 0
-    switching: float | None = None
-    switching_steps: int = 0
-    geodesic: float | None = None
-    geodesic_steps: int = 0
-    qp_status: str = ""
-    path_length_ratio: float | None = None
-    qp_within_limits: bool = True
-    within_limits: bool = True
-    notes: tuple[str, ...] = ()
-
-
-def gentle_curve(arm: Arm) -> Curve:
-    """Return a curve that such an arm should be able to follow: two slight bends, flat if planar."""
-    points = np.array([(0, 0, 0), (0.3, 0, 0), (0.6, 0.04, 0.03), (0.9, 0.12, 0.03), (1.3, 0.15, 0)])
-    return Curve.spline(arm.length * points * ((1, 1, 0) if arm.dimension == 2 else 1))
+TRACKED = {"joint": 1000, "switching": 300, "geodesic": 300}
+"""Controllers that track each arm, and their maximum number of steps."""
 
 
 def awkward_arms() -> dict[str, str]:
@@ -123,93 +72,124 @@ def awkward_arms() -> dict[str, str]:
     return texts
 
 
-def survey_arms(
-    directory: str | Path | None,
-    least_joints: int = 5,
-    seed: int = 0,
-    jobs: int = 1,
-    progress: Callable[[ArmSurvey], object] | None = None,
-) -> list[ArmSurvey]:
+def survey_arms(directory: str | Path | None, least_joints: int = 5, seed: int = 0) -> Study:
     """Survey every URDF file below a directory, or the `awkward_arms`.
 
     Args:
         directory: where to search for files that end in ".urdf"; None for `awkward_arms`.
         least_joints: files with fewer moving joints are skipped.
         seed: seed of the starts.
-        jobs: number of processes.
-        progress: called with each result as it arrives.
-
-    Returns:
-        One result for each file, in order of path.
 
     Raises:
+        InvalidValue: an invalid seed.
         FileError: no such directory, or no URDF file in it.
     """
+    require_whole("seed", seed, 0)
+    sources: list[tuple[str, str | Path]]
     if directory is None:
-        tasks = [delayed(_survey)(name, text, 1, seed) for name, text in awkward_arms().items()]
+        sources, least_joints = list(awkward_arms().items()), 1
     else:
         directory = Path(directory)
         if not directory.is_dir():
             raise FileError(directory, "is not a directory")
-        files = sorted(directory.rglob("*.urdf"))
-        if not files:
+        sources = [(path.name, path) for path in sorted(directory.rglob("*.urdf"))]
+        if not sources:
             raise FileError(directory, "contains no file that ends in .urdf")
-        tasks = [delayed(_survey)(path.name, path, least_joints, seed) for path in files]
-    results = []
-    for result in in_order(tasks, jobs):
-        if result is not None:
-            results.append(result)
-            if progress is not None:
-                progress(result)
-    return results
+    cases = [Case({"file": name}, partial(_load, name, source)) for name, source in sources]
+    return Study(cases, [tuple(TRACKED)], partial(_survey, least_joints, seed))
 
 
-def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmSurvey | None:
+def _load(name: str, source: str | Path) -> Arm | str:
+    """Return an arm, or why its file is refused."""
     try:
         with no_warnings():  # they are stored on the arm
-            arm = Arm.load(source)
+            return Arm.load(source)
     except PostureError as error:
-        return ArmSurvey(name, refused=str(error).replace(str(source), name))
+        return str(error).replace(str(source), name)
+
+
+UNKNOWN = Row(
+    refused="",
+    joints=0,
+    modules=(),
+    dimension=0,
+    length=0.0,
+    method="",
+    residual=None,
+    farthest=None,
+    reference=None,
+    reached=None,
+    steps=0,
+    switching=None,
+    switching_steps=0,
+    geodesic=None,
+    geodesic_steps=0,
+    qp_status="",
+    path_length_ratio=None,
+    qp_within_limits=True,
+    within_limits=True,
+    notes=(),
+)
+"""What is found of an arm; here of one that is refused. Distances are relative to the arm length.
+
+refused: why the file was rejected, or empty.
+joints: number of moving joints of the chain.
+modules: number of joints of each module.
+dimension: 2 if planar, 3 if spatial.
+length: length from the first joint to the tip [m].
+method: how its modules were placed on the gentle curve.
+residual: root mean square distance of its control points from the curve.
+farthest: largest distance of the links from the curve in the placement (`Target.distance_from_curve`).
+reference: residual of the best of several independent bounded least-squares fits.
+reached: mean point error after tracking from a random start by joint interpolation.
+steps: steps of that run.
+switching, switching_steps: the same after at most 300 steps of Switching from the same start.
+geodesic, geodesic_steps: the same after at most 300 steps of Geodesic, the default.
+qp_status: how the Geodesic run ended, as `Trajectory.status`.
+path_length_ratio: its path length of all control points relative to straight lines.
+qp_within_limits: whether all its configurations were within the joint limits.
+within_limits: whether all configurations of all three runs were.
+notes: warnings from loading.
+"""
+
+
+def _survey(least_joints: int, seed: int, arm: Arm | str, controllers: tuple[str, ...]) -> Row | None:
+    if isinstance(arm, str):
+        return UNKNOWN.but(refused=arm)
     if len(arm.columns) < least_joints:
         return None
-    found = ArmSurvey(
-        name,
-        joints=len(arm.columns),
-        modules=tuple(len(joints) for joints in arm.module_joints),
-        dimension=arm.dimension,
-        length=arm.length,
-        notes=arm.warnings,
-    )
     with no_warnings():  # the table reports it
         target = resolve_targets(arm, gentle_curve(arm), placement="align", incomplete="partial")
     curve = target.curve or gentle_curve(arm)
     distance = curve.nearest(arm.chain.flattened(target.points))[1]
     away = target.distance_from_curve(arm)
-    found = found._replace(
+    start = arm.random(np.random.default_rng(seed))
+    # All points must be reached, even those off the curve: the arm can take that posture.
+    posture = Target(target.points, np.ones(arm.n_modules), q=target.q)
+    runs = [track(arm, posture, start, name, max_steps=TRACKED[name]) for name in controllers]
+    direct, switched, constrained = runs
+    errors = [float(run.point_errors[-1].mean()) / arm.length for run in runs]
+    inside = [all(arm.within_limits(q) for q in run.q) for run in runs]
+    return UNKNOWN.but(
+        joints=len(arm.columns),
+        modules=tuple(len(joints) for joints in arm.module_joints),
+        dimension=arm.dimension,
+        length=arm.length,
         method=target.method if not target.incomplete else f"{target.method}: {target.incomplete}",
         residual=float(np.sqrt(np.mean(distance**2))) / arm.length,
         farthest=None if away is None else away / arm.length,
         reference=_reference(arm, curve) / arm.length,
-    )
-    start = arm.random(np.random.default_rng(seed))
-    # All points must be reached, even those off the curve: the arm can take that posture.
-    posture = Target(target.points, np.ones(arm.n_modules), q=target.q)
-    direct = track(arm, posture, start, "joint", max_steps=1000)
-    switched, constrained = (
-        track(arm, posture, start, name, max_steps=300) for name in ("switching", "geodesic")
-    )
-    inside = [all(arm.within_limits(q) for q in run.q) for run in (direct, switched, constrained)]
-    return found._replace(
-        reached=float(direct.point_errors[-1].mean()) / arm.length,
+        reached=errors[0],
         steps=direct.steps,
-        switching=float(switched.point_errors[-1].mean()) / arm.length,
+        switching=errors[1],
         switching_steps=switched.steps,
-        geodesic=float(constrained.point_errors[-1].mean()) / arm.length,
+        geodesic=errors[2],
         geodesic_steps=constrained.steps,
         qp_status=constrained.status,
         path_length_ratio=constrained.path_length_ratio,
         qp_within_limits=inside[-1],
         within_limits=all(inside),
+        notes=arm.warnings,
     )
 
 
@@ -245,154 +225,104 @@ def _reference(arm: Arm, curve: Curve, starts: int = 6) -> float:
     return float(np.sqrt(2.0 * min(costs) / m)) * arm.length
 
 
-# Families of cases: a kind of start and a kind of target, determined by a seed alone.
+AS_CLOSE = 1.05
+"""Maximum ratio of the residual of a good placement to that of the reference."""
 
-StartKind = Literal["smooth", "uniform-0.6", "uniform-1.5", "noise", "straight"]
-TargetKind = Literal["helix", "line", "folded", "random", "gentle"]
+RESIDUAL_ROUNDING = 1e-6
+"""Tolerance of residuals, relative to the arm length: sampling of the curve, rounding errors."""
 
-START_KINDS: tuple[StartKind, ...] = get_args(StartKind)
-UNIFORM = {"uniform-0.6": 0.6, "uniform-1.5": 1.5}
-"""Largest joint position of starts with independent joints [rad or sliding unit]."""
-
-BUILT: dict[str, tuple[TargetKind, ...]] = {
-    "ryrz20": ("helix", "line", "folded", "random"),
-    "planar45": ("line", "folded", "random"),
+_COLUMNS: Columns = {
+    "file": lambda row: row.file,
+    "joints": lambda row: row.joints,
+    "modules": lambda row: compressed(row.modules),
+    "kind": lambda row: "planar" if row.dimension == 2 else "spatial",
+    "length [m]": lambda row: row.length,
+    "placed by": lambda row: row.method.partition(":")[0] + (" (partial)" if ":" in row.method else ""),
+    "residual": lambda row: short(row.residual),
+    "reference": lambda row: short(row.reference),
+    "ratio": lambda row: "ok" if _is_close(row) else short(_ratio(row)),
+    "farthest": lambda row: short(row.farthest),
+    "joint": lambda row: short(row.reached),
+    "Switching": lambda row: short(row.switching),
+    "geodesic": lambda row: short(row.geodesic),
+    "geodesic steps": lambda row: row.geodesic_steps if row.geodesic is not None else None,
+    "geodesic paths": lambda row: short(row.path_length_ratio),
+    "limits held": lambda row: "yes" if row.within_limits else "no",
 }
-"""The built-in arms, and the kinds of target that each can take."""
+_REFUSED_COLUMNS: Columns = {"file": lambda row: row.file, "outcome": lambda row: f"refused: {row.refused}"}
 
 
-class Subject(NamedTuple):
-    """An arm under study.
+@examples(
+    "make study STUDY=arms -- urdf/",
+    "make study STUDY=arms -- urdf/ --least-joints 8 --seed 1 --jobs 4",
+    "make study STUDY=arms -- urdf/ --json",
+    "make study STUDY=arms",
+)
+def run(
+    *,
+    directory: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DIRECTORY]",
+            help="Where to search for .urdf files, at any depth; default: built-in arms of unusual shapes.",
+        ),
+    ] = None,
+    least_joints: Annotated[int, ARM("Skip arms with fewer moving joints.", "N")] = 5,
+    seed: Annotated[int, MOTION("Seed of the starts.")] = 0,
+    options: StudyOptions,
+) -> None:
+    """Test every arm of a directory: place it on a gentle curve, and drive it there.
 
-    Attributes:
-        name: name of the arm.
-        arm: the arm.
-        targets: the kinds of target it can take.
+    Without a directory, arms of unusual shapes are tested: joints that do not repeat, long rows of parallel
+    axes, a tip beside the plane of the arm, no limits, a base that slides within limits of 1e6 m.
+
+    Distances are relative to the arm length. The residual is the distance of the placed control points from
+    the curve (root mean square), the reference that of the best of several independent fits; their ratio is
+    ok up to 1.05 (plus 1e-6). Farthest is the largest distance of the whole arm, including its links, from
+    the curve. The next columns are the mean point errors that joint interpolation, Switching and geodesic,
+    the default controller, reach from a random start; the number of steps of geodesic, and its path length of
+    control points relative to straight lines; and whether all three kept the joint limits.
     """
-
-    name: str
-    arm: Arm
-    targets: tuple[TargetKind, ...]
-
-    @property
-    def families(self) -> tuple[Family, ...]:
-        """All combinations of starts and targets except straight to a line, where nothing moves."""
-        pairs = (Family(start, target) for start in START_KINDS for target in self.targets)
-        return tuple(family for family in pairs if family != ("straight", "line"))
-
-
-class Family(NamedTuple):
-    """A kind of start and a kind of target.
-
-    Attributes:
-        start: "smooth" for a posture like that of an arm at rest (`arbitrary_configuration`); "uniform-0.6"
-            and "uniform-1.5" for independent joints within that distance of the straight posture, clipped to
-            the limits [rad or sliding unit]; "noise" for the same within 1e-3; "straight".
-        target: "helix" (6.17) and "line" (6.16) of the thesis; "folded" for the straight arm folded back by a
-            half turn of one joint; "random" for another smooth posture; "gentle" for `gentle_curve`. For a
-            spatial arm, curves are rolled by a random angle.
-    """
-
-    start: StartKind
-    target: TargetKind
+    rows = options.run(survey_arms(directory, least_joints, seed), "arm")
+    tried = [row for row in rows if not row.refused]
+    refused = [row for row in rows if row.refused]
+    parts = ((_COLUMNS, tried), (_REFUSED_COLUMNS, refused))
+    unplaced = {row.file: row.method.partition(": ")[2] for row in tried}
+    options.write(
+        Report(
+            rows,
+            {
+                "directory": None if directory is None else str(directory),
+                "least_joints": least_joints,
+                "seed": seed,
+                "arms": [{**row, "ratio": _ratio(row), "ok": _is_close(row)} for row in rows],
+            },
+            [table(columns, own) for columns, own in parts if own],
+            notes=[] if rows else [f"no arm of at least {least_joints} moving joints"],
+            warnings=[
+                f"{row.file}: {note}"
+                for row in rows
+                for note in (*row.notes, *filter(None, [unplaced.get(row.file)]))
+            ],
+        )
+    )
 
 
-def built_subject(name: str) -> Subject:
-    """Return a built-in arm by name.
-
-    "ryrz20" is the spatial arm of Section 6.1, 20 modules of two joints. "planar45" is the planar one of
-    Section 6.2 with 23 control points, at every second joint and at the tip: the arm may bend either way
-    between two of its points.
-
-    Raises:
-        UnknownName: there is no such arm.
-    """
-    require_known("arm", name, BUILT)
-    if name == "ryrz20":
-        return Subject(name, Arm.from_modules(SPATIAL, name=name), BUILT[name])
-    pairs, rest = divmod(len(PLANAR), 2)
-    sizes = [2] * pairs + [1] * rest
-    return Subject(name, Arm.load(modules_to_urdf(PLANAR, name), modules=sizes), BUILT[name])
+def _is_close(row: Row) -> bool | None:
+    """Return whether an arm is placed about as close to the curve as possible; None if it was not placed."""
+    if row.residual is None or row.reference is None:
+        return None
+    return bool(row.residual <= AS_CLOSE * row.reference + RESIDUAL_ROUNDING)
 
 
-def loaded_subject(arm: Arm) -> Subject:
-    """Return the subject of any other arm, which can take slight bends and its own postures."""
-    return Subject(arm.model.name, arm, ("gentle", "random"))
+def _ratio(row: Row) -> float | None:
+    """Return the residual relative to the reference, both at least the rounding tolerance."""
+    if row.residual is None or row.reference is None:
+        return None
+    return float(max(row.residual, RESIDUAL_ROUNDING) / max(row.reference, RESIDUAL_ROUNDING))
 
 
-def draw_case(subject: Subject, family: Family, seed: int) -> tuple[Array, Target]:
-    """Return the start configuration and the target of a seed, a whole number >= 0.
-
-    Starts and targets are drawn from separate streams, so that a seed has the same start for every kind of
-    target, and the same target for every kind of start. Each target includes its configuration.
-
-    Raises:
-        UnknownName: no such kind of start, or a kind of target that this arm cannot take.
-        InvalidValue: a "folded" target for an arm that cannot fold back.
-    """
-    require_known("kind of start", family.start, START_KINDS)
-    require_known("kind of target", family.target, subject.targets)
-    start = _start(subject.arm, family.start, _stream(seed, "start", family.start))
-    return start, _target(subject, family.target, _stream(seed, "target", family.target))
-
-
-def _stream(seed: int, *names: str) -> np.random.Generator:
-    """Return a random generator for one purpose, independent of those for others with the same seed."""
-    return np.random.default_rng([seed, *" ".join(names).encode()])
-
-
-def _start(arm: Arm, kind: StartKind, rng: np.random.Generator) -> Array:
-    if kind == "straight":
-        return arm.straight()
-    if kind == "smooth":
-        return arbitrary_configuration(arm, rng)
-    width = NEARLY if kind == "noise" else UNIFORM[kind]
-    positions = arm.positions(arm.straight())
-    on_chain = np.zeros(arm.nv)
-    on_chain[arm.columns] = arm.joint_units[arm.columns]
-    positions = positions + on_chain * rng.uniform(-width, width, arm.nv)
-    return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
-
-
-def _target(subject: Subject, kind: TargetKind, rng: np.random.Generator) -> Target:
-    arm = subject.arm
-    roll = float(rng.uniform(-np.pi, np.pi)) if arm.dimension == 3 else 0.0
-    if kind == "folded":
-        return _folded(arm, rng)
-    if kind == "random":
-        return Target.from_configuration(arm, arbitrary_configuration(arm, rng))
-    if kind == "gentle":
-        # Use the posture, not the curve: an arm with few joints stays slightly off it.
-        placed = resolve_targets(arm, gentle_curve(arm), placement="align", roll=roll, incomplete="partial")
-        return Target.from_configuration(arm, arm.neutral() if placed.q is None else placed.q)
-    return resolve_targets(arm, TARGET_CURVES[subject.name, kind], placement="align", roll=roll)
-
-
-def _folded(arm: Arm, rng: np.random.Generator) -> Target:
-    """Return the straight arm with a half turn of one joint, in either direction.
-
-    In half of the cases this is the first joint, so that the whole arm lies on the other side of its base;
-    else it is any joint in the first half of the arm. The points lie exactly on the line of the straight arm,
-    from which no joint reduces an error to first order; rounding errors of a sine would break this.
-    """
-    half = range(max(len(arm.columns) // 2, 1))
-    ways = [(joint, turn) for joint in half for turn in (-np.pi, np.pi) if _can_fold(arm, joint, turn)]
-    if np.any(arm.straight() != arm.neutral()) or not ways:
-        raise InvalidValue("arm", arm, "an arm that is straight at zero, with a joint there that turns by pi")
-    first = [way for way in ways if way[0] == ways[0][0]]
-    choice = first if rng.random() < 0.5 else ways
-    joint, turn = choice[int(rng.integers(len(choice)))]
-    column, points = arm.columns[joint], arm.at(arm.straight()).points
-    moved = arm.support[:, column, None] > 0.0  # (m, 1)
-    positions = np.zeros(arm.nv)
-    positions[column] = turn
-    folded = np.where(moved, 2.0 * arm.chain.origins[joint] - points, points)
-    return replace(Target.from_points(arm, folded), q=arm.configuration(positions))
-
-
-def _can_fold(arm: Arm, joint: int, turn: float) -> bool:
-    """Return whether a joint of the chain can turn that far, about an axis perpendicular to the arm."""
-    column, axis = arm.columns[joint], arm.chain.axes[joint]
-    across = abs(axis @ (arm.chain.points[-1] - arm.chain.base)) < 1e-9 * arm.length
-    inside = arm.limits.lower[column] <= turn <= arm.limits.upper[column]
-    return bool(arm.chain.revolute[joint] and across and inside)
+def compressed(sizes: tuple[int, ...]) -> str:
+    """Format numbers of joints, with repetitions combined: "2 x 8", "2, 2, 3", "1 x 18, 2"."""
+    runs = [[str(size) for size in same] for _, same in groupby(sizes)]
+    return ", ".join(f"{run[0]} x {len(run)}" if len(run) > 2 else ", ".join(run) for run in runs)

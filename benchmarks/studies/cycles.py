@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
-from typing import NamedTuple
+from functools import partial
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.baselines import named_controllers
+from benchmarks.cases.families import BUILT, Subject, built_subject
 from benchmarks.cases.scenarios import arbitrary_configuration
-from benchmarks.studies.arms import Subject
-from benchmarks.studies.record import check_study, drive, final_error, run_all
+from benchmarks.harness import Case, Problem, Row, Study, check_study, grouped
+from benchmarks.report import ArmsOption, Report, SeedOption, StudyOptions, short, split_names
+from benchmarks.studies.runs import drive, final_error
 from pinposture._validation import require_known
 from pinposture.arm import Arm
+from pinposture.cli.inputs import MOST_RUNS, MOTION, ControllerOption
+from pinposture.cli.output import examples
 from pinposture.control import Controller
-from pinposture.motion.processes import Progress
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -31,37 +34,59 @@ CLOSE = 1e-9
 CYCLE_KNOWLEDGE = ("configuration", "points")
 
 
-class Rounds(NamedTuple):
-    """Result of several rounds of a closed cycle of postures.
+class Cycle(NamedTuple):
+    """A closed cycle of postures, and a configuration of the last of them, (nq,), where it starts."""
 
-    Attributes:
-        drift: largest deviation of any joint from its initial position after each round, (rounds,), in
-            `Arm.joint_units` [rad].
-        error: largest final mean point error at any posture, relative to the arm length.
-        steps: number of steps of all rounds.
+    arm: Arm
+    targets: Sequence[Target]
+    start: Array
+
+
+def study_cycles(
+    subjects: Sequence[Subject],
+    knowledge: Sequence[str] = CYCLE_KNOWLEDGE,
+    controller: str | Controller = "geodesic",
+    cycles: int = CYCLES,
+    rounds: int = ROUNDS_OF_A_CYCLE,
+    first_seed: int = 0,
+) -> Study:
+    """Repeat closed cycles of four arbitrary smooth postures with several arms.
+
+    Args:
+        subjects: the arms; see `built_subject`.
+        knowledge: what is known of the postures, some of `CYCLE_KNOWLEDGE`; the column "target".
+        controller: a controller or its name.
+        cycles: number of cycles for each arm and kind of knowledge.
+        rounds: number of rounds of each cycle.
+        first_seed: seed of the first cycle.
+
+    Raises:
+        InvalidValue: no arm, no knowledge, or invalid numbers.
+        UnknownName: no such knowledge or controller.
     """
+    check_study(first_seed, cycles=cycles, rounds=rounds, subjects=subjects, knowledge=knowledge)
+    for known in knowledge:
+        require_known("knowledge of the target", known, CYCLE_KNOWLEDGE)
+    cases = [
+        Case({"arm": subject.name, "target": known, "seed": seed}, partial(_draw, subject.arm, known, seed))
+        for subject in subjects
+        for known in knowledge
+        for seed in range(first_seed, first_seed + cycles)
+    ]
+    return Study(cases, named_controllers([controller]), partial(_measure, rounds))
 
-    drift: tuple[float, ...]
-    error: float
-    steps: int
+
+def _draw(arm: Arm, known: str, seed: int) -> Cycle:
+    rng = np.random.default_rng(seed)
+    corners = [arbitrary_configuration(arm, rng) for _ in range(CORNERS)]
+    targets = [Target.from_configuration(arm, q) for q in corners]
+    if known == "points":
+        targets = [Target.from_points(arm, target.points) for target in targets]
+    return Cycle(arm, targets, corners[-1])
 
 
-class PostureCycle(NamedTuple):
-    """`Rounds` with a description of the case.
-
-    Attributes:
-        arm: name of the arm.
-        target: what is known of the postures: their "configuration", or only their "points".
-        seed: seed of the cycle.
-        drift, error, steps: see `Rounds`.
-    """
-
-    arm: str
-    target: str
-    seed: int
-    drift: tuple[float, ...]
-    error: float
-    steps: int
+def _measure(rounds: int, cycle: Cycle, controller: Controller) -> Row:
+    return cycle_drift(*cycle, rounds=rounds, controller=controller)
 
 
 def cycle_drift(
@@ -70,7 +95,7 @@ def cycle_drift(
     q0: ArrayLike,
     rounds: int = ROUNDS_OF_A_CYCLE,
     controller: str | Controller = "geodesic",
-) -> Rounds:
+) -> Row:
     """Repeat a closed cycle of postures and measure the joint drift.
 
     |dq| <= 0.1 rad per step, at most 400 steps to each posture, tolerance `CLOSE`. If a posture is not
@@ -83,6 +108,12 @@ def cycle_drift(
         rounds: number of rounds.
         controller: a controller or its name.
 
+    Returns:
+        drift: largest deviation of any joint from its initial position after each round, (rounds,), in
+            `Arm.joint_units` [rad].
+        error: largest final mean point error at any posture, relative to the arm length.
+        steps: number of steps of all rounds.
+
     Raises:
         InvalidValue: no posture, an invalid configuration, or less than one round.
         UnknownName: no controller has that name.
@@ -93,56 +124,43 @@ def cycle_drift(
     drift, errors, steps = [], [], 0
     for _ in range(rounds):
         for target in targets:
-            run = drive(arm, target, q, chosen, tolerance=CLOSE)
+            run = drive(Problem(arm, q, target), chosen, CLOSE)
             q, steps = run.q[-1], steps + run.steps
             errors.append(final_error(run))
         apart = np.abs(pin.difference(arm.model, first, q)) / arm.joint_units
         drift.append(float(apart.max()))
-    return Rounds(tuple(drift), max(errors), steps)
+    return Row(drift=tuple(drift), error=max(errors), steps=steps)
 
 
-def study_cycles(
-    subjects: Sequence[Subject],
-    knowledge: Sequence[str] = CYCLE_KNOWLEDGE,
-    controller: str | Controller = "geodesic",
-    cycles: int = CYCLES,
-    rounds: int = ROUNDS_OF_A_CYCLE,
-    first_seed: int = 0,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> list[PostureCycle]:
-    """Repeat closed cycles of four arbitrary smooth postures with several arms.
+@examples(
+    "make study STUDY=cycles -- --arms ryrz20 --cycles 3",
+    "make study STUDY=cycles -- --rounds 10 --jobs 2",
+    "make study STUDY=cycles -- --cycles 2 --json",
+)
+def run(
+    *,
+    arms: ArmsOption = None,
+    controller: ControllerOption = "geodesic",
+    cycles: Annotated[int, MOTION("Number of cycles for each arm and knowledge.", "N", max=MOST_RUNS)] = 10,
+    rounds: Annotated[int, MOTION("Rounds of each cycle.", "N", max=MOST_RUNS)] = 5,
+    seed0: SeedOption = 0,
+    options: StudyOptions,
+) -> None:
+    """Repeat closed cycles of four random smooth postures, and report the drift of the joints.
 
-    Args:
-        subjects: the arms; see `built_subject`.
-        knowledge: what is known of the postures, some of `CYCLE_KNOWLEDGE`.
-        controller: a controller or its name.
-        cycles: number of cycles for each arm and kind of knowledge.
-        rounds: number of rounds of each cycle.
-        first_seed: seed of the first cycle.
-        jobs: number of processes; joblib's backends apply.
-        progress: called with the numbers of finished and of all cycles.
-
-    Returns:
-        The cycles in the order of arms, then knowledge, then seeds; they do not depend on `jobs`.
-
-    Raises:
-        InvalidValue: no arm, no knowledge, or invalid numbers.
-        UnknownName: no such knowledge or controller.
+    The first round begins in the last posture. Drift is the largest distance of a joint from its start after
+    each round [rad], in the worst cycle. Postures are defined by their configurations, or only by their
+    control points. At most 0.1 rad per step and joint, and 400 steps from one posture to the next, until the
+    mean point error is below 1e-9 of the arm length.
     """
-    check_study(first_seed, cycles=cycles, rounds=rounds, subjects=subjects, knowledge=knowledge)
-    for known in knowledge:
-        require_known("knowledge of the target", known, CYCLE_KNOWLEDGE)
-    seeds = range(first_seed, first_seed + cycles)
-    cases = product(subjects, knowledge, seeds, [rounds], named_controllers([controller]))
-    return run_all(_one, cases, jobs, progress)
-
-
-def _one(subject: Subject, known: str, seed: int, rounds: int, controller: Controller) -> PostureCycle:
-    arm, rng = subject.arm, np.random.default_rng(seed)
-    corners = [arbitrary_configuration(arm, rng) for _ in range(CORNERS)]
-    targets = [Target.from_configuration(arm, q) for q in corners]
-    if known == "points":
-        targets = [Target.from_points(arm, target.points) for target in targets]
-    went = cycle_drift(arm, targets, corners[-1], rounds, controller)
-    return PostureCycle(subject.name, known, seed, *went)
+    subjects = [built_subject(name) for name in split_names("--arms", arms, BUILT)]
+    rows = options.run(study_cycles(subjects, CYCLE_KNOWLEDGE, controller, cycles, rounds, seed0), "cycle")
+    lines = []
+    for (arm, known), own in grouped(rows, lambda row: (row.arm, row.target)).items():
+        taken = f"all in {sum(row.error <= CLOSE for row in own)} of {len(own)}"
+        worst = [max(drifts) for drifts in zip(*(row.drift for row in own), strict=True)]
+        lines.append((arm, known, len(own), taken, *map(short, worst)))
+    headings = [f"round {number + 1}" for number in range(rounds)]
+    asked = {"study": "cycles", "controller": controller, "cycles": cycles, "rounds": rounds, "seed0": seed0}
+    heads = ("arm", "known", "cycles", "postures taken", *headings)
+    options.write(Report(rows, {**asked, "runs": rows}, [(heads, lines)]))

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.studies.record import run_all
+from benchmarks.harness import Case, Row, Study, grouped
+from benchmarks.pictures import new_figure
+from benchmarks.report import Report, StudyOptions, split_names
 from pinposture._validation import is_number, require_known
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
+from pinposture.cli.inputs import ARM, MOTION, read_numbers
+from pinposture.cli.output import examples
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError
-from pinposture.motion.processes import Progress
 from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader, path_deviation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MODULE, MODULES = 0.05, 20
 """Length of a module [m], and number of modules of an arm."""
@@ -43,32 +51,6 @@ FEED_STEP = 0.1
 """Feed between successive postures, in module lengths."""
 
 
-class Following(NamedTuple):
-    """Result of one arm that follows one path of constant curvature.
-
-    Attributes:
-        arm: name of the arm, one of `ARMS`.
-        shape: shape of the path, one of `SHAPES`.
-        bending: curvature times module length [rad].
-        method: how its modules were placed, as in `follow_leader`.
-        points: largest distance of a control point from the path [% of the arm length]; None if refused.
-        body: largest distance of any part of the arm from the path [% of the arm length]; None if refused.
-        sagitta: distance of the midpoint of a straight module from an arc through its ends [% of arm length].
-        joints: largest joint position [rad]; None if refused.
-        refused: why the path cannot be followed, or empty.
-    """
-
-    arm: str
-    shape: str
-    bending: float
-    method: str
-    points: float | None
-    body: float | None
-    sagitta: float
-    joints: float | None
-    refused: str = ""
-
-
 def fed_arm(name: str) -> Arm:
     """Build one of `ARMS`, 1 m long, on a feed; raises UnknownName if there is no such arm."""
     require_known("arm", name, ARMS)
@@ -95,22 +77,16 @@ def study_leader(
     arms: Sequence[str] = tuple(ARMS),
     bendings: Sequence[float] = BENDINGS,
     methods: Sequence[Method] = PATH_METHODS,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> list[Following]:
+) -> Study:
     """Feed arms along paths of constant curvature and measure their deviation.
 
     Paths begin to bend at the entry, so that the arm lies on a straight line and an arc at every depth.
+    Planar arms have arcs only.
 
     Args:
         arms: names of arms, some of `ARMS`.
         bendings: curvature times module length, each above 0, at most pi / 2 [rad].
         methods: how modules are placed, see `follow_leader`.
-        jobs: number of processes; joblib's backends apply.
-        progress: called with the numbers of finished and of all paths.
-
-    Returns:
-        One result for each arm, shape, method and bending, in this order. Planar arms have arcs only.
 
     Raises:
         InvalidValue: a bending out of range.
@@ -122,26 +98,144 @@ def study_leader(
     for method in methods:
         require_known("method", method, PATH_METHODS)
     cases = [
-        (name, shape, method, float(bending))
+        Case({"arm": name, "shape": shape, "bending": float(bending)}, partial(Path, name, shape, bending))
         for name in arms
         for shape in (SHAPES if fed_arm(name).dimension == 3 else SHAPES[:1])
-        for method in methods
         for bending in bendings
     ]
-    return run_all(_one, cases, jobs, progress)
+    return Study(cases, methods, measure_path)
 
 
-def _one(name: str, shape: str, method: Method, bending: float) -> Following:
-    arm, path = fed_arm(name), bent_path(shape, bending / MODULE)
-    length = MODULE * MODULES
-    radius = MODULE / bending
+class Path(NamedTuple):
+    """A path of constant curvature for an arm: names of arm and shape, curvature times module length."""
+
+    arm: str
+    shape: str
+    bending: float
+
+
+def measure_path(path: Path, method: Method) -> Row:
+    """Feed an arm along a path, and measure its deviation.
+
+    Returns:
+        method: how its modules were placed, as in `follow_leader`.
+        points: largest distance of a control point from the path [% of the arm length]; None if refused.
+        body: largest distance of any part of the arm from the path [% of the arm length]; None if refused.
+        sagitta: distance of the midpoint of a straight module from an arc through its ends [% of arm length].
+        joints: largest joint position [rad]; None if refused.
+        refused: why the path cannot be followed, or empty.
+    """
+    arm, curve = fed_arm(path.arm), bent_path(path.shape, path.bending / MODULE)
+    length, radius = MODULE * MODULES, MODULE / path.bending
     rise = 100.0 * float(radius - np.sqrt(radius**2 - 0.25 * MODULE**2)) / length
+    row = Row(method=method, points=None, body=None, sagitta=rise, joints=None, refused="")
     try:
-        reference = follow_leader(arm, path, FEED_STEP * MODULE, 1.0, method=method)
+        reference = follow_leader(arm, curve, FEED_STEP * MODULE, 1.0, method=method)
     except TargetError as error:
-        return Following(name, shape, bending, method, None, None, rise, None, str(error))
-    q = np.array([reference.configuration(row) for row in range(reference.rows)])
-    deviation = path_deviation(arm, q, path)
+        return row.but(refused=str(error))
+    q = np.array([reference.configuration(number) for number in range(reference.rows)])
+    deviation = path_deviation(arm, q, curve)
     joints = float(np.abs(reference.offsets[:, 1:]).max())
-    points, body = deviation.percent_points, deviation.percent
-    return Following(name, shape, bending, method, points, body, rise, joints)
+    return row.but(points=deviation.percent_points, body=deviation.percent, joints=joints)
+
+
+@examples(
+    "make study STUDY=leader -- --arms ryrz --bendings 0.1,0.2,0.5",
+    "make study STUDY=leader -- --json",
+    "make study STUDY=leader -- --jobs -1 -o out/leader",
+)
+def run(
+    *,
+    arms: Annotated[str | None, ARM("Arms: ryrz, universal, hinge.", "NAME,...")] = None,
+    bendings: Annotated[str | None, MOTION("Curvature times module length of the paths.", "RAD,...")] = None,
+    options: StudyOptions,
+) -> None:
+    """Push arms on a feed along paths of constant curvature, and report their distance from the path.
+
+    The arms are 1 m long, with 20 modules: two crossed hinges half a module apart (ryrz), two in one place
+    (universal), or a single one (hinge, which stays in its plane). The paths are arcs of up to three quarters
+    of a turn, and helices whose torsion is half their curvature; they begin to bend at the entry. Modules
+    are placed closest to the path, the whole arm by least squares, or in sequential order as in Algorithm 1.
+    Numbers are in percent of the arm length: the largest distance of any part of the arm from the path in any
+    posture, then that of the control points. The sagitta is the distance of the middle of a straight module
+    from an arc that passes through both its ends.
+    """
+    names = split_names("--arms", arms, ARMS)
+    bent = list(BENDINGS) if bendings is None else read_numbers("--bendings", bendings)
+    rows = options.run(study_leader(names, bent), "path")
+
+    def cell(row: Row) -> str:
+        return "-" if row.body is None else f"{row.body:.3f}, points {row.points:.3f}"
+
+    lines = grouped(rows, lambda row: (row.arm, row.shape, row.method))
+    sagitta = {row.bending: f"{row.sagitta:.3f}" for row in rows}
+    cells = [(*line, *map(cell, own)) for line, own in lines.items()]
+    cells.append(("", "", "sagitta", *sagitta.values()))
+    options.write(
+        Report(
+            rows,
+            {"study": "leader", "arms": names, "bendings": bent, "runs": rows},
+            [(("arm", "path", "placed", *(f"{bending:g} rad" for bending in bent)), cells)],
+            {"leader": draw_leader},
+            warnings=[
+                f"{row.arm}, {row.shape}, {row.method}, {row.bending:g} rad: {row.refused}"
+                for row in rows
+                if row.refused
+            ],
+        )
+    )
+
+
+LEADER_HEIGHT = 4.6
+"""Height of a figure [inch]."""
+
+TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Ticks of the axis of deviations [%]."""
+
+MARKERS = {"closest": "o", "sequential": "^"}
+
+
+def draw_leader(found: Sequence[Row]) -> Figure:
+    """Draw the results of `study_leader`.
+
+    A panel for each shape of path: the largest distance of any part of the arm against curvature times module
+    length, and the sagitta of a module whose ends are on the path. Refused paths are skipped.
+
+    Raises:
+        InvalidValue: no result.
+    """
+    if not found:
+        raise InvalidValue("found", list(found), "at least one result")
+    figure = new_figure(LEADER_HEIGHT)
+    shapes = [shape for shape in SHAPES if any(each.shape == shape for each in found)]
+    panels = figure.subplots(1, len(shapes), sharey=True, squeeze=False)[0]
+    for ax, shape in zip(panels, shapes, strict=True):
+        _draw(ax, [each for each in found if each.shape == shape], shape)
+    panels[0].set_ylabel("farthest part of the arm [% of its length]", fontsize=9)
+    return figure
+
+
+def _draw(ax: Axes, found: Sequence[Row], shape: str) -> None:
+    from pinposture.viz import palette
+
+    inks = (palette.START, palette.FINAL, palette.CONTROLLER_COLORS["projection"])
+    colors = dict(zip(ARMS, inks, strict=True))
+    bound = sorted({(each.bending, each.sagitta) for each in found})
+    ax.plot(*zip(*bound, strict=True), color=palette.REST, ls="--", lw=1.0, label="sagitta of a module")
+    for arm, method in dict.fromkeys((each.arm, each.method) for each in found):
+        own = [each for each in found if (each.arm, each.method) == (arm, method)]
+        values = [(each.bending, each.body) for each in own if each.body is not None]
+        if values:
+            line = "-" if method == "closest" else ":"
+            style: dict[str, Any] = {"color": colors[arm], "ls": line, "marker": MARKERS[method]}
+            ax.plot(*zip(*values, strict=True), ms=4.0, lw=1.3, label=f"{arm}, {method}", **style)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ticks = sorted({each.bending for each in found})
+    ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    ax.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    ax.minorticks_off()
+    ax.set_xlabel("curvature times module length [rad]", fontsize=9)
+    ax.set_title(shape, fontsize=10, color=palette.INK)
+    palette.add_grid(ax)
+    ax.legend(fontsize=7, frameon=False, loc="upper left")

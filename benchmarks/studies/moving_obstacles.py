@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.progress import track as with_progress
 
 import pinposture as pp
-from benchmarks.studies.scenes import situation_arm
+from benchmarks.cases.situations import situation_arm
 
 MARGIN, THIN, BALL, DT = 0.005, 0.01, 0.06, 0.01
 LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=DT)

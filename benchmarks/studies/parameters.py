@@ -42,8 +42,8 @@ from benchmarks.cases.scenarios import (
     SPATIAL_SCENARIOS,
     Scenario,
     case,
-    study,
 )
+from benchmarks.studies.runs import study_scenarios
 
 SEEDS = range(1000, 1020)
 FLOOR = 1e-6
@@ -109,7 +109,7 @@ def objective(search: Search, controller: Any, jobs: int) -> float:
     costs = []
     for scenario in search.scenarios:
         arm = pp.Arm.from_modules(ARMS[scenario.arm])
-        outcomes = study(arm, [scenario], [controller], SEEDS, max_steps=200, jobs=jobs)
+        outcomes = study_scenarios(arm, [scenario], [controller], SEEDS, max_steps=200, jobs=jobs)
         costs.append(np.log10([max(outcome.ratio, FLOOR) for outcome in outcomes]))
     return float(np.mean(costs))
 

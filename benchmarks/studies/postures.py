@@ -1,23 +1,59 @@
-"""Studies of arbitrary postures, and of the change of heading."""
+"""Arbitrary postures: who arrives from every kind of start at every kind of target, and on which path."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import chain
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.baselines import named_controllers
-from benchmarks.cases.scenarios import curve_along
-from benchmarks.studies.arms import Family, Subject, draw_case
-from benchmarks.studies.record import Case, Record, Spread, check_study, grouped, run_all, run_case, spread
-from pinposture._validation import require_known
-from pinposture.arm import Arm, bent_configuration, smooth_configuration
+from benchmarks.cases.families import (
+    BUILT,
+    UNIFORM,
+    Family,
+    Subject,
+    built_subject,
+    draw_case,
+    loaded_subject,
+)
+from benchmarks.harness import (
+    Case,
+    Problem,
+    Row,
+    Study,
+    check_study,
+    count,
+    distinct,
+    grouped,
+    largest,
+    share,
+    spread,
+    summarise,
+)
+from benchmarks.pictures import PATH, draw_paths, dress, new_figure, present
+from benchmarks.report import (
+    ArmsOption,
+    ControllersOption,
+    Report,
+    SeedOption,
+    StudyOptions,
+    Table,
+    percent,
+    split_names,
+    spread_cell,
+    table,
+)
+from benchmarks.studies.runs import arrived, lawful, measure_controller, near, telling
+from pinposture.cli.inputs import ARM, MOST_RUNS, MOTION, OUTPUT, ArmOptions
+from pinposture.cli.output import examples
 from pinposture.control import Controller
-from pinposture.motion.processes import Progress
-from pinposture.placement import Target, resolve_targets
+from pinposture.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COMPARED = ("geodesic", "selection", "projection", "switching", "lm", "joint")
 """Controllers compared by default."""
@@ -31,9 +67,7 @@ def study_postures(
     controllers: Sequence[str | Controller] = COMPARED,
     cases: int = CASES_OF_A_KIND,
     first_seed: int = 0,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> list[Record]:
+) -> Study:
     """Run all controllers from every kind of start to every kind of target.
 
     Cases cycle through the families of an arm with increasing seeds, so that a longer study begins with the
@@ -45,152 +79,199 @@ def study_postures(
         controllers: controllers or their names.
         cases: number of cases for each arm.
         first_seed: seed of the first case of each family.
-        jobs: number of processes; joblib's backends apply.
-        progress: called with the numbers of finished and of all cases.
-
-    Returns:
-        The records, ordered by arm, case, controller; apart from `seconds`, independent of `jobs`.
 
     Raises:
         InvalidValue: no arm, no controller, or invalid numbers.
         UnknownName: no controller has that name.
     """
     check_study(first_seed, cases=cases, subjects=subjects)
-    listed = named_controllers(controllers)
-    dealt = ((subject, *deal, listed) for subject in subjects for deal in _deal(subject, cases, first_seed))
-    return list(chain.from_iterable(run_all(_run_one, dealt, jobs, progress)))
+    dealt = [
+        _case(subject, subject.families[place], first_seed + rounds)
+        for subject in subjects
+        for rounds, place in (divmod(number, len(subject.families)) for number in range(cases))
+    ]
+    return Study(dealt, named_controllers(controllers), measure_controller)
 
 
-def _deal(subject: Subject, cases: int, first_seed: int) -> Iterator[tuple[Family, int]]:
-    """Yield family and seed of each case."""
-    families = subject.families
-    for number in range(cases):
-        rounds, place = divmod(number, len(families))
-        yield families[place], first_seed + rounds
+def _case(subject: Subject, family: Family, seed: int) -> Case:
+    labels = {"arm": subject.name, "start": family.start, "target": family.target, "seed": seed}
+    return Case(labels, partial(_draw, subject, family, seed))
 
 
-def _run_one(subject: Subject, family: Family, seed: int, controllers: list[Controller]) -> list[Record]:
-    start, target = draw_case(subject, family, seed)
-    return run_case(subject, Case(subject.name, *family, seed), start, target, controllers)
+def _draw(subject: Subject, family: Family, seed: int) -> Problem:
+    return Problem(subject.arm, *draw_case(subject, family, seed))
 
 
-Array = NDArray[np.float64]
-
-KNOWLEDGE = ("configuration", "curve")
-
-PAIRS = 300
-"""Default number of pairs for each arm."""
-
-HEADING = 4.2
-"""Upper bound of the largest heading of a link in a posture of a planar arm [rad]."""
-BENDING = 0.6
-"""Upper bound of the largest joint position in a posture of a spatial arm [rad or m]."""
-
-EDGES = (0.0, 2.0, np.pi, 4.0, 6.0, np.inf)
-BINS = ("< 2", "2 - pi", "pi - 4", "4 - 6", "> 6")
-"""Bins of the largest change of heading [rad], from each of `EDGES` up to but excluding the next."""
+GROUPS = ("smooth", "harsh", "straight and noise", "folds")
 
 
-class Bin(NamedTuple):
-    """Results of one controller for the pairs with a change of heading in one bin.
-
-    Attributes:
-        arm: name of the arm.
-        bin: one of `BINS` [rad].
-        controller: name of the controller.
-        runs: number of runs.
-        reached: number of runs that ended below 1e-3 of the arm length and never left the limits.
-        steps: number of steps of the runs that moved and came near; None if none did.
-        path: path length of their control points relative to straight lines.
-    """
-
-    arm: str
-    bin: str
-    controller: str
-    runs: int
-    reached: int
-    steps: Spread | None
-    path: Spread | None
+def group_of(row: Row) -> str:
+    """Return the group of a run: "folds" if the target is folded, else by its start."""
+    if row.target == "folded":
+        return "folds"
+    if row.start == "smooth":
+        return "smooth"
+    return "harsh" if row.start in UNIFORM else "straight and noise"
 
 
-def draw_pair(arm: Arm, seed: int) -> tuple[Array, Array]:
-    """Draw two smooth configurations (nq,), each bent by a random amount so that all bins are populated.
-
-    The largest heading of a link of a planar arm is uniform up to `HEADING`, the largest joint position of a
-    spatial arm up to `BENDING`.
-    """
-    rng = np.random.default_rng(seed)
-    if arm.dimension == 2:
-        start, goal = (bent_configuration(arm, rng, rng.uniform(0.0, HEADING)) for _ in range(2))
-    else:
-        start, goal = (smooth_configuration(arm, rng, rng.uniform(0.0, BENDING)) for _ in range(2))
-    return start, goal
+def family_of(row: Row) -> str:
+    """Return the family of a run, in words."""
+    return f"{row.start} -> {row.target}"
 
 
-def study_headings(
-    subjects: Sequence[Subject],
-    controllers: Sequence[str | Controller] = COMPARED,
-    pairs: int = PAIRS,
-    first_seed: int = 0,
-    knowledge: str = "configuration",
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> list[Record]:
-    """Run controllers between random pairs of smooth postures with any change of heading.
-
-    Args:
-        subjects: the arms; see `built_subject`.
-        controllers: controllers or their names.
-        pairs: number of pairs for each arm.
-        first_seed: seed of the first pair.
-        knowledge: what is known of the target: its "configuration", or only the "curve" through the base and
-            its control points, on which `resolve_targets` places the arm.
-        jobs: number of processes; joblib's backends apply.
-        progress: called with the numbers of finished and of all pairs.
+def by_group(rows: Sequence[Row], families: bool = False) -> list[Row]:
+    """Summarise runs by arm, group and controller, or by family instead of `GROUPS`.
 
     Returns:
-        The records in the order of arms, then pairs, then controllers; `Record.target` is the knowledge.
+        One row for each controller in each group of each arm; arms, controllers and families in order of
+        first appearance, groups in the order of `GROUPS`. It has the number of runs; the shares that arrived
+        and came near; the number that the controller refused; the spreads of `measure_run` over the runs
+        that moved and came near, None if there are none; the largest violation and stride; and whether all
+        runs stayed within their limits.
+    """
+    named = [row.but(group=family_of(row) if families else group_of(row)) for row in rows]
+    arms = distinct(row.arm for row in named)
+    groups = distinct(row.group for row in named) if families else GROUPS
+    named.sort(key=lambda row: (arms.index(row.arm), groups.index(row.group)))
+    spreads = ("steps", "rising", "escaping", "peak", "path", "seconds")
+    return summarise(
+        named,
+        ["arm", "group", "controller"],
+        runs=len,
+        arrived=share(arrived),
+        near=share(near),
+        refused=count(lambda row: row.status == "refused"),
+        **{name: spread(name, telling) for name in spreads},
+        violation=largest("violation"),
+        stride=largest("stride"),
+    )
+
+
+_COLUMNS = {
+    "runs": lambda row: row.runs,
+    "controller": lambda row: row.controller,
+    "< 1e-6": percent("arrived"),
+    "< 1e-3": percent("near"),
+    "steps": spread_cell("steps", ".0f"),
+    "rising": spread_cell("rising", ".1%"),
+    "escaping": spread_cell("escaping", ".1%"),
+    "peak": spread_cell("peak", ".2f"),
+    "path": spread_cell("path", ".2f"),
+    "limits held": lambda row: "yes" if lawful(row) else "no",
+}
+
+
+@examples(
+    "make study STUDY=postures -- --cases 38 --arms ryrz20",
+    "make study STUDY=postures -- --controllers switching,lm --families --jobs 2",
+    "make study STUDY=postures -- --urdf arm.urdf --cases 20 --json",
+    "make study STUDY=postures -- --jobs -1 -o out/postures",
+)
+def run(
+    *,
+    arms: ArmsOption = None,
+    urdf: Annotated[str | None, ARM("URDF file of another arm, or -.", "FILE")] = None,
+    arm_options: ArmOptions,
+    controllers: ControllersOption = None,
+    cases: Annotated[int, MOTION("Number of cases for each arm.", "N", max=MOST_RUNS)] = 1000,
+    seed0: SeedOption = 0,
+    families: Annotated[bool, OUTPUT("A row for each family.", flags="--families")] = False,
+    options: StudyOptions,
+) -> None:
+    """Drive arms from every kind of start to every kind of target, and compare how controllers reach them.
+
+    The arms are 20 RyRz modules, 1 m, and 45 joints in a plane with a control point at every second. Starts
+    are smooth, harsh (each joint independently within 0.6 or 1.5 rad), straight, or 1e-3 off straight;
+    targets are the helix and the line of the thesis, the straight arm folded back on itself, and random
+    postures. Loaded arms go to a gentle curve and random postures. At most 400 steps of 0.1 rad per joint.
+
+    The first two columns are the shares of runs with a final mean point error below 1e-6 and 1e-3 of the arm
+    length. The others cover the runs that moved and came below 1e-3: median (90th percentile) of the number
+    of steps, the share of steps in which the posture error rises, the share in which the controller allows
+    it to rise, the highest posture error relative to the first, and the path length of the control points
+    relative to straight lines. 1000 cases with six controllers take five minutes per arm on two processes.
+    """
+    if urdf is None:
+        arm_options.refuse("only together with --urdf")
+        subjects = [built_subject(name) for name in split_names("--arms", arms, BUILT)]
+    elif arms is not None:
+        raise InvalidValue("--arms", arms, "nothing if --urdf is given")
+    else:
+        subjects = [loaded_subject(arm_options.read(urdf))]
+    names = split_names("--controllers", controllers, COMPARED)
+    rows = options.run(study_postures(subjects, names, cases, seed0))
+    summary = by_group(rows, families)
+    asked = {"study": "postures", "cases": cases, "seed0": seed0, "controllers": names}
+    options.write(
+        Report(
+            rows,
+            {**asked, "rows": summary},
+            [_table(arm, own) for arm, own in grouped(summary, lambda row: row.arm).items()],
+            {"postures": draw_postures},
+            warnings=refusals(rows),
+        )
+    )
+
+
+def _table(arm: str, rows: Sequence[Row]) -> Table:
+    """Return the table of an arm, in which each group is named once."""
+    headings, lines = table(_COLUMNS, rows)
+    before = ["", *(row.group for row in rows)]
+    named = ["" if row.group == last else row.group for row, last in zip(rows, before, strict=False)]
+    return (arm, *headings), [(name, *line) for name, line in zip(named, lines, strict=True)]
+
+
+def refusals(rows: Sequence[Row]) -> list[str]:
+    """Name controllers that refused to start, with the count and the first reason."""
+    refused = (row for row in rows if row.status == "refused")
+    return [
+        f"{controller} refused {len(own)} of its runs: {own[0].reason}"
+        for controller, own in grouped(refused, lambda row: row.controller).items()
+    ]
+
+
+def draw_postures(rows: Sequence[Row]) -> Figure:
+    """Draw the results of `study_postures`.
+
+    A row for each arm: on the left the share of runs of each family that end within 1e-6 of the arm length,
+    on the right the path lengths of the control points in runs that moved and came near. Boxes reach from the
+    first to the third quartile, whiskers from the 10th to the 90th percentile.
 
     Raises:
-        InvalidValue: no arm, no controller, or invalid numbers.
-        UnknownName: no such controller or knowledge.
-        TargetError: some control point cannot be placed on a curve.
+        InvalidValue: no run.
     """
-    check_study(first_seed, pairs=pairs, subjects=subjects)
-    require_known("knowledge of the target", knowledge, KNOWLEDGE)
-    listed = named_controllers(controllers)
-    seeds = range(first_seed, first_seed + pairs)
-    pairs_drawn = ((subject, seed, knowledge, listed) for subject in subjects for seed in seeds)
-    return list(chain.from_iterable(run_all(_run_pair, pairs_drawn, jobs, progress)))
+    arms, controllers = present(rows)
+    summary = by_group(rows, families=True)
+    families = [len({row.group for row in summary if row.arm == arm}) for arm in arms]
+    figure = new_figure(1.0 + sum(0.26 * count + 1.3 for count in families), rows)
+    grid = figure.add_gridspec(len(arms), 2, width_ratios=(1.0, 1.3), height_ratios=[n + 4 for n in families])
+    for i, arm in enumerate(arms):
+        shares = {(row.group, row.controller): row.arrived for row in summary if row.arm == arm}
+        _draw_shares(figure.add_subplot(grid[i, 0]), shares, controllers, f"{arm}: share that arrives")
+        ax = figure.add_subplot(grid[i, 1])
+        draw_paths(ax, [row for row in rows if row.arm == arm], GROUPS, group_of, controllers)
+        dress(ax, f"{arm}: directness, runs that came near", PATH)
+    return figure
 
 
-def _run_pair(subject: Subject, seed: int, knowledge: str, controllers: list[Controller]) -> list[Record]:
-    arm = subject.arm
-    start, goal = draw_pair(arm, seed)
-    if knowledge == "configuration":
-        target = Target.from_configuration(arm, goal)
-    else:
-        target = resolve_targets(arm, curve_along(arm, goal), placement="as_is")
-    return run_case(subject, Case(subject.name, "bent", knowledge, seed), start, target, controllers)
+def _draw_shares(
+    ax: Axes, shares: Mapping[tuple[str, str], float], controllers: Sequence[str], title: str
+) -> None:
+    """Draw a cell for each family and controller, with the share in percent."""
+    from pinposture.viz import palette
 
-
-def bin_of(turn: float) -> str:
-    """Return the bin of a change of heading [rad]."""
-    return BINS[int(np.searchsorted(EDGES, turn, side="right")) - 1]
-
-
-def by_heading(records: Sequence[Record]) -> list[Bin]:
-    """Count runs with known `turn` by their change of heading.
-
-    Returns:
-        One entry for each arm, controller and bin, in order of first appearance of arms and controllers;
-        empty bins are included.
-    """
-    found = []
-    for (arm, controller), own in grouped(records, lambda run: (run.arm, run.controller)).items():
-        for name in BINS:
-            runs = [run for run in own if run.turn is not None and bin_of(run.turn) == name]
-            reached = sum(run.near and run.lawful for run in runs)
-            steps, path = spread(runs, lambda run: run.steps), spread(runs, lambda run: run.path)
-            found.append(Bin(arm, name, controller, len(runs), reached, steps, path))
-    return found
+    families = distinct(family for family, _ in shares)
+    values = np.array([[shares.get((name, each), np.nan) for each in controllers] for name in families])
+    ax.imshow(np.ma.masked_invalid(values), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    for (row, column), value in np.ndenumerate(values):
+        if np.isfinite(value):
+            ink = "white" if value > 0.6 else palette.INK
+            # Rounded down, so that 100 means all.
+            ax.text(
+                column, row, f"{int(100.0 * value + 1e-9)}", ha="center", va="center", fontsize=7, color=ink
+            )
+    ax.set_xticks(range(len(controllers)), controllers)
+    ax.set_yticks(range(len(families)), families)
+    ax.tick_params(labelsize=7, length=0)
+    ax.spines[:].set_visible(False)
+    ax.set_title(f"{title} [%]", fontsize=9, color=palette.INK)

@@ -19,7 +19,9 @@ from rich.progress import track as progress_bar
 from rich.table import Table
 
 import pinposture as pp
-from benchmarks.cases.scenarios import SPATIAL_SCENARIOS, Outcome, study
+from benchmarks.cases.scenarios import SPATIAL_SCENARIOS
+from benchmarks.harness import Row
+from benchmarks.studies.runs import study_scenarios
 
 STEPS = 200
 SUBSET = 10
@@ -27,7 +29,7 @@ SUBSET = 10
 CONTROLLERS = ("selection", "projection")
 
 
-def summary(outcomes: list[Outcome]) -> dict[str, float]:
+def summary(outcomes: list[Row]) -> dict[str, float]:
     """Fractions and medians over the seeds of one scenario and controller."""
     ratio = np.array([outcome.ratio for outcome in outcomes])
     return {
@@ -61,7 +63,7 @@ def main() -> None:
     )
     record = []
     for scenario, name in progress_bar(pairs, "running", console=Console(stderr=True)):
-        outcomes = study(
+        outcomes = study_scenarios(
             arm, [scenario], [name], range(arguments.seeds), max_steps=STEPS, jobs=arguments.jobs
         )
         found = summary(outcomes)

@@ -78,7 +78,7 @@ def test_a_program_that_does_not_move_reaches_nothing_and_breaks_nothing(known, 
     assert program == "still"
     assert sum(each.cases for each in scores) == len(known["cases"])
     for each in scores:
-        assert (each.tried, each.limits_held, each.clear) == (each.cases,) * 3
+        assert (each.tried, each.limits_held, each["clear"]) == (each.cases,) * 3
         assert each.reached == 0 and each.steps is None and each.error > benchmark.BENCHMARK_REACHED
 
 
@@ -118,7 +118,7 @@ def test_an_arm_that_goes_through_a_wall_is_not_clear(known, tmp_path):
     way = np.linspace(case["start"], straight, steps)
     results["runs"] = [{"case": case["id"], "q": way.tolist()}]
     found = {each.group: each for each in scored(results, tmp_path)[1]}["hole"]
-    assert (found.tried, found.limits_held, found.clear) == (1, 1, 0)
+    assert (found.tried, found.limits_held, found["clear"]) == (1, 1, 0)
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.studies.leader import ARMS, MODULE, MODULES, SHAPES, bent_path, fed_arm, study_leader
-from benchmarks.studies.pictures import draw_leader
+from benchmarks.studies.leader import (
+    ARMS,
+    MODULE,
+    MODULES,
+    SHAPES,
+    bent_path,
+    draw_leader,
+    fed_arm,
+    study_leader,
+)
 from pinposture.errors import InvalidValue, UnknownName
 
 
 @pytest.fixture(scope="module")
 def found():
-    return study_leader(["ryrz", "hinge"], (0.2, 1.0), progress=None)
+    return study_leader(["ryrz", "hinge"], (0.2, 1.0)).rows()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -37,9 +45,13 @@ def test_arms_are_a_metre_long_behind_a_feed(name):
 @pytest.mark.studies
 def test_every_arm_shape_method_and_bending_has_a_row(found):
     asked = [(each.arm, each.shape, each.method, each.bending) for each in found]
-    kinds = [("ryrz", shape, method) for shape in SHAPES for method in ("closest", "sequential")]
-    kinds += [("hinge", "arc", method) for method in ("closest", "sequential")]
-    assert asked == [(*kind, bending) for kind in kinds for bending in (0.2, 1.0)]
+    methods = ("closest", "sequential")
+    assert asked == [
+        (arm, shape, method, bending)
+        for arm, shape in (*(("ryrz", shape) for shape in SHAPES), ("hinge", "arc"))
+        for bending in (0.2, 1.0)
+        for method in methods
+    ]
     assert not any(each.refused for each in found)
 
 
@@ -68,7 +80,7 @@ def test_the_whole_arm_is_closer_where_it_is_placed_as_a_whole(found):
 
 def test_progress_counts_and_wrong_names_are_refused():
     counted = []
-    study_leader(["hinge"], (0.1,), ("closest",), progress=lambda *each: counted.append(each))
+    study_leader(["hinge"], (0.1,), ("closest",)).rows(progress=lambda *each: counted.append(each))
     assert counted == [(1, 1)]
     for arguments, error in (
         ((["snake"],), UnknownName),

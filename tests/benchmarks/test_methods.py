@@ -8,7 +8,8 @@ from arms import template_arm
 
 import pinposture as pp
 from benchmarks.baselines import LevenbergMarquardt, PseudoInverse
-from benchmarks.studies.methods import DISTANCES, MethodResult, compare_methods
+from benchmarks.harness import Row
+from benchmarks.studies.methods import DISTANCES, by_method, compare_methods
 from pinposture.arm import smooth_configuration
 from pinposture.errors import InvalidValue, UnknownName
 
@@ -21,23 +22,19 @@ def arm() -> pp.Arm:
 
 
 @pytest.fixture(scope="module")
-def results(arm: pp.Arm) -> dict[str, MethodResult]:
-    arrived: list[MethodResult] = []
-    found = compare_methods(arm, NAMES, range(3), max_steps=60, progress=arrived.append)
-    assert arrived == found
+def results(arm: pp.Arm) -> dict[str, Row]:
+    found = by_method(compare_methods(arm, NAMES, range(3), max_steps=60).rows())
     assert [result.controller for result in found] == list(NAMES)
     return {result.controller: result for result in found}
 
 
 @pytest.mark.process
-def test_results_do_not_depend_on_the_number_of_processes(
-    arm: pp.Arm, results: dict[str, MethodResult]
-) -> None:
-    again = compare_methods(arm, ["lm", PseudoInverse()], (0, 1, 2), max_steps=60, jobs=2)
+def test_results_do_not_depend_on_the_number_of_processes(arm: pp.Arm, results: dict[str, Row]) -> None:
+    again = by_method(compare_methods(arm, ["lm", PseudoInverse()], (0, 1, 2), max_steps=60).rows(jobs=2))
     assert again == [results["lm"], results["pinv"]]
 
 
-def test_errors_are_those_of_runs_made_by_hand(arm: pp.Arm, results: dict[str, MethodResult]) -> None:
+def test_errors_are_those_of_runs_made_by_hand(arm: pp.Arm, results: dict[str, Row]) -> None:
     posture, tip, reached, apart = [], [], [], []
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -59,7 +56,7 @@ def test_errors_are_those_of_runs_made_by_hand(arm: pp.Arm, results: dict[str, M
     assert result.returned == pytest.approx(np.median(apart), rel=1e-9)
 
 
-def test_what_each_method_is_known_for(results: dict[str, MethodResult]) -> None:
+def test_what_each_method_is_known_for(results: dict[str, Row]) -> None:
     joint, pinv, selection = results["joint"], results["pinv"], results["selection"]
     assert joint.reached == 1.0
     assert joint.returned < 1e-12
@@ -74,7 +71,7 @@ def test_what_each_method_is_known_for(results: dict[str, MethodResult]) -> None
     assert selection.peaks[-1] == 0.0
     for result in results.values():
         assert len(result.peaks) == len(DISTANCES)
-        assert np.all(np.isfinite(result[1:6] + result.peaks))
+        assert np.all(np.isfinite([*list(result.values())[1:6], *result.peaks]))
 
 
 def test_peaks_are_per_arm_length_of_mean_point_error(arm: pp.Arm) -> None:
@@ -82,7 +79,7 @@ def test_peaks_are_per_arm_length_of_mean_point_error(arm: pp.Arm) -> None:
     smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))  # the start is drawn first
     goal = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))
     lines = np.linalg.norm(arm.at(goal).points - arm.at(arm.straight()).points, axis=1)
-    result = compare_methods(arm, ["joint"], [5], max_steps=1)[0]
+    (result,) = by_method(compare_methods(arm, ["joint"], [5], max_steps=1).rows())
     assert result.peaks[-1] == pytest.approx(np.abs(goal).max() / (lines.mean() / 0.3), rel=1e-4)
 
 
@@ -91,8 +88,8 @@ def test_an_arm_with_slides_and_a_planar_one() -> None:
     joints = (pp.JointSpec("y"), slide, pp.JointSpec("z", type="continuous"))
     module = pp.ModuleTemplate("slides", joints, (0.03,) * 3)
     for arm in (pp.Arm.from_modules([module] * 3), pp.Arm.from_template("Rz", 6)):
-        for result in compare_methods(arm, ["joint", "dls"], [0], max_steps=30):
-            assert np.all(np.isfinite(result[1:6] + result.peaks))
+        for result in by_method(compare_methods(arm, ["joint", "dls"], [0], max_steps=30).rows()):
+            assert np.all(np.isfinite([*list(result.values())[1:6], *result.peaks]))
             assert all(peak > 0.0 for peak in result.peaks)
 
 

@@ -45,11 +45,12 @@ def test_methods_are_compared_with_all_baselines_unless_others_are_named():
     code = (
         "from benchmarks.baselines import BASELINES\n"
         "from benchmarks.studies import methods\n"
-        "from benchmarks.studies.commands import ShowOptions, run_methods\n"
+        "from benchmarks.harness import Study\n"
+        "from benchmarks.report import StudyOptions\n"
         "from pinposture.cli.inputs import ArmOptions\n"
         "compared = []\n"
-        "methods.compare_methods = lambda arm, names, *others: compared.extend(names) or []\n"
-        "run_methods(arm_options=ArmOptions(), options=ShowOptions(as_json=True))\n"
+        "methods.compare_methods = lambda _, names, *others: compared.extend(names) or Study([], [], dict)\n"
+        "methods.run(arm_options=ArmOptions(), options=StudyOptions(as_json=True))\n"
         "assert set(BASELINES) < set(compared), compared\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

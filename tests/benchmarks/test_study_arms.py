@@ -12,7 +12,9 @@ import pinocchio as pin
 import pytest
 
 import pinposture as pp
-from benchmarks.studies.arms import ArmSurvey, awkward_arms, gentle_curve, survey_arms
+from benchmarks.cases.families import gentle_curve
+from benchmarks.harness import Row
+from benchmarks.studies.arms import awkward_arms, survey_arms
 
 BEND = 0.5
 HINGES = (pp.JointSpec("z", lower=-BEND, upper=BEND), pp.JointSpec("y", lower=-BEND, upper=BEND))
@@ -26,8 +28,8 @@ def directory(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def survey(directory: Path) -> ArmSurvey:
-    (found,) = survey_arms(directory, seed=SEED)
+def survey(directory: Path) -> Row:
+    (found,) = survey_arms(directory, seed=SEED).rows()
     return found
 
 
@@ -93,8 +95,8 @@ def test_arms_of_awkward_shapes_are_cut_short_and_placed(name: str) -> None:
 
 
 @cache
-def awkward() -> list[ArmSurvey]:
-    return survey_arms(None, seed=SEED)
+def awkward() -> list[Row]:
+    return survey_arms(None, seed=SEED).rows()
 
 
 def test_a_file_that_is_refused_has_no_run(directory: Path) -> None:

@@ -5,9 +5,10 @@ import json
 import pytest
 
 import pinposture as pp
-from benchmarks.studies.arms import ArmSurvey, survey_arms
-from benchmarks.studies.commands import compressed
-from benchmarks.studies.methods import compare_methods
+from benchmarks.__main__ import STUDIES
+from benchmarks.harness import Case, Study
+from benchmarks.studies.arms import UNKNOWN, compressed, survey_arms
+from benchmarks.studies.methods import by_method, compare_methods
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +42,10 @@ def cells(out):
 def test_the_json_is_what_the_library_found(arms, surveyed):
     about = json.loads(surveyed[1].out)
     assert (about["directory"], about["least_joints"], about["seed"]) == (str(arms), 5, 0)
-    expected = survey_arms(arms)
+    expected = survey_arms(arms).rows()
     assert [arm["file"] for arm in about["arms"]] == ["a.urdf", "broken.urdf", "flat.urdf"]
     for shown, found in zip(about["arms"], expected, strict=True):
-        for name, value in found._asdict().items():
+        for name, value in found.items():
             assert shown[name] == (list(value) if isinstance(value, tuple) else value), name
         if not found.refused:
             assert shown["ok"] is (found.residual <= 1.05 * found.reference + 1e-6)
@@ -86,11 +87,10 @@ def test_a_file_that_is_refused_says_why_and_stops_nothing(surveyed):
     assert refused["ok"] is refused["ratio"] is refused["residual"] is None
 
 
-def test_progress_and_notes_go_to_stderr(surveyed):
+def test_notes_go_to_stderr(surveyed):
     for result in surveyed:
         assert result.code == 0
-        *lines, note = result.err.splitlines()
-        assert lines == ["a.urdf: done", "broken.urdf: refused", "flat.urdf: done"]
+        (note,) = result.err.splitlines()
         assert note.startswith("note: flat.urdf: 1 joint off the chain")
         assert "'finger'" in note
 
@@ -106,19 +106,31 @@ def test_short_arms_are_left_out_unless_asked_for(command, arms, tmp_path):
     assert (arm["file"], arm["joints"]) == ("short.urdf", 3)
 
 
-def test_options_reach_the_library(command, arms, monkeypatch):
+def test_options_reach_the_study(command, arms, monkeypatch):
     asked = []
-    monkeypatch.setattr("benchmarks.studies.arms.survey_arms", lambda *given: asked.append(given[:4]) or [])
+
+    def survey(*given):
+        asked.append(given)
+        return Study([], [], dict)
+
+    monkeypatch.setattr("benchmarks.studies.arms.survey_arms", survey)
     command("study", "arms", arms, "--least-joints", 7, "--seed", 3, "--jobs", 2)
     command("study", "arms", arms, "--jobs", -1)
-    assert asked == [(arms, 7, 3, 2), (arms, 5, 0, -1)]
+    assert asked == [(arms, 7, 3), (arms, 5, 0)]
+
+
+def found_by_hand(rows):
+    """A study of arms with known rows."""
+    return Study([Case({}, lambda: None)], rows, lambda _, row: row)
 
 
 def test_an_arm_placed_worse_than_the_reference_shows_the_ratio(command, arms, monkeypatch):
-    worse = ArmSurvey("w.urdf", joints=7, modules=(2, 2, 3), dimension=3, residual=0.03, reference=0.02)
-    exact = worse._replace(file="e.urdf", residual=9e-10, reference=0.0, within_limits=False)
-    far = worse._replace(file="f.urdf", residual=1e-3, reference=0.0, reached=0.5)
-    monkeypatch.setattr("benchmarks.studies.arms.survey_arms", lambda *_: [worse, exact, far])
+    worse = UNKNOWN.but(file="w.urdf", joints=7, modules=(2, 2, 3), dimension=3)
+    worse = worse.but(residual=0.03, reference=0.02)
+    exact = worse.but(file="e.urdf", residual=9e-10, reference=0.0, within_limits=False)
+    far = worse.but(file="f.urdf", residual=1e-3, reference=0.0, reached=0.5)
+    found = [worse, exact, far]
+    monkeypatch.setattr("benchmarks.studies.arms.survey_arms", lambda *_: found_by_hand(found))
     out = command("study", "arms", arms).out
     rows = cells(out)
     assert rows["w.urdf"][2:5] == ["2,", "2,", "3"]
@@ -141,7 +153,7 @@ def test_an_arm_of_which_a_part_has_no_place_says_so_in_the_table_and_why_in_a_n
     (arm,) = json.loads(command("study", "arms", tmp_path, "--json").out)["arms"]
     method, _, reason = arm["method"].partition(": ")
     assert cells(result.out)["stiff.urdf"][7:9] == [method, "(partial)"]
-    assert result.err.splitlines() == ["stiff.urdf: done", f"note: stiff.urdf: {reason}"]
+    assert result.err.splitlines() == [f"note: stiff.urdf: {reason}"]
     assert reason.startswith("module ")
 
 
@@ -166,7 +178,7 @@ def urdf(command, tmp_path_factory):
 def test_json_and_table_are_what_the_library_found(command, urdf):
     asked = ("study", "methods", urdf, "--controllers", ",".join(NAMES), "--seeds", 2, "--steps", 60)
     found = json.loads(command(*asked, "--json").out)
-    expected = compare_methods(pp.Arm.load(urdf), NAMES, range(2), 60)
+    expected = by_method(compare_methods(pp.Arm.load(urdf), NAMES, range(2), 60).rows())
     assert [method["controller"] for method in found["methods"]] == NAMES
     for shown, result in zip(found["methods"], expected, strict=True):
         assert shown["posture_error"] == result.posture_error
@@ -192,3 +204,37 @@ def test_wrong_usage_is_one_line(command, arguments, message):
     assert done.code == 2
     assert message in done.err
     assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("study scenes --seeds 100000000000", ("'--seeds'", "1000000")),
+        ("reproduce 6.3 --width 1e300 -o DIR/rep", ("'--width'", "1000")),
+        ("reproduce 6.3 --width 1e-300 -o DIR/rep", ("'--width'", "20")),
+        ("study scenes --seed0 -1", ("--seed0 is -1", "at least 0")),
+        ("study postures --cases 1 -o DIR/new.npz", ("--output is 'DIR/new.npz'", "a directory")),
+        ("study armz", ("'armz'", "arms", "benchmarks study --help")),
+        ("study arms DIR/none", ("DIR/none", "not a directory")),
+        ("study arms DIR", ("DIR", "no file that ends in .urdf")),
+        ("study arms DIR --seed -1", ("--seed is -1", "at least 0")),
+        ("study leader --jobs 0", ("jobs is 0", "from 1 to 10000")),
+    ],
+)
+def test_what_cannot_be_studied_is_one_line(command, tmp_path, line, words):
+    done = command(*line.replace("DIR", str(tmp_path)).split())
+    assert (done.code, done.out, done.err.count("\n")) == (2, "", 1)
+    assert all(word.replace("DIR", str(tmp_path)) in done.err for word in words)
+
+
+@pytest.mark.parametrize("verb", ["methods", "postures"])
+def test_a_study_of_any_arm_has_the_options_of_arms(command, verb):
+    text = command("study", verb, "--help", env={"COLUMNS": "200"}).out
+    assert all(option in text for option in ("--locked", "--package-dir", "--xacro-arg", "--hard-limits"))
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",)])
+def test_the_group_alone_tells_of_its_studies(command, arguments):
+    result = command("study", *arguments)
+    assert (result.code, result.err) == (0, "")
+    assert all(f" {name} " in result.out for name in STUDIES)

@@ -9,7 +9,7 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from benchmarks.studies.arms import Subject
+from benchmarks.cases.families import Subject
 from benchmarks.studies.cycles import CLOSE, cycle_drift, study_cycles
 from pinposture.control.controller import Diagnostics, Step
 from pinposture.errors import InvalidValue, UnknownName
@@ -83,20 +83,14 @@ def test_a_posture_that_is_not_reached_shows_in_the_error(arm: pp.Arm) -> None:
 
 @pytest.mark.studies
 def test_cycles_depend_on_their_seed_alone(subject: Subject) -> None:
-    found = study_cycles([subject], cycles=2, rounds=2, jobs=2)
+    found = study_cycles([subject], cycles=2, rounds=2).rows(jobs=2)
     assert [(each.arm, each.target, each.seed) for each in found] == [
         ("small", target, seed) for target in ("configuration", "points") for seed in (0, 1)
     ]
     assert all(len(each.drift) == 2 and each.steps > 0 for each in found)
     counted: list[tuple[int, int]] = []
-    alone = study_cycles(
-        [subject],
-        ["points"],
-        cycles=1,
-        rounds=2,
-        first_seed=1,
-        progress=lambda *counts: counted.append(counts),
-    )
+    study = study_cycles([subject], ["points"], cycles=1, rounds=2, first_seed=1)
+    alone = study.rows(progress=lambda *counts: counted.append(counts))
     assert alone == found[3:]
     assert counted == [(1, 1)]
 

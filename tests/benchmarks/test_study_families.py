@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from benchmarks.studies.arms import START_KINDS, Family, Subject, built_subject, draw_case, loaded_subject
+from benchmarks.cases.families import START_KINDS, Family, Subject, built_subject, draw_case, loaded_subject
 from pinposture.errors import InvalidValue, UnknownName
 
 NAMES = ("ryrz20", "planar45")

@@ -8,11 +8,19 @@ import numpy as np
 import pytest
 from sampling import seeds
 
+from benchmarks.cases.families import built_subject
 from benchmarks.cases.scenarios import curve_along, largest_turn
-from benchmarks.studies.arms import built_subject
-from benchmarks.studies.pictures import draw_headings
-from benchmarks.studies.postures import BINS, HEADING, bin_of, by_heading, draw_pair, study_headings
-from benchmarks.studies.record import Record
+from benchmarks.harness import Row
+from benchmarks.studies.headings import (
+    BINS,
+    HEADING,
+    bin_of,
+    by_heading,
+    draw_headings,
+    draw_pair,
+    study_headings,
+)
+from benchmarks.studies.runs import arrived
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.placement import resolve_targets
 
@@ -36,7 +44,7 @@ def planar():
 
 @pytest.fixture(scope="module")
 def records(subjects):
-    return study_headings(subjects, ("lm", "joint"), pairs=14)
+    return study_headings(subjects, ("lm", "joint"), pairs=14).rows()
 
 
 @pytest.mark.parametrize(
@@ -79,9 +87,9 @@ def test_joint_interpolation_knows_the_way_round_and_least_squares_does_not(reco
 def test_records_say_what_they_are_and_do_not_depend_on_the_number_of_processes(subjects, records):
     assert {(record.start, record.target) for record in records} == {("bent", "configuration")}
     assert [record.seed for record in records[:4]] == [0, 0, 1, 1]
-    again = study_headings(subjects, ["joint"], pairs=5, first_seed=3, jobs=2)
+    again = study_headings(subjects, ["joint"], pairs=5, first_seed=3).rows(jobs=2)
     expected = [*records[7:17:2], *records[28 + 7 : 28 + 17 : 2]]
-    assert [each._replace(seconds=0.0) for each in again] == [each._replace(seconds=0.0) for each in expected]
+    assert [each.but(seconds=0.0) for each in again] == [each.but(seconds=0.0) for each in expected]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -94,19 +102,17 @@ def test_a_curve_through_the_points_keeps_the_way_round(name):
 
 
 def test_targets_on_a_curve_are_reached_where_it_puts_them(planar):
-    (record,) = study_headings([planar], ["joint"], pairs=1, knowledge="curve")
+    (record,) = study_headings([planar], ["joint"], pairs=1, knowledge="curve").rows()
     start, goal = draw_pair(planar.arm, 0)
     target = resolve_targets(planar.arm, curve_along(planar.arm, goal), placement="as_is")
-    assert (record.target, record.arrived) == ("curve", True)
+    assert (record.target, arrived(record)) == ("curve", True)
     assert record.turn == largest_turn(planar.arm, start, target.q)
     assert record.turn != largest_turn(planar.arm, start, goal)
 
 
-def one(turn, error=0.0, violation=0.0, stride=1.0, path=1.2) -> Record:
-    return Record(
-        *("a", "bent", "configuration", 0, "lm", "converged", "", 10, error),
-        *(0.0, 0.0, 1.0, path, turn, 0.0, violation, stride),
-    )
+def one(turn, error=0.0, violation=0.0, stride=1.0, path=1.2) -> Row:
+    row = Row(arm="a", controller="lm", steps=10, error=error, path=path, turn=turn)
+    return row.but(violation=violation, stride=stride)
 
 
 def test_who_leaves_the_limits_has_not_reached():

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
 
 import pytest
 
 import pinposture as pp
-from benchmarks.studies.arms import built_subject, loaded_subject
-from benchmarks.studies.postures import by_heading, study_headings, study_postures
-from benchmarks.studies.record import read_records, summarise
+from benchmarks.cases.families import built_subject, loaded_subject
+from benchmarks.studies.headings import by_heading, study_headings
+from benchmarks.studies.postures import by_group, study_postures
 
 QUICK = ("study", "postures", "--controllers", "joint,lm")
 TURNS = ("study", "headings", "--controllers", "joint,lm", "--pairs", 4)
@@ -20,20 +21,18 @@ def timeless(rows):
 
 
 def as_json(row):
-    return json.loads(
-        json.dumps({name: v._asdict() if hasattr(v, "_asdict") else v for name, v in row._asdict().items()})
-    )
+    return json.loads(json.dumps(row))
 
 
 @pytest.fixture(scope="module")
 def expected(arm_file):
-    return study_postures([loaded_subject(pp.Arm.load(arm_file))], ("joint", "lm"), 10)
+    return study_postures([loaded_subject(pp.Arm.load(arm_file))], ("joint", "lm"), 10).rows()
 
 
 def test_json_is_what_the_library_found(command, arm_file, expected):
     found = json.loads(command(*QUICK, "--urdf", arm_file, "--cases", 10, "--json").out)
     assert (found["cases"], found["seed0"], found["controllers"]) == (10, 0, ["joint", "lm"])
-    assert timeless(found["rows"]) == timeless([as_json(row) for row in summarise(expected)])
+    assert timeless(found["rows"]) == timeless([as_json(row) for row in by_group(expected)])
 
 
 def test_the_table_names_each_group_once_and_says_what_the_json_says(command, arm_file, expected):
@@ -41,7 +40,7 @@ def test_the_table_names_each_group_once_and_says_what_the_json_says(command, ar
     lines = [line.split() for line in out.splitlines() if line.split()]
     assert [line[0] for line in lines].count("smooth") == 1
     joint = [line for line in lines if "joint" in line]
-    rows = [row for row in summarise(expected) if row.controller == "joint"]
+    rows = [row for row in by_group(expected) if row.controller == "joint"]
     assert len(joint) == len(rows) == 3
     for line, row in zip(joint, rows, strict=True):
         assert line[-1] == "yes"
@@ -57,8 +56,8 @@ def test_the_table_names_each_group_once_and_says_what_the_json_says(command, ar
 @pytest.mark.studies
 def test_without_a_file_both_arms_that_are_built_in_are_studied(command):
     found = json.loads(command("study", "postures", "--controllers", "joint", "--cases", 2, "--json").out)
-    expected = study_postures([built_subject("ryrz20"), built_subject("planar45")], ["joint"], 2)
-    assert timeless(found["rows"]) == timeless([as_json(row) for row in summarise(expected)])
+    expected = study_postures([built_subject("ryrz20"), built_subject("planar45")], ["joint"], 2).rows()
+    assert timeless(found["rows"]) == timeless([as_json(row) for row in by_group(expected)])
     assert {row["arm"] for row in found["rows"]} == {"ryrz20", "planar45"}
 
 
@@ -66,7 +65,7 @@ def test_a_study_is_saved_even_if_nobody_reads_what_is_printed(command, tmp_path
     def gone(*_: object) -> None:
         raise BrokenPipeError
 
-    monkeypatch.setattr("benchmarks.studies.commands.print_table", gone)
+    monkeypatch.setattr("benchmarks.report.print_table", gone)
     command(*QUICK, "--arms", "ryrz20", "--cases", 1, "-o", tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"cases.csv", "postures.png", "summary.json"}
 
@@ -80,11 +79,15 @@ def test_a_loaded_arm_and_the_files_that_are_left(command, arm_file, tmp_path):
     assert done.err.splitlines() == [f"wrote {out / name}" for name in ("cases.csv", "postures.png")] + [
         f"wrote {out / 'summary.json'}"
     ]
-    records = read_records(out / "cases.csv")
     again = study_postures(
         [loaded_subject(pp.Arm.load(arm_file, modules=2))], ("joint", "lm"), 10, first_seed=4
-    )
-    assert [each._replace(seconds=0.0) for each in records] == [each._replace(seconds=0.0) for each in again]
+    ).rows()
+    with (out / "cases.csv").open(newline="") as file:
+        lines = [line | {"seconds": ""} for line in csv.DictReader(file)]
+    assert lines == [
+        {name: "" if value is None else str(value) for name, value in row.but(seconds="").items()}
+        for row in again
+    ]
     summary = json.loads((out / "summary.json").read_text())
     assert summary["seed0"] == 4
     assert [row["group"] for row in summary["rows"][::2]] == ["smooth", "harsh", "straight and noise"]
@@ -109,7 +112,7 @@ def test_a_controller_that_refuses_is_named(command, arm_file, monkeypatch):
 
 @pytest.mark.studies
 def test_headings_print_what_the_library_found(command, tmp_path):
-    records = study_headings([built_subject("planar45")], ("joint", "lm"), 4, knowledge="curve")
+    records = study_headings([built_subject("planar45")], ("joint", "lm"), 4, knowledge="curve").rows()
     asked = (*TURNS, "--arms", "planar45", "--target", "curve")
     found = json.loads(command(*asked, "--json").out)
     assert (found["pairs"], found["target"]) == (4, "curve")
@@ -163,7 +166,7 @@ def test_wrong_usage_is_one_line_and_costs_no_run(command, arm_file, arguments, 
     def never(*_, **__):
         raise AssertionError("tracked first")
 
-    monkeypatch.setattr("benchmarks.studies.record.track", never)
+    monkeypatch.setattr("benchmarks.studies.runs.track", never)
     done = command("study", *arguments.replace("ARM", str(arm_file)).split())
     assert (done.code, done.out) == (2, "")
     assert message in done.err

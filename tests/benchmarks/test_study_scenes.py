@@ -11,18 +11,19 @@ from arms import template_arm
 from handmade import made
 
 import pinposture as pp
-from benchmarks.studies import scenes
-from benchmarks.studies.record import keep_study
+from benchmarks.cases import situations
+from benchmarks.cases.situations import SITUATIONS, Situation, draw_situation, situation_arm
+from benchmarks.harness import Row
+from benchmarks.report import Report, save_report
+from benchmarks.studies.runs import arrived
 from benchmarks.studies.scenes import (
     DISTANCE_ROUNDING,
-    SITUATIONS,
-    SceneRun,
-    Situation,
+    as_it_should,
     blamed,
     by_scene,
-    draw_situation,
-    record_scene_run,
-    situation_arm,
+    explained,
+    kept,
+    measure_scene_run,
     study_scenes,
 )
 from pinposture.collision import Box, CollisionModel, HalfSpace, Scene
@@ -47,11 +48,11 @@ def ceiling(height: float, margin: float = 0.02, **which: bool) -> Situation:
     return Situation("by hand", scene, np.zeros(2), np.zeros(2), **which)
 
 
-def measured(angles: list[float], height: float, **more: object) -> SceneRun:
+def measured(angles: list[float], height: float, **more: object) -> Row:
     """A run of the stretched arm through headings of its first joint, under a ceiling."""
     q = np.column_stack([angles, np.zeros(len(angles))])
     which = {name: bool(more.pop(name)) for name in ("start_clear", "goal_clear") if name in more}
-    return record_scene_run(made(template_arm("Rz", 2), q, **more), ceiling(height, **which), 3, 4, 0.5)
+    return measure_scene_run(made(template_arm("Rz", 2), q, **more), ceiling(height, **which), 4, 0.5)
 
 
 def gap(angle: float, height: float) -> float:
@@ -65,12 +66,12 @@ def test_the_smallest_distance_is_looked_up_between_steps() -> None:
     assert found.start == pytest.approx(gap(angles[0], height), abs=1e-9)
     assert found.end == pytest.approx(found.start, abs=1e-9)
     assert found.closest == pytest.approx(gap(np.pi / 2, height), abs=1e-9)  # the fifth of ten places
-    assert found[:4] == ("by hand", 3, 4, True)
+    assert (found.refused, found.reachable) == (4, True)
     assert (found.steps, found.seconds, found.margin) == (1, 0.5, 0.02)
 
 
 @pytest.mark.parametrize(
-    ("gaps", "loss", "kept"),
+    ("gaps", "loss", "keeps"),
     [
         ([0.1, 0.03, 0.02 + 1e-8, 0.1], 0.0, True),
         ([0.1, 0.03, 0.015, 0.1], 0.005, False),  # too close on the way
@@ -83,13 +84,13 @@ def test_the_smallest_distance_is_looked_up_between_steps() -> None:
         ([-0.02], 0.0, False),
     ],
 )
-def test_what_it_means_to_keep_the_margin(gaps: list[float], loss: float, kept: bool) -> None:
+def test_what_it_means_to_keep_the_margin(gaps: list[float], loss: float, keeps: bool) -> None:
     height = 0.15
     angles = [float(np.arcsin((height - RADIUS - each) / (2.0 * LENGTH))) for each in gaps]
     assert max(angles) < np.pi / 2  # so that within a step the ends are nearest
     found = measured(angles, height)
     assert found.loss == pytest.approx(loss, abs=1e-7)
-    assert found.kept is kept
+    assert kept(found) is keeps
     assert found.closest == pytest.approx(min(gaps), abs=1e-9)
     assert (found.start, found.end) == pytest.approx((gaps[0], gaps[-1]), abs=1e-9)
 
@@ -102,7 +103,7 @@ def test_paths_escapes_and_errors_of_a_run_made_by_hand() -> None:
     assert found.path == pytest.approx(3 * 2.0 * np.sin(np.pi / 12) / np.sqrt(2.0))
     assert found.escaping == pytest.approx(1 / 3)
     assert found.error == pytest.approx(0.05 / (2.0 * LENGTH))
-    assert (found.reason, found.reached, found.explained) == ("one line", False, False)
+    assert (found.reason, arrived(found), explained(found)) == ("one line", False, False)
 
 
 @pytest.mark.parametrize(
@@ -118,8 +119,8 @@ def test_paths_escapes_and_errors_of_a_run_made_by_hand() -> None:
 def test_a_run_does_as_it_should_or_says_why(error: float, reason: str, reachable: bool, right: bool) -> None:
     errors = np.full((2, 2), error * 2.0 * LENGTH)
     found = measured([0.0, 0.1], 1.0, point_errors=errors, reason=reason, goal_clear=reachable)
-    assert found.kept
-    assert found.as_it_should is right
+    assert kept(found)
+    assert as_it_should(found) is right
 
 
 def test_bodies_are_blamed_only_where_they_must_keep_clear_of_each_other() -> None:
@@ -144,7 +145,7 @@ def test_starts_and_goals_are_as_clear_as_they_claim(arm: pp.Arm, name: str) -> 
         ):
             distance = around.minimum(q).distance
             assert distance >= margin if clear else distance < 0.0
-            assert np.abs(arm.positions(q) - middle).max() == pytest.approx(scenes.VARIATION, abs=1e-12)
+            assert np.abs(arm.positions(q) - middle).max() == pytest.approx(situations.VARIATION, abs=1e-12)
             np.testing.assert_array_equal(q, same)
         seen += [draw.start, draw.goal]
     assert len({q.tobytes() for q in seen}) == 8
@@ -156,10 +157,10 @@ def test_something_is_in_the_way(arm: pp.Arm, name: str) -> None:
     situation = SITUATIONS[name]
     target = pp.Target.from_configuration(arm, situation.goal)
     run = pp.track(arm, target, situation.start, limits=pp.Limits(step=0.1), max_steps=400)
-    found = record_scene_run(run, situation, 0)
-    assert found.reached
+    found = measure_scene_run(run, situation)
+    assert arrived(found)
     assert found.closest < 0.0
-    assert not found.kept or name == "out"
+    assert not kept(found) or name == "out"
 
 
 def test_the_slot_and_the_pipe_are_passed_at_the_goal(arm: pp.Arm) -> None:
@@ -175,10 +176,10 @@ def test_the_slot_and_the_pipe_are_passed_at_the_goal(arm: pp.Arm) -> None:
     pipe = SITUATIONS["pipe"]
     for q in (pipe.start, pipe.goal):
         points = arm.at(q).points
-        inside = points[(points[:, 0] > 0.2) & (np.abs(points[:, 1]) < scenes.PIPE)]
+        inside = points[(points[:, 0] > 0.2) & (np.abs(points[:, 1]) < situations.PIPE)]
         assert len(inside) >= 5
-    between = 2.0 * scenes.PIPE * np.sin(np.pi / scenes.STAVES)
-    assert between < 2.0 * scenes.STAVE
+    between = 2.0 * situations.PIPE * np.sin(np.pi / situations.STAVES)
+    assert between < 2.0 * situations.STAVE
 
 
 def test_draws_that_are_not_clear_enough_are_counted_and_given_up(arm: pp.Arm) -> None:
@@ -197,16 +198,16 @@ def test_draws_that_are_not_clear_enough_are_counted_and_given_up(arm: pp.Arm) -
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[SceneRun]:
-    return study_scenes(QUICK, seeds=1, first_seed=8)  # the quickest
+def runs() -> list[Row]:
+    return study_scenes(QUICK, seeds=1, first_seed=8).rows()  # the quickest
 
 
 @pytest.mark.studies
-def test_each_scene_keeps_the_margin_and_ends_where_it_should(runs: list[SceneRun]) -> None:
+def test_each_scene_keeps_the_margin_and_ends_where_it_should(runs: list[Row]) -> None:
     assert [run.scene for run in runs] == list(QUICK)
     for run in runs:
-        assert run.kept, run
-        assert run.reached is run.reachable, run
+        assert kept(run), run
+        assert arrived(run) is run.reachable, run
         if run.scene != "out":
             assert run.closest >= run.margin - DISTANCE_ROUNDING
     by_name = {run.scene: run for run in runs}
@@ -218,32 +219,32 @@ def test_each_scene_keeps_the_margin_and_ends_where_it_should(runs: list[SceneRu
 
 @pytest.mark.process
 def test_processes_and_company_make_no_difference() -> None:
-    both = study_scenes(("inside", "coil"), seeds=2, jobs=2)
+    both = study_scenes(("inside", "coil"), seeds=2).rows(jobs=2)
     seen: list[tuple[int, int]] = []
-    alone = study_scenes(["coil"], 1, first_seed=1, progress=lambda *counts: seen.append(counts))
+    alone = study_scenes(["coil"], 1, first_seed=1).rows(progress=lambda *counts: seen.append(counts))
     assert [(run.scene, run.seed) for run in both] == [(n, k) for n in ("inside", "coil") for k in (0, 1)]
-    assert alone[0]._replace(seconds=0.0) == both[3]._replace(seconds=0.0)
+    assert alone[0].but(seconds=0.0) == both[3].but(seconds=0.0)
     assert seen == [(1, 1)]
 
 
 @pytest.mark.studies
-def test_rows_and_files_hold_what_the_runs_say(runs: list[SceneRun], tmp_path: object) -> None:
-    first = runs[0]._replace(scene="x", seed=0, steps=10, path=1.0, refused=2, reachable=True, error=0.0)
-    first = first._replace(loss=0.0, closest=0.03, margin=0.01, end=0.03, escaping=0.1, seconds=1.0)
-    second = first._replace(seed=1, steps=20, path=3.0, refused=1, error=0.1, blamed="")
-    third = second._replace(seed=2, steps=30, loss=0.002, closest=0.008, blamed="post", reachable=False)
-    (row, other) = by_scene([first, second, third, first._replace(scene="y")])
-    assert row[:7] == ("x", 3, 5 - 1, 2, 1, 2, 1)
+def test_rows_and_files_hold_what_the_runs_say(runs: list[Row], tmp_path: object) -> None:
+    first = runs[0].but(scene="x", seed=0, steps=10, path=1.0, refused=2, reachable=True, error=0.0)
+    first = first.but(loss=0.0, closest=0.03, margin=0.01, end=0.03, escaping=0.1, seconds=1.0)
+    second = first.but(seed=1, steps=20, path=3.0, refused=1, error=0.1, blamed="")
+    third = second.but(seed=2, steps=30, loss=0.002, closest=0.008, blamed="post", reachable=False)
+    (row, other) = by_scene([first, second, third, first.but(scene="y")])
+    assert list(row.values())[:7] == ["x", 3, 5 - 1, 2, 1, 2, 1]
     assert (row.room, row.loss) == pytest.approx((-0.002, 0.002))
-    assert row.steps == pytest.approx((20.0, 28.0))
-    assert row.path == pytest.approx((3.0, 3.0))
+    assert row.steps == pytest.approx({"median": 20.0, "high": 28.0})
+    assert row.path == pytest.approx({"median": 3.0, "high": 3.0})
     assert (other.scene, other.runs, other.reached, other.kept) == ("y", 1, 1, 1)
-    table, summary = keep_study(tmp_path / "new", runs, {"study": "scenes"}, {}, SceneRun._fields)
+    table, summary = save_report(tmp_path / "new", Report(runs, {"study": "scenes"}, []))
     assert json.loads(summary.read_text()) == {"study": "scenes"}
     with table.open(newline="") as file:
         lines = list(csv.DictReader(file))
     for line, run in zip(lines, runs, strict=True):
-        assert list(line) == list(SceneRun._fields)
+        assert list(line) == list(run)
         assert {name: type(getattr(run, name))(line[name]) for name in ("seed", "error", "closest")} == {
             "seed": run.seed,
             "error": run.error,
@@ -258,7 +259,6 @@ def test_rows_and_files_hold_what_the_runs_say(runs: list[SceneRun], tmp_path: o
         ({"seeds": 0}, "seeds is 0"),
         ({"first_seed": -1}, "first_seed is -1"),
         ({"scenes": ()}, "scenes is"),
-        ({"jobs": 0}, "jobs is 0"),
     ],
 )
 def test_wrong_numbers_are_named(arguments: dict[str, object], message: str) -> None:

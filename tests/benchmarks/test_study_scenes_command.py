@@ -7,16 +7,18 @@ import json
 
 import pytest
 
-from benchmarks.studies.arms import built_subject
+from benchmarks.cases.families import built_subject
+from benchmarks.cases.situations import SITUATIONS
+from benchmarks.harness import Case, Study
 from benchmarks.studies.cycles import study_cycles
-from benchmarks.studies.scenes import SITUATIONS, SceneRun, by_scene, study_scenes
+from benchmarks.studies.scenes import by_scene, study_scenes
 
 SCENES = ("inside", "post")
 
 
 @pytest.fixture(scope="module")
 def runs():
-    return study_scenes(SCENES, 1)
+    return study_scenes(SCENES, 1).rows()
 
 
 @pytest.fixture
@@ -24,10 +26,9 @@ def found(runs, monkeypatch):
     """Lets the verb find these runs; returns what it was asked for."""
     asked = []
 
-    def study(names, seeds, seed0, jobs, progress):
-        asked.append((list(names), seeds, seed0, jobs))
-        progress(1, 1)
-        return runs
+    def study(names, seeds, seed0):
+        asked.append((list(names), seeds, seed0))
+        return Study([Case({}, lambda: None)], runs, lambda _, row: row)
 
     monkeypatch.setattr("benchmarks.studies.scenes.study_scenes", study)
     return asked
@@ -46,9 +47,7 @@ def test_json_is_what_the_library_found(command, runs):
     }
     for row, expected in zip(found["rows"], by_scene(runs), strict=True):
         assert row.pop("seconds")["median"] > 0.0
-        whole = json.loads(json.dumps({**expected._asdict(), "seconds": None}))
-        for name in ("steps", "path", "escaping"):
-            whole[name] = getattr(expected, name)._asdict()
+        whole = json.loads(json.dumps(expected))
         whole.pop("seconds")
         assert row == whole
 
@@ -56,8 +55,8 @@ def test_json_is_what_the_library_found(command, runs):
 @pytest.mark.studies
 def test_the_table_and_the_files_say_what_the_runs_say(command, runs, found, tmp_path):
     out = tmp_path / "new"
-    done = command("study", "scenes", "--seeds", 1, "--seed0", 7, "--jobs", 2, "-o", out)
-    assert found == [(list(SITUATIONS), 1, 7, 2)]
+    done = command("study", "scenes", "--seeds", 1, "--seed0", 7, "-o", out)
+    assert found == [(list(SITUATIONS), 1, 7)]
     inside, post = ([line for line in done.out.splitlines() if line.split()[:1] == [n]] for n in SCENES)
     for (line,), row, counts in ((inside, by_scene(runs)[0], "0 of 0"), (post, by_scene(runs)[1], "1 of 1")):
         words = line.split()
@@ -70,7 +69,7 @@ def test_the_table_and_the_files_say_what_the_runs_say(command, runs, found, tmp
     with (out / "cases.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
     assert [line["scene"] for line in lines] == list(SCENES)
-    assert list(lines[0]) == list(SceneRun._fields)
+    assert list(lines[0]) == list(runs[0])
     assert json.loads((out / "summary.json").read_text())["seed0"] == 7
 
 
@@ -78,11 +77,11 @@ def test_the_table_and_the_files_say_what_the_runs_say(command, runs, found, tmp
 def test_runs_that_did_not_do_as_they_should_are_named(command, runs, found):
     inside, post = runs
     runs[:] = [
-        inside._replace(refused=3),
-        inside._replace(seed=1, error=0.0),
-        inside._replace(seed=2, loss=0.002),
-        inside._replace(seed=3, end=0.004),
-        post._replace(error=0.1, status="max_steps", reason="slow", refused=1),
+        inside.but(refused=3),
+        inside.but(seed=1, error=0.0),
+        inside.but(seed=2, loss=0.002),
+        inside.but(seed=3, end=0.004),
+        post.but(error=0.1, status="max_steps", reason="slow", refused=1),
     ]
     done = command("study", "scenes")
     runs[:] = [inside, post]
@@ -104,10 +103,10 @@ def test_the_help_names_every_scene(command):
 @pytest.mark.studies
 def test_cycles_print_what_the_library_found(command):
     asked = ("study", "cycles", "--arms", "ryrz20", "--cycles", 1, "--rounds", 2)
-    found = study_cycles([built_subject("ryrz20")], cycles=1, rounds=2)
+    found = study_cycles([built_subject("ryrz20")], cycles=1, rounds=2).rows()
     shown = json.loads(command(*asked, "--json").out)
     assert (shown["controller"], shown["cycles"], shown["rounds"], shown["seed0"]) == ("geodesic", 1, 2, 0)
-    assert shown["runs"] == [json.loads(json.dumps(each._asdict())) for each in found]
+    assert shown["runs"] == [json.loads(json.dumps(each)) for each in found]
     lines = [line.split() for line in command(*asked).out.splitlines() if line.split()[:1] == ["ryrz20"]]
     assert len(lines) == 2
     for line, each in zip(lines, found, strict=True):
@@ -135,7 +134,7 @@ def test_wrong_usage_is_one_line_and_costs_no_run(command, arm_file, arguments, 
     def never(*_, **__):
         raise AssertionError("tracked first")
 
-    monkeypatch.setattr("benchmarks.studies.record.track", never)
+    monkeypatch.setattr("benchmarks.studies.runs.track", never)
     done = command("study", *arguments.replace("FILE", str(arm_file)).split())
     assert (done.code, done.out) == (2, "")
     assert message in done.err

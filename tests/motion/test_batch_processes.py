@@ -14,9 +14,10 @@ from arms import template_arm
 from joblib import delayed
 
 import pinposture as pp
-from benchmarks.cases.scenarios import SPATIAL_SCENARIOS, study
+from benchmarks.cases.scenarios import SPATIAL_SCENARIOS
 from benchmarks.studies.arms import survey_arms
 from benchmarks.studies.methods import compare_methods
+from benchmarks.studies.runs import study_scenarios
 from pinposture.errors import InvalidValue
 from pinposture.motion import processes
 from pinposture.motion.processes import Shared, adaptively_in_order, in_order
@@ -112,9 +113,9 @@ def test_a_number_of_processes_that_is_none_is_refused(jobs: object, tmp_path) -
     arm = template_arm("RyRz", 3)
     (tmp_path / "arm.urdf").write_text(arm.urdf)
     calls = (
-        lambda: study(arm, SPATIAL_SCENARIOS[:1], ["joint"], [0], jobs=jobs),
-        lambda: compare_methods(arm, ["joint"], [0], jobs=jobs),
-        lambda: survey_arms(tmp_path, jobs=jobs),
+        lambda: study_scenarios(arm, SPATIAL_SCENARIOS[:1], ["joint"], [0], jobs=jobs),
+        lambda: compare_methods(arm, ["joint"], [0]).rows(jobs),
+        lambda: survey_arms(tmp_path).rows(jobs),
     )
     for call in calls:
         with pytest.raises(InvalidValue, match="jobs"):

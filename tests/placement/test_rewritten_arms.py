@@ -10,7 +10,7 @@ import pytest
 from arm.rewriting import numbers, renamed, turned_frames, vector, with_fixed_joints, with_sensors
 
 import pinposture as pp
-from benchmarks.studies.arms import gentle_curve
+from benchmarks.cases.families import gentle_curve
 
 
 def load(text: str) -> pp.Arm:

@@ -10,7 +10,9 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from benchmarks.cases.scenarios import SPATIAL_SCENARIOS, Outcome, case, study
+from benchmarks.cases.scenarios import SPATIAL_SCENARIOS, case
+from benchmarks.harness import Row
+from benchmarks.studies.runs import study_scenarios
 from pinposture.arm import smooth_configuration
 
 pytestmark = pytest.mark.reproduction
@@ -26,15 +28,15 @@ def arm() -> pp.Arm:
 
 
 @pytest.fixture(scope="module", params=PAIRS, ids="-".join)
-def repeated(arm: pp.Arm, request: pytest.FixtureRequest) -> tuple[dict, list[Outcome]]:
+def repeated(arm: pp.Arm, request: pytest.FixtureRequest) -> tuple[dict, list[Row]]:
     """The recorded figures of one scenario and controller, and the same ten seeds run again."""
     name, controller = request.param
     entry = RECORD["results"][PAIRS.index(request.param)]
-    outcomes = study(arm, [SCENARIOS[name]], [controller], range(10), max_steps=RECORD["steps"])
+    outcomes = study_scenarios(arm, [SCENARIOS[name]], [controller], range(10), max_steps=RECORD["steps"])
     return entry, outcomes
 
 
-def test_the_recorded_figures_are_reached_again(repeated: tuple[dict, list[Outcome]]) -> None:
+def test_the_recorded_figures_are_reached_again(repeated: tuple[dict, list[Row]]) -> None:
     # Projection is chaotic: rounding differs between processors, so figures may differ a little.
     entry, outcomes = repeated
     ratio = np.array([outcome.ratio for outcome in outcomes])
@@ -68,8 +70,8 @@ def test_the_record_covers_a_hundred_seeds_and_what_the_thesis_says() -> None:
 def test_outcomes_do_not_depend_on_the_number_of_processes(arm: pp.Arm) -> None:
     arguments = (arm, [SCENARIOS["helix"]], ["selection"], range(3))
     seen: list[tuple[int, int]] = []
-    found = study(*arguments, max_steps=20, jobs=2, progress=lambda *numbers: seen.append(numbers))
-    assert found == study(*arguments, max_steps=20)
+    found = study_scenarios(*arguments, max_steps=20, jobs=2, progress=lambda *numbers: seen.append(numbers))
+    assert found == study_scenarios(*arguments, max_steps=20)
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
