@@ -59,9 +59,8 @@ urdf: $(VENV)/base.stamp
 EVIDENCE := bench study reproduce score
 ifneq ($(filter $(EVIDENCE),$(firstword $(MAKECMDGOALS))),)
 OPTIONS := $(wordlist 2,$(words $(MAKECMDGOALS)),$(MAKECMDGOALS))
-.PHONY: $(sort $(OPTIONS))
-$(sort $(filter-out $(EVIDENCE),$(OPTIONS))):
-	@:
+MAKEFLAGS += --silent
+.DEFAULT: ;
 endif
 
 # Our controllers and others on the same cases; makes environments for the others under build/bench.
@@ -69,7 +68,7 @@ bench: $(VENV)/base.stamp
 	$(RUN) -m benchmarks.peers.bench $(OPTIONS) $(ARGS)
 
 study reproduce score: $(VENV)/base.stamp
-	@$(RUN) -m benchmarks $@ $(STUDY) $(OPTIONS) $(ARGS)
+	$(RUN) -m benchmarks $@ $(STUDY) $(OPTIONS) $(ARGS)
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ast
+import sys
+from importlib import import_module
+from pathlib import Path
+
 import typer
 
 from benchmarks.reproduce import command
 from benchmarks.studies import arms, clutter, cycles, headings, leader, methods, postures, scenes
 from pinposture.cli.app import OPTIONS_OF_ARGUMENTS, Commands, add_verb
-
-OPTIONS_OF_ARGUMENTS |= {"absolute": "index", "first_seed": "seed0", "threshold": "kappa"}
 
 STUDIES = {
     "arms": arms.run,
@@ -22,6 +25,25 @@ STUDIES = {
 }
 """The studies by name, in help order."""
 
+SCRIPTS = (
+    "coupled_joints",
+    "drives",
+    "editor",
+    "moving_obstacles",
+    "obstacle_joints",
+    "parameters",
+    "qp_solvers",
+    "rate",
+    "reach",
+    "scan_obstacles",
+    "soak",
+    "switching",
+    "thesis_claims",
+)
+"""Modules of `benchmarks.studies` with a command line of their own."""
+
+OPTIONS_OF_ARGUMENTS |= {"absolute": "index", "first_seed": "seed0", "threshold": "kappa"}
+
 SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(name="benchmarks", cls=Commands, pretty_exceptions_enable=False, context_settings=SETTINGS)
@@ -30,7 +52,7 @@ study = typer.Typer()
 
 @app.callback(invoke_without_command=True)
 def _evidence(ctx: typer.Context) -> None:
-    """The evidence for what pinposture claims."""
+    """The evidence for what the documentation of pinposture says."""
     if ctx.invoked_subcommand is None:
         typer.echo(ctx.get_help())
 
@@ -42,10 +64,24 @@ def _study(ctx: typer.Context) -> None:
         typer.echo(ctx.get_help())
 
 
+def _add_script(name: str) -> None:
+    """Add a module whose function `main` reads its options from the command line."""
+    file = Path(__file__).with_name("studies") / f"{name}.py"
+    words = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").splitlines()
+    unread = {"allow_extra_args": True, "ignore_unknown_options": True}
+
+    @study.command(name, help=words[0], add_help_option=False, context_settings=unread)
+    def script(ctx: typer.Context) -> None:
+        sys.argv = [f"study {name}", *ctx.args]
+        raise typer.Exit(import_module(f"benchmarks.studies.{name}").main() or 0)
+
+
 add_verb("reproduce", command.run, app)
 add_verb("score", command.run_score, app)
 for name, verb in STUDIES.items():
     add_verb(name, verb, study)
+for name in SCRIPTS:
+    _add_script(name)
 app.add_typer(study, name="study")
 
 

@@ -587,9 +587,9 @@ def tracked() -> Iterator[Run]:
         for target in ("points", "noisy", "beyond", "region", "near", "folded"):
             yield run(track, "track", name, "default", "smooth", target, "step", max_steps=100)
     yield run(track, "track", "ryrz8", "default", "smooth", "smooth", "none")
-    for controller in (pp.Selection(score="thesis"), pp.Projection(coupling="local")):
-        found = partial(track, "ryrz8", controller, limits="speed", max_steps=60)
-        yield Run(f"track/ryrz8/{controller.name} as in the thesis", found)
+    for printed in (pp.Selection(score="thesis"), pp.Projection(coupling="local")):
+        found = partial(track, "ryrz8", printed, limits="speed", max_steps=60)
+        yield Run(f"track/ryrz8/{printed.name} as in the thesis", found)
     for name, controller in product(("ryrz20", "ryrz40"), ("selection", "projection", "switching")):
         yield run(track, "track", name, controller, "smooth", "curve", "step", max_steps=40)
     for weight, relative in ((0.05, 1.0), (1.0, 1.0), (0.2, 0.0), (0.2, 5.0)):

@@ -383,7 +383,8 @@ MEASURED = {
     "obstacle_joints.png": "make study STUDY=obstacle_joints",
     "leader.png": "make study STUDY=leader",
     "figure-6.04.png": "make reproduce -- 6.4",
-    "figure-6.04-own.png": "make reproduce -- 6.4 --controller 14_your_own_controller:JacobianTranspose",
+    "figure-6.04-own.png": "make reproduce -- 6.4 "
+    "--controller examples.14_your_own_controller:JacobianTranspose",
     "figure-6.12.png": "make reproduce -- 6.12",
 }
 """Pictures beside the pages that other commands draw from what they measure."""

@@ -1,4 +1,4 @@
-"""What a method makes of the cases of the benchmark, as a file of results that `pinposture score` takes.
+"""What a method makes of the cases of the benchmark, as a file of results that `make score` takes.
 
     python -m benchmarks.peers.answer numpy-lm -o out/numpy_lm.json
     python -m benchmarks.peers.answer geodesic -o out/geodesic.json
@@ -32,7 +32,7 @@ def by_peer(case: dict[str, Any], known: dict[str, Any]) -> list[list[float]] | 
     """The way of the LM in NumPy; None for the arm that it does not know."""
     if case["arm"] != "ryrz20":
         return None
-    method = peers.build("numpy-lm", problem(20, 0))
+    method: Any = peers.build("numpy-lm", problem(20, 0))
     target, q = np.array(case["target"]), np.array(case["start"])
     method.begin()
     method.aim(target, q)

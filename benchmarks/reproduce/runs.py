@@ -269,7 +269,7 @@ SWITCHING_READINGS: Mapping[str, Switching] = MappingProxyType(
 """Further readings of Figure 4.8: number of steps without progress after which Selection loses control, and
 for how many steps of 0.1 rad; the last hands back as soon as Selection can lower the error again.
 
-The best reading has 10 steps and 5, chosen by the rule in `benchmarks/parameters.py`."""
+The best reading has 10 steps and 5, chosen by the rule in `benchmarks/studies/parameters.py`."""
 
 _LIMITED = MappingProxyType(
     {

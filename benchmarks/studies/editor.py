@@ -95,12 +95,12 @@ class Client:
     def drag(self, name: str, home: np.ndarray, phase: str, place: np.ndarray) -> None:
         """Tell of a drag of something that was at home."""
         message = SceneNodeDragMessage(
-            phase=phase,  # type: ignore[arg-type]
+            phase=phase,
             name=name,
             instance_index=None,
-            start_position=tuple(map(float, home)),  # type: ignore[arg-type]
+            start_position=tuple(map(float, home)),
             start_screen_pos=(0.5, 0.5),
-            end_position=tuple(map(float, place)),  # type: ignore[arg-type]
+            end_position=tuple(map(float, place)),
             end_screen_pos=(0.5, 0.5),
             button="left",
             modifier=None,

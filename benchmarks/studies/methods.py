@@ -94,6 +94,7 @@ def _measure(max_steps: int, drawn: tuple[Problem, int], controller: Controller)
 def _peaks(arm: Arm, controller: Controller, goal: Target, seed: int) -> tuple[float, ...]:
     """Return the largest requested motion per mean point error at each distance from the straight arm."""
     free = _without_limits(arm)  # otherwise the limits would cut the requested motion
+    assert goal.q is not None
     target = Target.from_configuration(free, goal.q)
     straight = arm.positions(arm.straight())
     shape = arm.positions(smooth_configuration(free, np.random.default_rng((seed, 1)), 1.0))

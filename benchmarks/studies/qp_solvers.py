@@ -61,10 +61,10 @@ def recorded(modules: int, situation: str) -> list[Program]:
                 found[:], stride = found[::2], 2 * stride
         return solution
 
-    damped_least_squares.solve = spying
+    damped_least_squares.solve = spying  # type: ignore[attr-defined]
     for seed in range(RUNS):
         run(modules, situation, np.random.default_rng(seed))
-    damped_least_squares.solve = avoidance.solve
+    damped_least_squares.solve = avoidance.solve  # type: ignore[attr-defined]
     return found
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 import typer
 
+from benchmarks.__main__ import SCRIPTS
+from benchmarks.__main__ import app as evidence
 from pinposture.cli import app
 
 ROOT = Path(__file__).parents[2]
@@ -30,9 +32,9 @@ def mentioned(page: Path) -> list[str]:
     return [" ".join(command.split()) for command in INLINE.findall(page.read_text())]
 
 
-def resolve(words: list[str]) -> tuple[Any, list[str]]:
-    """The command of `pinposture` that words name, and the words left for it."""
-    command: Any = typer.main.get_command(app)
+def resolve(words: list[str], program: typer.Typer) -> tuple[Any, list[str]]:
+    """The command of a program that words name, and the words left for it."""
+    command: Any = typer.main.get_command(program)
     while words and hasattr(command, "commands"):
         assert words[0] in command.commands, f"no verb {words[0]!r}"
         command, words = command.commands[words[0]], words[1:]
@@ -44,22 +46,35 @@ def check(command: str, complete: bool) -> bool:
     program, *words = shlex.split(command, comments=True)
     if program == "make":
         targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-        assert words[0] in targets, f"no target {words[0]!r}"
+        target, *given = words
+        assert target in (*targets, "study", "reproduce", "score"), f"no target {target!r}"
+        if target in ("study", "reproduce", "score"):
+            study = [word.removeprefix("STUDY=") for word in given if word.startswith("STUDY=")]
+            rest = given[given.index("--") + 1 :] if "--" in given else []
+            check_options([target, *study, *rest], evidence, complete)
     elif program == "python":
-        assert (ROOT / words[0]).is_file(), f"no script {words[0]!r}"
+        if words[0] == "-m":
+            words[:2] = [f"{words[1].replace('.', '/')}.py"]
+        assert (ROOT / words[0]).is_file() or (ROOT / words[0]).with_suffix("").is_dir(), f"no {words[0]!r}"
     elif program == "pinposture":
-        if words[:1] == ["--help"] or not words:
-            return True
-        found, rest = resolve(words)
+        check_options(words, app, complete)
+    else:
+        return False
+    return True
+
+
+def check_options(words: list[str], program: typer.Typer, complete: bool) -> None:
+    """Check that a program has a verb with such options."""
+    if words and words != ["--help"]:
+        found, rest = resolve(words, program)
+        if found.name in SCRIPTS:  # they read their options themselves
+            return
         options = {name for each in found.params for name in (*each.opts, *each.secondary_opts)}
         options.add("--help")
         for word in rest:
             assert not re.match("--?[a-zA-Z]", word) or word.split("=")[0] in options, f"no option {word!r}"
         if complete and not hasattr(found, "commands"):
             found.make_context(found.name, list(rest))  # parses, and refuses what the verb would
-    else:
-        return False
-    return True
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
@@ -75,7 +90,10 @@ def test_commands_that_are_none_are_noticed() -> None:
     for command in (
         "pinposture trak a.urdf --curve helix",
         "pinposture track a.urdf --curve helix --sed 3",
-        "pinposture study nothing",
+        "pinposture nothing",
+        "make study STUDY=nothing",
+        "make study STUDY=clutter -- --sed 3",
+        "python -m benchmarks.nothing",
         "make nothing",
         "python examples/99_nothing.py",
     ):

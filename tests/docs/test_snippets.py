@@ -30,6 +30,7 @@ PAGES = (
     ),
     "streaming.md",
     "your_own_controller.md",
+    "evidence.md",
 )
 ELSEWHERE = {"tasks.md", "follow_leader.md", "trajectories.md", "physics.md"}  # in test_motion_pages.py
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -80,7 +80,7 @@ def test_changed_verdicts_end_at_those_of_today() -> None:
 def test_the_command_on_the_page_has_the_seeds_of_the_results() -> None:
     parameters = RESULTS["parameters"]
     command = f"--seeds {parameters['seeds']} --seed {parameters['first_seed']} --page docs/claims.md"
-    assert f"pinposture reproduce claims {command}\n" in PAGE
+    assert f"make reproduce -- claims {command}\n" in PAGE
 
 
 @pytest.mark.reproduction

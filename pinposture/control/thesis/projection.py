@@ -36,7 +36,7 @@ COUPLINGS: tuple[Coupling, ...] = ("full", "local", "relative")
 
 @dataclass(frozen=True)
 class Projection:
-    """Projection method with its parameters; the defaults come from `benchmarks/parameters.py`.
+    """Projection method with its parameters; the defaults come from `benchmarks/studies/parameters.py`.
 
     The motion of each control point relative to the previous one is confined to its manipulability space: the
     left singular vectors of the module's own Jacobian whose singular values exceed a threshold (5.3)-(5.5).

@@ -140,7 +140,7 @@ SCORES = ("auto", "error", "geometric", "thesis")
 
 @dataclass(frozen=True)
 class Selection:
-    """Selection method with its parameters; the defaults come from `benchmarks/parameters.py`.
+    """Selection method with its parameters; the defaults come from `benchmarks/studies/parameters.py`.
 
     Each step selects the control set with the largest score, stacks the Jacobians of its points into the
     posture control matrix (4.6), and moves them straight towards their targets. The other points descend the
