@@ -6,7 +6,7 @@ import numpy as np
 
 import pinposture as pp
 from benchmarks.harness import Row
-from benchmarks.reproduce.runs import Descent, MeasuredRun, Steps
+from benchmarks.reproduce.runs import Descent, Steps
 
 
 def made(arm, q, target=None, active=None, **fields) -> pp.Trajectory:
@@ -57,7 +57,7 @@ def one(
     deficient=0,
     dropping=0,
     goal_nearness=0.3,
-) -> MeasuredRun:
+) -> Row:
     """A measurement of one run; errors are mean point errors per arm length."""
     errors, count = np.array(errors, dtype=float), len(errors) - 1
     counts = np.array(points[:count], dtype=int)
@@ -66,7 +66,7 @@ def one(
         return np.array([default] * count if values is None else values, dtype=float)
 
     rose = int(np.count_nonzero(np.diff(errors) > 0))
-    return MeasuredRun(
+    return Row(
         outcome=Row(
             start_error=errors[0],
             final_error=errors[-1],

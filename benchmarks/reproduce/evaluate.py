@@ -12,9 +12,10 @@ from joblib import delayed
 from numpy.typing import NDArray
 
 from benchmarks.cases.scenarios import arbitrary_configuration
+from benchmarks.harness import Row
 from benchmarks.reproduce import measures
 from benchmarks.reproduce.claims import CLAIMS, Claim
-from benchmarks.reproduce.measures import MEASURES, RULES, Finding, Share, Verdict, judge, share
+from benchmarks.reproduce.measures import RULES, Finding, Share, Verdict, judge, share
 from benchmarks.reproduce.runs import (
     ANY_STEP,
     ARM_NAMES,
@@ -50,10 +51,27 @@ DRAWS = 3
 """Number of postures of each kind per seed."""
 
 
-class Counted(NamedTuple):
-    """Counts at one posture, for one threshold of both conditions.
+def count_postures(seeds: int, jobs: int = 1, first: int = 0) -> list[Row]:
+    """Count over random postures of both arms; the result only depends on the seeds."""
+    cases = product(ARM_NAMES, range(first, first + seeds))
+    tasks = (delayed(_count)(name, seed) for name, seed in cases)
+    return [each for listed in in_order(tasks, jobs) for each in listed]
 
-    Attributes:
+
+def _count(name: str, seed: int) -> list[Row]:
+    arm, counted = thesis_arm(name), list[Row]()
+    rng = np.random.default_rng((seed, 2))
+    for kind in KINDS:
+        for _ in range(DRAWS):
+            q = arbitrary_configuration(arm, rng) if kind == "smooth" else arm.random(rng)
+            counted.extend(count_posture(arm, name, kind, q, rng))
+    return counted
+
+
+def count_posture(arm: Arm, name: str, kind: str, q: Array, rng: np.random.Generator) -> list[Row]:
+    """Count at one posture for each of THRESHOLDS; the generator draws sets and a section.
+
+    Returns:
         arm: name of the arm.
         kind: kind of posture.
         threshold: value that indices must exceed to meet a condition.
@@ -65,38 +83,7 @@ class Counted(NamedTuple):
         section_deficient: whether two control points with a singular section between them stack to a matrix
             of less than full row rank.
     """
-
-    arm: str
-    kind: str
-    threshold: float
-    carried: bool
-    drawn: bool
-    pairs_clear: bool
-    full_rank: bool
-    sigma_min: float
-    section_deficient: bool
-
-
-def count_postures(seeds: int, jobs: int = 1, first: int = 0) -> list[Counted]:
-    """Count over random postures of both arms; the result only depends on the seeds."""
-    cases = product(ARM_NAMES, range(first, first + seeds))
-    tasks = (delayed(_count)(name, seed) for name, seed in cases)
-    return [each for listed in in_order(tasks, jobs) for each in listed]
-
-
-def _count(name: str, seed: int) -> list[Counted]:
-    arm, counted = thesis_arm(name), list[Counted]()
-    rng = np.random.default_rng((seed, 2))
-    for kind in KINDS:
-        for _ in range(DRAWS):
-            q = arbitrary_configuration(arm, rng) if kind == "smooth" else arm.random(rng)
-            counted.extend(count_posture(arm, name, kind, q, rng))
-    return counted
-
-
-def count_posture(arm: Arm, name: str, kind: str, q: Array, rng: np.random.Generator) -> list[Counted]:
-    """Count at one posture for each of THRESHOLDS; the generator draws sets and a section."""
-    state, counted = arm.at(q), []
+    state, counted = arm.at(q), list[Row]()
     indices = state.manipulability()
     deficient = _section_is_deficient(arm, q, rng)
     for threshold in THRESHOLDS:
@@ -105,7 +92,7 @@ def count_posture(arm: Arm, name: str, kind: str, q: Array, rng: np.random.Gener
         matrix = stacked(state, [k - 1 for k in chosen])
         sigma = np.linalg.svd(matrix, compute_uv=False)
         counted.append(
-            Counted(
+            Row(
                 arm=name,
                 kind=kind,
                 threshold=threshold,
@@ -154,8 +141,8 @@ def _section_is_deficient(arm: Arm, q: Array, rng: np.random.Generator) -> bool:
     return not has_full_rank(stacked(state, [first, first + apart]))
 
 
-def _groups(counted: Iterable[Counted], by_threshold: bool = True) -> dict[str, list[Counted]]:
-    groups: dict[str, list[Counted]] = {}
+def _groups(counted: Iterable[Row], by_threshold: bool = True) -> dict[str, list[Row]]:
+    groups: dict[str, list[Row]] = {}
     for each in counted:
         name = f"{ARM_NAMES[each.arm]}, {each.kind} postures"
         if by_threshold:
@@ -166,30 +153,32 @@ def _groups(counted: Iterable[Counted], by_threshold: bool = True) -> dict[str, 
     return groups
 
 
-def _of_sets(groups: Mapping[str, list[Counted]], true: Callable[[Counted], bool]) -> dict[str, Share]:
+def _of_sets(groups: Mapping[str, list[Row]], true: Callable[[Row], bool]) -> dict[str, Share]:
     return {name: share(true(each) for each in listed if each.drawn) for name, listed in groups.items()}
 
 
-def _carries(counted: list[Counted]) -> Finding:
-    shares = {name: share(each.carried for each in listed) for name, listed in _groups(counted).items()}
+def _carries(reading: Reading) -> Finding:
+    shares = {
+        name: share(each.carried for each in listed) for name, listed in _groups(reading.counted).items()
+    }
     total = Share(sum(each.true for each in shares.values()), sum(each.cases for each in shares.values()))
     text = f"It fails in {total.cases - total.true} of {total.cases} cases: every point must be tested."
     return Finding(shares, {}, text)
 
 
-def _pairs(counted: list[Counted]) -> Finding:
-    shares = _of_sets(_groups(counted), lambda each: each.pairs_clear)
+def _pairs(reading: Reading) -> Finding:
+    shares = _of_sets(_groups(reading.counted), lambda each: each.pairs_clear)
     failing = sum(each.cases - each.true for each in shares.values())
     text = f"In {failing} of {sum(each.cases for each in shares.values())} sets some pair does not clear it. "
     return Finding(shares, {}, text + "None needs to: neighbours suffice for full rank.")
 
 
-def _full_rank_share(counted: list[Counted]) -> Finding:
-    return Finding(_of_sets(_groups(counted), lambda each: each.full_rank), {}, "")
+def _full_rank_share(reading: Reading) -> Finding:
+    return Finding(_of_sets(_groups(reading.counted), lambda each: each.full_rank), {}, "")
 
 
-def _away(counted: list[Counted]) -> Finding:
-    groups = _groups(counted)
+def _away(reading: Reading) -> Finding:
+    groups = _groups(reading.counted)
     lowest = {
         name: min((each.sigma_min for each in listed if each.drawn), default=0.0)
         for name, listed in groups.items()
@@ -198,18 +187,19 @@ def _away(counted: list[Counted]) -> Finding:
         _of_sets(groups, lambda each: each.sigma_min > CONDITIONING),
         {f"smallest of all, per arm length [1/rad]: {name}": value for name, value in lowest.items()},
         "Full rank is not yet good conditioning: the smallest singular value of all sets is "
-        f"{min(lowest.values()):.1g} of the arm length per rad. Selection here drops points until the matrix "
-        "itself is far enough from singular.",
+        f"{min(lowest.values(), default=0.0):.1g} of the arm length per rad. Selection here drops points "
+        "until the matrix itself is far enough from singular.",
     )
 
 
-def _section(arm: str, text: str, counted: list[Counted]) -> Finding:
-    groups = _groups((each for each in counted if each.arm == arm), by_threshold=False)
+def _section(arm: str, text: str, reading: Reading) -> Finding:
+    groups = _groups((each for each in reading.counted if each.arm == arm), by_threshold=False)
     shares = {name: share(each.section_deficient for each in listed) for name, listed in groups.items()}
     return Finding(shares, {}, text)
 
 
-POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
+MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+    **measures.MEASURES,
     "absolute-carries-over": _carries,
     "neighbours-suffice": _pairs,
     "conditions-give-full-rank": _full_rank_share,
@@ -222,7 +212,7 @@ POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
         "same: the condition is sufficient, not necessary. The proof is for planar arms.",
     ),
 }
-"""Measures of the claims about postures, by id of the claim."""
+"""Measures of all claims by id, those of runs and those of postures."""
 
 
 _PROJECTIONS = ("projection", "projection, full", "projection, local", "projection, kappa 0.6")
@@ -284,7 +274,7 @@ class Evidence(NamedTuple):
     """The runs and the counts at postures by which claims are judged, also for the user's own controllers."""
 
     pool: Pool
-    counted: list[Counted]
+    counted: list[Row]
     seeds: int
     max_steps: int
     first: int = 0
@@ -317,20 +307,18 @@ def judge_claims(evidence: Evidence) -> list[JudgedClaim]:
 
 def _judged(claim: Claim, evidence: Evidence) -> JudgedClaim:
     rule = RULES[claim.rule]
-    if claim.id in POSTURES_MEASURES:
-        finding = POSTURES_MEASURES[claim.id](evidence.counted)
-        return JudgedClaim(claim, judge(finding.shares, rule), finding, {})
 
     def found(readings: Iterable[tuple[str, Reading]]) -> dict[str, tuple[Verdict, Finding]]:
         measured = {name: MEASURES[claim.id](reading) for name, reading in readings}
         return {name: (judge(finding.shares, rule), finding) for name, finding in measured.items()}
 
-    read = {name: Reading(evidence.pool, variants) for name, variants in READINGS.items()}
+    pool, counted = evidence.pool, evidence.counted
+    read = {name: Reading(pool, variants, counted=counted) for name, variants in READINGS.items()}
     tried = found((name, each) for name, each in read.items() if each.concerns(claim.methods))
     verdict, finding = tried.pop(DEFAULT)
     if claim.construction and verdict == "holds":
         verdict = "holds by construction"
-    own = ((name, Reading(evidence.pool, READINGS[DEFAULT], name)) for name in evidence.own)
+    own = ((name, Reading(pool, READINGS[DEFAULT], name)) for name in evidence.own)
     return JudgedClaim(
         claim,
         verdict,

@@ -11,7 +11,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.reproduce.runs import ANY_STEP, MeasuredRun, Reading, label, median
+from benchmarks.harness import Row
+from benchmarks.reproduce.runs import ANY_STEP, Reading, label, median
 
 # A claim is judged by comparing the shares of cases in which it is true with the thresholds of its rule.
 
@@ -140,22 +141,22 @@ ACROSS = ("opposite", "planar-opposite")
 BOTH = ("selection", "projection")
 
 
-def final(run: MeasuredRun) -> float:
+def final(run: Row) -> float:
     """Return the mean point error at the end, per arm length."""
     return float(run.mean_errors[-1])
 
 
-def arrived(run: MeasuredRun, within: float = THERE) -> bool:
+def arrived(run: Row, within: float = THERE) -> bool:
     """Return whether a run ends with a mean point error of at most `within`, per arm length."""
     return final(run) <= within
 
 
-def lower(run: MeasuredRun, others: Sequence[MeasuredRun]) -> bool:
+def lower(run: Row, others: Sequence[Row]) -> bool:
     """Return whether a run ends with a lower error than others, or has converged like them."""
     return all(final(run) < final(other) or max(final(run), final(other)) <= EXACT for other in others)
 
 
-Groups = Mapping[str, Sequence[MeasuredRun]]
+Groups = Mapping[str, Sequence[Row]]
 """Runs by "arm, scenario, method" in words."""
 
 
@@ -163,7 +164,7 @@ def _errors(groups: Groups) -> dict[str, float]:
     return _prefixed("median final error per arm length", _medians(groups, final))
 
 
-def _medians(groups: Groups, measure: Callable[[MeasuredRun], float]) -> dict[str, float]:
+def _medians(groups: Groups, measure: Callable[[Row], float]) -> dict[str, float]:
     """Return the median of a measure over the runs of each group."""
     return {name: median([measure(run) for run in runs]) for name, runs in groups.items()}
 
@@ -182,7 +183,7 @@ def _in_words(values: Mapping[str, float], form: str = ".0%") -> str:
     return "; ".join(f"{name}: {value:{form}}" for name, value in values.items())
 
 
-def _count_runs(groups: Groups, true: Callable[[MeasuredRun], bool]) -> dict[str, Share]:
+def _count_runs(groups: Groups, true: Callable[[Row], bool]) -> dict[str, Share]:
     return {name: share(true(run) for run in runs) for name, runs in groups.items()}
 
 
@@ -196,7 +197,7 @@ def _arrives(scenarios: Sequence[str], methods: Sequence[str], reading: Reading)
 
 
 def _similar(reading: Reading) -> Finding:
-    def alike(one: MeasuredRun, other: MeasuredRun) -> bool:
+    def alike(one: Row, other: Row) -> bool:
         low, high = sorted((final(one), final(other)))
         return high <= max(2.0 * low, CLOSE)
 
@@ -238,7 +239,7 @@ def _converges(reading: Reading) -> Finding:
 def _few_steps(reading: Reading) -> Finding:
     groups = reading.each(("planar-random",), ("selection",))
 
-    def steps(run: MeasuredRun) -> float:
+    def steps(run: Row) -> float:
         below = np.flatnonzero(run.mean_errors <= THERE)
         return float(below[0]) if len(below) else np.inf
 
@@ -269,7 +270,7 @@ def _departs(reading: Reading) -> Finding:
     )
 
 
-def _is_stranded(run: MeasuredRun) -> bool:
+def _is_stranded(run: Row) -> bool:
     return bool(run.outcome.status == "no_control_points")
 
 
@@ -283,7 +284,7 @@ SEEN = 0.1
 """Share of runs that must come near a singular posture for a verdict on passing it."""
 
 
-def approach(run: MeasuredRun) -> bool | None:
+def approach(run: Row) -> bool | None:
     """Return whether a run that came near a singular posture left it again; None if it did not come near.
 
     A run comes near if it gets from AWAY to NEAR, and leaves if it gets AWAY again. Runs to targets that are
@@ -342,9 +343,7 @@ ABRUPT = 0.5
 """Relative change of the joint displacement above which a motion is not smooth."""
 
 
-def _near(
-    runs: Sequence[MeasuredRun], name: str, low: float = 0.0, high: float = NEAR
-) -> NDArray[np.float64]:
+def _near(runs: Sequence[Row], name: str, low: float = 0.0, high: float = NEAR) -> NDArray[np.float64]:
     """Return a quantity of the steps of runs within a range of nearness to a singular posture."""
     parts = [
         getattr(run.steps, name)[(run.steps.nearness >= low) & (run.steps.nearness < high)] for run in runs
@@ -392,7 +391,7 @@ def _no_blow_up(reading: Reading) -> Finding:
     )
 
 
-def _growth(run: MeasuredRun) -> float | None:
+def _growth(run: Row) -> float | None:
     """Return the largest error after a run came near a singular posture, relative to that there, or None."""
     near = np.flatnonzero(run.steps.nearness <= NEAR)
     if not len(near):
@@ -435,12 +434,12 @@ TWINS = ("helix", "planar-random")
 """Scenarios whose runs have twins."""
 
 
-def predictable(run: MeasuredRun) -> bool:
+def predictable(run: Row) -> bool:
     """Return whether a run was direct and insensitive to a nudge of its start."""
     return run.path_length_ratio <= DIRECT and run.separation is not None and run.separation <= CALM
 
 
-def _largest_rise(run: MeasuredRun) -> float:
+def _largest_rise(run: Row) -> float:
     """Return the largest rise of the posture error in one step, relative to the initial error."""
     return max(float(np.diff(run.mean_errors).max(initial=0.0)) / max(float(run.mean_errors[0]), 1e-300), 0.0)
 
@@ -523,7 +522,7 @@ def _predictable(method: str, expected: bool, reading: Reading) -> Finding:
 
 
 def _compare(
-    pairs: Mapping[str, Sequence[tuple[MeasuredRun, MeasuredRun]]],
+    pairs: Mapping[str, Sequence[tuple[Row, Row]]],
     way: Callable[[float, float], bool],
     nudge: Callable[[float, float], bool],
 ) -> dict[str, Share]:
@@ -552,7 +551,7 @@ SWITCHED = ("planar-near-line", "line", "planar-random", "helix", "random")
 """Scenarios for comparing switching with its parts; the thesis shows the first."""
 
 
-def _steps_with(runs: Sequence[MeasuredRun], part: float) -> Share:
+def _steps_with(runs: Sequence[Row], part: float) -> Share:
     """Return the share of steps in which at least a fraction of all control points is active."""
     counts = np.concatenate([np.zeros(0), *(run.points / run.modules for run in runs)])
     return share(counts >= part)

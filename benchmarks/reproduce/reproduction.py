@@ -14,6 +14,7 @@ from joblib import delayed
 
 from benchmarks.baselines import named_controllers
 from benchmarks.cases.scenarios import SCENARIOS
+from benchmarks.harness import Row
 from benchmarks.reproduce.claims import FIGURES, ThesisFigure
 from benchmarks.reproduce.evaluate import (
     BATCHES,
@@ -30,7 +31,6 @@ from benchmarks.reproduce.runs import (
     STEP_LIMIT,
     THESIS_STEPS,
     VARIANTS,
-    MeasuredRun,
     RunSet,
     Variant,
     label,
@@ -314,7 +314,7 @@ def _finding(verdict: Verdict, finding: Finding) -> dict[str, Any]:
     }
 
 
-def _batch(scenario: str, variant: str, runs: Sequence[MeasuredRun]) -> dict[str, Any]:
+def _batch(scenario: str, variant: str, runs: Sequence[Row]) -> dict[str, Any]:
     """Return the runs of one scenario by one variant in numbers, with errors per arm length."""
     final = np.array([run.mean_errors[-1] for run in runs])
     endings = [run.outcome.status for run in runs]

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from joblib import delayed
 from numpy.typing import NDArray
 
 from benchmarks.cases.scenarios import ARMS, SCENARIOS, case
-from benchmarks.harness import Row
+from benchmarks.harness import Case, Row, Study, grouped
 from benchmarks.studies.runs import outcome
 from pinposture import kernels
 from pinposture._validation import require_known
@@ -24,7 +23,6 @@ from pinposture.control import Controller, Limits, Projection, Selection, Switch
 from pinposture.control.thesis.sections import SectionEdges, best_branch
 from pinposture.kernels.arrays import Screws
 from pinposture.motion import Trajectory, track
-from pinposture.motion.processes import in_order
 from pinposture.motion.track import Callback
 
 Array = NDArray[np.float64]
@@ -321,43 +319,7 @@ class RunSet(NamedTuple):
     given: Variant | None = None
 
 
-class MeasuredRun(NamedTuple):
-    """Measurements of one run.
-
-    Attributes:
-        outcome: outcome of the run.
-        mean_errors: mean point error before the first and after each step, (steps + 1,), per arm length.
-        off_curve: largest distance of a control point target from the target curve, per arm length; None if
-            the target is not a curve.
-        points: number of active control points in each step, (steps,).
-        modules: number of control points.
-        descent: counts of rising errors.
-        deficient: steps in which the posture control matrix was rank-deficient before points were dropped.
-        dropping: steps in which points were dropped because that matrix was too close to singular.
-        path_length_ratio: path length of the control points relative to straight lines.
-        steps: measurements at each step.
-        by_projection: share of the steps that a switching controller left to Projection; 0 for others.
-        separation: largest distance from a twin whose start differs by 1e-6 rad, per arm length, or None.
-        goal_nearness: nearness of the target posture to a singular one, as `Steps.nearness`; None if no
-            configuration of the target is known.
-    """
-
-    outcome: Row
-    mean_errors: Array
-    off_curve: float | None
-    points: NDArray[np.intp]
-    modules: int
-    descent: Descent
-    deficient: int
-    dropping: int
-    path_length_ratio: float
-    steps: Steps
-    by_projection: float
-    separation: float | None
-    goal_nearness: float | None = None
-
-
-Pool = Mapping[tuple[str, str], Sequence[MeasuredRun]]
+Pool = Mapping[tuple[str, str], Sequence[Row]]
 """Runs by scenario and variant, in the order of their seeds."""
 
 
@@ -396,7 +358,7 @@ def run_one(
     return track(arm, target, start, variant.controller, limits, max_steps=max_steps, callback=callback)
 
 
-def measure(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS) -> MeasuredRun:
+def measure(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS) -> Row:
     """Run one seed, and its twin if it has one, and measure what claims are judged by."""
     dropped: list[tuple[int, ...]] = []
     run = run_one(
@@ -412,14 +374,32 @@ def measured(
     seed: int,
     dropped: Sequence[tuple[int, ...]],
     twin: Trajectory | None = None,
-) -> MeasuredRun:
-    """Measure a run; `dropped` are the control points dropped in each step."""
+) -> Row:
+    """Measure a run; `dropped` are the control points dropped in each step.
+
+    Returns:
+        outcome: outcome of the run.
+        mean_errors: mean point error before the first and after each step, (steps + 1,), per arm length.
+        off_curve: largest distance of a control point target from the target curve, per arm length; None if
+            the target is not a curve.
+        points: number of active control points in each step, (steps,).
+        modules: number of control points.
+        descent: counts of rising errors.
+        deficient: steps in which the posture control matrix was rank-deficient before points were dropped.
+        dropping: steps in which points were dropped because that matrix was too close to singular.
+        path_length_ratio: path length of the control points relative to straight lines.
+        steps: measurements at each step.
+        by_projection: share of the steps that a switching controller left to Projection; 0 for others.
+        separation: largest distance from a twin whose start differs by 1e-6 rad, per arm length, or None.
+        goal_nearness: nearness of the target posture to a singular one, as `Steps.nearness`; None if no
+            configuration of the target is known.
+    """
     states = states_before_steps(run)
     deficient, dropping = deficient_steps(run, states, dropped)
     goal = run.target.q
     placed = int(run.target.has_target.sum())
     residual = run.target.residual
-    return MeasuredRun(
+    return Row(
         outcome=outcome(run, batch.variant),
         mean_errors=run.posture_error / (placed * run.arm.length),
         off_curve=None if residual is None else float(residual[run.target.has_target].max()) / run.arm.length,
@@ -448,14 +428,17 @@ def make_pool(
 
     `progress` is called with the number of newly finished runs.
     """
-    todo = list(product(batches, range(first, first + seeds)))
-    pool: dict[tuple[str, str], list[MeasuredRun]] = {}
-    tasks = (delayed(measure)(batch, seed, max_steps) for batch, seed in todo)
-    for (batch, _), run in zip(todo, in_order(tasks, jobs), strict=True):
-        pool.setdefault((batch.scenario, batch.variant), []).append(run)
-        if progress is not None:
-            progress(1)
-    return pool
+    cases = [
+        Case({"scenario": batch.scenario, "variant": batch.variant}, partial(tuple, (batch, seed)))
+        for batch, seed in product(batches, range(first, first + seeds))
+    ]
+    rows = Study(cases, [max_steps], _measure).rows(jobs, progress and (lambda *_: progress(1)))
+    return grouped(rows, lambda row: (row.scenario, row.variant))
+
+
+def _measure(case: tuple[RunSet, int], max_steps: int) -> Row:
+    batch, seed = case
+    return measure(batch, seed, max_steps)
 
 
 ARM_NAMES = {"ryrz20": "spatial", "planar45": "planar"}
@@ -490,11 +473,13 @@ class Reading(NamedTuple):
         pool: runs by scenario and variant.
         variants: the variant of each method.
         own: name of a controller that replaces each method; empty for the methods themselves.
+        counted: counts at random postures, see `evaluate.count_posture`.
     """
 
     pool: Pool
     variants: Mapping[str, str]
     own: str = ""
+    counted: Sequence[Row] = ()
 
     def concerns(self, methods: Sequence[str]) -> bool:
         """Return whether this reading differs from the default for any of the methods, or is the default."""
@@ -507,13 +492,13 @@ class Reading(NamedTuple):
     def _differs(self, method: str) -> bool:
         return self._is_default or self.variants[method] != READINGS[DEFAULT][method]
 
-    def runs(self, scenario: str, method: str) -> Sequence[MeasuredRun]:
+    def runs(self, scenario: str, method: str) -> Sequence[Row]:
         """Return the runs of a scenario by a method, by seed; empty if this reading has none."""
         return self.pool.get((scenario, self.variants[method]), ())
 
     def each(
         self, scenarios: Sequence[str], methods: Sequence[str], kind: str = ""
-    ) -> dict[str, Sequence[MeasuredRun]]:
+    ) -> dict[str, Sequence[Row]]:
         """Return the runs specific to this reading, by "arm, scenario, method" in words.
 
         One of the user's own controllers replaces all methods; `kind` is ANY_STEP for no step limit.
@@ -529,9 +514,7 @@ class Reading(NamedTuple):
         }
         return {name: runs for name, runs in found.items() if runs}
 
-    def pairs(
-        self, scenarios: Sequence[str], one: str, other: str
-    ) -> dict[str, list[tuple[MeasuredRun, MeasuredRun]]]:
+    def pairs(self, scenarios: Sequence[str], one: str, other: str) -> dict[str, list[tuple[Row, Row]]]:
         """Return the runs of two methods on the same seeds, by "arm, scenario" in words."""
         found = {label(s): list(zip(self.runs(s, one), self.runs(s, other), strict=False)) for s in scenarios}
         return {name: runs for name, runs in found.items() if runs}

@@ -16,17 +16,21 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
-from joblib import Parallel, delayed
 from rich.console import Console
 from rich.progress import track as progress_bar
 from rich.table import Table
 
 import pinposture as pp
+from benchmarks.baselines import named_controllers
 from benchmarks.cases.scenarios import ARMS, Scenario, StartKind, case
+from benchmarks.harness import Case, Problem, Row, Study, grouped, median
+from pinposture.control import Controller
 from pinposture.control.thesis.switching import HandBack
 
 STARTS: tuple[StartKind, ...] = get_args(StartKind)
@@ -48,44 +52,50 @@ HARSH = {"ryrz20": 1.5, "planar45": 0.5}
 """Largest joint position of a harsh start [rad]."""
 
 
-class End(NamedTuple):
-    """How one run ended: mean point error over arm length, steps, path over distance, switches."""
-
-    error: float
-    steps: int
-    path: float
-    switches: int
-
-
-def ends(scenario: Scenario, seed: int, harsh: bool, hand_back: HandBack = "after_stay") -> list[End]:
-    """Run the three controllers on one case."""
-    switching = pp.Switching(hand_back=hand_back)
+def study_family(
+    scenario: Scenario, seeds: int, harsh: bool = False, hand_back: HandBack = "after_stay"
+) -> Study:
+    """The three controllers on the cases of a family."""
     arm = pp.Arm.from_modules(ARMS[scenario.arm])
+    cases = [Case({"seed": seed}, partial(_draw, arm, scenario, seed, harsh)) for seed in range(seeds)]
+    methods = named_controllers([*CONTROLLERS[:2], pp.Switching(hand_back=hand_back)])
+    return Study(cases, methods, _measure)
+
+
+def _draw(arm: pp.Arm, scenario: Scenario, seed: int, harsh: bool) -> Problem:
     start, target = case(arm, scenario, seed)
     if harsh:
         start = np.random.default_rng(seed).uniform(-1.0, 1.0, arm.nq) * HARSH[scenario.arm]
-    found = []
-    for name in CONTROLLERS:
-        run = pp.track(arm, target, start, switching if name == "switching" else name, max_steps=STEPS)
-        path = np.linalg.norm(np.diff(run.points, axis=0), axis=2).sum()
-        direct = np.linalg.norm(run.points[-1] - run.points[0], axis=1).sum()
-        share = float(run.point_errors[-1].mean()) / arm.length
-        found.append(End(share, run.steps, float(path / direct) if direct else 1.0, len(run.switches)))
-    return found
+    return Problem(arm, start, target)
 
 
-def summary(cases: list[list[End]]) -> dict[str, object]:
+def _measure(problem: Problem, controller: Controller) -> Row:
+    """How one run ended: mean point error over arm length, steps, path over distance, switches."""
+    run = pp.track(problem.arm, problem.target, problem.start, controller, max_steps=STEPS)
+    path = np.linalg.norm(np.diff(run.points, axis=0), axis=2).sum()
+    direct = np.linalg.norm(run.points[-1] - run.points[0], axis=1).sum()
+    return Row(
+        controller=controller.name,
+        error=float(run.point_errors[-1].mean()) / problem.arm.length,
+        steps=run.steps,
+        path=float(path / direct) if direct else 1.0,
+        switches=len(run.switches),
+    )
+
+
+def summary(rows: Sequence[Row]) -> dict[str, Any]:
     """Shares and medians over the cases of one family."""
-    table = np.array(cases, dtype=float)  # (cases, controllers, 4)
-    errors = table[:, :, 0]
-    excess = (errors[:, 2] - errors[:, :2].min(axis=1)) / ARRIVED
+    by_name = grouped(rows, lambda row: row.controller)
+    errors = np.array([[row.error for row in by_name[name]] for name in CONTROLLERS])
+    excess = (errors[2] - errors[:2].min(axis=0)) / ARRIVED
+    switches = [row.switches for row in by_name["switching"]]
     return {
-        "cases": len(cases),
-        "arrived": dict(zip(CONTROLLERS, np.mean(errors < ARRIVED, axis=0).tolist(), strict=True)),
-        "median_steps": dict(zip(CONTROLLERS, np.median(table[:, :, 1], axis=0).tolist(), strict=True)),
-        "median_path": dict(zip(CONTROLLERS, np.median(table[:, :, 2], axis=0).tolist(), strict=True)),
-        "median_switches": float(np.median(table[:, 2, 3])),
-        "most_switches": int(table[:, 2, 3].max()),
+        "cases": len(switches),
+        "arrived": dict(zip(CONTROLLERS, np.mean(errors < ARRIVED, axis=1).tolist(), strict=True)),
+        "median_steps": {name: median("steps")(by_name[name]) for name in CONTROLLERS},
+        "median_path": {name: median("path")(by_name[name]) for name in CONTROLLERS},
+        "median_switches": float(np.median(switches)),
+        "most_switches": max(switches),
         "worst_excess": float(max(excess.max(), 0.0)),
     }
 
@@ -105,15 +115,12 @@ def main() -> None:
     table = Table("arm", "case", *CONTROLLERS, "worse than the better one", "steps", "path", "switches")
     record = {}
     for scenario, harsh in progress_bar(families, "running", console=Console(stderr=True)):
-        cases = list(
-            Parallel(n_jobs=arguments.jobs)(
-                delayed(ends)(scenario, seed, harsh, arguments.hand_back) for seed in range(arguments.seeds)
-            )
-        )
-        found = summary(cases)
+        study = study_family(scenario, arguments.seeds, harsh, arguments.hand_back)
+        rows = study.rows(arguments.jobs)
+        found = summary(rows)
         title = scenario.title.replace("smooth", "harsh") if harsh else scenario.title
         name = scenario.name.replace("smooth", "harsh") if harsh else scenario.name
-        record[name] = {"all": found, "subset": summary(cases[:SUBSET])}
+        record[name] = {"all": found, "subset": summary(rows[: SUBSET * len(CONTROLLERS)])}
         table.add_row(
             scenario.arm,
             title,

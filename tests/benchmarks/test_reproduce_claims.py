@@ -52,8 +52,7 @@ def test_shares_count(truths):
 
 
 def test_every_claim_has_one_measure_a_rule_and_the_runs_it_needs():
-    assert set(evaluate.MEASURES) | set(evaluate.POSTURES_MEASURES) == set(CLAIMS)
-    assert not set(evaluate.MEASURES) & set(evaluate.POSTURES_MEASURES)
+    assert set(evaluate.MEASURES) == set(CLAIMS)
     for claim in CLAIMS.values():
         assert claim.rule in RULES
         assert re.search(r"\d|Abstract|Appendix", claim.where)
@@ -238,8 +237,7 @@ def test_general_claims_have_runs_of_the_users_controller():
     pool = {(batch.scenario, batch.variant): [one()] for batch in batches}
     evidence = evaluate.Evidence(pool, [], 1, 2, own=("mine",))
     for claim in CLAIMS.values():
-        if claim.id not in evaluate.POSTURES_MEASURES:
-            assert bool(evaluate._judged(claim, evidence).own) is claim.general
+        assert bool(evaluate._judged(claim, evidence).own) is claim.general
 
 
 def test_points_are_counted_by_the_step():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 from benchmarks.reproduce import evaluate
-from benchmarks.reproduce.runs import thesis_arm
+from benchmarks.reproduce.runs import DEFAULT, READINGS, Reading, thesis_arm
 from pinposture.control import candidate_sets
 
 
@@ -63,7 +63,9 @@ def test_counts_over_the_arms_of_the_thesis():
     planar = [each for each in counted if each.arm == "planar45"]
     assert all(each.section_deficient for each in planar)  # proved in Appendix A
     assert all(each.full_rank for each in counted)
-    findings = {name: measure(counted) for name, measure in evaluate.POSTURES_MEASURES.items()}
+    reading = Reading({}, READINGS[DEFAULT], counted=counted)
+    names = [name for name in evaluate.MEASURES if name not in evaluate.measures.MEASURES]
+    findings = {name: evaluate.MEASURES[name](reading) for name in names}
     for finding in findings.values():
         assert finding.shares
         assert all(each.true <= each.cases for each in finding.shares.values())
