@@ -24,6 +24,12 @@ def test_no_module_of_the_library_imports_studies():
             assert not any(name.partition(".")[0] == "benchmarks" for name in names), path
 
 
+def test_a_wheel_holds_the_library_alone():
+    text = (ROOT.parent / "pyproject.toml").read_text()
+    wheel = text[text.index("[tool.hatch.build.targets.wheel]") :]
+    assert wheel.splitlines()[1] == 'packages = ["pinposture"]'
+
+
 @pytest.mark.process
 def test_baselines_have_names_once_they_are_registered():
     code = (
