@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 import pinposture as pp
 from benchmarks.reproduce.figures import draw_errors, draw_final_postures, draw_planar
 from pinposture.errors import InvalidValue
+from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
 from pinposture.viz.panels import mark_projection, plot_point_count, plot_points_and_index, plot_used_points
@@ -190,7 +191,7 @@ def test_a_planar_figure_shows_everything_about_its_runs(flat_selection, flat_pr
         assert any(np.array_equal(line.get_ydata(), on_the_way[:, 1]) for line in final.get_lines())
         assert any(shows(ax, run.index) for ax in figure.axes)
     words = "\n".join(text.get_text() for ax in figure.axes for text in ax.texts)
-    assert f"{flat_projection.posture_error[-1]:.3g} m" in words
+    assert length_text(flat_projection.posture_error[-1], arm.length) in words
     assert draw(figure).shape[1] == 1200
 
 
