@@ -28,11 +28,11 @@ import argparse
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 
 import pinposture as pp
 from benchmarks.cases.scenarios import (
@@ -43,6 +43,7 @@ from benchmarks.cases.scenarios import (
     Scenario,
     case,
 )
+from benchmarks.harness import Case, Problem, Row, Study
 from benchmarks.studies.runs import study_scenarios
 
 SEEDS = range(1000, 1020)
@@ -137,36 +138,42 @@ def run(search: Search, jobs: int) -> dict[str, object]:
     return {"best": repr(best), "objective": lowest, "tried": tried}
 
 
-def switched(scenario: Scenario, controller: Any, seed: int, blind: bool) -> tuple[bool, float]:
-    """Whether one run of Switching ends within 1 % of the arm length, and the share of Projection's steps."""
-    arm = pp.Arm.from_modules(ARMS[scenario.arm])
-    start, target = case(arm, scenario, seed)
-    if blind:
-        target = replace(target, q=None)
-    run = pp.track(arm, target, start, controller, max_steps=SWITCHING_STEPS)
-    mean = run.posture_error[-1] / int(run.target.has_target.sum())
-    return mean <= 0.01 * arm.length, float(np.mean(run.method == "projection")) if run.steps else 0.0
-
-
 def choose_switching(jobs: int) -> dict[str, object]:
     """Try the grid of patience and stay, and choose by the rule above."""
+    arms = {name: pp.Arm.from_modules(ARMS[name]) for name in {each.arm for each in SWITCHING_SCENARIOS}}
+    cases = [
+        Case({}, partial(_draw, arms[scenario.arm], scenario, seed))
+        for scenario in SWITCHING_SCENARIOS
+        for seed in SEEDS
+    ]
     tried = []
     for patience, stay in SWITCHING_GRID:
-        controller = pp.Switching(patience=patience, stay=stay)
-        found: dict[str, object] = {"patience": patience, "stay": stay}
+        found: dict[str, Any] = {"patience": patience, "stay": stay}
         for name, blind in (("known", False), ("unknown", True)):
-            ends = Parallel(n_jobs=jobs)(
-                delayed(switched)(scenario, controller, seed, blind)
-                for scenario in SWITCHING_SCENARIOS
-                for seed in SEEDS
-            )
-            arrived, shares = np.mean(ends, axis=0)
-            found |= {f"arrived, {name}": float(arrived), f"by Projection, {name}": float(shares)}
+            controller = pp.Switching(patience=patience, stay=stay)
+            rows = Study(cases, [controller], partial(_switched, blind)).rows(jobs)
+            found[f"arrived, {name}"] = float(np.mean([row.arrived for row in rows]))
+            found[f"by Projection, {name}"] = float(np.mean([row.by_projection for row in rows]))
         tried.append(found)
         print(found, flush=True)
     most = max(each["arrived, known"] for each in tried)
     best = least_projection([each for each in tried if each["arrived, known"] == most], "known")
     return {"best": best, "Figure 4.8 alone": least_projection(tried, "unknown"), "tried": tried}
+
+
+def _draw(arm: pp.Arm, scenario: Scenario, seed: int) -> Problem:
+    return Problem(arm, *case(arm, scenario, seed))
+
+
+def _switched(blind: bool, problem: Problem, controller: pp.Switching) -> Row:
+    """Whether one run of Switching ends within 1 % of the arm length, and the share of Projection's steps."""
+    arm, start, target, _ = problem
+    if blind:
+        target = replace(target, q=None)
+    run = pp.track(arm, target, start, controller, max_steps=SWITCHING_STEPS)
+    mean = run.posture_error[-1] / int(run.target.has_target.sum())
+    share = float(np.mean(run.method == "projection")) if run.steps else 0.0
+    return Row(arrived=bool(mean <= 0.01 * arm.length), by_projection=share)
 
 
 def least_projection(tried: list[dict[str, Any]], name: str) -> dict[str, Any]:
