@@ -44,7 +44,8 @@ from pinposture.viz.postures import PosturePanel, draw_ellipsoids, draw_runs, el
 Array = NDArray[np.float64]
 
 HERE = Path(__file__).parent
-DPI, COLORS = 110, 256
+DPI = 110
+COLORS = 256
 """Resolution of the drawings, and the number of colours of a file."""
 
 PLANAR = pp.Arm.from_template("Rz", modules=20, link_lengths=(0.05,))
@@ -131,7 +132,8 @@ def ellipsoids() -> Figure:
     figure, axes = empty(3, 3.1, width_ratios=(1.0, 1.0, 1.0))
     postures = {"straight, singular": bent(0.0), "nearly straight": bent(0.5, -0.5), "bent": bent(2.6, -2.6)}
     for ax, (name, q) in zip(axes, postures.items(), strict=True):
-        panel, chosen = PosturePanel(PLANAR, ax), PLANAR.at(q).ellipsoids([6, 12, 19])
+        panel = PosturePanel(PLANAR, ax)
+        chosen = PLANAR.at(q).ellipsoids([6, 12, 19])
         draw_ellipsoids(panel, chosen)
         panel.posture(q, palette.START, "arm", 2.0)
         panel.finish()
@@ -164,7 +166,8 @@ def active() -> Figure:
 
 def direct() -> Figure:
     """The most direct path to a posture, and the straight one through joint space."""
-    start, goal = bent(1.5, -0.3), bent(-1.1, -0.9)
+    start = bent(1.5, -0.3)
+    goal = bent(-1.1, -0.9)
     slowly = pp.Limits(step=0.02)
     figure, axes = empty(2, 4.4)
     names = {"geodesic": "the most direct path (geodesic)", "joint": "straight through joint space (joint)"}
@@ -254,7 +257,9 @@ def keyframes() -> Figure:
     return pp.plot(pp.Task.load(HERE.parent / "examples" / "tasks" / "keyframes.toml").perform())
 
 
-DRAGGED, FRAMES, CYCLE = 3, 150, 0.04
+DRAGGED = 3
+FRAMES = 150
+CYCLE = 0.04
 """The control point that the animation drags, its number of frames, and the time between two of them [s]."""
 
 FLOOR = -0.12
@@ -313,7 +318,9 @@ def dragging(count: int = FRAMES) -> list[Image.Image]:
     limits = pp.Limits(step=None, dt=CYCLE, velocity=2.0, acceleration=10.0)
     tracker = pp.Tracker(arm, limits=limits)
     rest = np.array([(0, 0, 0), (0.25, 0, 0), (0.45, 0.1, 0.25), (0.75, 0.1, 0.25), (1.15, 0.05, 0.05)])
-    target, q, frames = None, None, []
+    target = None
+    q = None
+    frames = []
     for k in range(count + 1):
         angle = 2.0 * np.pi * k / FRAMES
         controls = rest.copy()

@@ -20,9 +20,11 @@ wall = {
 scene = pp.Scene(wall, margin=0.01)  # 1 cm of clearance
 
 # The start is bent along the wall; the goal reaches through the slot in the shape of an S.
-start, goal = np.zeros(arm.nq), np.zeros(arm.nq)
+start = np.zeros(arm.nq)
+goal = np.zeros(arm.nq)
 start[1::2] = 0.1  # the joints about z [rad]
-goal[0::2], goal[1::2] = 0.015, np.linspace(-0.03, 0.03, 20)
+goal[0::2] = 0.015
+goal[1::2] = np.linspace(-0.03, 0.03, 20)
 target = pp.Target.from_configuration(arm, goal)
 
 run = pp.track(arm, target, start, scene=scene)

@@ -24,7 +24,8 @@ motion = pp.move_through(arm, postures, limits=limits)
 # The input of a robot: positions, velocities and accelerations of the joints. At rest at both ends.
 joints = motion.joint_trajectory()
 print(joints)
-fastest, hardest = np.abs(joints.velocities).max(), np.abs(joints.accelerations).max()
+fastest = np.abs(joints.velocities).max()
+hardest = np.abs(joints.accelerations).max()
 print(f"largest velocity {fastest:.3g} rad/s, largest acceleration {hardest:.3g} rad/s^2")
 
 # Three formats: for NumPy, for a spreadsheet, and the message that ros2_control accepts.

@@ -43,7 +43,8 @@ for loop in ("open", "closed"):
     for gravity in (True, False):
         ended = simulated(loop == "closed", gravity)
         summary = ended.summary()
-        joints, points = summary["turning_joints"], summary["mean_point_error"]
+        joints = summary["turning_joints"]
+        points = summary["mean_point_error"]
         final = np.linalg.norm(ended.points[-1] - target.points, axis=1).mean()
         largest = summary["largest_point_error"]["value"]
         numbers = (joints["rms"], joints["largest"], points["rms"], largest, final)

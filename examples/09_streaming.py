@@ -11,7 +11,9 @@ import numpy as np
 import pinposture as pp
 from pinposture.viz.palette import format_time_axes
 
-DT, LAG = 0.01, 0.05  # cycle time, and time constant of the drives [s]
+# cycle time, and time constant of the drives [s]
+DT = 0.01
+LAG = 0.05
 
 arm = pp.Arm.from_template("RyRz", modules=20)
 helix = pp.resolve_targets(arm, pp.Curve.helix(radius=0.06, pitch=0.15, turns=4))
@@ -22,7 +24,8 @@ tracker = pp.Tracker(arm, limits=limits)
 rng = np.random.default_rng(0)
 sag = 0.02 * rng.normal(size=arm.nv)  # sag of the drives under gravity [rad]
 q = arm.straight()
-errors, notes = [], {}
+errors = []
+notes = {}
 
 for cycle in range(1000):
     if cycle == 20:
@@ -41,7 +44,8 @@ for cycle in range(1000):
 
     q = q + (tracker.command + sag - q) * (DT / LAG)
     errors.append(1e3 * (tracker.report.mean_error or np.nan))
-    status, reason = tracker.report.status, tracker.report.reason
+    status = tracker.report.status
+    reason = tracker.report.reason
     if (status, reason.split(" is ")[0]) not in notes:
         notes[status, reason.split(" is ")[0]] = cycle
         print(f"{cycle * DT:5.2f} s  {status:8} {reason}")

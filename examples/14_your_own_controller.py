@@ -22,7 +22,8 @@ class JacobianTranspose:
 
     def step(self, state, target, limits=None, memory=None):
         """Compute one step: take a state and a target, return a `Step`."""
-        limits, before = limits or pp.Limits(), memory.dq if memory else None
+        limits = limits or pp.Limits()
+        before = memory.dq if memory else None
         errors = (target.points - state.points) * target.has_target[:, None]  # (m, 3) [m], world frame
         gradient = np.einsum("kdu,kd->u", state.jacobians, errors)  # (nv,): the sum of J_k^T e_k
         moved = np.einsum("kdu,u->kd", state.jacobians, gradient)  # how the points would move along it

@@ -40,7 +40,8 @@ def main() -> None:
             runs = {}
             for name in CONTROLLERS:
                 run = runs[name] = pp.track(arm, target, start, name)
-                errors, points = run.mean_error, run.active.sum(axis=1)
+                errors = run.mean_error
+                points = run.active.sum(axis=1)
                 used = f"{points[0]} -> {points[-1]}" if run.steps else "none"
                 change = " -> ".join(length_text(error, arm.length) for error in (errors[0], errors[-1]))
                 ending = f"{run.status}: {run.reason}"

@@ -17,7 +17,8 @@ from pinposture.errors import CurveError, InvalidValue, UnknownName, did_you_mea
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
 
-LARGEST_NUMBER, SMALLEST_NUMBER = 1e30, 1e-30
+LARGEST_NUMBER = 1e30
+SMALLEST_NUMBER = 1e-30
 """Largest number of any kind, smallest one above 0; no product of ten of them over- or underflows."""
 LARGEST_COUNT = 10**9
 """Largest count of anything; more would not fit into memory."""

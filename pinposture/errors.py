@@ -87,9 +87,11 @@ MAX_REMEMBERED = 1000
 
 def warn_caller(message: str) -> None:
     """Issue a PostureWarning that points to the line outside of this package from which it was called."""
-    level, frame = 2, sys._getframe(1)
+    level = 2
+    frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in LIBRARY:
-        level, frame = level + 1, frame.f_back
+        level = level + 1
+        frame = frame.f_back
     given: dict[object, object] = frame.f_globals.get("__warningregistry__", {})
     if len(given) > MAX_REMEMBERED:
         given.clear()
@@ -126,7 +128,9 @@ class InvalidValue(PostureError, ValueError):
     """
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
-        self.name, self.value, self.allowed = name, value, allowed
+        self.name = name
+        self.value = value
+        self.allowed = allowed
         try:
             text = "not given" if value is None else " ".join(repr(value).split())  # arrays break over lines
         except ValueError:
@@ -144,7 +148,9 @@ class UnknownName(PostureError, KeyError):
     """
 
     def __init__(self, kind: str, name: object, allowed: Iterable[str]) -> None:
-        self.kind, self.name, self.allowed = kind, name, tuple(allowed)
+        self.kind = kind
+        self.name = name
+        self.allowed = tuple(allowed)
         listed = ", ".join(self.allowed[:12]) + (", ..." if len(self.allowed) > 12 else "")
         hint = did_you_mean(name, self.allowed)
         super().__init__(f"no {kind} is called {name!r}{hint}; there are: {listed or 'none'}")
@@ -159,7 +165,8 @@ class FileError(PostureError, OSError):
     """
 
     def __init__(self, path: str | Path, reason: str) -> None:
-        self.path, self.reason = Path(path), reason
+        self.path = Path(path)
+        self.reason = reason
         super().__init__(f"{path}: {reason}")
 
 
@@ -173,7 +180,9 @@ class URDFError(PostureError, ValueError):
     """
 
     def __init__(self, source: str, element: str, reason: str) -> None:
-        self.source, self.element, self.reason = source, element, reason
+        self.source = source
+        self.element = element
+        self.reason = reason
         super().__init__(f"{source}: {element}: {reason}")
 
 
@@ -186,7 +195,8 @@ class CurveError(PostureError, ValueError):
     """
 
     def __init__(self, what: str, reason: str) -> None:
-        self.what, self.reason = what, reason
+        self.what = what
+        self.reason = reason
         super().__init__(f"{what}: {reason}")
 
 
@@ -200,7 +210,9 @@ class UnsupportedModule(PostureError):
     """
 
     def __init__(self, module: int, joints: Iterable[str], reason: str) -> None:
-        self.module, self.joints, self.reason = module, tuple(joints), reason
+        self.module = module
+        self.joints = tuple(joints)
+        self.reason = reason
         listed = ", ".join(self.joints[:4]) + (", ..." if len(self.joints) > 4 else "")
         super().__init__(f"module {module} (joints {listed}): {reason}")
 
@@ -215,7 +227,9 @@ class TargetError(PostureError):
     """
 
     def __init__(self, module: int, parameter: float, reason: str) -> None:
-        self.module, self.parameter, self.reason = module, parameter, reason
+        self.module = module
+        self.parameter = parameter
+        self.reason = reason
         super().__init__(f"module {module} (its base at {parameter:.4g} m along the curve): {reason}")
 
 
@@ -244,7 +258,8 @@ class ControllerError(PostureError):
     """
 
     def __init__(self, controller: str, reason: str) -> None:
-        self.controller, self.reason = controller, reason
+        self.controller = controller
+        self.reason = reason
         super().__init__(f"{controller}.step(...) raised {reason}")
 
 
@@ -257,7 +272,8 @@ class ReachError(PostureError):
     """
 
     def __init__(self, place: Iterable[float], reason: str) -> None:
-        self.place, self.reason = tuple(float(each) for each in place), reason
+        self.place = tuple(float(each) for each in place)
+        self.reason = reason
         listed = ", ".join(f"{each:.4g}" for each in self.place)
         super().__init__(f"the tip cannot reach ({listed}) m: {reason}")
 
@@ -275,7 +291,8 @@ class TaskError(PostureError, ValueError):
     """
 
     def __init__(self, where: str, reason: str) -> None:
-        self.where, self.reason = where, reason
+        self.where = where
+        self.reason = reason
         super().__init__(f"{where}: {reason}")
 
 
@@ -301,7 +318,8 @@ class ProcessError(PostureError, RuntimeError):
     """
 
     def __init__(self, done: int, left: int) -> None:
-        self.done, self.left = done, left
+        self.done = done
+        self.left = left
         reason = "processes were ended again and again, perhaps because memory is short"
         super().__init__(f"{left} of {done + left} calls were not made: {reason}; start fewer (jobs=1)")
 
@@ -315,5 +333,6 @@ class ViewerError(PostureError, ConnectionError):
     """
 
     def __init__(self, viewer: str, reason: str) -> None:
-        self.viewer, self.reason = viewer, reason
+        self.viewer = viewer
+        self.reason = reason
         super().__init__(f"{viewer}: {reason}")

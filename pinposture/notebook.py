@@ -48,7 +48,8 @@ def show_arm(arm: Arm) -> str:
     """Return an arm as HTML: what it is, and a picture of it, stretched out."""
     from pinposture.viz import plot_arm
 
-    lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+    lower = arm.limits.lower[arm.columns]
+    upper = arm.limits.upper[arm.columns]
     turning = ~arm.slides[arm.columns]
     rows = [
         ("base, tip", f"{arm.base}, {arm.tip}"),
@@ -58,7 +59,8 @@ def show_arm(arm: Arm) -> str:
     ]
     for kind, of_kind, unit in (("angle", turning, "rad"), ("slide", ~turning, "m")):
         if np.any(of_kind):
-            low, high = lower[of_kind], upper[of_kind]
+            low = lower[of_kind]
+            high = upper[of_kind]
             rows.append((f"{kind} limits", f"{_span(low)} to {_span(high)} {unit}"))
     if arm.couplings:
         rows.append(("coupled joints", str(len(arm.couplings))))
@@ -272,7 +274,8 @@ def _clearance(run: Trajectory) -> list[tuple[str, str]]:
 
 def _span(values: np.ndarray) -> str:
     """Return the number that all values are, or the smallest and the largest."""
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     return f"{low:.4g}" if low == high else f"{low:.4g} ... {high:.4g}"
 
 

@@ -55,7 +55,8 @@ def drawn_course(seed: int, stops: int = 2) -> PathProgress:
             dt=float(rng.choice([0.02, 0.05, 0.1])),
             acceleration=float(rng.choice([0.5, 2.0, 8.0])),
         )
-        around, found = pp.CollisionModel(arm, scene), []
+        around = pp.CollisionModel(arm, scene)
+        found = []
         for _ in range(10 * stops):
             q = drawn_configuration(arm, rng)
             if around.minimum(q).distance > 1.01 * scene.margin and len(found) < stops:
@@ -65,7 +66,8 @@ def drawn_course(seed: int, stops: int = 2) -> PathProgress:
 
 
 def drawn_configuration(arm: pp.Arm, rng: np.random.Generator) -> np.ndarray:
-    lower, upper = np.maximum(arm.limits.lower, -np.pi), np.minimum(arm.limits.upper, np.pi)
+    lower = np.maximum(arm.limits.lower, -np.pi)
+    upper = np.minimum(arm.limits.upper, np.pi)
     share = rng.uniform(0.3, 0.9)
     if rng.random() < 0.7:
         positions = arm.positions(smooth_configuration(arm, rng, share))
@@ -77,7 +79,8 @@ def drawn_configuration(arm: pp.Arm, rng: np.random.Generator) -> np.ndarray:
 def drawn_scene(arm: pp.Arm, rng: np.random.Generator) -> pp.Scene:
     """One to five balls, boxes and posts within reach."""
     obstacles: dict[str, pp.Obstacle] = {}
-    plane, length = np.array(arm.plane), arm.length
+    plane = np.array(arm.plane)
+    length = arm.length
     for k in range(int(rng.integers(1, 6))):
         away = rng.normal(size=len(plane)) @ plane
         center = np.array(arm.chain.base) + rng.uniform(0.3, 1.0) * length * away / np.linalg.norm(away)

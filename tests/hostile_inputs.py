@@ -332,7 +332,8 @@ def run_command(verb: str, options: Any) -> Any:
         option = name.split(" ")[0]
         if not isinstance(value, Unset):
             words.append(f"{option}={PATTERNS.get(name, '{}').format(value)}")
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     try:
         with redirect_stdout(out), redirect_stderr(err):
             app(words, prog_name="pinposture")

@@ -126,7 +126,8 @@ def faults_in(path: Path) -> list[Fault]:
     starts = [0]
     for line in text.splitlines(keepends=True):
         starts.append(starts[-1] + len(line.encode()))
-    code, found = text.encode(), []
+    code = text.encode()
+    found = []
 
     def visit(node: ast.AST) -> None:
         for child in ast.iter_child_nodes(node):
@@ -173,7 +174,8 @@ class Copy:
     """
 
     def __init__(self, folder: Path, timeout: float) -> None:
-        self._folder, self._timeout = folder, timeout
+        self._folder = folder
+        self._timeout = timeout
         shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*NOT_COPIED), dirs_exist_ok=True)
 
     def failing(self, faults: Sequence[Fault], *arguments: str) -> list[str]:

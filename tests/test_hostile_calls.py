@@ -32,7 +32,8 @@ def command(word: str) -> list[str]:
 
 def make_calls(names: list[str]) -> list[str]:
     """Make calls in processes; return those that ended badly, and how."""
-    bad, left = [], names
+    bad = []
+    left = names
     while left:
         done, ended = _calls_of_a_process(left, bad)
         if ended:

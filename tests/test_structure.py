@@ -101,7 +101,8 @@ def test_a_trace_leaves_out_what_is_imported_and_what_comes_after_the_end(
     for name, text in texts.items():
         (folder / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
-    start, step = import_module("walked.start"), import_module("walked.step")
+    start = import_module("walked.start")
+    step = import_module("walked.step")
     for until, files, counts in (
         ({}, ["start.py", "step.py", "later.py"], (5, 2)),  # go, first, step, after, later
         ({"until_return": step.step.__code__}, ["start.py", "step.py"], (3, 1)),

@@ -24,7 +24,9 @@ class TrackerNode(Node):
 
     def __init__(self, arm: pp.Arm, curve: pp.Curve) -> None:
         super().__init__("pinposture_tracker")
-        self.arm, self.measured, self.age = arm, None, 0
+        self.arm = arm
+        self.measured = None
+        self.age = 0
         limits = pp.Limits(step=None, dt=DT, acceleration=10.0)  # speeds are those of the URDF
         self.tracker = pp.Tracker(arm, limits=limits, deadline=DT / 2)
         self.tracker.update(pp.resolve_targets(arm, curve, placement="align"))

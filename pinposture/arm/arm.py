@@ -109,12 +109,15 @@ class Arm(ConfigurationSpace):
         super().__init__(model)
         self.control_points = tuple(control_points)
         self.base_placement = pin.SE3.Identity() if base_placement is None else base_placement
-        self.urdf, self.report, self.spec = urdf, report, spec
+        self.urdf = urdf
+        self.report = report
+        self.spec = spec
         self.cache: dict[object, Any] = {}
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self.chain: Chain = read_chain(model, self.control_points)
-        lower, upper = self.limits.lower, self.limits.upper
+        lower = self.limits.lower
+        upper = self.limits.upper
         for u in np.flatnonzero(lower > upper):
             given = float(lower[u]), float(upper[u])
             raise InvalidValue(f"limits of joint {self.joint_names[u]!r}", given, "lower <= upper")
@@ -155,7 +158,8 @@ class Arm(ConfigurationSpace):
             InvalidValue: invalid number of modules or link lengths.
         """
         require_whole("modules", modules, 1, MOST_MOVING)
-        module, lengths = template(name), None
+        module = template(name)
+        lengths = None
         if link_lengths is not None:
             module = module.with_lengths(link_lengths)
             lengths = tuple(module.link_lengths)
@@ -370,7 +374,8 @@ class Arm(ConfigurationSpace):
             model = rebuild_model(described["model"])
             placement = rigid_placement("base_placement", described["base_placement"])
             report = LoadReport.from_dict(described["report"]) if described.get("report") else None
-            urdf, spec = described["urdf"], described.get("spec")
+            urdf = described["urdf"]
+            spec = described.get("spec")
             if spec is not None:
                 spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)
             return cls(
@@ -519,7 +524,9 @@ class Arm(ConfigurationSpace):
         and is a local one for arms that can stretch in several ways. A slide without real limits extends by
         the length of the arm, or stays at zero if it carries the base.
         """
-        base, length, units = self.chain.base, self.length, self.joint_units
+        base = self.chain.base
+        length = self.length
+        units = self.joint_units
         straight = np.linalg.norm(self.chain.points[-1] - base) > (1.0 - 1e-9) * length
         if straight and np.all(self.chain.revolute) and self.within_limits(self.neutral()):
             return np.zeros(self.nv)
@@ -534,7 +541,8 @@ class Arm(ConfigurationSpace):
         # Revolute joints need no finite bounds: they are periodic.
         lower[~self.slides], upper[~self.slides] = np.array(self.limits[:2])[:, ~self.slides]
         fixed = np.clip(0.0, self.limits.lower, self.limits.upper)
-        lower, upper = np.where(self.roaming, fixed, lower), np.where(self.roaming, fixed, upper)
+        lower = np.where(self.roaming, fixed, lower)
+        upper = np.where(self.roaming, fixed, upper)
         # Zero itself can be a stationary point, for instance if the arm is folded there.
         start = np.where(self.slides | (not straight), 1e-3 * units, 0.0)
         bounds = list(zip(lower / units, upper / units, strict=True))
@@ -620,8 +628,10 @@ class Arm(ConfigurationSpace):
         The joint limits. For `unlimited` joints, half a turn to either side of the position nearest zero, or
         one arm length for a slide, clipped to the limits.
         """
-        lower, upper = self.limits.lower, self.limits.upper
-        middle, far = np.clip(0.0, lower, upper), np.where(self.slides, self.length, np.pi)
+        lower = self.limits.lower
+        upper = self.limits.upper
+        middle = np.clip(0.0, lower, upper)
+        far = np.where(self.slides, self.length, np.pi)
         low = np.where(self.unlimited, np.maximum(lower, middle - far), lower)
         high = np.where(self.unlimited, np.minimum(upper, middle + far), upper)
         return _read_only(low), _read_only(high)
@@ -638,7 +648,8 @@ class Arm(ConfigurationSpace):
         """Check that no joint of q exceeds its limits by more than the tolerance, in `joint_units`."""
         slack = as_number("tolerance", tolerance, "a finite number", lambda x: True) * self.joint_units
         positions = self.positions(q)
-        low, high = self.limits.lower - slack, self.limits.upper + slack
+        low = self.limits.lower - slack
+        high = self.limits.upper + slack
         return bool(np.all((positions >= low) & (positions <= high)))
 
     def at(self, q: ArrayLike) -> ArmState:
@@ -680,10 +691,12 @@ class Arm(ConfigurationSpace):
         Raises:
             InvalidValue: a configuration has the wrong size or is not finite.
         """
-        checked, multi_turn = self.checked(q), self.multi_turn
+        checked = self.checked(q)
+        multi_turn = self.multi_turn
         if not np.any(multi_turn):
             return checked
-        positions, turn = self.positions(checked), 2.0 * np.pi
+        positions = self.positions(checked)
+        turn = 2.0 * np.pi
         preferred = self._stretched if near is None else self.positions(self.checked(near, "near"))
         lower, upper = (self.limits.lower, self.limits.upper) if edges is None else np.asarray(edges)
         away = (preferred - positions) / turn
@@ -734,7 +747,8 @@ class ArmState:
     """
 
     def __init__(self, arm: Arm, q: Array) -> None:
-        self.arm, self._q = arm, q
+        self.arm = arm
+        self._q = q
 
     @cached_property
     def compiled(self) -> ArmState:
@@ -815,7 +829,8 @@ class ArmState:
         """
         if self.frames is not None:
             return _read_only(self.frames.motions[:, 3:].T * self.arm.moved)
-        axes, chain = np.zeros((self.arm.nv, 3)), self.arm.chain
+        axes = np.zeros((self.arm.nv, 3))
+        chain = self.arm.chain
         turns = np.where(chain.revolute, chain.ratios, 0.0)
         np.add.at(axes, chain.columns, turns[:, None] * self.forward.axes)
         return _read_only(axes.T)
@@ -831,7 +846,9 @@ class ArmState:
     @cached_property
     def screws(self) -> Screws:
         """The joint screws, for kernels; do not write to them."""
-        chain, forward, frames = self.arm.kinematics, self.forward, self.frames
+        chain = self.arm.kinematics
+        forward = self.forward
+        frames = self.frames
         constants = chain.task_constants
         points = (frames or forward).points
         found = Screws(np.empty((len(constants.joints), 6)), chain.ends, points)
@@ -866,7 +883,8 @@ class ArmState:
             UnknownName: there is no such frame.
             InvalidValue: not a control point, and the arm is too long for `pin.Data`.
         """
-        names, reader = self.arm.control_points, self.arm.frames
+        names = self.arm.control_points
+        reader = self.arm.frames
         if frame in names:
             point = names.index(frame)
             return np.vstack([self.jacobians[point], self.angular_jacobians[point]])

@@ -29,7 +29,8 @@ ATAN2_THRESHOLD = 3.0
 FULL_TURN = 2.0 * np.pi
 CLEARLY_OUTSIDE = 0.1
 """Distance outside its limits at which a joint suggests that positions are in degrees [rad]."""
-DEGREES_FRACTION, DEGREES_MIN_COUNT = 0.5, 3
+DEGREES_FRACTION = 0.5
+DEGREES_MIN_COUNT = 3
 """Fraction of all comparable joints, and minimum number of joints, that indicate degrees."""
 WOUND_POSITION = 4.0 * FULL_TURN
 """Position beyond which a joint without limits suggests that positions are in degrees [rad]."""
@@ -96,14 +97,16 @@ class ConfigurationSpace:
 
         Continuous joints have no position limits; a zero speed limit means none.
         """
-        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
+        lower = np.full(self.nv, -np.inf)
+        upper = np.full(self.nv, np.inf)
         velocity = np.array(self.model.velocityLimit, dtype=np.float64)
         for joint in list(self.model.joints)[1:]:  # not the world, which claims entries of its own
             if joint.nq == joint.nv == 1:  # not continuous
                 lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
                 upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]
         # A model built by hand has the largest floats as limits that were never set.
-        lower[lower <= -NO_LIMIT], upper[upper >= NO_LIMIT] = -np.inf, np.inf
+        lower[lower <= -NO_LIMIT] = -np.inf
+        upper[upper >= NO_LIMIT] = np.inf
         velocity[(velocity <= 0.0) | (velocity >= NO_LIMIT)] = np.inf
         make_read_only(lower, upper, velocity)
         return JointLimits(lower, upper, velocity)

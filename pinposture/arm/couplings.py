@@ -111,7 +111,8 @@ def find_couplings(
         URDFError: a joint follows one that does not exist or has no single degree of freedom; joints follow
             each other in a cycle; or the limits of coupled joints leave no common range.
     """
-    named, still = {joint.name: joint for joint in description.joints}, set(locked)
+    named = {joint.name: joint for joint in description.joints}
+    still = set(locked)
     groups: dict[str, list[tuple[JointDescription, Follows]]] = {}
     for joint in chain:
         follows = _follow(description, named, joint, still)
@@ -126,14 +127,17 @@ def find_couplings(
             continue
         if name not in moving:  # an actuator off the chain, whose limits apply as well
             members = [*group, (named[name], Follows(name, 1.0, 0.0))]
-        lower, upper, velocity = -math.inf, math.inf, math.inf
+        lower = -math.inf
+        upper = math.inf
+        velocity = math.inf
         for joint, follows in members:
             ratio = follows.multiplier / own.multiplier
             offset = follows.offset - ratio * own.offset
             if joint is not first and joint.name in moving:
                 found.couplings.append(Coupling(joint.name, first.name, ratio, offset))
             low, high = sorted(((joint.lower - offset) / ratio, (joint.upper - offset) / ratio))
-            lower, upper = max(lower, low), min(upper, high)
+            lower = max(lower, low)
+            upper = min(upper, high)
             if joint.velocity is not None and 0.0 < joint.velocity < NO_LIMIT:
                 velocity = min(velocity, joint.velocity / abs(ratio))
         if lower >= upper:
@@ -151,7 +155,10 @@ def _follow(
     still: set[str],
 ) -> Follows:
     """Return the ultimate leader of a joint, with ratio and offset; itself if it follows none."""
-    ratio, offset, at, seen = 1.0, 0.0, joint, {joint.name}
+    ratio = 1.0
+    offset = 0.0
+    at = joint
+    seen = {joint.name}
     while at.follows is not None and at.name not in still:
         following = at.follows
         fault = None
@@ -227,7 +234,8 @@ def joint_placements(model: pin.Model) -> list[pin.SE3]:
 
 def read_couplings(model: pin.Model) -> tuple[Coupling, ...]:
     """Return the couplings of a model, in the order of its joints."""
-    names, joints = list(model.names), list(model.joints)
+    names = list(model.names)
+    joints = list(model.joints)
     leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
     return tuple(
         Coupling(str(name), str(leaders[joint.idx_v]), float(own.scaling), float(own.offset))

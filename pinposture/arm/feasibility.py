@@ -105,7 +105,8 @@ def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: Curve) ->
 
 def _weighted_torsion(s: Array, curvature: Array, torsion: Array, span: float) -> Array:
     """Curvature-weighted mean torsion within a span around each point, (n,) [1/m]; 0 if straight."""
-    low, high = np.maximum(s - span / 2.0, s[0]), np.minimum(s + span / 2.0, s[-1])
+    low = np.maximum(s - span / 2.0, s[0])
+    high = np.minimum(s + span / 2.0, s[-1])
 
     def integral(values: Array) -> Array:
         sums = np.concatenate([[0.0], np.cumsum(np.diff(s) * (values[1:] + values[:-1]) / 2.0)])
@@ -126,7 +127,8 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
     if chain.module_lengths[module] <= 1e-12 * chain.length:
         return 0.0  # the module has no length
     along = span / chain.module_lengths[module]
-    joints, reachable = chain.module_slices[module], []
+    joints = chain.module_slices[module]
+    reachable = []
     for column in dict.fromkeys(chain.columns[joints].tolist()):
         own = np.flatnonzero(chain.columns[joints] == column) + joints.start
         amounts = chain.ratios[own] * chain.revolute[own]
@@ -151,7 +153,8 @@ def _module_curvature(chain: Chain, module: int, joints: NDArray[np.intp], value
     positions of the degree of freedom, (n,) [rad].
     """
     start = chain.base if module == 0 else chain.points[module - 1]
-    turn, shift = Rotation.from_rotvec(np.zeros((len(values), 3))), np.zeros((len(values), 3))
+    turn = Rotation.from_rotvec(np.zeros((len(values), 3)))
+    shift = np.zeros((len(values), 3))
     for u in joints:
         amount = chain.ratios[u] * values[:, None] * chain.axes[u]
         place = turn.apply(chain.origins[u]) + shift
@@ -160,7 +163,8 @@ def _module_curvature(chain: Chain, module: int, joints: NDArray[np.intp], value
         else:
             place += turn.apply(amount)
         shift = place - turn.apply(chain.origins[u])
-    displacements, turns = turn.apply(chain.points[module]) + shift - start, turn.as_rotvec()
+    displacements = turn.apply(chain.points[module]) + shift - start
+    turns = turn.as_rotvec()
     angles = np.maximum(np.linalg.norm(turns, axis=1), 1e-12)
     axes = turns / angles[:, None]
     along = np.einsum("ni,ni->n", displacements, axes)

@@ -40,7 +40,8 @@ def neutral_placements(model: pin.Model) -> list[pin.SE3]:
 
     `pin.Data` holds the same placements, but does not fit into memory for an arm of 1,000 joints.
     """
-    placements, own = [pin.SE3.Identity()], joint_placements(model)
+    placements = [pin.SE3.Identity()]
+    own = joint_placements(model)
     for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
         placements.append(placements[model.parents[joint]] * own[joint])
     return placements
@@ -64,7 +65,8 @@ def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, l
         n -= 1
     if not n:  # nothing moves the tip
         return None
-    turns, slides = axes[:n][revolute[:n]], axes[:n][~revolute[:n]]
+    turns = axes[:n][revolute[:n]]
+    slides = axes[:n][~revolute[:n]]
     if len(turns):
         signs = np.where(turns @ turns[0] < 0.0, -1.0, 1.0)
         normal = signs @ turns
@@ -136,7 +138,8 @@ def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array
     axes, revolute = _world_axes(model, joints, placements)
     end = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
     stations = np.vstack([*(placements[joint].translation for joint in joints), end])
-    columns, ratios = np.array([model.joints[joint].idx_v for joint in joints]), joint_ratios(model, joints)
+    columns = np.array([model.joints[joint].idx_v for joint in joints])
+    ratios = joint_ratios(model, joints)
     low, high = np.sort([ratios * lower[columns], ratios * upper[columns]], axis=0)
     return Skeleton(tuple(names), axes, revolute, stations, low, high, columns, ratios)
 
@@ -272,7 +275,8 @@ class Chain:
         Usually the length of the module. Consecutive modules bound to one plane bend together with the
         modules before and after them, which turn the plane.
         """
-        spans, m = self.module_lengths.copy(), len(self.points)
+        spans = self.module_lengths.copy()
+        m = len(self.points)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], self.plane_bound.astype(int), [0]])))
         for start, stop in edges.reshape(-1, 2):
             together = slice(max(int(start) - 1, 0), min(int(stop) + 1, m))
@@ -310,7 +314,8 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
             allowed = "joints with one degree of freedom"
             raise InvalidValue(f"joint {model.names[j]!r}", model.joints[j].shortname(), allowed)
     number = {joint: u + 1 for u, joint in enumerate(support)}
-    starts, count = [], 0
+    starts = []
+    count = 0
     for name, parent in zip(control_points, parents, strict=True):
         reached = number.get(parent, 0)
         if reached <= count:
@@ -318,7 +323,8 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
             raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
         starts.append(count)
         count = reached
-    names, columns = tuple(str(model.names[j]) for j in support), [model.joints[j].idx_v for j in support]
+    names = tuple(str(model.names[j]) for j in support)
+    columns = [model.joints[j].idx_v for j in support]
     last = {column: u for u, column in enumerate(columns)}  # joint of each degree of freedom
     for name, start, stop in zip(control_points, [0, *starts[1:]], [*starts[1:], count], strict=True):
         for u in range(start, stop):
@@ -381,7 +387,9 @@ class FrameReader:
 
     def __init__(self, model: pin.Model, frames: Sequence[int]) -> None:
         """Store the model, base placement applied, and the indices of the control points."""
-        self._model, self._frames, self._local = model, tuple(frames), threading.local()
+        self._model = model
+        self._frames = tuple(frames)
+        self._local = threading.local()
         # `data.J` has columns for all joints, coupled ones too; this is the degree of freedom of each.
         moving = [joint for joint in model.joints[1:] if joint.nvExtended]
         listed = [range(joint.idx_v, joint.idx_v + joint.nvExtended) for joint in moving]
@@ -416,10 +424,12 @@ class FrameReader:
         pin.computeJointJacobians(self._model, data, q)
         pin.updateFramePlacements(self._model, data)
         m = len(positions)
-        points, rotations = np.concatenate(positions), np.concatenate(orientations)
+        points = np.concatenate(positions)
+        rotations = np.concatenate(orientations)
         motions = np.array(data.J.reshape(6, -1).T, order="C")
         if self._coupled:
-            each, motions = motions, np.zeros((self._model.nv, 6))
+            each = motions
+            motions = np.zeros((self._model.nv, 6))
             np.add.at(motions, self._columns, each)
         return Frames(points.reshape(m, 3), rotations.reshape(m, 3, 3), motions)
 
@@ -498,7 +508,8 @@ class Kinematics:
             driven=np.argsort(numbers, kind="stable").astype(np.int64),
             starts=np.searchsorted(np.sort(numbers), np.arange(len(self.columns) + 1)).astype(np.int64),
         )
-        self._chain, self._units = chain, joint_units
+        self._chain = chain
+        self._units = joint_units
 
     def forward(self, positions: Array) -> ForwardKinematics:
         """Compute all placements at joint positions (nv,) [rad or m]."""
@@ -526,7 +537,9 @@ class Kinematics:
     @cached_property
     def task_constants(self) -> TaskConstants:
         """The constants of joint screws and of task rows."""
-        n, m, plane = len(self.columns), len(self.ends), np.array(self._chain.plane)
+        n = len(self.columns)
+        m = len(self.ends)
+        plane = np.array(self._chain.plane)
         frame = plane if len(plane) == 3 else np.vstack([plane, np.cross(plane[0], plane[1])])
         return TaskConstants(
             joints=np.arange(n, dtype=np.int64),

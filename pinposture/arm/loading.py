@@ -295,13 +295,15 @@ def _lock_others(
     model: pin.Model, description: Description, moving: Iterable[str], locked: Mapping[str, float]
 ) -> pin.Model:
     """Return a model in which only the listed joints move; the others stay at `_locked_positions`."""
-    free, positions = set(moving), _locked_positions(description, locked)
+    free = set(moving)
+    positions = _locked_positions(description, locked)
     reference = pin.neutral(model)
     others = [index for index in range(1, model.njoints) if model.names[index] not in free]
     if not others:
         return model
     for index in others:
-        name, joint = model.names[index], model.joints[index]
+        name = model.names[index]
+        joint = model.joints[index]
         if joint.nq == 1:
             reference[joint.idx_q] = positions[name]
         elif joint.nv == 1:
@@ -342,7 +344,8 @@ def _lock_warnings(
     description: Description, base: str, tip: str, moving: Iterable[str], locked: Mapping[str, float]
 ) -> list[str]:
     """Report joints without limits, limits that may be in degrees, and joints locked without a request."""
-    free, chain = set(moving), description.chain(base, tip)
+    free = set(moving)
+    chain = description.chain(base, tip)
     on_chain = {joint.name for joint in chain}
     before = description.chain(description.root, base)
     messages = [
@@ -421,7 +424,8 @@ def _modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]
     """
     bodies = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
     placements = neutral_placements(model)
-    n, ends = len(skeleton.names), [0]
+    n = len(skeleton.names)
+    ends = [0]
     for link in links:
         require_known("link", link, bodies)
         frame = bodies[link]
@@ -462,10 +466,12 @@ def _add_end_frames(
         if links or end == len(ids):
             link = links[k] if links else tip
             frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-            parent, placement = frame.parentJoint, frame.placement
+            parent = frame.parentJoint
+            placement = frame.placement
             if parent != ids[end - 1]:  # the link turns about its own origin: attach to the previous body
                 parent, placement = model.parents[parent], model.jointPlacements[parent] * placement
         else:
-            parent, placement = model.parents[ids[end]], model.jointPlacements[ids[end]]
+            parent = model.parents[ids[end]]
+            placement = model.jointPlacements[ids[end]]
         model.addFrame(pin.Frame(name, parent, placement, pin.FrameType.OP_FRAME))
     return tuple(names)

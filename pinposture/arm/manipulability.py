@@ -58,7 +58,8 @@ class Ellipsoid:
     @property
     def condition(self) -> float:
         """Condition number, the ratio of the largest to the smallest radius (3.4); infinite if singular."""
-        largest, smallest = float(self.radii[0]), float(self.radii[-1])
+        largest = float(self.radii[0])
+        smallest = float(self.radii[-1])
         return largest / smallest if smallest > 0.0 else np.inf
 
     @property

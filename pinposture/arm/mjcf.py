@@ -254,7 +254,8 @@ def _read_names(mujoco: Any, model: Any) -> _Names:
 
 def _read_ties(compiled: _Compiled) -> _Ties:
     ties = _Ties({}, {}, {})
-    model, kinds = compiled.model, compiled.mujoco.mjtJoint
+    model = compiled.model
+    kinds = compiled.mujoco.mjtJoint
     for joint in np.flatnonzero(model.jnt_type == kinds.mjJNT_BALL):
         advice = "put three hinges in its place, or choose base= and tip= on one side of it"
         ties.reasons[int(joint)] = f"is a ball joint, with three degrees of freedom in one; {advice}"
@@ -267,7 +268,8 @@ def _read_ties(compiled: _Compiled) -> _Ties:
 
 
 def _read_equality(compiled: _Compiled, equality: int, ties: _Ties) -> None:
-    model, kinds = compiled.model, compiled.mujoco.mjtEq
+    model = compiled.model
+    kinds = compiled.mujoco.mjtEq
     kind = int(model.eq_type[equality])
     name = compiled.name("EQUALITY", equality)
     ends = (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
@@ -308,7 +310,8 @@ def _read_coupling(compiled: _Compiled, equality: int, ties: _Ties) -> None:
 
 
 def _read_tendon(compiled: _Compiled, tendon: int, ties: _Ties) -> None:
-    model, transmissions = compiled.model, compiled.mujoco.mjtTrn
+    model = compiled.model
+    transmissions = compiled.mujoco.mjtTrn
     joints = _joints_of_tendon(compiled, tendon)
     name = compiled.name("TENDON", tendon)
     if model.tendon_limited[tendon] and not compiled.disables("LIMIT"):
@@ -337,7 +340,8 @@ def _leader(joint: int, follows: Mapping[int, _Follows]) -> int:
 
 def _joints_of_tendon(compiled: _Compiled, tendon: int) -> list[int]:
     """Return the joints that change the length of a tendon, in the order of the model."""
-    model, kinds = compiled.model, compiled.mujoco.mjtWrap
+    model = compiled.model
+    kinds = compiled.mujoco.mjtWrap
     first = int(model.tendon_adr[tendon])
     bodies: list[int] = []
     joints: set[int] = set()
@@ -381,7 +385,8 @@ def _exclude(compiled: _Compiled, joints: Iterable[int], what: str, cause: str, 
 
 
 def _write(compiled: _Compiled, meshes: Mapping[int, str]) -> str:
-    model, names = compiled.model, compiled.names
+    model = compiled.model
+    names = compiled.names
     ties = _read_ties(compiled)
     title = bytes(model.names).split(b"\0", 1)[0].decode()
     robot = ET.Element("robot", name=title.strip() or "robot")
@@ -405,8 +410,10 @@ def _write_body(
     A joint acts about or along an axis through its anchor in the frame of the body, after those before it.
     Each joint frame is at its anchor, so that the last one may not be the frame of the body.
     """
-    model, names = compiled.model, compiled.names
-    name, parent = names.bodies[body], names.bodies[model.body_parentid[body]]
+    model = compiled.model
+    names = compiled.names
+    name = names.bodies[body]
+    parent = names.bodies[model.body_parentid[body]]
     at = _placement(model.body_pos[body], model.body_quat[body])
     joints = compiled.joints_of(body)
     for joint in joints:
@@ -439,7 +446,8 @@ def _write_joint(
     ties: _Ties,
 ) -> None:
     """Add a joint between two links; ball joints, which URDF has not, as floating joints."""
-    model, name = compiled.model, compiled.names.joints[joint]
+    model = compiled.model
+    name = compiled.names.joints[joint]
     if compiled.moves_one_way(joint):
         axis = np.array(model.jnt_axis[joint])
         turns = compiled.turns(joint)
@@ -485,7 +493,8 @@ def _anchor(compiled: _Compiled, joint: int) -> Array:
 
 def _drive_limits(compiled: _Compiled, joint: int) -> tuple[float, float]:
     """Return the largest torque or force and speed of a joint that follow from its actuators, or infinity."""
-    model, transmissions = compiled.model, compiled.mujoco.mjtTrn
+    model = compiled.model
+    transmissions = compiled.mujoco.mjtTrn
     own = np.isin(model.actuator_trntype, [transmissions.mjTRN_JOINT, transmissions.mjTRN_JOINTINPARENT])
     drives = [
         _drive(compiled, int(each)) for each in np.flatnonzero(own & (model.actuator_trnid[:, 0] == joint))
@@ -505,11 +514,13 @@ class _Drive(NamedTuple):
 
 def _drive(compiled: _Compiled, actuator: int) -> _Drive:
     """Read the ranges of an actuator: of its force, or of its control where that is a force or a speed."""
-    model, mujoco = compiled.model, compiled.mujoco
+    model = compiled.model
+    mujoco = compiled.mujoco
     gear = abs(float(model.actuator_gear[actuator, 0]))
     if gear == 0.0:
         return _Drive(0.0, np.inf)
-    effort, velocity = np.inf, np.inf
+    effort = np.inf
+    velocity = np.inf
     if model.actuator_forcelimited[actuator]:
         effort = _largest(model.actuator_forcerange[actuator])
     # From MuJoCo 4 on, actuators may have several inputs.
@@ -547,7 +558,8 @@ def _mesh_files(compiled: _Compiled, source: str | Path) -> dict[int, str]:
 
     Early versions of MuJoCo do not tell the folder of a file; then there are none.
     """
-    model, mujoco = compiled.model, compiled.mujoco
+    model = compiled.model
+    mujoco = compiled.mujoco
     if isinstance(source, str) or model.nmesh == 0:
         return {}
     folder = source.absolute().parent
@@ -579,7 +591,8 @@ def _straight_meshes(mujoco: Any, source: Path) -> set[str]:
 
 def _write_shapes(link: ET.Element, compiled: _Compiled, body: int, meshes: Mapping[int, str]) -> None:
     """Add the shapes of a body: those that collide, and the visible meshes."""
-    model, kinds = compiled.model, compiled.mujoco.mjtGeom
+    model = compiled.model
+    kinds = compiled.mujoco.mjtGeom
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
     first = int(model.body_geomadr[body])
     for shape in range(first, first + int(model.body_geomnum[body])):
@@ -605,7 +618,8 @@ def _write_mesh(link: ET.Element, kind: str, model: Any, shape: int, file: str) 
 
 def _write_solid(link: ET.Element, compiled: _Compiled, shape: int) -> None:
     """Add a shape that collides; where URDF has no such shape, one around it."""
-    model, kinds = compiled.model, compiled.mujoco.mjtGeom
+    model = compiled.model
+    kinds = compiled.mujoco.mjtGeom
     placement = _placement(model.geom_pos[shape], model.geom_quat[shape])
     kind = int(model.geom_type[shape])
     size = np.array(model.geom_size[shape], dtype=np.float64)

@@ -18,7 +18,8 @@ from pinposture.arm.urdf_reader import is_finite_number, parse_xml
 from pinposture.errors import URDFError
 
 _JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "dynamics")
-_STACK, _STACK_PER_LINK = 16 << 20, 8 << 10
+_STACK = 16 << 20
+_STACK_PER_LINK = 8 << 10
 """Stack for reading a description, and more for each link and joint, which need 2.3 kB together [bytes]."""
 _STACK_SIZE = threading.Lock()  # the size is that of all threads that are started
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")

@@ -108,7 +108,8 @@ class ModuleJoints:
 
     def forward(self, q: Array) -> tuple[Array, Array]:
         """FK by product of exponentials: position (3,) [m] and orientation (3, 3) of the end at q, (k,)."""
-        turn, place = np.eye(3), np.zeros(3)
+        turn = np.eye(3)
+        place = np.zeros(3)
         for u, amount in enumerate(self.ratios * np.asarray(q, dtype=float)[self.inputs]):
             if not self.revolute[u]:
                 place = place + turn @ (amount * self.axes[u])
@@ -141,7 +142,8 @@ def joints_in_base_frame(
         lower: smallest positions of these degrees of freedom in the order of the joints, (k,).
         upper: largest ones, (k,).
     """
-    base, end = stations[0], stations[-1]
+    base = stations[0]
+    end = stations[-1]
     frame = _base_frame(end - base, axes)
     numbers = {column: number for number, column in enumerate(dict.fromkeys(columns.tolist()))}
     return ModuleJoints(
@@ -182,7 +184,8 @@ class _Registry:
     changes: int = 0
 
     def set(self, functions: Iterable[Recogniser]) -> None:
-        self.functions, self.changes = tuple(functions), self.changes + 1
+        self.functions = tuple(functions)
+        self.changes = self.changes + 1
 
 
 _registry = _Registry()
@@ -259,7 +262,8 @@ def _check(recognise: Recogniser, found: object, joints: ModuleJoints) -> None:
         raise InvalidValue(f"{name}: dof", found.dof, f"{joints.dof}, as joints {listed} have")
     length = max(float(found.reach), float(np.linalg.norm(joints.end)))
     most = float(getattr(found, "tolerance", 0.0)) or FK_TOLERANCE
-    low, high = np.maximum(joints.lower, -np.pi), np.minimum(joints.upper, np.pi)
+    low = np.maximum(joints.lower, -np.pi)
+    high = np.minimum(joints.upper, np.pi)
     low, high = np.minimum(low, high), np.maximum(low, high)
     for q in np.random.default_rng(0).uniform(low, high, (CHECKED_POSTURES, joints.dof)):
         place, turn = joints.forward(q)

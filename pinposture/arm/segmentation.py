@@ -122,7 +122,8 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
 
     They cover as many joints as possible; among such choices there are as many modules as possible.
     """
-    n, columns = len(skeleton.names), skeleton.columns
+    n = len(skeleton.names)
+    columns = skeleton.columns
     last = {column: u for u, column in enumerate(columns.tolist())}
     first = {column: n - 1 - u for u, column in enumerate(columns[::-1].tolist())}
     best: list[tuple[int, int, list[tuple[int, int, str]]]] = [(0, 0, [])] * (n + 1)
@@ -133,7 +134,8 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
             if any(first[column] < start or last[column] >= stop for column in own):
                 continue  # coupled to joints outside
             inputs = [first[column] for column in dict.fromkeys(own)]
-            part, stations = slice(start, stop), skeleton.stations[[start, *range(start, stop), stop]]
+            part = slice(start, stop)
+            stations = skeleton.stations[[start, *range(start, stop), stop]]
             limits = np.array([skeleton.lower[inputs], skeleton.upper[inputs]]) / skeleton.ratios[inputs]
             kinds = skeleton.names[part], skeleton.revolute[part], skeleton.axes[part]
             moved = columns[part], skeleton.ratios[part], *np.sort(limits, axis=0)
@@ -148,7 +150,9 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
 
 def _around_registered(skeleton: Skeleton, recognised: Sequence[tuple[int, int, str]]) -> Segmentation:
     """Return the modules with registered kinematics, and those formed by the joints between them."""
-    sizes, can_follow, at = list[int](), True, 0
+    sizes = list[int]()
+    can_follow = True
+    at = 0
     for start, stop, _ in (*recognised, (len(skeleton.names), 0, "")):
         if at < start:
             part = slice(at, start)
@@ -171,7 +175,8 @@ def _around_registered(skeleton: Skeleton, recognised: Sequence[tuple[int, int, 
 
 
 def _segment_unregistered(skeleton: Skeleton) -> Segmentation:
-    mobility, n = EndMobility(skeleton), len(skeleton.names)
+    mobility = EndMobility(skeleton)
+    n = len(skeleton.names)
     choices = []
     for repetition in find_repetitions(skeleton):
         for head in range(repetition.first, repetition.first + repetition.period):
@@ -195,7 +200,8 @@ def find_repetitions(skeleton: Skeleton) -> list[Repetition]:
     components along both joint axes, the angle between the axes and their triple product with the link. The
     link after the last joint of the run may differ, because the next joint may.
     """
-    links, n = _link_invariants(skeleton), len(skeleton.names)
+    links = _link_invariants(skeleton)
+    n = len(skeleton.names)
     found = []
     for period in range(1, min(n // 2, MAX_PERIOD) + 1):
         same_kind = skeleton.revolute[:-period] == skeleton.revolute[period:]
@@ -256,18 +262,21 @@ class EndMobility:
         swing = np.where(skeleton.revolute, MAX_SAMPLE_ANGLE, self._pitch)
         middle = np.clip(0.0, skeleton.lower, skeleton.upper)
         swing[skeleton.base_slides] = 0.0
-        low, high = np.maximum(skeleton.lower, middle - swing), np.minimum(skeleton.upper, middle + swing)
+        low = np.maximum(skeleton.lower, middle - swing)
+        high = np.minimum(skeleton.upper, middle + swing)
         self._positions = np.random.default_rng(0).uniform(low, high, (SAMPLED_POSTURES, len(middle)))
         # Coupled joints move together: the first of them within the narrowest range of all.
         first, number = np.unique(skeleton.columns, return_index=True, return_inverse=True)[1:]
-        self._inputs, self._ratios = number, skeleton.ratios
+        self._inputs = number
+        self._ratios = skeleton.ratios
         self._coupled = len(first) < len(number)
         if self._coupled:
             least = np.full(len(first), np.inf)
             np.minimum.at(least, number, swing / np.abs(skeleton.ratios))
             swing = least[number] * np.abs(skeleton.ratios)
             middle = np.clip(0.0, skeleton.lower, skeleton.upper)[first][number] * skeleton.ratios
-            low, high = np.maximum(skeleton.lower, middle - swing), np.minimum(skeleton.upper, middle + swing)
+            low = np.maximum(skeleton.lower, middle - swing)
+            high = np.minimum(skeleton.upper, middle + swing)
             amount = np.random.default_rng(0).uniform(low[first], high[first], (SAMPLED_POSTURES, len(first)))
             self._positions = amount[:, number] * skeleton.ratios
         last = np.zeros(len(first), dtype=np.intp)
@@ -315,9 +324,12 @@ class EndMobility:
 
     def _jacobians(self, first: int, stop: int) -> tuple[Array, Array]:
         """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in each sampled posture."""
-        arm, count = self._skeleton, SAMPLED_POSTURES
-        place, turn = np.zeros((count, 3)), np.broadcast_to(np.eye(3), (count, 3, 3))
-        axes, origins = [], []
+        arm = self._skeleton
+        count = SAMPLED_POSTURES
+        place = np.zeros((count, 3))
+        turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+        axes = []
+        origins = []
         for u in range(first, stop):
             amount = self._positions[:, u, None] * arm.axes[u]
             axes.append(turn @ arm.axes[u])
@@ -392,7 +404,8 @@ def _best_cuts(
 
 def _repeated_cuts(mobility: EndMobility, repetition: Repetition, head: int, n: int) -> list[int] | None:
     """Return cuts that repeat from joint `head` on, or None if they would cover less than half of the arm."""
-    period, stop = repetition.period, repetition.stop
+    period = repetition.period
+    stop = repetition.stop
     sizes = range(period, (stop - head) // 2 + 1, period)
     unit = next((size for size in sizes if mobility.can_place(head, head + size)), None)
     if unit is None:
@@ -426,7 +439,8 @@ def _cut_redundant(mobility: EndMobility, sizes: Sequence[int]) -> list[int]:
 
     A single piece bound to a plane stays with its neighbour, as does a single joint elsewhere.
     """
-    result, start = list[int](), 0
+    result = list[int]()
+    start = 0
     for size in sizes:
         stop = start + size
         cuts = [stop]
@@ -460,7 +474,8 @@ def _explain(
         )
         parts = [need, f"no pattern of joints repeats; {does}"]
     else:
-        first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]
+        first = skeleton.names[found.first]
+        last = skeleton.names[found.stop - 1]
         often = f"{count_joints(found.period)} at a time" if found.period > 1 else "joint by joint"
         does = "meets this need" if not bound else "is the most common one"
         repeats = f"the joints from {first!r} to {last!r} repeat {often}"

@@ -28,7 +28,9 @@ MOTION_VECTORS = (
 )
 """Vectors of a model with an entry for each degree of freedom."""
 
-MIMIC, COMPOSITE, ENDLESS = "Mimic", "Composite", "RevoluteUnboundedUnaligned"
+MIMIC = "Mimic"
+COMPOSITE = "Composite"
+ENDLESS = "RevoluteUnboundedUnaligned"
 _PARAMETERS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "PX", "PY", "PZ"), ()),
     **dict.fromkeys(("RevoluteUnaligned", ENDLESS, "PrismaticUnaligned"), ("axis",)),
@@ -70,7 +72,8 @@ def describe_model(
     positions: list[int] = []
     motions: list[int] = []
     for number in range(1, model.njoints):
-        name, joint = str(names[number]), joints[number]
+        name = str(names[number])
+        joint = joints[number]
         if _kind(joint) == MIMIC:
             own = joint.extract()
             added[name] = str(leaders[joint.idx_v]), float(own.scaling), float(own.offset)
@@ -109,7 +112,8 @@ def rebuild_model(described: Described) -> pin.Model:
     model = pin.Model()
     model.name = str(described["name"])
     model.gravity = pin.Motion(finite_array("gravity", described["gravity"], (6,)))
-    joints, frames = described["joints"], described["frames"]
+    joints = described["joints"]
+    frames = described["frames"]
     places = _placements("joint_placements", described["joint_placements"], len(joints))
     for number, (entry, placement) in enumerate(zip(joints, places, strict=True), 1):
         parent = as_count(f"parent of joint {entry['name']!r}", entry["parent"], 0, number - 1)
@@ -176,7 +180,9 @@ def _divided(products: Array, ratio: float) -> Array:
     so that a model does not change when it is described and built again.
     """
     quotients = products / ratio
-    found, above, below = quotients.copy(), quotients, quotients
+    found = quotients.copy()
+    above = quotients
+    below = quotients
     for _ in range(2):  # a product and a quotient are rounded by half a unit each
         above = np.nextafter(above, np.inf)
         below = np.nextafter(below, -np.inf)
@@ -274,7 +280,8 @@ def _inertias(name: str, rows: ArrayLike, count: int) -> list[pin.Inertia]:
         moments = np.zeros((3, 3))
         moments[np.triu_indices(3)] = row[4:]
         inertia = pin.Inertia.Zero()  # the constructor would refuse unphysical ones
-        inertia.mass, inertia.lever = float(row[0]), row[1:4]
+        inertia.mass = float(row[0])
+        inertia.lever = row[1:4]
         inertia.inertia = moments + np.triu(moments, 1).T
         inertias.append(inertia)
     return inertias

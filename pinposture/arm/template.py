@@ -348,20 +348,25 @@ def _chain(modules: Sequence[ModuleTemplate]) -> str:
     """Return the links and joints of the arm as XML."""
     module_digits = max(2, len(str(len(modules))))
     joint_digits = len(str(max(len(module.joints) for module in modules)))
-    parts, parent, distance = ['<link name="base"/>'], "base", 0.0
+    parts = ['<link name="base"/>']
+    parent = "base"
+    distance = 0.0
     for m, module in enumerate(modules, start=1):
         names: list[str] = []
         distance += module.lead
         for j, (spec, length) in enumerate(zip(module.joints, module.link_lengths, strict=True), start=1):
-            prefix, number = f"m{m:0{module_digits}d}", f"{j:0{joint_digits}d}"
+            prefix = f"m{m:0{module_digits}d}"
+            number = f"{j:0{joint_digits}d}"
             letter = f"_{spec.axis}" if isinstance(spec.axis, str) else ""
-            child, motion = f"{prefix}_l{number}", _motion(spec)
+            child = f"{prefix}_l{number}"
+            motion = _motion(spec)
             names.append(f"{prefix}_j{number}{letter}")
             if spec.follows is not None:
                 motion += f'<mimic joint="{names[spec.follows]}" multiplier="{spec.ratio!r}"/>'
             parts.append(_joint(names[-1], spec.type, parent, child, distance, motion))
             parts.append(_link(child, length, module.radius, "odd" if m % 2 else "even"))
-            parent, distance = child, length
+            parent = child
+            distance = length
     tip = _joint("tip_joint", "fixed", parent, "tip", distance, "")
     return "".join([*parts, tip, '<link name="tip"/>'])
 
@@ -379,10 +384,12 @@ def _motion(spec: JointSpec) -> str:
 
 def _link(name: str, length: float, radius: float, colour: str) -> str:
     solid = link_inertia(length, radius)
-    along, across = f'"{solid.along!r}"', f'"{solid.across!r}"'
+    along = f'"{solid.along!r}"'
+    across = f'"{solid.across!r}"'
     moments = f'ixx={along} ixy="0.0" ixz="0.0" iyy={across} iyz="0.0" izz={across}'
     mass = f'{_origin(solid.center)}<mass value="{solid.mass!r}"/><inertia {moments}/>'
-    ball, tube = f'<sphere radius="{radius!r}"/>', f'<cylinder radius="{radius!r}" length="{length!r}"/>'
+    ball = f'<sphere radius="{radius!r}"/>'
+    tube = f'<cylinder radius="{radius!r}" length="{length!r}"/>'
     shapes = ""
     for tag in ("visual", "collision"):
         shapes += _shape(tag, 0.0, ball, "joint")

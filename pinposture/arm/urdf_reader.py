@@ -127,7 +127,8 @@ class Description:
         """Number of joints between the root and each link."""
         depths = {self.root: 0}
         for start in self.links:
-            path, link = [], start
+            path = []
+            link = start
             while link not in depths:
                 path.append(link)
                 link = self.joint_before[link].parent
@@ -204,7 +205,8 @@ class Description:
         """
         named = {joint.name: joint for joint in self.joints}
         path = self.chain(base, tip)
-        before, all_moving = 0, sum(joint.moves for joint in path)
+        before = 0
+        all_moving = sum(joint.moves for joint in path)
 
         def moves(branch: JointDescription) -> bool:
             return branch.moves or any(named[name].moves for name in _joints_below(self, branch.child))
@@ -241,7 +243,8 @@ def read_description(source: str | Path, name: str = URDF_TEXT) -> Description:
     robot = parse_xml(text, label)
     if robot.tag != "robot":
         raise URDFError(label, f"<{robot.tag}>", "is the root element; allowed: <robot>")
-    name, version = robot.get("name", ""), robot.get("version", "1.0").strip()
+    name = robot.get("name", "")
+    version = robot.get("version", "1.0").strip()
     if not name.strip():
         raise URDFError(label, "<robot>", "has no name")
     if version not in ("1.0", "1.1", "1.2"):
@@ -306,7 +309,8 @@ def parse_xml(text: str, source: str) -> Element:
     body = text.lstrip(_BLANK)
     if _declares_document_type(body):
         raise URDFError(source, "<!DOCTYPE>", "is not allowed, because it can define entities; remove it")
-    builder, parser = TreeBuilder(), expat.ParserCreate("utf-8")
+    builder = TreeBuilder()
+    parser = expat.ParserCreate("utf-8")
     depth = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -321,7 +325,8 @@ def parse_xml(text: str, source: str) -> Element:
         depth -= 1
         builder.end(tag)
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
     parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(body, True)
@@ -380,7 +385,8 @@ def _refuse_doubles(names: Sequence[str], kind: str, source: str) -> None:
 
 def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source: str) -> str:
     """Return the root of the tree of links, or raise if they form no tree."""
-    known, before = set(links), dict[str, JointDescription]()
+    known = set(links)
+    before = dict[str, JointDescription]()
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in known:
@@ -396,7 +402,8 @@ def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source:
     # No link has two parents, so a link that does not lead up to the root is below or on a cycle.
     reached = set(roots)
     for start in links:
-        link, path = start, dict[str, None]()
+        link = start
+        path = dict[str, None]()
         while link not in reached:
             if link in path:
                 circle = [*list(path)[list(path).index(link) :], link]
@@ -410,14 +417,16 @@ def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source:
 
 def _read_joint(element: Element, source: str) -> JointDescription:
     """Read and check a <joint> that has a name."""
-    name, kind = element.get("name", ""), element.get("type")
+    name = element.get("name", "")
+    kind = element.get("type")
     fault = partial(URDFError, source, f"joint {name!r}")
     if kind not in JOINT_TYPES:
         found = "not given" if kind is None else repr(kind)
         raise fault(f"type is {found}; allowed: {', '.join(JOINT_TYPES)}")
     if name == "universe" and kind != "fixed":
         raise fault("has the name that Pinocchio uses for the world; rename it")
-    parent, child = _read_link(element, "parent", fault), _read_link(element, "child", fault)
+    parent = _read_link(element, "parent", fault)
+    child = _read_link(element, "child", fault)
     if parent == child:
         raise fault(f"has link {parent!r} as both parent and child")
     turned = element.find("origin[@quat_xyzw]")
@@ -433,7 +442,8 @@ def _read_joint(element: Element, source: str) -> JointDescription:
     numbers = {tag: _read_part(element, tag, fault) for tag in _PARTS}
     lower, upper = _read_limits(kind, numbers["limit"], fault)
     velocity = (numbers["limit"] or {}).get("velocity")
-    follows, mimic = None, element.find("mimic")
+    follows = None
+    mimic = element.find("mimic")
     if mimic is not None:
         given = {"multiplier": 1.0, "offset": 0.0, **(numbers["mimic"] or {})}
         follows = Follows(mimic.attrib["joint"], **given)
@@ -532,7 +542,8 @@ def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) ->
         raise fault(f"is {kind} and has no <limit>{free}")
     if "lower" not in limit and "upper" not in limit:
         return -math.inf, math.inf
-    lower, upper = limit.get("lower", 0.0), limit.get("upper", 0.0)
+    lower = limit.get("lower", 0.0)
+    upper = limit.get("upper", 0.0)
     if lower > upper:
         raise fault(f"<limit> lower is {lower} and upper {upper}; allowed: lower <= upper (0 if not given)")
     return lower, upper
@@ -566,7 +577,8 @@ class _Place(NamedTuple):
 
 
 def _place_links(description: Description, excluded: frozenset[str]) -> list[_Place]:
-    origin, identity = np.zeros(3), np.eye(3)
+    origin = np.zeros(3)
+    identity = np.eye(3)
     places = [_Place(description.root, None, 0, origin, identity, 0)]
     for place in places:  # grows while iterating: every link after its parent
         for joint in description.joints_after.get(place.link, []):
@@ -611,7 +623,8 @@ def _one_behind_the_other(description: Description, group: set[str]) -> bool:
     """Return whether joints lie on one chain: going up from the deepest of them meets all others."""
     depth = description.depths
     last = max((joint for joint in description.joints if joint.name in group), key=lambda j: depth[j.child])
-    link, met = last.child, 0
+    link = last.child
+    met = 0
     while link != description.root and met < len(group):
         joint = description.joint_before[link]
         met += joint.name in group
@@ -629,7 +642,8 @@ def leading_joint(joint: JointDescription, named: Mapping[str, JointDescription]
 
 
 def _joints_below(description: Description, link: str) -> set[str]:
-    links, names = [link], set[str]()
+    links = [link]
+    names = set[str]()
     for at in links:
         for joint in description.joints_after.get(at, []):
             names.add(joint.name)

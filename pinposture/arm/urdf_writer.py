@@ -68,14 +68,18 @@ def _write_joint(
     robot: ET.Element, model: pin.Model, joint: int, named: Mapping[int, str], taken: set[str], label: object
 ) -> None:
     """Add a joint of a model and the link it carries."""
-    name, whole = model.names[joint], model.joints[joint]
-    parts, placements = [whole], [pin.SE3.Identity()]
+    name = model.names[joint]
+    whole = model.joints[joint]
+    parts = [whole]
+    placements = [pin.SE3.Identity()]
     composite = whole.shortname() == "JointModelComposite"
     if composite:
         inner = whole.extract()
         parts = list(inner.joints)
         placements = list(inner.jointPlacements)
-    parent, q, v = named[model.parents[joint]], whole.idx_q, whole.idx_v
+    parent = named[model.parents[joint]]
+    q = whole.idx_q
+    v = whole.idx_v
     for number, (part, placement) in enumerate(zip(parts, placements, strict=True), 1):
         kind = part.shortname().removeprefix("JointModel")
         shape = _SHAPES.get(kind)
@@ -92,7 +96,9 @@ def _write_joint(
         element = add_joint(robot, called, shape or "continuous", parent, child, before)
         if shape is None:
             _add_motion(element, model, part, q, v)
-        parent, q, v = child, q + part.nq, v + part.nv
+        parent = child
+        q = q + part.nq
+        v = v + part.nv
 
 
 def _write_follower(

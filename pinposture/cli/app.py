@@ -120,7 +120,8 @@ def _text_with_options(error: PostureError, options: Mapping[str | None, str]) -
     """
 
     def option(found: re.Match[str]) -> str:
-        name, values = found["name"], found["values"].replace('"', "")
+        name = found["name"]
+        values = found["values"].replace('"', "")
         return f"{options[name]} {values}" if name in options else found[0]
 
     text = str(error)

@@ -26,7 +26,8 @@ def run(
     compiled on first use, and the first runs take longer; a note on stderr says so. Kernels that are already
     compiled are kept. The exit code is 1 if something could not be compiled.
     """
-    begun, total = time.perf_counter(), len(all_kernels())
+    begun = time.perf_counter()
+    total = len(all_kernels())
     missing = compile_missing()
     taken = time.perf_counter() - begun
     if as_json:
@@ -40,7 +41,8 @@ def run(
 
 def compile_missing() -> list[str]:
     """Compile the missing kernels, with a progress bar; warn of failures and return their names."""
-    waiting, total = missing_kernels(), len(all_kernels())
+    waiting = missing_kernels()
+    total = len(all_kernels())
     if not waiting:
         return []
     with count_progress("kernel") as progress:

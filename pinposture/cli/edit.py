@@ -143,7 +143,8 @@ def read_task(
     from pinposture.editor.files import first_task
 
     if suffix in (".urdf", ".xml", ".xacro") or version_of(Path(source)):
-        arm, name = arm_options.read(source), Path(source).stem
+        arm = arm_options.read(source)
+        name = Path(source).stem
     else:
         arm, name = _templated(source, arm_options)
     path = ((folder or Path()) / f"{name}.toml" if save_as is None else save_as).absolute()

@@ -58,7 +58,8 @@ def run(
     text = modules_to_urdf([module] * modules, f"{module.name}_{modules}", "pinposture generate")
     if output is not None:
         write_text(output, text)
-    dof, length = modules * module.dof, modules * module.length - module.lead
+    dof = modules * module.dof
+    length = modules * module.length - module.lead
     if as_json:
         file = None if output is None else str(output)
         print_json({"file": file, "template": template, "modules": modules, "dof": dof, "length": length})

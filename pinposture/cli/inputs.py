@@ -182,7 +182,8 @@ ToleranceOption = Annotated[
     float | None, MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.")
 ]
 
-MOST_JOBS, MOST_RUNS = 1000, 1_000_000
+MOST_JOBS = 1000
+MOST_RUNS = 1_000_000
 """Largest numbers of processes, and of runs of a batch or study."""
 
 JobsOption = Annotated[int, MOTION("Number of processes; -1 for all cores.", "N", max=MOST_JOBS)]
@@ -269,7 +270,8 @@ def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
     require_known("curve preset or file", name, CURVES)
     if scale != 1.0:
         raise InvalidValue("--scale", scale, "only with a file; presets are scaled to the arm")
-    preset, wider = CURVES[name], max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
+    preset = CURVES[name]
+    wider = max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
     return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
 
 
@@ -453,7 +455,8 @@ def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
     """
     first, hyphen, last = text.partition("-")
     if hyphen and first.strip().isdecimal() and last.strip().isdecimal():
-        begin, end = int(first) - 1, int(last) - 1
+        begin = int(first) - 1
+        end = int(last) - 1
         if 0 <= begin <= end < arm.n_modules:
             return begin, end
     allowed = f"two numbers of control points from 1 to {arm.n_modules}, in order, as in 1-{arm.n_modules}"

@@ -277,7 +277,9 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     def limits(name: str, column: int) -> dict[str, Any]:
         """Return the limits of a joint and, if it is coupled, its leader, ratio and offset."""
-        ratio, offset, more = 1.0, 0.0, {}
+        ratio = 1.0
+        offset = 0.0
+        more = {}
         if name in coupled:
             _, leader, ratio, offset = coupled[name]
             more = {"follows": leader, "ratio": ratio, "offset": offset}

@@ -330,7 +330,9 @@ def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
     return str(summary["verdict"]), "yellow" if summary["faults"] else "green"
 
 
-RUN_FILE, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
+RUN_FILE = "run.npz"
+PLOT = "run.png"
+ANIMATION = "run.html"
 
 STATUS = "status.json"
 """File with the state of the last `pinposture run` in a directory."""

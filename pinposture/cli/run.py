@@ -62,13 +62,16 @@ class Folder:
 
     def __init__(self, path: Path, task: str) -> None:
         check_directory(path)
-        self.path, self.task = path, task
+        self.path = path
+        self.task = task
         self._begun, self._before = _now(), list[str]()
 
     def found(self) -> str:
         """Describe existing contents; empty if there are none."""
-        results, status = self._files(_RESULT), read_status(self.path)
-        said, replaced = f"{self.path} holds ", "replaced when this run finishes"
+        results = self._files(_RESULT)
+        status = read_status(self.path)
+        said = f"{self.path} holds "
+        replaced = "replaced when this run finishes"
         if status.get("state") == "finished":
             said += f"the results of {status.get('task')}, finished {status.get('ended')}; {replaced}"
         elif status:
@@ -253,9 +256,12 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
     """
     from pinposture.motion.trajectory import closest, ending, largest_shares
 
-    run, begun = motion.run, motion.start_index
-    errors, means = run.posture_error[begun:], motion.mean_error[begun:]
-    worst, worst_mean = begun + int(errors.argmax()), begun + int(means.argmax())
+    run = motion.run
+    begun = motion.start_index
+    errors = run.posture_error[begun:]
+    means = motion.mean_error[begun:]
+    worst = begun + int(errors.argmax())
+    worst_mean = begun + int(means.argmax())
     return {
         **ending(run),
         "steps": run.steps,
@@ -317,7 +323,8 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
 
 def _duration(summary: Mapping[str, Any]) -> str:
     """Describe the actual and planned durations."""
-    planned, text = summary["planned"], f"{summary['duration']:.4g} s"
+    planned = summary["planned"]
+    text = f"{summary['duration']:.4g} s"
     if summary["done"] < planned:
         text += f", for {summary['done']:.4g} of the {planned:.4g} s of the plan"
     else:

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from pinposture.motion import JointTrajectory, Motion, Trajectory
     from pinposture.sim import Servos, Simulation
 
-SIMULATION, PICTURE = "simulation.npz", "simulation.png"
+SIMULATION = "simulation.npz"
+PICTURE = "simulation.png"
 
 
 @examples(
@@ -176,11 +177,13 @@ def _simulate_closed(
     targets = motion.target if isinstance(motion, Trajectory) else asked.targets(arm)
     limits = Limits(dt=asked.dt)
     if isinstance(kept, Trajectory):
-        limits, scene = replace(kept.limits, dt=asked.dt), kept.scene if scene is None else scene
+        limits = replace(kept.limits, dt=asked.dt)
+        scene = kept.scene if scene is None else scene
     if isinstance(motion, Motion):  # it keeps its limits: following it does not require early braking
         limits = replace(limits, acceleration=None, jerk=None)
     duration = asked.dt * (len(asked.positions) - 1) + hold
-    start, tracker = arm.configuration(asked.positions[0]), Tracker(arm, limits=limits, scene=scene)
+    start = arm.configuration(asked.positions[0])
+    tracker = Tracker(arm, limits=limits, scene=scene)
     told: dict[str, Any] = {"progress": progress, "scene": scene, "tolerance": tolerance}
     return simulate_closed(arm, tracker, targets, start, duration, asked.dt, servos, gravity, **told)
 
@@ -201,7 +204,8 @@ def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
                 f"{errors['rms']:.3g} {unit} off (rms), at most {errors['largest']:.3g} {unit} "
                 f"({errors['joint']} at {errors['time']:.4g} s), {errors['end']:.3g} {unit} at the end"
             )
-    mean, most = summary["mean_point_error"], summary["largest_point_error"]
+    mean = summary["mean_point_error"]
+    most = summary["largest_point_error"]
     words["posture"] = (
         f"error of the points: rms {length_text(mean['rms'], length)}, largest "
         f"{error_text(most['value'], length)} ({most['point']} at {most['time']:.4g} s), "
@@ -229,7 +233,8 @@ def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
 
 
 def _saturated(summary: dict[str, Any]) -> str:
-    joints, share = summary["saturated_joints"], 100.0 * summary["saturated_share"]
+    joints = summary["saturated_joints"]
+    share = 100.0 * summary["saturated_share"]
     count = "1 servo was at its limit" if len(joints) == 1 else f"{len(joints)} servos were at their limit"
     listed = f"{', '.join(joints[:6])}{', ...' if len(joints) > 6 else ''}"
     return f"{count}, up to {share:.3g} % of the time: {listed}"

@@ -265,7 +265,9 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
 
     from pinposture.motion.trajectory import closest, ending, largest_shares
 
-    target, errors, points = motion.target, motion.posture_error, motion.active.sum(axis=1)
+    target = motion.target
+    errors = motion.posture_error
+    points = motion.active.sum(axis=1)
     timed: dict[str, float | None] = {}
     if motion.limits.dt is not None:
         timed = {f"largest_{kind}": share for kind, share in largest_shares(motion).items()}
@@ -321,7 +323,9 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return a summary in words; the verdict comes with the colour to print it in."""
     from pinposture.placement.target import Moved
 
-    off, length, mean = summary["largest_residual"], summary["arm_length"], summary["mean_error"]
+    off = summary["largest_residual"]
+    length = summary["arm_length"]
+    mean = summary["mean_error"]
     verdict, colour = verdict_in_colour(summary)
     words: dict[str, Any] = {
         "verdict": (verdict.replace("raise max_steps", "raise --steps"), colour),

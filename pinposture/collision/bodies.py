@@ -85,7 +85,8 @@ def _described_bodies(arm: Arm) -> tuple[list[Body], list[Fault]]:
     """Read the <collision> elements of the arm's links, in document order."""
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     hulls: dict[str, Array | str] = {}
-    bodies, faults = [], []
+    bodies = []
+    faults = []
     for link in parse_xml(arm.urdf or "", "URDF text").iterfind("link"):
         name = link.get("name", "")
         if name not in links:
@@ -107,7 +108,8 @@ def _read_shape(
     pose = {} if origin is None else origin.attrib
     turn = pin.rpy.rpyToMatrix(*_numbers("origin rpy", pose.get("rpy", "0 0 0"), 3))
     placement = frame * pin.SE3(turn, np.array(_numbers("origin xyz", pose.get("xyz", "0 0 0"), 3)))
-    center, rotation = tuple(placement.translation), placement.rotation
+    center = tuple(placement.translation)
+    rotation = placement.rotation
     geometry = collision.find("geometry")
     kind = next(iter(geometry), None) if geometry is not None else None
     tag = "no geometry" if kind is None else kind.tag
@@ -167,7 +169,8 @@ def _merge_capsules(model: pin.Model, bodies: Sequence[Body]) -> list[Body]:
         if isinstance(body.shape, Sphere)
         for joint, center in _fixed_centers(model, body.joint, body.shape, postures)
     ]
-    merged, dropped = list(bodies), set[int]()
+    merged = list(bodies)
+    dropped = set[int]()
     for index, (name, joint, shape) in enumerate(bodies):
         if not isinstance(shape, Cylinder):
             continue
@@ -196,7 +199,8 @@ def _fixed_centers(
         one, other = (posture[joint].act(center) for posture in postures)
         if np.abs(one - other).max() > _SAME * ball.radius:
             break
-        joint, center = int(model.parents[joint]), one
+        joint = int(model.parents[joint])
+        center = one
         centers.append((joint, center))
     return centers
 
@@ -220,7 +224,9 @@ def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
 
     The capsule of a prismatic joint reaches back by the joint's upper limit, so that no gap opens.
     """
-    model, chain, frames = arm.model, arm.chain, neutral_placements(arm.model)
+    model = arm.model
+    chain = arm.chain
+    frames = neutral_placements(arm.model)
     ends = {joints.stop - 1: k for k, joints in enumerate(chain.module_slices)}
     capsules: dict[int, tuple[Body, ...]] = {}
     for u, origin in enumerate(chain.origins):
@@ -232,7 +238,8 @@ def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
             nodes.append(chain.points[ends[u]])
         if u + 1 < len(chain.origins):
             nodes.append(chain.origins[u + 1])
-        name, joint = chain.joints[u], model.getJointId(chain.joints[u])
+        name = chain.joints[u]
+        joint = model.getJointId(chain.joints[u])
         to_joint = frames[joint].inverse()
         local = [to_joint.act(node) for node in without_repeats(np.array(nodes), 1e-6 * arm.length)]
         capsules[joint] = tuple(

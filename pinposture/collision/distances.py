@@ -47,12 +47,15 @@ class TreeKinematics:
         """Extract the joints of a model."""
         self._model, self._space = model, ConfigurationSpace(model)
         count = model.njoints
-        kinds, columns = np.full(count, 2, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        axes, ratios = np.zeros((count, 3)), np.ones(count)
+        kinds = np.full(count, 2, dtype=np.int64)
+        columns = np.zeros(count, dtype=np.int64)
+        axes = np.zeros((count, 3))
+        ratios = np.ones(count)
         plain = [j for j in range(1, count) if _turns_or_slides(model, j)]
         if plain:
             axes[plain], turns = joint_axes(model, plain)
-            kinds[plain], ratios[plain] = np.where(turns, 0, 1), joint_ratios(model, plain)
+            kinds[plain] = np.where(turns, 0, 1)
+            ratios[plain] = joint_ratios(model, plain)
         for joint in range(1, count):
             columns[joint] = model.joints[joint].idx_v
         placements = joint_placements(model)
@@ -69,7 +72,8 @@ class TreeKinematics:
             offsets: displacements from q, (s, nv) [rad or m]; None: q itself.
         """
         positions, others = self.positions(q, offsets)
-        count, joints = len(positions), self._model.njoints
+        count = len(positions)
+        joints = self._model.njoints
         found = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
         kernels.place_joints(self.tree, positions, others, *found)
         return found
@@ -133,8 +137,10 @@ class TreeKinematics:
         model = self._model.joints[joint]
         data = model.createData()
         model.calc(data, pin.neutral(self._model))
-        turn, origin = placements.rotations[0, joint], placements.origins[0, joint]
-        linear, angular = turn @ np.array(data.S.matrix())[:3], turn @ np.array(data.S.matrix())[3:]
+        turn = placements.rotations[0, joint]
+        origin = placements.origins[0, joint]
+        linear = turn @ np.array(data.S.matrix())[:3]
+        angular = turn @ np.array(data.S.matrix())[3:]
         for k in range(len(points)):
             carried = [joint in self._model.supports[int(side[k])] for side in sides]
             velocity = linear + np.cross(angular.T, points[k] - origin).T
@@ -292,14 +298,13 @@ def _divide_samples(samples: Array, room: Array, tolerance: float, spread: float
     """
     moved = spread * samples[:, 4]
     counts = np.clip(np.ceil(moved / np.maximum(room, tolerance)), 2, MAX_PARTS).astype(np.int64)
-    parts, numbers = (
-        np.repeat(samples, counts, axis=0),
-        np.concatenate([np.arange(0), *(np.arange(k) for k in counts)]),
-    )
+    parts = np.repeat(samples, counts, axis=0)
+    numbers = np.concatenate([np.arange(0), *(np.arange(k) for k in counts)])
     each = np.repeat(counts, counts)
     half = parts[:, 2] / each
     parts[:, 1] += (2.0 * numbers + 1.0 - each) * half
-    parts[:, 2], parts[:, 4] = half, np.repeat(moved, counts) / each
+    parts[:, 2] = half
+    parts[:, 4] = np.repeat(moved, counts) / each
     return parts
 
 
@@ -326,7 +331,9 @@ class PairDistances:
             fixed: the obstacles, world frame.
             pairs: indices as in `first` and `second`.
         """
-        self._narrow, self._solids, self._joints = Narrow(), [*bodies, *fixed], list(joints)
+        self._narrow = Narrow()
+        self._solids = [*bodies, *fixed]
+        self._joints = list(joints)
         self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
         self._carriers = np.array(joints, dtype=np.int64)
         self._local = np.array([[each.start, each.end] for each in bodies]).reshape(-1, 2, 3)
@@ -334,7 +341,8 @@ class PairDistances:
         self._shifts = np.array([each.position for each in bodies]).reshape(-1, 3, 1)
         kinds = np.array([SEGMENT] * len(bodies) + [each.kind for each in fixed], dtype=np.int64)
         exact = [each.round for each in bodies] + [each.exact for each in fixed]
-        self._kinds, self._exact = kinds, np.array(exact, dtype=np.bool_)
+        self._kinds = kinds
+        self._exact = np.array(exact, dtype=np.bool_)
         nothing = np.zeros(0, dtype=np.int64)
         self._arrays = Pairs(
             first=nothing,
@@ -361,11 +369,13 @@ class PairDistances:
 
     def _choose(self, pairs: Sequence[tuple[int, int]] | Indices) -> None:
         """Sort the pairs into groups."""
-        count, blocks = len(self._joints), (len(self._joints) + BLOCK - 1) // BLOCK
+        count = len(self._joints)
+        blocks = (len(self._joints) + BLOCK - 1) // BLOCK
         listed = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         groups = np.where(listed < count, listed // BLOCK, blocks + listed - count)
         order = np.lexsort((groups[:, 1], groups[:, 0]))
-        listed, groups = listed[order], groups[order]
+        listed = listed[order]
+        groups = groups[order]
         begins = np.flatnonzero(np.any(np.diff(groups, axis=0, prepend=-1), axis=1))
         self.first, self.second = (np.ascontiguousarray(side) for side in listed.T)
         kinds = self._kinds[self.second]
@@ -383,15 +393,18 @@ class PairDistances:
 
     def with_obstacles(self, changes: Mapping[int, Solid]) -> PairDistances:
         """Return the distances with some obstacles, by index, replaced by others of the same kind."""
-        other, bodies = copy(self), len(self._joints)
-        other._solids, other._fixed = list(self._solids), list(self._fixed)
+        other = copy(self)
+        bodies = len(self._joints)
+        other._solids = list(self._solids)
+        other._fixed = list(self._fixed)
         arrays = self._arrays._replace(
             **{name: getattr(self._arrays, name).copy() for name in ("lines", "centers", "frames")}
         )
         for k, each in changes.items():
             other._solids[bodies + k] = each
             other._fixed[k] = coal.Transform3s(each.rotation, each.position)
-            arrays.lines[k], arrays.centers[k] = (each.start, each.end), each.center
+            arrays.lines[k] = (each.start, each.end)
+            arrays.centers[k] = each.center
             arrays.frames[k] = each.rotation
         other._arrays = arrays
         return other
@@ -414,24 +427,32 @@ class PairDistances:
             placements: joint placements at one configuration.
             within: the distance [m].
         """
-        n, ends = len(self.first), self._ends(placements)
-        whole, numbers, vectors = np.empty((2, n), dtype=np.int64), np.empty((2, n)), np.empty((2, n, 3))
-        open_pairs, bounds = whole[1], numbers[1]
+        n = len(self.first)
+        ends = self._ends(placements)
+        whole = np.empty((2, n), dtype=np.int64)
+        numbers = np.empty((2, n))
+        vectors = np.empty((2, n, 3))
+        open_pairs = whole[1]
+        bounds = numbers[1]
         given = whole[0], numbers[0], *vectors, open_pairs, bounds
         count, opened, best, pair = kernels.near_pairs(ends[0], self._arrays, within, *given)
-        near, distances, normals = whole[0, :count], numbers[0, :count], vectors[1, :count]
+        near = whole[0, :count]
+        distances = numbers[0, :count]
+        normals = vectors[1, :count]
         points = vectors[0, :count] - normals * self._arrays.radii[self.first[near], None]
         found: list[tuple[int, Contact]] = []
         poses = self._pose_bodies(placements, 0) if opened else None
         for at in np.argsort(bounds[:opened], kind="stable"):
-            k, bound = int(open_pairs[at]), float(bounds[at])
+            k = int(open_pairs[at])
+            bound = float(bounds[at])
             if bound >= max(within, best) or poses is None:
                 break
             contact = self._narrow.contact(self._posed(k, poses, self.first[k], self.second[k]))
             distance = bound if math.isnan(contact.distance) else contact.distance - self._point_radius(k)
             contact = contact._replace(distance=distance)
             if contact.distance < best:
-                best, pair = contact.distance, k
+                best = contact.distance
+                pair = k
             if contact.distance < within:
                 found.append((k, contact))
         if found:
@@ -454,7 +475,8 @@ class PairDistances:
         """
         ends = self._ends(placements)
         candidates = len(ends) * self._open
-        open_pairs, bounds = np.empty((candidates, 2), dtype=np.int64), np.empty(candidates)
+        open_pairs = np.empty((candidates, 2), dtype=np.int64)
+        bounds = np.empty(candidates)
         best, pair, opened = kernels.smallest_distance(ends, self._arrays, below, open_pairs, bounds)
         poses: dict[int, Poses] = {}
         for at in np.argsort(bounds[:opened], kind="stable"):
@@ -463,12 +485,14 @@ class PairDistances:
             sample, candidate = (int(each) for each in open_pairs[at])
             if sample not in poses:
                 poses[sample] = self._pose_bodies(placements, sample)
-            first, second = self.first[candidate], self.second[candidate]
+            first = self.first[candidate]
+            second = self.second[candidate]
             distance = self._narrow.distance(self._posed(candidate, poses[sample], first, second))
             # If coal fails, the bound is on the safe side.
             distance = float(bounds[at]) if math.isnan(distance) else distance - self._point_radius(candidate)
             if distance < best:
-                best, pair = distance, candidate
+                best = distance
+                pair = candidate
         return best, pair
 
     def minimum_on_motions(
@@ -495,12 +519,14 @@ class PairDistances:
             if count <= room:
                 break
             room = count
-        samples, spread = samples[:count], 2.0
+        samples = samples[:count]
+        spread = 2.0
         while len(samples) and best >= search.enough:
             distances = self._open_distances(kinematics, q, offsets, drifts, samples)
             at = int(distances.argmin())
             if distances[at] < min(best, search.below):
-                best, pair = float(distances[at]), int(samples[at, 3])
+                best = float(distances[at])
+                pair = int(samples[at, 3])
             aim = min(best, search.below) - search.tolerance
             left = (distances - samples[:, 4] < aim) & (samples[:, 4] > search.tolerance)
             samples = _divide_samples(samples[left], distances[left] - aim, search.tolerance, spread)
@@ -511,11 +537,14 @@ class PairDistances:
         self, kinematics: TreeKinematics, q: Array, offsets: Array, drifts: Array, samples: Array
     ) -> Array:
         """Compute the distances at samples of `smallest_distance_on_motions` with coal, (k,) [m]."""
-        pieces, shares, pairs = samples[:, 0].astype(np.int64), samples[:, 1, None], samples[:, 3].astype(int)
+        pieces = samples[:, 0].astype(np.int64)
+        shares = samples[:, 1, None]
+        pairs = samples[:, 3].astype(int)
         placements = kinematics.place(q, (1.0 - shares) * offsets[pieces] + shares * offsets[pieces + 1])
         drifted = (1.0 - shares) * drifts[pieces] + shares * drifts[pieces + 1]
         placements = placements._replace(origins=placements.origins + drifted[:, None])
-        found, count = np.empty(len(samples)), len(samples)
+        found = np.empty(len(samples))
+        count = len(samples)
         bodies = np.append(self.first[pairs], np.minimum(self.second[pairs], len(self._joints) - 1))
         poses = self._pose_bodies(placements, np.tile(np.arange(count), 2), bodies)
         for sample, pair in enumerate(pairs.tolist()):
@@ -537,7 +566,9 @@ class PairDistances:
         """
         positions, others = kinematics.positions(q, offsets)
         given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others, within
-        minima, count, room = np.empty(len(positions)), 0, CONTACTS_PER_SAMPLE * len(positions)
+        minima = np.empty(len(positions))
+        count = 0
+        room = CONTACTS_PER_SAMPLE * len(positions)
         while True:
             found = Contacts(
                 samples=np.empty(room, dtype=np.int64),
@@ -558,7 +589,8 @@ class PairDistances:
         For a piece of a surface, both ends are `place`, its point nearest to the body, (3,).
         """
         ends = np.concatenate([self._ends(placements)[0], self._arrays.lines])
-        moving, still = ends[self.first[pair]], ends[self.second[pair]]
+        moving = ends[self.first[pair]]
+        still = ends[self.second[pair]]
         return moving, np.stack([place, place]) if self._arrays.kinds[pair] in (PIECE, INSIDE) else still
 
     def _point_radius(self, pair: int) -> float:

@@ -190,11 +190,13 @@ def _read_text(path: Path) -> ReadScan:
         raise FileError(path, f"contains no points; allowed: {_LINES}")
     number, first, comment = start
     mark = next((mark for mark in (";", ",") if mark in first), None)
-    skipped, columns = number - 1, (0, 1, 2)
+    skipped = number - 1
+    columns = (0, 1, 2)
     count = len(first.split(mark))
     names = _names(comment, mark)
     if not _are_numbers(first.split(mark)[:3]):
-        names, skipped = _names(first, mark), number
+        names = _names(first, mark)
+        skipped = number
         if not set(names) >= _XYZ:
             raise FileError(path, f"line {number} is {_short(first)}; allowed: {_LINES}")
     # A comment counts as column names only if it names all columns.
@@ -379,7 +381,8 @@ def _check_ply(path: Path) -> None:
         counts = [line[2] for line in header if line[:1] == [b"element"] and len(line) == 3]
         if not all(count.isdigit() for count in counts):
             raise FileError(path, "has an element with an invalid count")
-        expected, found = sum(map(int, counts)), sum(1 for line in file if line.strip())
+        expected = sum(map(int, counts))
+        found = sum(1 for line in file if line.strip())
     if found != expected:
         raise FileError(path, f"declares {expected} lines of data, but has {found}")
 

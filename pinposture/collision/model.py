@@ -56,7 +56,8 @@ ALWAYS_OVERLAPPING = "overlapping in every posture"
 IN_PLANE = 1e-3
 """In-plane share of a normal below which a planar arm gets another escape direction."""
 
-MOTION_TOLERANCE, OPEN_MOTION = 1e-4, 5e-3
+MOTION_TOLERANCE = 1e-4
+OPEN_MOTION = 5e-3
 """Error allowed in the smallest distance on a motion, and initial motion between samples of pairs that need
 coal, both in arm lengths."""
 
@@ -111,7 +112,9 @@ def stationary_ends(objects: CollisionObjects) -> list[tuple[int, Array]]:
     Each is a body index and a world position, (3,) [m].
     """
     ends = np.array([[each.start, each.end] for each in objects.solids]).reshape(-1, 2, 3)
-    arm, joints, rng = objects.arm, np.array(objects.joints, dtype=int), np.random.default_rng(0)
+    arm = objects.arm
+    joints = np.array(objects.joints, dtype=int)
+    rng = np.random.default_rng(0)
     found = []
     for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
         rotations, positions = (each[0, joints] for each in objects.kinematics.place(q))
@@ -159,7 +162,8 @@ def _choose_pairs(objects: CollisionObjects, scene: Scene) -> tuple[list[IndexPa
     * pairs within the margin in every posture tried, such as an obstacle beside the base. If the last body is
       among them, the arm is inside the obstacle, and these pairs are kept.
     """
-    arm, count = objects.arm, len(objects.joints)
+    arm = objects.arm
+    count = len(objects.joints)
     mounted = _mounted_pairs(objects, scene.margin)
     excluded = dict.fromkeys(sorted(mounted), "the arm is mounted on it")
     moving = [index for index, joint in enumerate(objects.joints) if joint]
@@ -182,8 +186,11 @@ def _choose_pairs(objects: CollisionObjects, scene: Scene) -> tuple[list[IndexPa
 
 def _always_close(objects: CollisionObjects, pairs: Sequence[IndexPair], margin: float) -> list[IndexPair]:
     """Return the pairs that are closer than the margin in all sampled postures."""
-    arm, rng, left = objects.arm, np.random.default_rng(0), list(pairs)
-    distances, count = objects.distances(left), len(objects.joints)
+    arm = objects.arm
+    rng = np.random.default_rng(0)
+    left = list(pairs)
+    distances = objects.distances(left)
+    count = len(objects.joints)
     for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(RANDOM_POSTURES))):
         if not left:
             break
@@ -197,7 +204,9 @@ def _always_close(objects: CollisionObjects, pairs: Sequence[IndexPair], margin:
 
 def _mounted_pairs(objects: CollisionObjects, margin: float) -> set[IndexPair]:
     """Return the pairs of a body and an obstacle near a stationary end of the body."""
-    still, solids, fixed = stationary_ends(objects), objects.solids, objects.fixed
+    still = stationary_ends(objects)
+    solids = objects.solids
+    fixed = objects.fixed
     balls = []
     for body, position in still:
         radius = solids[body].radius if solids[body].round else SMALLEST_LENGTH
@@ -205,7 +214,8 @@ def _mounted_pairs(objects: CollisionObjects, margin: float) -> set[IndexPair]:
     pairs = [(ball, len(balls) + k) for ball in range(len(balls)) for k in range(len(fixed))]
     distances = PairDistances(balls, [0] * len(balls), fixed, pairs)
     near = distances.near(objects.kinematics.place(objects.arm.neutral()), np.nextafter(margin, np.inf)).pairs
-    first, second = distances.first[near], distances.second[near] - len(balls)
+    first = distances.first[near]
+    second = distances.second[near] - len(balls)
     return {(still[ball][0], len(solids) + int(k)) for ball, k in zip(first, second, strict=True)}
 
 
@@ -223,8 +233,10 @@ def escape_direction(first: Array, second: Array, plane: Array) -> Array:
     Returns:
         Unit vector in the span of `plane`, (3,).
     """
-    moving, still = first @ plane.T, second @ plane.T
-    u, v = moving[1] - moving[0], still[1] - still[0]
+    moving = first @ plane.T
+    still = second @ plane.T
+    u = moving[1] - moving[0]
+    v = still[1] - still[0]
     size = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)), 1e-300)
     offset = moving.mean(axis=0) - still.mean(axis=0)
     if len(plane) == 2:
@@ -247,11 +259,13 @@ def escape_direction(first: Array, second: Array, plane: Array) -> Array:
 
 def _shortest(moving: Array, still: Array, directions: list[Array]) -> Array:
     """Return the direction, of those given and their opposites, along which the segments separate soonest."""
-    best, least = directions[0], np.inf
+    best = directions[0]
+    least = np.inf
     for direction in (sign * each for each in directions for sign in (1.0, -1.0)):
         needed = float((still @ direction).max() - (moving @ direction).min())
         if needed < least - 1e-12:
-            best, least = direction, needed
+            best = direction
+            least = needed
     return best
 
 
@@ -461,7 +475,8 @@ class CollisionModel:
         return velocities
 
     def _prepare(self, choice: _Choice, scene: Scene, moving: frozenset[str]) -> None:
-        arm, names = choice.objects.arm, choice.names
+        arm = choice.objects.arm
+        names = choice.names
         self.scene = scene
         self.bodies = choice.bodies
         self._moment = None
@@ -483,9 +498,11 @@ class CollisionModel:
             kept = [pair not in excluded for pair in map(tuple, chosen.tolist())]
             chosen = chosen[np.array(kept, dtype=np.bool_)]
         self._distances = choice.distances.among(chosen)
-        first, second = self._distances.first, self._distances.second
+        first = self._distances.first
+        second = self._distances.second
         self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
-        joints, fixed = choice.objects.joints, choice.objects.fixed
+        joints = choice.objects.joints
+        fixed = choice.objects.fixed
         self._carriers = np.array([*joints, *[0] * len(fixed)], dtype=np.int64)
 
     def _warn_of_excluded_pairs(self) -> None:
@@ -576,7 +593,8 @@ class CollisionModel:
         Raises:
             InvalidValue: a vector has the wrong size or is not finite.
         """
-        start, displacement = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
+        start = self._space.checked(q0, "q0")
+        displacement = finite_vector("dq", dq, self._model.nv)
         return self.minimum_on_motions(start, np.stack([np.zeros_like(displacement), displacement]))
 
     def minimum_along(self, q0: Array, offsets: Array, below: float = np.inf) -> Closest:
@@ -619,7 +637,8 @@ class CollisionModel:
         lowest = np.inf
         for velocity, distances in self._by_velocity:
             # Moving an obstacle changes its distance as moving the arm in the opposite direction would.
-            drifts, wanted = -times[:, None] * velocity, search._replace(below=min(below, lowest))
+            drifts = -times[:, None] * velocity
+            wanted = search._replace(below=min(below, lowest))
             found = distances.minimum_on_motions(self._kinematics, q0, offsets, drifts, wanted)[0]
             lowest = min(lowest, found)
         return Closest(lowest, None)
@@ -627,10 +646,12 @@ class CollisionModel:
     @cached_property
     def _by_velocity(self) -> list[tuple[Array, PairDistances]]:
         """The distances, grouped by the velocity of the second body or obstacle."""
-        first, second = self._distances.first, self._distances.second
+        first = self._distances.first
+        second = self._distances.second
         numbers = np.maximum(second - len(self.bodies), -1)
         velocities, groups = np.unique(self._velocities[numbers], axis=0, return_inverse=True)
-        pairs, groups = np.column_stack([first, second]), groups.ravel()
+        pairs = np.column_stack([first, second])
+        groups = groups.ravel()
         return [
             (np.ascontiguousarray(velocity), self._distances.among(pairs[groups == k]))
             for k, velocity in enumerate(velocities)

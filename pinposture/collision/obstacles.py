@@ -79,7 +79,8 @@ def describe_types() -> str:
 def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:
     """Return an obstacle after a rigid motion."""
     if isinstance(obstacle, (Mesh, Scan)):
-        center, turn = np.array(obstacle.center), np.array(obstacle.rotation)
+        center = np.array(obstacle.center)
+        turn = np.array(obstacle.rotation)
         return obstacle.placed(motion.act(center), motion.rotation @ turn)
     changes: dict[str, Any] = {}
     for name in PLACES:
@@ -146,10 +147,12 @@ def solids(obstacle: Obstacle) -> list[Solid]:
 
 
 def _piece(obstacle: Mesh | Scan, node: int, kind: int) -> Solid:
-    turn, position = np.array(obstacle.rotation), np.array(obstacle.center)
+    turn = np.array(obstacle.rotation)
+    position = np.array(obstacle.center)
     low, high = obstacle.tree.boxes[node]
     radius = obstacle.point_radius if isinstance(obstacle, Scan) else 0.0
-    middle, half = position + turn @ (0.5 * (low + high)), 0.5 * (high - low) + radius
+    middle = position + turn @ (0.5 * (low + high))
+    half = 0.5 * (high - low) + radius
     return Solid((obstacle.tree, node), turn, position, middle, middle, radius, middle, half, kind, True)
 
 
@@ -161,8 +164,12 @@ def solid(shape: Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh) -> Solid:
         geometry = coal.Sphere(shape.radius)
         return Solid(geometry, np.eye(3), center, center, center, shape.radius, center, half, SEGMENT, True)
     if isinstance(shape, (Capsule, Cylinder)):
-        start, end, radius = np.array(shape.start), np.array(shape.end), shape.radius
-        length, center, turn = float(np.linalg.norm(end - start)), (start + end) / 2.0, _z_along(end - start)
+        start = np.array(shape.start)
+        end = np.array(shape.end)
+        radius = shape.radius
+        length = float(np.linalg.norm(end - start))
+        center = (start + end) / 2.0
+        turn = _z_along(end - start)
         caps = radius if isinstance(shape, Capsule) else 0.0
         half = np.array([radius, radius, length / 2.0 + caps])
         if isinstance(shape, Capsule):
@@ -171,19 +178,24 @@ def solid(shape: Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh) -> Solid:
         geometry = coal.Cylinder(radius, length)
         return Solid(geometry, turn, center, start, end, radius, center, half, CYLINDER, True)
     if isinstance(shape, HalfSpace):
-        normal, place = np.array(shape.normal), np.array(shape.point)
+        normal = np.array(shape.normal)
+        place = np.array(shape.point)
         geometry = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)  # the points with z <= 0
         whole = np.full(3, np.inf)
         return Solid(geometry, _z_along(normal), place, place, place, np.inf, place, whole, PLANE, True)
-    turn, center = np.array(shape.rotation), np.array(shape.center)
+    turn = np.array(shape.rotation)
+    center = np.array(shape.center)
     if isinstance(shape, Box):
         half = np.array(shape.size) / 2.0
         corners = np.array(np.meshgrid(*np.stack([-half, half], axis=1))).reshape(3, 8).T
-        geometry, middle = coal.Box(*shape.size), center
+        geometry = coal.Box(*shape.size)
+        middle = center
     else:
         corners = shape.vertices
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        half, middle = (high - low) / 2.0, center + turn @ ((high + low) / 2.0)
+        low = corners.min(axis=0)
+        high = corners.max(axis=0)
+        half = (high - low) / 2.0
+        middle = center + turn @ ((high + low) / 2.0)
         geometry = _convex(shape)
     start, end, radius = _capsule_around(corners @ turn.T + center)
     return Solid(geometry, turn, center, start, end, radius, middle, half, BOX, isinstance(shape, Box))
@@ -198,7 +210,8 @@ def _z_along(axis: Array) -> Array:
 
 
 def _convex(mesh: Mesh) -> coal.Convex:
-    points, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    points = coal.StdVec_Vec3s()
+    faces = coal.StdVec_Triangle()
     for vertex in mesh.vertices:
         points.append(vertex)
     for face in mesh.faces:
@@ -216,7 +229,8 @@ def _capsule_around(points: Array) -> tuple[Array, Array, float]:
     radius = float(across.max()) * (1.0 + 1e-9)
     # Points may lie beyond the axis ends, inside the caps.
     reach = np.sqrt(radius**2 - across**2)
-    first, last = float(np.min(along + reach)), float(np.max(along - reach))
+    first = float(np.min(along + reach))
+    last = float(np.max(along - reach))
     if first > last:  # a single sphere contains all points
         first = last = (first + last) / 2.0
     return middle + first * axis, middle + last * axis, radius

@@ -71,7 +71,8 @@ def pipe_axis(runs: Sequence[float], bends: Sequence[Bend | tuple[float, ...]]) 
             allowed = "an angle above 0, at most 2 pi, and a finite roll [rad]"
             raise InvalidValue(f"bends[{i}]", listed[i], allowed)
     step = min([bend.radius for bend in listed], default=sum(lengths)) / POINTS_PER_BEND_RADIUS
-    turn, points = np.eye(3), [np.zeros((1, 3))]
+    turn = np.eye(3)
+    points = [np.zeros((1, 3))]
     for run, bend in zip(lengths, [*listed, None], strict=True):
         if run > 0.0:
             points.append(points[-1][-1] + _shares(run, step) * run * turn[:, 0])
@@ -136,7 +137,8 @@ def pipe_walls(path: Curve, radius: float, sides: int = 6, thickness: float = 0.
         InvalidValue: invalid values, or a bend that is too tight for the radius.
     """
     require_instance("path", path, Curve, "a Curve")
-    radius, thickness = length("radius", radius), length("thickness", thickness)
+    radius = length("radius", radius)
+    thickness = length("thickness", thickness)
     require_whole("sides", sides, MIN_SIDES)
     s = np.linspace(0.0, path.length, int(np.ceil(SAMPLES_PER_RADIUS * path.length / radius)) + 1)
     tightest = float(np.max(path.curvature(s)))
@@ -171,9 +173,13 @@ def _rings(walls: Array, allowed: float) -> list[slice]:
     `walls`, (n, sides, 3), are the midpoints of the inner face of each side along the pipe. Sides lie halfway
     between chord and arc, so their deviation is at most half the arc height.
     """
-    rings, first, last = [], 0, len(walls) - 1
+    rings = []
+    first = 0
+    last = len(walls) - 1
     while first < last:
-        low, high = first + 1, last  # bisection: the arc height grows with the length
+        # bisection: the arc height grows with the length
+        low = first + 1
+        high = last
         while low < high:
             middle = (low + high + 1) // 2
             if _arc_height(walls[first : middle + 1]) <= 2.0 * allowed:
@@ -187,7 +193,8 @@ def _rings(walls: Array, allowed: float) -> list[slice]:
 
 def _arc_height(walls: Array) -> float:
     """Return the maximum distance of lines, (n, sides, 3), from the chords between their ends [m]."""
-    chords, gaps = walls[-1] - walls[0], walls - walls[0]
+    chords = walls[-1] - walls[0]
+    gaps = walls - walls[0]
     square = np.maximum(np.einsum("ji,ji->j", chords, chords), 1e-300)
     along = np.clip(np.einsum("nji,ji->nj", gaps, chords) / square, 0.0, 1.0)
     return float(np.linalg.norm(gaps - along[:, :, None] * chords, axis=2).max())

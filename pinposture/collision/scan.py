@@ -85,12 +85,15 @@ def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArra
     Returns:
         Indices of the chosen points, (c,), and the cube of each point as an index of a chosen point, (n,).
     """
-    low, width = points.min(axis=0), float(np.ptp(points, axis=0).max())
+    low = points.min(axis=0)
+    width = float(np.ptp(points, axis=0).max())
     best = np.zeros(1, dtype=np.intp), np.zeros(len(points), dtype=np.intp)
     if width == 0.0 or count == 1:
         return best
     # On a surface, the number of occupied cubes grows with the square of the number along an edge.
-    least, most, cells = 0.5, float(_MAX_CUBES), min(np.sqrt(count), _MAX_CUBES)
+    least = 0.5
+    most = float(_MAX_CUBES)
+    cells = min(np.sqrt(count), _MAX_CUBES)
     for _ in range(_MAX_TRIALS):
         found = _in_cubes(points, low, width, cells)
         if len(found[0]) > count:
@@ -277,7 +280,8 @@ class Scan(Surface):
             FileError: missing, in another format, malformed, without finite points, or too large.
             InvalidValue: an invalid argument.
         """
-        factor, path = scale_factor(path, scale), Path(path)
+        factor = scale_factor(path, scale)
+        path = Path(path)
         pose = point("center", center), _validation.rotation("rotation", rotation)
         radius = length("point_radius", point_radius, zero=True)
         distance = None if outlier_distance is None else length("outlier_distance", outlier_distance)

@@ -83,7 +83,8 @@ class Scene:
                 allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
                 raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
         require_instance("self_collision", self.self_collision, bool, "True or False")
-        obstacles, margin = MappingProxyType(dict(self.obstacles)), length("margin", self.margin, zero=True)
+        obstacles = MappingProxyType(dict(self.obstacles))
+        margin = length("margin", self.margin, zero=True)
         set_fields(self, obstacles=obstacles, margin=margin)
         if self.arm_radius is not None:
             set_fields(self, arm_radius=length("arm_radius", self.arm_radius))
@@ -138,7 +139,8 @@ class Scene:
             UnknownName: an unknown obstacle.
             InvalidValue: an invalid placement or velocity.
         """
-        first, obstacles = self.first, dict(self.obstacles)
+        first = self.first
+        obstacles = dict(self.obstacles)
         for name, placement in self._known(placements):
             if isinstance(placement, pin.SE3):
                 motion = placement
@@ -232,7 +234,8 @@ class Scene:
                 values.
         """
         path = Path(path)
-        suffix, text = require_suffix(path, ".toml", ".json"), read_text(path)
+        suffix = require_suffix(path, ".toml", ".json")
+        text = read_text(path)
         try:
             content = parse_toml(text) if suffix == ".toml" else parse_json(path, text)
         except (ValueError, RecursionError) as error:  # of TOML, with the line
@@ -283,7 +286,8 @@ class Scene:
         return Scene, given, {"_first": self._first}
 
     def _key(self) -> tuple[Any, ...]:
-        obstacles, velocities = frozenset(self.obstacles.items()), frozenset(self.velocities.items())
+        obstacles = frozenset(self.obstacles.items())
+        velocities = frozenset(self.velocities.items())
         return obstacles, velocities, self.self_collision, self.margin, self.arm_radius
 
 

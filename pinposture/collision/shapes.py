@@ -56,10 +56,13 @@ class Tree:
     def __init__(self, corners: Array) -> None:
         """Build the tree of points, (n, 1, 3), or triangles, (n, 3, 3) [m]."""
         count = len(corners)
-        most, wide = count.bit_length() - 1, MAX_PIECES.bit_length() - 1  # so that no node is empty
+        # so that no node is empty
+        most = count.bit_length() - 1
+        wide = MAX_PIECES.bit_length() - 1
         deep = (-(-count // LEAF_SIZE) - 1).bit_length()
         self.levels = 1 + min(max(deep, wide), most)
-        order, self.boxes = np.arange(count), np.zeros((2**self.levels, 2, 3))
+        order = np.arange(count)
+        self.boxes = np.zeros((2**self.levels, 2, 3))
         kernels.build_tree(np.array(corners), order, self.boxes)
         self.corners = np.ascontiguousarray(corners[order])
         first = 2 ** min(wide, self.levels - 1)
@@ -91,11 +94,14 @@ Piece: TypeAlias = tuple[Tree, int]
 def join_trees(pieces: Sequence[Piece | None]) -> Trees:
     """Return the trees of obstacles in the form that the kernels use; None: an obstacle without a tree."""
     trees = list(dict.fromkeys(piece[0] for piece in pieces if piece is not None))
-    rows, boxes, lengths = {}, 0, {1: 0, 3: 0}
+    rows = {}
+    boxes = 0
+    lengths = {1: 0, 3: 0}
     for tree in trees:
         count, corners = tree.corners.shape[:2]
         rows[tree] = [boxes, 0, tree.levels, lengths[corners], count, int(corners == 1)]
-        boxes, lengths[corners] = boxes + len(tree.boxes), lengths[corners] + count
+        boxes = boxes + len(tree.boxes)
+        lengths[corners] = lengths[corners] + count
     listed = np.zeros((len(pieces), 6), dtype=np.int64)
     for k, piece in enumerate(pieces):
         if piece is not None:
@@ -584,7 +590,8 @@ def _finite_points(values: ArrayLike) -> Array:
 def _hull_vertices(points: Array) -> Array:
     """Return the sorted vertices of the convex hull of points."""
     allowed = "points (n, 3) [m] that span a volume"
-    points, count = np.unique(points, axis=0), 0
+    points = np.unique(points, axis=0)
+    count = 0
     # Qhull may drop vertices that almost lie in a face: repeat until it keeps all.
     while len(points) != count:
         count = len(points)

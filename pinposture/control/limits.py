@@ -103,7 +103,8 @@ def joint_bounds(
 
 
 def _edges(arm: Arm, margin: float) -> Array:
-    limits, moved = arm.limits, arm.moved > 0.0
+    limits = arm.limits
+    moved = arm.moved > 0.0
     # Joints that move no control point stay where they are.
     lower = np.where(moved, limits.lower + margin, -np.inf)
     upper = np.where(moved, limits.upper - margin, np.inf)
@@ -228,15 +229,19 @@ def violated_limits(
         previous: the previous step, (nv,) [rad or m]; empty without a limit on its change.
         rounding: excess over a limit that is ignored [rad or m].
     """
-    words, names = [], arm.joint_names
-    sides, slowest = edges - positions, np.zeros(arm.nv)
+    words = []
+    names = arm.joint_names
+    sides = edges - positions
+    slowest = np.zeros(arm.nv)
     if len(brake):
-        sides, slowest = farthest(sides, brake), full_braking(previous, brake)
+        sides = farthest(sides, brake)
+        slowest = full_braking(previous, brake)
     above = np.minimum(sides[1], bound) - np.maximum(slowest, 0.0)
     below = np.minimum(slowest, 0.0) - np.maximum(sides[0], -bound)
     taken = np.clip(slowest, -bound, bound)
     for joint in np.flatnonzero(np.minimum(above, below) < -rounding):
-        name, unit = names[joint], "m" if arm.slides[joint] else "rad"
+        name = names[joint]
+        unit = "m" if arm.slides[joint] else "rad"
         at, (low, high) = positions[joint], edges[:, joint]
         step = taken[joint]
         if not low - rounding <= at <= high + rounding:
@@ -519,7 +524,8 @@ class JerkFilter:
     """
 
     def __init__(self, arm: Arm, limits: Limits) -> None:
-        bounds, cycles = limits.for_arm(arm), 1.0
+        bounds = limits.for_arm(arm)
+        cycles = 1.0
         if bounds.brake is not None and bounds.jerk is not None:
             cycles = _filter_cycles(arm, bounds.brake, bounds.jerk)
         if not cycles <= MAX_JERK_CYCLES:
@@ -594,7 +600,8 @@ _MAX_CACHED = 16  # limits cached per arm
 
 def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
     """Warn about velocity limits above those of the arm, which they replace, once per arm and worst joint."""
-    speed, known = np.broadcast_to(velocity, arm.nv), arm.limits.velocity
+    speed = np.broadcast_to(velocity, arm.nv)
+    known = arm.limits.velocity
     faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SPEED_ROUNDING) * known))
     if not len(faster):
         return
@@ -604,7 +611,8 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
     if (worst, in_degrees) in warned:
         return
     warned.add((worst, in_degrees))
-    unit, more = "m/s" if arm.slides[worst] else "rad/s", len(faster) - 1
+    unit = "m/s" if arm.slides[worst] else "rad/s"
+    more = len(faster) - 1
     text = (
         f"velocity {speed[worst]:.4g} {unit} is above the {known[worst]:.4g} {unit} that the description "
         f"of the arm allows joint {arm.joint_names[worst]!r}" + (f", and {more} others" if more else "")

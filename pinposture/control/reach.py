@@ -34,7 +34,10 @@ TIP_TOLERANCE = 1e-6
 DISTINCT = 0.05
 """Largest distance between corresponding points beyond which two postures are distinct, in arm lengths."""
 
-SEEDS_PER_WAVE, CHOSEN, MAX_WAVES, MAX_IDLE_WAVES = 24, 6, 40, 3
+SEEDS_PER_WAVE = 24
+CHOSEN = 6
+MAX_WAVES = 40
+MAX_IDLE_WAVES = 3
 """Seed postures per wave, how many of them are pushed clear, the largest number of waves, and the number of
 consecutive waves without a new posture that end the search once one is known."""
 
@@ -54,7 +57,9 @@ FEW_JOINTS = 8
 MAX_JOINT_MOTION = 0.3
 """Largest joint motion of one iteration, in `Arm.joint_units`."""
 
-TIP_ITERATIONS, CLEAR_ITERATIONS, POLISH_ITERATIONS = 40, 80, 12
+TIP_ITERATIONS = 40
+CLEAR_ITERATIONS = 80
+POLISH_ITERATIONS = 12
 """Iterations to bring the tip to its goal, to push the arm clear, and to improve a posture."""
 
 BUFFER = 1e-4
@@ -69,7 +74,9 @@ NEAR_LIMIT_SHARE = 0.7
 MANIPULABILITY_GAIN = 2e-3
 """Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
 
-DECREASE, INCREASE, MAX_DAMPING = 0.2, 5.0, 1e6
+DECREASE = 0.2
+INCREASE = 5.0
+MAX_DAMPING = 1e6
 """Damping factors after a step that reduces the error and one that does not; damping that ends the search."""
 
 
@@ -268,7 +275,8 @@ def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) ->
     place = _place_of(task)
     slides = arm.columns[arm.slides[arm.columns]]
     travel = np.maximum(np.abs(arm.limits.lower[slides]), np.abs(arm.limits.upper[slides])).sum()
-    away, most = float(np.linalg.norm(place - arm.chain.base)), arm.length + float(travel)
+    away = float(np.linalg.norm(place - arm.chain.base))
+    most = arm.length + float(travel)
     if away > most + max(tolerance, TIP_TOLERANCE * arm.length):
         advice = "is it in millimetres, not metres?" if away > 100.0 * most else "choose a nearer one"
         base = ", ".join(f"{each:.4g}" for each in arm.chain.base)
@@ -308,8 +316,10 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
     known = link_axes(arm)
     if task.pose is None or known.turns[-1] > 1:
         return
-    wanted, now = task.pose[:3, :3], arm.at(arm.neutral()).rotations[-1]
-    axis, turns = known.axes[-1], bool(known.turns[-1])
+    wanted = task.pose[:3, :3]
+    now = arm.at(arm.neutral()).rotations[-1]
+    axis = known.axes[-1]
+    turns = bool(known.turns[-1])
     if task.direction_only:
         change = (wanted - now) @ known.links[-1]
         off = abs(float(axis @ change)) if turns else float(np.linalg.norm(change))
@@ -398,7 +408,9 @@ class _Search:
     def __init__(
         self, arm: Arm, task: EndEffector, scene: Scene | None, limits: Limits, tolerance: float
     ) -> None:
-        self.arm, self.task, self.tolerance = arm, task, tolerance
+        self.arm = arm
+        self.task = task
+        self.tolerance = tolerance
         self.model = None if scene is None else CollisionModel(arm, scene)
         self.margin = 0.0 if scene is None else scene.margin
         self.edges = limits.for_arm(arm).edges
@@ -413,7 +425,9 @@ class _Search:
         """Return distinct clear postures, the best first; raise ReachError if there is none."""
         found: list[ReachedPosture] = []
         shapes: list[Array] = []
-        idle, nearest, intruding = 0, inf, 0
+        idle = 0
+        nearest = inf
+        intruding = 0
         for wave in range(MAX_WAVES):
             before = len(found)
             settled: list[tuple[float, int, ArmState]] = []
@@ -484,7 +498,8 @@ class _Search:
 
     def _seeds(self, start: Array | None, first: bool, rng: np.random.Generator) -> Iterator[Array]:
         """Yield the seed postures of a wave; the first wave begins with the start."""
-        arm, few = self.arm, len(self.columns) <= FEW_JOINTS
+        arm = self.arm
+        few = len(self.columns) <= FEW_JOINTS
         here = arm.positions(arm.neutral() if start is None else start)
         if first and start is not None:
             yield arm.configuration(np.where(arm.moved > 0.0, np.clip(here, *self.edges), here))
@@ -497,7 +512,8 @@ class _Search:
     def _rows(self, state: ArmState, clearance: float | None) -> _Rows:
         """Return the rows of the tip and of the distances below a clearance [m], if one is given."""
         tip = self.task.rows(state, self.target)
-        matrix, errors = tip.jacobian, tip.error
+        matrix = tip.jacobian
+        errors = tip.error
         if clearance is not None and self.model is not None:
             near = self.model.nearest(state, clearance)
             matrix = np.concatenate([matrix, near.jacobian])
@@ -506,7 +522,8 @@ class _Search:
 
     def _settle(self, state: ArmState, clearance: float | None, iterations: int) -> ArmState:
         """Bring the tip to its goal and all distances to a clearance by damped least squares."""
-        rows, damping = self._rows(state, clearance), 1e-2
+        rows = self._rows(state, clearance)
+        damping = 1e-2
         good = 0.1 * self.tolerance
         clear = BUFFER * self.arm.length * 0.5
         for _ in range(iterations):
@@ -515,7 +532,9 @@ class _Search:
             tried = self._moved(state, self._step(state, rows, damping))
             after = self._rows(tried, clearance)
             if after.cost < rows.cost:
-                state, rows, damping = tried, after, max(damping * DECREASE, 1e-9)
+                state = tried
+                rows = after
+                damping = max(damping * DECREASE, 1e-9)
             else:
                 damping *= INCREASE
                 if damping > MAX_DAMPING:
@@ -564,10 +583,12 @@ class _Search:
 
     def _polish(self, posture: ReachedPosture, state: ArmState) -> tuple[ReachedPosture, ArmState]:
         """Improve clearance, distance from limits and manipulability in the null space of the tip."""
-        wanted, moved = self.margin + AMPLE * self.arm.length, state
+        wanted = self.margin + AMPLE * self.arm.length
+        moved = state
         for _ in range(POLISH_ITERATIONS):
             rows = self._rows(moved, wanted)
-            first, left = rows.matrix[: rows.tip], rows.errors[: rows.tip]
+            first = rows.matrix[: rows.tip]
+            left = rows.errors[: rows.tip]
             inverse = np.linalg.pinv(first, rcond=1e-4)
             null = np.eye(len(self.columns)) - inverse @ first
             pull, errors = self._limit_rows(moved)
@@ -604,8 +625,10 @@ class _Search:
         A joint changes the Jacobian column of another by a x J, where a is the axis of the joint nearer to
         the base and J the column of the other one.
         """
-        plane, columns = self.arm.plane, self.columns
-        jacobian, axes = state.jacobians[-1][:, columns].T, state.axes[:, columns].T
+        plane = self.arm.plane
+        columns = self.columns
+        jacobian = state.jacobians[-1][:, columns].T
+        axes = state.axes[:, columns].T
         inverse = np.linalg.pinv(plane @ (jacobian * self.units[:, None]).T, rcond=1e-6)  # (n, d)
         numbers = np.arange(len(columns))
         low, high = (each(numbers[:, None], numbers) for each in (np.minimum, np.maximum))
@@ -614,7 +637,8 @@ class _Search:
 
     def _judge(self, state: ArmState) -> ReachedPosture | None:
         """Return the posture with its criteria and score; None if it is not clear or not at the goal."""
-        arm, q = self.arm, np.array(state.q)
+        arm = self.arm
+        q = np.array(state.q)
         at = arm.at(q)
         error = float(np.linalg.norm(self.task.rows(at, self.target).error))
         clearance = inf if self.model is None else self.model.minimum(q).distance

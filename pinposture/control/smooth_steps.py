@@ -78,7 +78,8 @@ class SmoothSteps:
             if dq is None:
                 raise InvalidValue("dq", dq, "the step of the controller, in a cycle that needs one")
             return dq
-        before, new = self._owed() @ self._steps, np.zeros(self._steps.shape[1])
+        before = self._owed() @ self._steps
+        new = np.zeros(self._steps.shape[1])
         self._place += share
         if dq is not None:
             new = self._filter.apply(dq)
@@ -115,7 +116,8 @@ class RateCheck:
     """
 
     def __init__(self, arm: Arm, dt: float) -> None:
-        self._arm, self._dt = arm, dt
+        self._arm = arm
+        self._dt = dt
         self.restart()
 
     def restart(self, dq: Array | None = None) -> None:
@@ -137,7 +139,9 @@ class RateCheck:
         change = speed - self._speed
         acceleration = change / (0.5 * (duration + before))
         jerk = (acceleration - self._acceleration) / ((earlier + before + duration) / 3.0)
-        self._speed, self._acceleration, self._durations = speed, acceleration, (before, duration)
+        self._speed = speed
+        self._acceleration = acceleration
+        self._durations = (before, duration)
         if bounds.dt is None:
             return ()
         shortest = min(earlier, before, duration)
@@ -158,5 +162,6 @@ class RateCheck:
         joint = int(over.argmax())
         if not over[joint] > rounding:
             return ()
-        name, ratio = self._arm.joint_names[joint], abs(rate[joint]) / most[joint]
+        name = self._arm.joint_names[joint]
+        ratio = abs(rate[joint]) / most[joint]
         return (f"{kind} limit: joint {name!r} exceeds it by a factor of {ratio:.4g}",)

@@ -63,7 +63,8 @@ def link_axes(arm: Arm) -> LinkAxes:
 
 def _links(arm: Arm) -> Array:
     chain = arm.chain
-    links, stations = np.zeros((arm.n_modules, 3)), [chain.base]
+    links = np.zeros((arm.n_modules, 3))
+    stations = [chain.base]
     for k, (joints, turn) in enumerate(
         zip(chain.module_slices, arm.at(arm.neutral()).compiled.rotations, strict=True)
     ):
@@ -78,7 +79,8 @@ def _links(arm: Arm) -> Array:
 
 def _turning(arm: Arm) -> tuple[Indices, Array]:
     chain = arm.chain
-    turns, axes = np.zeros(arm.n_modules, dtype=np.intp), np.zeros((arm.n_modules, 3))
+    turns = np.zeros(arm.n_modules, dtype=np.intp)
+    axes = np.zeros((arm.n_modules, 3))
     for k, joints in enumerate(chain.module_slices):
         before = chain.axes[: joints.stop][chain.revolute[: joints.stop]]
         if len(before):
@@ -151,11 +153,13 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
         and both are scaled by the geometric mean of the lengths of these projections.
     """
     known = link_axes(state.arm)
-    turns, axes = known.turns[points], known.axes[points]
+    turns = known.turns[points]
+    axes = known.axes[points]
     link = link_directions(state, points)
     basis = _across(link)
     ahead, beside = _dot(basis, wanted)
-    sine, cosine = np.hypot(ahead, beside), _dot(link, wanted)
+    sine = np.hypot(ahead, beside)
+    cosine = _dot(link, wanted)
     opposite = (sine < HALF_TURN_TOLERANCE) & (cosine < 0.0)
     way = np.stack([np.where(opposite, 1.0, ahead), beside])
     way *= np.arctan2(sine, cosine) / np.maximum(np.hypot(way[0], way[1]), 1e-300)
@@ -169,7 +173,8 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
         cosines = cosine - _dot(link, axes) * _dot(wanted, axes)
         share = np.sqrt(np.hypot(sines, cosines))
         apart = share * _wrap(np.arctan2(sines, cosines))
-        about[single, 0], errors[single, 0] = (share[:, None] * axes)[single], apart[single]
+        about[single, 0] = (share[:, None] * axes)[single]
+        errors[single, 0] = apart[single]
     used = np.stack([turns > 0, turns > 1], axis=1)
     rows = about @ state.angular_jacobians[points]
     return rows[used], errors[used]
@@ -382,7 +387,8 @@ class EndEffector(ComparableTask):
         arm = arm_of(state)
         k = _index(state, self.point)
         place = self.position if self.pose is None else self.pose[:3, 3]
-        jacobian, apart = arm.plane @ state.jacobians[k], arm.plane @ (place - state.points[k])
+        jacobian = arm.plane @ state.jacobians[k]
+        apart = arm.plane @ (place - state.points[k])
         if self.pose is None:
             return TaskRows(jacobian, apart)
         wanted = self.pose[:3, :3]

@@ -221,7 +221,8 @@ class Curve(Geometry):
             FileError: an invalid file; names the line, row or key.
             InvalidValue: a scale that is not a number above 0.
         """
-        path, factor = Path(path), as_number("scale", scale, "a finite number > 0", lambda x: x > 0.0)
+        path = Path(path)
+        factor = as_number("scale", scale, "a finite number > 0", lambda x: x > 0.0)
         try:
             read = cls.from_dict(read_description(path))
             return read if factor == 1.0 else cls(read.knots, factor * read.coefficients, read.degree)
@@ -269,11 +270,13 @@ class Curve(Geometry):
         if self.degree == k and len(self.coefficients) == n and self.control_points is not None:
             return self
         s = np.linspace(0.0, self.length, _samples(self, n))
-        places, knots = self.at(s), clamped_uniform_knots(n, k)
+        places = self.at(s)
+        knots = clamped_uniform_knots(n, k)
         # The curve's own parameter suits splines with more knots of this kind, the fraction of the length
         # curves whose parameter is unrelated to uniform knots.
         own = kernels.parameters_at(self._arc, s)
-        begin, end = self.knots[self.degree], self.knots[-self.degree - 1]
+        begin = self.knots[self.degree]
+        end = self.knots[-self.degree - 1]
         fits = []
         for parameters in ((own - begin) / (end - begin), s / self.length):
             basis = csr_array(BSpline.design_matrix(np.clip(parameters, 0.0, 1.0), knots, k))
@@ -346,7 +349,8 @@ class Curve(Geometry):
         Raises:
             InvalidValue: invalid `start` or `end`.
         """
-        span, length = 1e-6 * self.length, self.length
+        span = 1e-6 * self.length
+        length = self.length
         words = f"an arc length from {{}} to {{}} m, {span:.3g} m or more from the other end"
         low = as_number("start", start, words.format(0, length), lambda s: 0 <= s <= length - span)
         high = as_number(
@@ -368,10 +372,14 @@ class Curve(Geometry):
             InvalidValue: not a number between the ends.
             CurveError: the knot already has a multiplicity of the degree, or is too close to another one.
         """
-        t, k, n = self.knots, self.degree, len(self.coefficients)
-        low, high = float(t[k]), float(t[n])
+        t = self.knots
+        k = self.degree
+        n = len(self.coefficients)
+        low = float(t[k])
+        high = float(t[n])
         knot = as_number("u", u, f"a parameter between {low:g} and {high:g}", lambda x: low < x < high)
-        before, after = t[: n + 1], t[k:]
+        before = t[: n + 1]
+        after = t[k:]
         with np.errstate(divide="ignore"):  # u is not a knot of full multiplicity
             share = np.clip((knot - before) / (after - before), 0.0, 1.0)[:, None]
         points = np.pad(self.coefficients, ((1, 1), (0, 0)), "edge")
@@ -391,7 +399,8 @@ def read_description(path: Path) -> dict[str, Any]:
         FileError: missing, unreadable, of another format, or a malformed line.
         CurveError: invalid points in a table; names the line.
     """
-    suffix, text = require_suffix(path, ".json", *_TABLES), read_text(path)
+    suffix = require_suffix(path, ".json", *_TABLES)
+    text = read_text(path)
     if suffix in _TABLES:
         return {"type": "points", "points": _table(path, text)}
     content = parse_json(path, text)
@@ -557,11 +566,13 @@ class _Fit:
         self.normal, self.penalty = _upper_bands(normal), _upper_bands(difference.T @ difference)
         self.right = (self.basis.T @ data) * scale
         # Logarithms of the penalty weight: enough for a unique solution, and nearly a parabola.
-        self.least, self.most = math.log(1e-8), math.log(1e-3 * spans ** (2 * _PENALTY_ORDER))
+        self.least = math.log(1e-8)
+        self.most = math.log(1e-3 * spans ** (2 * _PENALTY_ORDER))
 
     def _difference(self, spans: int) -> csr_array:
         """Return the matrix from coefficients to those of the third derivative, in units of one span."""
-        knots, result = self.knots, csr_array(eye_array(len(self.knots) - _FIT_DEGREE - 1))
+        knots = self.knots
+        result = csr_array(eye_array(len(self.knots) - _FIT_DEGREE - 1))
         for degree in range(_FIT_DEGREE, _FIT_DEGREE - _PENALTY_ORDER, -1):
             widths = (knots[degree + 1 : -1] - knots[1 : -degree - 1]) / degree * spans
             result = diags_array(1 / widths) @ (result[1:] - result[:-1])
@@ -619,7 +630,8 @@ def _fit(basis: csr_array, places: Array) -> tuple[Array, float]:
     """
     coefficients = np.zeros((basis.shape[1], 3))
     coefficients[[0, -1]] = places[[0, -1]]
-    rest, inner = places - basis @ coefficients, basis[:, 1:-1]
+    rest = places - basis @ coefficients
+    inner = basis[:, 1:-1]
     if inner.shape[1]:
         normal = (inner.T @ inner).toarray()
         coefficients[1:-1] = solve(normal, inner.T @ rest, assume_a="pos")

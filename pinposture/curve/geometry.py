@@ -63,7 +63,8 @@ def _checked_breaks(t: Array, k: int) -> Array:
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
         raise CurveError(f"knot {i}", f"{t[i]}; allowed: finite numbers up to {LARGEST_COORDINATE:g} in size")
-    begin, end = t[k], t[-k - 1]
+    begin = t[k]
+    end = t[-k - 1]
     if end - begin <= SMALLEST_DISTANCE:
         raise CurveError("knots", f"the curve runs from knot {begin} to {end}; allowed: an increase")
     gaps = t[1:] - t[:-1]
@@ -104,12 +105,14 @@ def trim(whole: SplineArrays, begin: float, end: float) -> Parts:
     by powers of the short first span, and the third derivative would be lost to rounding errors.
     """
     spline = BSpline(whole.knots, whole.table[0], whole.degree)
-    k, near = spline.k, 1e-12 * (end - begin)
+    k = spline.k
+    near = 1e-12 * (end - begin)
     ends = []
     for u in (begin, end):
         knot = float(spline.t[np.abs(spline.t - u).argmin()])
         if abs(knot - u) > near:
-            spline, knot = spline.insert_knot(u), u
+            spline = spline.insert_knot(u)
+            knot = u
         ends.append(knot)
     first = int(np.searchsorted(spline.t, ends[0], side="right")) - 1
     last = int(np.searchsorted(spline.t, ends[1], side="left"))
@@ -200,7 +203,8 @@ class Geometry:
         self._set(spline, measure(spline))
 
     def _set(self, spline: SplineArrays, arc: LengthArrays) -> None:
-        knots, coefficients = spline.knots.view(), spline.table[0].view()
+        knots = spline.knots.view()
+        coefficients = spline.table[0].view()
         knots.flags.writeable = coefficients.flags.writeable = False
         self.__dict__.update(knots=knots, coefficients=coefficients, degree=spline.degree)
         self.__dict__.update(_spline=spline, _arc=arc)

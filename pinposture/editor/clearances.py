@@ -66,8 +66,10 @@ def nearest(query: ClearanceQuery) -> NearestObstacle | None:
     Raises:
         PostureError: a distance cannot be computed.
     """
-    arm, scene = query.arm, query.scene
-    state, found = arm.at(query.q), []
+    arm = query.arm
+    scene = query.scene
+    state = arm.at(query.q)
+    found = []
     if scene.obstacles:
         # Without the arm itself: neighbours of neighbouring links are always near, and would hide the rest.
         found.append(_closest_pair(scene.without_self_collision(), state))
@@ -101,8 +103,12 @@ class Background(Generic[Query, Answer]):
     def __init__(
         self, answer: Callable[[Query], Answer | None], same: Callable[[Query, Query], bool], name: str
     ) -> None:
-        self._answer, self._same, self._name = answer, same, name
-        self._lock, self._wake, self._closed = Lock(), Event(), Event()
+        self._answer = answer
+        self._same = same
+        self._name = name
+        self._lock = Lock()
+        self._wake = Event()
+        self._closed = Event()
         self._query: Query | None = None
         self._latest: Answer | None = None
         self._thread: Thread | None = None
@@ -116,7 +122,8 @@ class Background(Generic[Query, Answer]):
     def ask(self, query: Query) -> None:
         """Ask a query, unless it is the same as the last one; returns at once."""
         with self._lock:
-            before, self._query = self._query, query
+            before = self._query
+            self._query = query
         if before is not None and self._same(before, query):
             return
         self._wake.set()

@@ -27,7 +27,9 @@ logger = logging.getLogger(__name__)
 Request: TypeAlias = Callable[[Session], None]
 
 MAX_REQUESTS = 1000  # that wait; only a program sends more, and those are dropped
-FRAME_TIME, MAX_FRAME_TIME = 1.0 / 60.0, 0.25  # between two updates of the page, at least and at most [s]
+# between two updates of the page, at least and at most [s]
+FRAME_TIME = 1.0 / 60.0
+MAX_FRAME_TIME = 0.25
 
 
 class Editor:
@@ -69,8 +71,11 @@ class Editor:
         self.session = Session(task, path, folder=folder)
         restore(self.session)
         self._inbox: deque[tuple[str, Request]] = deque()
-        self._flooded, self._fault = False, ""
-        self._lock, self._wake, self._closed = Lock(), Event(), Event()
+        self._flooded = False
+        self._fault = ""
+        self._lock = Lock()
+        self._wake = Event()
+        self._closed = Event()
         verdicts = VerdictCache()
         self._solver = Solver(self.session.problem, self.session.arm.straight(), self._wake.set, verdicts)
         self._asked_number = self.session.number
@@ -145,7 +150,8 @@ class Editor:
         while not self._closed.is_set():
             begun = time.monotonic()
             self._wake.clear()
-            session, live = self.session, self._solver.live
+            session = self.session
+            live = self._solver.live
             for part in (
                 partial(session.settle, live),
                 self._take_requests,

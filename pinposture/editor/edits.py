@@ -92,7 +92,9 @@ class Shape:
         laid, _ = place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
-        own, knots, degree = np.array(laid.coefficients), laid.knots, laid.degree
+        own = np.array(laid.coefficients)
+        knots = laid.knots
+        degree = laid.degree
         if begin == 0.0 and degree <= DEGREE < len(own):
             if laid.control_points is not None and len(own) <= MAX_SHAPE_POINTS:
                 return cls(own, degree)
@@ -149,7 +151,8 @@ class Shape:
         place = finite_vector("position", position, 3)
         if index == 0 and not math.dist(place, self.points[0]) <= 1e-9 * arm.length:
             raise InvalidValue("point 1", place.tolist(), "its position at the base of the arm")
-        points, together = self.points.copy(), sorted({index, *others} - {0})
+        points = self.points.copy()
+        together = sorted({index, *others} - {0})
         for each in together:
             self._check_index(each)
         points[together] = rounded(into_plane(arm, points[together] + (place - points[index])))
@@ -189,7 +192,8 @@ class Shape:
         Raises:
             CurveError: there is no room.
         """
-        after, copies = self, sorted(set(indices))
+        after = self
+        copies = sorted(set(indices))
         for index in reversed(copies):
             after._check_index(index)
             points = after.points
@@ -211,7 +215,8 @@ class Shape:
             CurveError: too few would be left.
             InvalidValue: the first point, which is at the base of the arm.
         """
-        after, least = self, self.degree + 1
+        after = self
+        least = self.degree + 1
         for index in sorted(set(indices), reverse=True):
             after._check_index(index)
             if index == 0:
@@ -231,7 +236,9 @@ class Shape:
         rest = np.delete(self.points, index, axis=0)
         if self.knots is None:
             return replace(self, points=rest)
-        knots, k, n = self.knots, self.degree, len(self.points)
+        knots = self.knots
+        k = self.degree
+        n = len(self.points)
         near = range(max(index, k + 1), min(index + k + 1, n - 1) + 1)  # of the knots between the ends
         for j in near:
             fewer = np.delete(knots, j)
@@ -261,7 +268,8 @@ class Shape:
         Raises:
             CurveError: the curve cannot be made long enough.
         """
-        longer, required = self, required_length(arm)
+        longer = self
+        required = required_length(arm)
         for _ in range(MAX_EXTENSIONS):
             missing = required - longer.curve.length
             if missing <= 0.0:
@@ -287,7 +295,8 @@ def into_plane(arm: Arm, points: Array) -> Array:
     """Project points (m, 3) into the plane of a planar arm; for any other arm they stay as they are."""
     if arm.dimension != 2:
         return points
-    base, plane = arm.chain.base, arm.plane
+    base = arm.chain.base
+    plane = arm.plane
     return np.asarray(base + (points - base) @ plane.T @ plane)
 
 
@@ -316,7 +325,9 @@ Edit: TypeAlias = Callable[[Task], Task]
 
 NEW_KEYFRAME_GAP = 1.0  # from the keyframe before to a new one [s]
 MIN_GAP = 0.05  # between keyframes [s], if the control cycle allows it
-TIME_DIGITS, TIME_TOLERANCE = 9, 1e-9  # digits of stored times; differences that count as none [s]
+# digits of stored times; differences that count as none [s]
+TIME_DIGITS = 9
+TIME_TOLERANCE = 1e-9
 
 
 def times_of(task: Task) -> list[float]:
@@ -344,7 +355,8 @@ def passes_of(task: Task) -> list[Pass]:
 
     The last keyframe of a closed tour begins the next lap, so that the first one is not listed again.
     """
-    times, period = times_of(task), lap_time(task)
+    times = times_of(task)
+    period = lap_time(task)
     closed = task.repeat > 1 and len(_lap(task)) == len(times)
     return [
         Pass(index, lap, lap * period + times[index])
@@ -355,7 +367,8 @@ def passes_of(task: Task) -> list[Pass]:
 
 def lap_time(task: Task) -> float:
     """Return how long a lap is to take, including the return to the first keyframe [s]."""
-    times, keyframes = times_of(task), keyframes_of(task)
+    times = times_of(task)
+    keyframes = keyframes_of(task)
     lap = _lap(task)
     back = lap[-1].duration if len(lap) > len(times) else None
     return times[-1] + keyframes[-1].hold + (back or 0.0)
@@ -415,7 +428,8 @@ def retimed(index: int, time: float) -> Edit:
     """
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list_keyframes(task, index), _gaps(task)
+        keyframes = list_keyframes(task, index)
+        gaps = _gaps(task)
         if index == 0:
             if time != 0.0:
                 raise InvalidValue("time of keyframe 1", time, "0 s, the start of the motion")
@@ -441,11 +455,14 @@ def dragged(index: int, time: float) -> Edit:
     """
 
     def edit(task: Task) -> Task:
-        keyframes, times, least = list_keyframes(task, index), times_of(task), _min_gap(task)
+        keyframes = list_keyframes(task, index)
+        times = times_of(task)
+        least = _min_gap(task)
         to = place_at(task, index, time)
         if index == 0:
             raise InvalidValue("time of keyframe 1", time, "0 s, the start of the motion")
-        own, _ = keyframes.pop(index), times.pop(index)
+        own = keyframes.pop(index)
+        _ = times.pop(index)
         left = [at + keyframe.hold for at, keyframe in zip(times, keyframes, strict=True)]
         low = left[to - 1] + least
         high = times[to] - own.hold - least if to < len(times) else math.inf
@@ -469,7 +486,8 @@ def held(index: int, hold: float) -> Edit:
     """Hold a keyframe for another time [s]; later ones are shifted."""
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list_keyframes(task, index), _gaps(task)
+        keyframes = list_keyframes(task, index)
+        gaps = _gaps(task)
         keyframes[index] = replace(keyframes[index], hold=hold)
         return _with_gaps(task, keyframes, gaps)
 
@@ -483,7 +501,8 @@ def added(index: int, name: str = "") -> Edit:
     """
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list_keyframes(task, index), _gaps(task)
+        keyframes = list_keyframes(task, index)
+        gaps = _gaps(task)
         own = replace(keyframes[index], time=None, duration=NEW_KEYFRAME_GAP, hold=0.0, name=name, tip=None)
         if keyframes[index].duration is None:
             own = replace(own, time=0.0, duration=None)
@@ -498,7 +517,8 @@ def removed(index: int) -> Edit:
     """Remove a keyframe; the others keep their times, except that the first is at 0."""
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list_keyframes(task, index), _gaps(task)
+        keyframes = list_keyframes(task, index)
+        gaps = _gaps(task)
         if len(keyframes) <= 2:
             raise TaskError(f"keyframe {index + 1}", "cannot be deleted: a motion needs two keyframes")
         if 0 < index < len(gaps) - 1:
@@ -565,7 +585,9 @@ def with_scene(**changes: Any) -> Edit:
 
 def _gaps(task: Task) -> list[float]:
     """Return the time from leaving the keyframe before to reaching each; 0 for the first [s]."""
-    times, gaps, left = times_of(task), [0.0], 0.0
+    times = times_of(task)
+    gaps = [0.0]
+    left = 0.0
     for index, keyframe in enumerate(keyframes_of(task)):
         if index > 0:
             gaps.append(times[index] - left)
@@ -587,7 +609,9 @@ def _with_gaps(task: Task, keyframes: list[Keyframe], gaps: list[float]) -> Task
         new, given = (gap, keyframe.duration) if by_duration else (time, keyframe.time)
         if index == 0:
             back = keyframe.duration if task.repeat == 1 else None
-            by_duration, new, given = False, 0.0, keyframe.time or back or 0.0
+            by_duration = False
+            new = 0.0
+            given = keyframe.time or back or 0.0
         changes: dict[str, float | None] = {}
         if given is None or abs(given - new) > TIME_TOLERANCE:
             value = None if index == 0 else round(new, TIME_DIGITS)

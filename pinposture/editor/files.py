@@ -75,7 +75,8 @@ def autosave_path(path: Path) -> Path:
 def recover(path: Path) -> Recovered | None:
     """Read the autosave of a task file; None if there is none."""
     kept = autosave_path(path)
-    left, file = version_of(kept), version_of(path)
+    left = version_of(kept)
+    file = version_of(path)
     if left is None:
         return None
     try:
@@ -98,7 +99,9 @@ class Autosave:
         self._changed = Condition()
         self._wanted: dict[Path, Task | None] = {}  # what is to be written where; None: remove the file
         self._written: dict[Path, Version | None] = {}
-        self._busy, self._hurry, self._closed = False, False, False
+        self._busy = False
+        self._hurry = False
+        self._closed = False
         self._thread = Thread(target=self._run, name="pinposture-autosave", daemon=True)
         self._thread.start()
 
@@ -127,7 +130,8 @@ class Autosave:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._wanted or self._closed)
-                wanted, self._wanted = self._wanted, {}
+                wanted = self._wanted
+                self._wanted = {}
                 self._busy = True
             if not wanted:
                 return
@@ -205,7 +209,9 @@ class Files:
         if arm.is_symlink() and not arm.exists():  # the arm may be written there
             raise FileError(arm, "is a broken link; remove it, or save elsewhere")
         session.task.save(path)
-        before, session.path, session.saved = session.path, path, session.task
+        before = session.path
+        session.path = path
+        session.saved = session.task
         self._version = version_of(path)
         self._autosave.keep(None, path)
         if before is not None and before != path:
@@ -283,7 +289,8 @@ def _with_same_arm(task: Task, current: Task, kept: Path) -> Task:
 
     A URDF file beside the autosave is removed when the task is saved, and is not relied on.
     """
-    arm, other = task.arm, current.arm
+    arm = task.arm
+    other = current.arm
     if arm.spec is None or other.spec is None:
         return task
     ignored: dict[str, object] = {"urdf": arm.urdf, "package_dirs": (), "xacro_args": {}}
@@ -318,7 +325,8 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
     """
     if not name:
         raise FileError("the file", "has no name yet; enter one, such as task.toml")
-    given, path = Path(name), (folder if start is None else start) / name
+    given = Path(name)
+    path = (folder if start is None else start) / name
     outside = bool(given.anchor) or name.startswith("~") or ".." in given.parts
     try:
         outside = outside or not path.resolve().is_relative_to(folder.resolve())

@@ -33,7 +33,9 @@ TIME_KEYS = (("sec", "nanosec"), ("secs", "nsecs"))  # of times in ROS 2 and ROS
 POLL = 0.05  # between two looks for more lines [s]
 MAX_LINE = 2**20  # bytes of a line; longer ones are cut off
 CUT_LINE = 200  # bytes that are kept of a line that is cut off
-CHUNK, MAX_READ = 2**16, 2**23  # bytes that are read at once, and before lines are returned
+# bytes that are read at once, and before lines are returned
+CHUNK = 2**16
+MAX_READ = 2**23
 MAX_LINES_READ = 1000  # of many lines at once; older ones are read only for joints that these lack
 MAX_JOINTS_NAMED = 6  # in a complaint
 
@@ -55,7 +57,8 @@ class JointStateLines:
     """
 
     def __init__(self, arm: Arm) -> None:
-        self._arm, self._all = arm, np.arange(arm.nv)
+        self._arm = arm
+        self._all = np.arange(arm.nv)
         joints = zip(list(arm.model.joints)[1:], list(arm.model.names)[1:], strict=True)
         self.columns = {str(name): int(joint.idx_v) for joint, name in joints if joint.nv == 1}
 
@@ -162,7 +165,10 @@ class LineSource:
         self._path = None if source == "-" else Path(source)
         self._fd = self._open()
         self._is_file = stat.S_ISREG(os.fstat(self._fd).st_mode)
-        self._offset, self._number, self._partial, self._cut = 0, 0, b"", False
+        self._offset = 0
+        self._number = 0
+        self._partial = b""
+        self._cut = False
 
     def next(self, stop: Event) -> Lines | None:
         """Return new lines, after a short wait if there are none; None when no more can come.
@@ -175,7 +181,10 @@ class LineSource:
         """
         restarted = self._is_file and self._restarts()
         if restarted:
-            self._partial, self._number, self._offset, self._cut = b"", 0, 0, False
+            self._partial = b""
+            self._number = 0
+            self._offset = 0
+            self._cut = False
         content, ended = self._read(stop)
         if ended and not self._is_file:
             if not content and not self._partial and self._path is None:
@@ -187,11 +196,13 @@ class LineSource:
         self._number += len(lines)
         if lines and self._cut:  # the rest of a line whose beginning has been returned
             del lines[0]
-            first, self._cut = first + 1, False
+            first = first + 1
+            self._cut = False
         if len(partial) > MAX_LINE:
             if not self._cut:
                 lines.append(partial[:CUT_LINE])
-            partial, self._cut = b"", True
+            partial = b""
+            self._cut = True
         self._partial = b"" if self._cut else partial
         if not content:
             stop.wait(POLL)
@@ -225,7 +236,8 @@ class LineSource:
     def _read(self, stop: Event) -> tuple[bytes, bool]:
         """Read what there is now; returns it, and whether the source is at an end."""
         parts: list[bytes] = []
-        size, ended = 0, False
+        size = 0
+        ended = False
         while size < MAX_READ and not ended and not stop.is_set():
             if not self._is_file:
                 poll = select.poll()
@@ -307,10 +319,12 @@ class JointStates:
         require_instance("source", source, str | Path, 'the name of a file or of a pipe, or "-"')
         self.arm = arm
         self._source, self._lines = LineSource(source), JointStateLines(arm)
-        self._positions, self._heard = np.zeros(arm.nv), np.zeros(arm.nv, dtype=np.bool_)
+        self._positions = np.zeros(arm.nv)
+        self._heard = np.zeros(arm.nv, dtype=np.bool_)
         self._unknown: set[str] = set()
         self._read_partial = b""
-        self._lock, self._stop = Lock(), Event()
+        self._lock = Lock()
+        self._stop = Event()
         self._received = -np.inf
         self._latest = Measured(_read_only(arm.neutral()), np.inf, 0, "", 0, 0, None, self._unheard())
         self._thread = Thread(target=self._run, name="pinposture-joint-states", daemon=True)
@@ -320,7 +334,8 @@ class JointStates:
     def latest(self) -> Measured:
         """The latest measurement; returns at once."""
         with self._lock:
-            latest, received = self._latest, self._received
+            latest = self._latest
+            received = self._received
         complaint = latest.complaint
         if latest.count and latest.unheard and not complaint:
             complaint = f"no positions yet, shown at zero: {_listed(latest.unheard)}"
@@ -443,8 +458,11 @@ class _Batch:
     """The content of lines that came together: as in `Measured`, and which joints they contain."""
 
     def __init__(self, nv: int) -> None:
-        self.positions, self.heard = np.zeros(nv), np.zeros(nv, dtype=np.bool_)
-        self.count, self.refused, self.skipped = 0, 0, 0
+        self.positions = np.zeros(nv)
+        self.heard = np.zeros(nv, dtype=np.bool_)
+        self.count = 0
+        self.refused = 0
+        self.skipped = 0
         self.complaint = ""
         self.stamp: float | None = None
 

@@ -93,7 +93,8 @@ def pose_of(obstacle: Obstacle, scale: ArmScale) -> Pose:
         normal = np.array(obstacle.normal)
         height = normal @ (scale.middle - obstacle.point)
         return Pose(scale.middle - height * normal, rotation_to(normal))
-    start, end = np.array(obstacle.start), np.array(obstacle.end)
+    start = np.array(obstacle.start)
+    end = np.array(obstacle.end)
     return Pose(0.5 * (start + end), rotation_to(end - start))
 
 
@@ -153,7 +154,8 @@ def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
     a capsule have one at each end, and one for the radius. A half-space has one above its surface. Meshes,
     scans and types that a mesh represents have none.
     """
-    pose, gap = pose_of(obstacle, scale), scale.gap
+    pose = pose_of(obstacle, scale)
+    gap = scale.gap
     if isinstance(obstacle, Box):
         half = 0.5 * np.array(obstacle.size)
         places = (pose.position - (half[k] + gap) * pose.rotation[:, k] for k in range(3))
@@ -182,11 +184,14 @@ def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) 
     Raises:
         InvalidValue: coordinates out of bounds.
     """
-    pose, gap, least = pose_of(obstacle, scale), scale.gap, scale.least
+    pose = pose_of(obstacle, scale)
+    gap = scale.gap
+    least = scale.least
     off = np.asarray(place, dtype=np.float64) - pose.position
     if isinstance(obstacle, Box):
         axis = "xyz".index(handle)
-        direction, half = pose.rotation[:, axis], 0.5 * obstacle.size[axis]
+        direction = pose.rotation[:, axis]
+        half = 0.5 * obstacle.size[axis]
         edge = max(float(half - off @ direction) - gap, least)
         size = list(obstacle.size)
         size[axis] = round(edge, COORDINATE_DIGITS)
@@ -386,7 +391,8 @@ def select_obstacle(name: str | None, session: Session) -> None:
     if session.obstacle != name or (name is not None and (session.handle is not None or session.tip)):
         session.obstacle = name
         if name is not None:
-            session.handle, session.tip = None, False
+            session.handle = None
+            session.tip = False
 
 
 def add_obstacle(kind: str, points: Array, session: Session) -> None:
@@ -413,7 +419,8 @@ def delete_obstacle(session: Session) -> None:
 
 def rename_obstacle(name: str, to: str, session: Session) -> None:
     """Rename an obstacle; it keeps its place in the order."""
-    obstacle, to = obstacles_of(session.task).get(name), to.strip()
+    obstacle = obstacles_of(session.task).get(name)
+    to = to.strip()
     if obstacle is None or to == name:
         return
     session.proposal = None
@@ -469,11 +476,13 @@ def _dragged(name: str, obstacle: Obstacle, task: Task, session: Session) -> Sce
         task: the task with this obstacle.
         session: what is edited; its proposal is from the last move.
     """
-    before, here = obstacles_of(session.task)[name], _placement(obstacle, session.arm)
+    before = obstacles_of(session.task)[name]
+    here = _placement(obstacle, session.arm)
     scene = session.task.scene
     if scene is None or own_shape(obstacle) != own_shape(before):  # it is being resized
         return replace(task.effective_scene, velocities={name: (0.0, 0.0, 0.0)})
-    velocity, passed = np.zeros(3), time.monotonic() - session.asked
+    velocity = np.zeros(3)
+    passed = time.monotonic() - session.asked
     last = None if session.proposal is None else session.proposal.task.scene
     if last is not None and name in last.velocities and 0.0 < passed < DRAG_PAUSE:
         step = here.translation - _placement(last.obstacles[name], session.arm).translation

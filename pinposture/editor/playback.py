@@ -77,7 +77,9 @@ class Rehearsal:
             if self._current is task or (self._last is not None and self._last.task is task):
                 return
             self._cancelled.set()  # of the motion before
-            self._cancelled, self._current, self._progress = Event(), task, 0.0
+            self._cancelled = Event()
+            self._current = task
+            self._progress = 0.0
             given = (task, self._cancelled, self._thread)
             self._thread = Thread(target=self._run, args=given, name="pinposture-rehearsal", daemon=True)
             self._thread.start()
@@ -86,7 +88,8 @@ class Rehearsal:
         """Abandon the motion being computed."""
         with self._lock:
             self._cancelled.set()
-            self._current, self._progress = None, 0.0
+            self._current = None
+            self._progress = 0.0
 
     def close(self) -> None:
         """Abandon the motion, and end the thread."""
@@ -104,7 +107,9 @@ class Rehearsal:
         with self._lock:
             if cancelled.is_set():
                 return
-            self._last, self._current, self._progress = done, None, 0.0
+            self._last = done
+            self._current = None
+            self._progress = 0.0
 
     def _rehearse(self, task: Task, cancelled: Event) -> Rehearsed:
         def report(progress: float) -> None:
@@ -157,11 +162,15 @@ class Playback:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.rehearsal = Rehearsal()
         self.motion: Motion | None = None
-        self.playing, self.waiting, self.loop, self.speed = False, False, False, 1.0
+        self.playing = False
+        self.waiting = False
+        self.loop = False
+        self.speed = 1.0
         self._clock = clock
         self._task: Task | None = None  # whose motion is shown or waited for
         # The motion was at time `_from` when the clock was at `_since`.
-        self._from, self._since = 0.0, 0.0
+        self._from = 0.0
+        self._since = 0.0
         self._last_moment: tuple[float, Moment] | None = None
         self._reported: Task | None = None
 
@@ -246,8 +255,12 @@ class Playback:
         """Return to the live arm and to the beginning; a motion being computed for this is abandoned."""
         if self.waiting:
             self.rehearsal.cancel()
-        self.motion, self._task, self._last_moment = None, None, None
-        self.playing, self.waiting, self._from = False, False, 0.0
+        self.motion = None
+        self._task = None
+        self._last_moment = None
+        self.playing = False
+        self.waiting = False
+        self._from = 0.0
 
     def at_speed(self, speed: float) -> None:
         """Play at another speed, relative to real time."""
@@ -280,7 +293,8 @@ class Playback:
             if done.motion is None:
                 self.stop()
                 return message
-            self.waiting, self.motion = False, done.motion
+            self.waiting = False
+            self.motion = done.motion
             self._set_time(min(self._from, self.lasting))
         elif self.playing and self.motion is not None and not self.loop and self.time >= self.lasting:
             self.pause()
@@ -291,11 +305,13 @@ class Playback:
 
         The verdict on the shape that is edited stays.
         """
-        moment, motion = self.moment, self.motion
+        moment = self.moment
+        motion = self.motion
         if moment is None or motion is None or motion.arm is not live.arm:
             return live
         state, target, row = moment
-        step, cycle = np.zeros(motion.arm.nv), min(row, max(motion.steps - 1, 0))
+        step = np.zeros(motion.arm.nv)
+        cycle = min(row, max(motion.steps - 1, 0))
         if motion.steps and self.time < self.lasting:
             step = motion.velocities[cycle] * motion.dt
         return live._replace(
@@ -318,7 +334,10 @@ class Playback:
         if self._task is task and (self.waiting or self.motion is not None):
             return
         at = self.time
-        self.motion, self._task, self._last_moment, self.waiting = None, task, None, True
+        self.motion = None
+        self._task = task
+        self._last_moment = None
+        self.waiting = True
         self._set_time(at)
         self.rehearse(task)
 
@@ -333,10 +352,12 @@ def moment_of(motion: Motion, at: float) -> Moment:
         motion: the motion.
         at: when, counted from its first row [s]; before and after it, the arm stands still.
     """
-    arm, cycles = motion.arm, min(max(at / motion.dt, 0.0), float(motion.steps))
+    arm = motion.arm
+    cycles = min(max(at / motion.dt, 0.0), float(motion.steps))
     row = min(int(cycles + 1e-9), motion.steps)
     share = cycles - row
-    q, off = motion.q[row], motion.targets[row] - motion.run.points[row]
+    q = motion.q[row]
+    off = motion.targets[row] - motion.run.points[row]
     if share > 1e-9:
         q = arm.integrate(q, share * arm.difference(q, motion.q[row + 1]))
         # Not the targets themselves: straight lines between them would add errors that the motion has not.

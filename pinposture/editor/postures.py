@@ -35,7 +35,8 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
     """
     if keyframe is not None and keyframe != session.selected:
         return
-    arm, limits = session.arm, session.task.limits
+    arm = session.arm
+    limits = session.task.limits
     scene = session.task.effective_scene
     try:
         place = edits.into_plane(arm, place)
@@ -87,7 +88,8 @@ def arm_line(arm: Arm, q: Array) -> Array:
 
 def draw_curve(session: Session) -> None:
     """Propose a curve through the posture of the selected keyframe, in place of a taught configuration."""
-    index, keyframe = session.selected, session.keyframe
+    index = session.selected
+    keyframe = session.keyframe
     if keyframe.curve is not None:
         session.say(f"keyframe {index + 1} already has a curve", "warning")
         return
@@ -114,4 +116,5 @@ def add_taught(q: Array, session: Session) -> None:
 def hold_tip(session: Session) -> None:
     """Select the tip, instead of a control point or an obstacle."""
     session.take_hold(None)
-    session.obstacle, session.tip = None, True
+    session.obstacle = None
+    session.tip = True

@@ -350,12 +350,14 @@ class Session:
                 base, which cannot be moved, is left out.
         """
         if handle is None:
-            self.handle, self.tip = None, False
+            self.handle = None
+            self.tip = False
         elif 0 <= handle < len(self.shape.points):
             others = tuple(each for each in self.handles if more and each not in (0, handle))
             kept = not more or (handle > 0 and handle not in self.handles)
             self.handles = (*others, handle) if kept else others
-            self.obstacle, self.tip = None, False
+            self.obstacle = None
+            self.tip = False
 
     def take_all(self) -> None:
         """Select all control points but the one at the base, the last one in the end.
@@ -370,7 +372,9 @@ class Session:
     def select(self, keyframe: int) -> None:
         """Select another keyframe, 0-based; an unknown one is ignored."""
         if keyframe != self.selected and 0 <= keyframe < len(keyframes_of(self.task)):
-            self.selected, self.handle, self.proposal = keyframe, None, None
+            self.selected = keyframe
+            self.handle = None
+            self.proposal = None
             self.touch()
 
     def undo(self) -> None:
@@ -391,9 +395,14 @@ class Session:
         """
         keyframes_of(task)
         self.history = History(task)
-        self.path, self.saved = path, task if saved else None
-        self.selected, self.handle, self.obstacle, self.proposal = 0, None, None, None
-        self.tip, self.grid = False, 0.0
+        self.path = path
+        self.saved = task if saved else None
+        self.selected = 0
+        self.handle = None
+        self.obstacle = None
+        self.proposal = None
+        self.tip = False
+        self.grid = 0.0
         self.touch()
 
     def take_up(self, task: Task, selected: int, what: str = "recovered changes") -> None:

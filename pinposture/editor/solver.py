@@ -183,7 +183,8 @@ class VerdictCache:
             return verdict if verdict.target is None else review(arm, keyframe, verdict.target, scene)
         verdict = judge(arm, keyframe, scene, near, not passing)
         if not passing:
-            key, known = id(keyframe), self._known
+            key = id(keyframe)
+            known = self._known
             # Called when the keyframe is freed, perhaps while this thread has the lock: pop needs none.
             entry = weakref.ref(keyframe, lambda _: known.pop(key, None)), arm, verdict
             with self._lock:
@@ -294,13 +295,20 @@ class Solver:
     ) -> None:
         self._notify = notify
         self._verdicts = VerdictCache() if verdicts is None else verdicts
-        self._lock, self._wake, self._closed = Lock(), Event(), Event()
-        self._asked, self._problem, self._tracked = first, first, first
+        self._lock = Lock()
+        self._wake = Event()
+        self._closed = Event()
+        self._asked = first
+        self._problem = first
+        self._tracked = first
         self._tracker, self._verdict = _tracker(first, start), Verdict(None)
         self._lag: float | None = None
         self._last_target: tuple[Arm, Target] | None = None
-        self._steps, self._moved = 0, time.monotonic()  # when it moved, arrived, or was asked last [s]
-        self._dq, self._fault = np.zeros(first.arm.nv), ""
+        # when it moved, arrived, or was asked last [s]
+        self._steps = 0
+        self._moved = time.monotonic()
+        self._dq = np.zeros(first.arm.nv)
+        self._fault = ""
         self._live = self._look(first.arm.at(start))
         self._thread = Thread(target=self._run, name="pinposture-solver", daemon=True)
 
@@ -348,7 +356,9 @@ class Solver:
 
     def _take(self, problem: Problem, new: bool = False) -> None:
         """Turn to another problem; if something is wrong with it the verdict says so, and the arm stays."""
-        self._problem, self._lag, self._moved = problem, None, time.monotonic()
+        self._problem = problem
+        self._lag = None
+        self._moved = time.monotonic()
         before = self._tracked
         try:
             self._verdict = self._judge(problem)
@@ -358,10 +368,12 @@ class Solver:
             elif dragging and (problem.controller, problem.limits) == (before.controller, before.limits):
                 self._tracked = problem  # each step is given the scene of its moment
             elif new or any(getattr(problem, part) != getattr(before, part) for part in TRACKER_FIELDS):
-                target, tracker = self._tracker.target, _tracker(problem, self._tracker.command, self._dq)
+                target = self._tracker.target
+                tracker = _tracker(problem, self._tracker.command, self._dq)
                 if target is not None:
                     tracker.update(target)
-                self._tracker, self._tracked = tracker, problem
+                self._tracker = tracker
+                self._tracked = problem
             if self._verdict.target is not None:
                 self._tracker.update(self._verdict.target)
         except PostureError as error:
@@ -377,12 +389,16 @@ class Solver:
             PostureError: it cannot be moved by this controller, in this scene. It then stays straight.
         """
         self._dq = np.zeros(problem.arm.nv)
-        start, bare = problem.arm.straight(), problem._replace(controller=Geodesic(), scene=None)
-        self._tracker, self._tracked = _tracker(bare, start), bare
-        self._tracker, self._tracked = _tracker(problem, start), problem
+        start = problem.arm.straight()
+        bare = problem._replace(controller=Geodesic(), scene=None)
+        self._tracker = _tracker(bare, start)
+        self._tracked = bare
+        self._tracker = _tracker(problem, start)
+        self._tracked = problem
 
     def _judge(self, problem: Problem) -> Verdict:
-        arm, last = problem.arm, self._last_target
+        arm = problem.arm
+        last = self._last_target
         near = last[1] if last is not None and last[0] is arm and problem.shaping else None
         verdict = self._verdicts.judge(arm, problem.keyframe, problem.scene, near, problem.passing)
         if verdict.target is not None:
@@ -390,17 +406,21 @@ class Solver:
         return verdict
 
     def _step(self) -> None:
-        tracker, problem = self._tracker, self._problem
-        arm, target = tracker.arm, tracker.target
+        tracker = self._tracker
+        problem = self._problem
+        arm = tracker.arm
+        target = tracker.target
         try:
             if problem.at_once and target is not None and target.q is not None:
                 tracker.restart(target.q)
-            self._dq, self._fault = tracker.step(tracker.command, scene=self._dragged_scene()), ""
+            self._dq = tracker.step(tracker.command, scene=self._dragged_scene())
+            self._fault = ""
         except Exception as error:  # a controller may raise anything
             reason = str(error) or type(error).__name__
             if reason != self._fault:
                 logger.warning("the arm is brought to rest: %s", error)
-            self._dq, self._fault = tracker.limits.hold(arm.at(tracker.command), self._dq).dq, reason
+            self._dq = tracker.limits.hold(arm.at(tracker.command), self._dq).dq
+            self._fault = reason
             tracker.restart(arm.integrate(tracker.command, self._dq), self._dq)
         self._steps += 1
         if self._lag is None:
@@ -409,7 +429,8 @@ class Solver:
 
     def _dragged_scene(self) -> Scene | None:
         """The scene as it is now, if an obstacle is being dragged."""
-        problem, scene = self._problem, self._problem.scene
+        problem = self._problem
+        scene = self._problem.scene
         if scene is None or not (problem.dragging_obstacle and problem is self._tracked):
             return None
         age = time.monotonic() - problem.asked
@@ -424,8 +445,10 @@ class Solver:
         self._notify()
 
     def _look(self, state: ArmState) -> Live:
-        tracker, problem = self._tracker, self._problem
-        report, target = tracker.report, tracker.target
+        tracker = self._tracker
+        problem = self._problem
+        report = tracker.report
+        target = tracker.target
         active = np.zeros(tracker.arm.n_modules, dtype=np.bool_)
         if report.step is not None:
             active[list(report.step.active)] = True
@@ -433,7 +456,9 @@ class Solver:
         if status in ("moving", "converged"):
             self._moved = time.monotonic()
         elif not self._fault and reason != NOT_DONE and time.monotonic() - self._moved < STOP_TIME:
-            status, reason = "moving", ""  # it may only be reversing
+            # it may only be reversing
+            status = "moving"
+            reason = ""
         return Live(
             number=problem.number,
             arm=tracker.arm,

@@ -39,7 +39,8 @@ class ScanShelf:
     """
 
     def __init__(self, post: Post) -> None:
-        self._post, self._lock = post, Lock()
+        self._post = post
+        self._lock = Lock()
         self._jobs: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self._thread: Thread | None = None
         self._known: dict[Path, Scan | None] = {}  # None: being read, or unreadable
@@ -188,7 +189,8 @@ class ScanShelf:
             self._refuse(error)
             return None
         with self._lock:
-            self._known[path], self._thinned[path] = scan, thinned
+            self._known[path] = scan
+            self._thinned[path] = thinned
         width = float((scan.points.max(axis=0) - scan.points.min(axis=0)).max())
         if new and width > MAX_PLAUSIBLE_WIDTH:
             text = f"{path.name} is {width:.3g} m wide: is it in millimetres? Scans must be in metres"
@@ -271,7 +273,8 @@ def _free_path(folder: Path, name: str, content: bytes) -> Path:
     def is_same(path: Path) -> bool:
         return not path.is_symlink() and path.is_file() and path.read_bytes() == content
 
-    path, number = folder / name, 1
+    path = folder / name
+    number = 1
     while os.path.lexists(path) and not is_same(path):
         number += 1
         path = folder / f"{Path(name).stem}_{number}{Path(name).suffix}"

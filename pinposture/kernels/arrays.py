@@ -418,10 +418,17 @@ class Pairs(NamedTuple):
 BLOCK = 8
 """Number of bodies in a block of `Pairs`."""
 
-SEGMENT, BOX, PLANE, CYLINDER, PIECE, INSIDE = 0, 1, 2, 3, 4, 5
+SEGMENT = 0
+BOX = 1
+PLANE = 2
+CYLINDER = 3
+PIECE = 4
+INSIDE = 5
 """Kinds of second solids in `Pairs`; the last two are a piece of a tree and the inside of a surface."""
 
-FULL, RELATIVE, LOCAL = 0, 1, 2
+FULL = 0
+RELATIVE = 1
+LOCAL = 2
 """Couplings: dependence of rows on the joints before their section; see `kernels.kinematics`."""
 
 

@@ -49,18 +49,24 @@ def build_tree(corners: Array3, order: Ints1, boxes: Array3) -> None:
         for corner in range(corners.shape[1]):
             for i in range(3):
                 middles[k, i] += corners[k, corner, i] / corners.shape[1]
-    level, first = 0, 1
+    level = 0
+    first = 1
     for node in range(1, len(boxes)):
         if node == 2 * first:
-            level, first = level + 1, node
-        begin, end = (node - first) * n >> level, (node - first + 1) * n >> level
-        low, high = boxes[node, 0], boxes[node, 1]
-        low[:], high[:] = np.inf, -np.inf
+            level = level + 1
+            first = node
+        begin = (node - first) * n >> level
+        end = (node - first + 1) * n >> level
+        low = boxes[node, 0]
+        high = boxes[node, 1]
+        low[:] = np.inf
+        high[:] = -np.inf
         for at in range(begin, end):
             for corner in range(corners.shape[1]):
                 for i in range(3):
                     value = corners[order[at], corner, i]
-                    low[i], high[i] = min(low[i], value), max(high[i], value)
+                    low[i] = min(low[i], value)
+                    high[i] = max(high[i], value)
         if 2 * node < len(boxes):
             axis = int(np.argmax(high - low))
             _split(order, middles, axis, begin, (2 * (node - first) + 1) * n >> (level + 1), end)
@@ -72,7 +78,8 @@ def _split(order: Ints1, middles: Array2, axis: int, begin: int, middle: int, en
     end -= 1
     while begin < end:
         pivot = middles[order[(begin + end) // 2], axis]
-        left, right = begin, end
+        left = begin
+        right = end
         while left <= right:
             while middles[order[left], axis] < pivot:
                 left += 1
@@ -80,7 +87,8 @@ def _split(order: Ints1, middles: Array2, axis: int, begin: int, middle: int, en
                 right -= 1
             if left <= right:
                 order[left], order[right] = order[right], order[left]
-                left, right = left + 1, right - 1
+                left = left + 1
+                right = right - 1
         if middle <= right:
             end = right
         elif middle >= left:
@@ -99,12 +107,20 @@ def nearest_in_tree(a: Three, b: Three, trees: Trees, obstacle: int, below: floa
     boxes, root, levels, items, count = _piece(trees, obstacle)
     is_cloud = trees.pieces[obstacle, 5] == 1
     (ax, ay, az), (bx, by, bz) = a, b
-    ux, uy, uz = bx - ax, by - ay, bz - az
+    ux = bx - ax
+    uy = by - ay
+    uz = bz - az
     squares = ux * ux + uy * uy + uz * uz
     line = (ax, ay, az, ux, uy, uz, squares)
-    best, place, nx, ny, nz = below, 0.0, 0.0, 0.0, 0.0
+    best = below
+    place = 0.0
+    nx = 0.0
+    ny = 0.0
+    nz = 0.0
     found = False
-    node, depth, top = root, 0, 0
+    node = root
+    depth = 0
+    top = 0
     while root >> (top + 1) > 0:
         top += 1
     pending = 0
@@ -119,7 +135,8 @@ def nearest_in_tree(a: Three, b: Three, trees: Trees, obstacle: int, below: floa
                 continue
         else:
             level = top + depth
-            begin, end = (node - (1 << level)) * count >> level, (node - (1 << level) + 1) * count >> level
+            begin = (node - (1 << level)) * count >> level
+            end = (node - (1 << level) + 1) * count >> level
             for at in range(items + begin, items + end):
                 if is_cloud:
                     near = _point_contact(line, trees.points, at, best)
@@ -131,8 +148,11 @@ def nearest_in_tree(a: Three, b: Three, trees: Trees, obstacle: int, below: floa
         advanced = False
         while pending > 0 and not advanced:
             while pending & 1 == 0:
-                node, pending, depth = node >> 1, pending >> 1, depth - 1
-            node, pending = node ^ 1, pending ^ 1
+                node = node >> 1
+                pending = pending >> 1
+                depth = depth - 1
+            node = node ^ 1
+            pending = pending ^ 1
             advanced = _box_bound(line, trees.boxes, boxes + node, best) < best
         if not advanced:
             break
@@ -155,8 +175,12 @@ def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
     """Return a lower bound of the distance of a line from the contents of a box, at most `below`."""
     ax, ay, az, ux, uy, uz, squares = line
     # Numbers are read one by one: slicing an array would take as long as everything else.
-    low_x, low_y, low_z = boxes[box, 0, 0], boxes[box, 0, 1], boxes[box, 0, 2]
-    high_x, high_y, high_z = boxes[box, 1, 0], boxes[box, 1, 1], boxes[box, 1, 2]
+    low_x = boxes[box, 0, 0]
+    low_y = boxes[box, 0, 1]
+    low_z = boxes[box, 0, 2]
+    high_x = boxes[box, 1, 0]
+    high_y = boxes[box, 1, 1]
+    high_z = boxes[box, 1, 2]
     gx = max(low_x - max(ax, ax + ux), min(ax, ax + ux) - high_x, 0.0)
     gy = max(low_y - max(ay, ay + uy), min(ay, ay + uy) - high_y, 0.0)
     gz = max(low_z - max(az, az + uz), min(az, az + uz) - high_z, 0.0)
@@ -164,13 +188,19 @@ def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
     if below > 0.0 and gap >= below * below:
         return below
     bound = np.sqrt(gap)
-    hx, hy, hz = 0.5 * (high_x - low_x), 0.5 * (high_y - low_y), 0.5 * (high_z - low_z)
+    hx = 0.5 * (high_x - low_x)
+    hy = 0.5 * (high_y - low_y)
+    hz = 0.5 * (high_z - low_z)
     half = hx * hx + hy * hy + hz * hz
     if squares > LONG * half:
         # The line may be slanted: distance of the box centre from it, less half the diagonal.
-        x, y, z = low_x + hx - ax, low_y + hy - ay, low_z + hz - az
+        x = low_x + hx - ax
+        y = low_y + hy - ay
+        z = low_z + hz - az
         t = min(max((x * ux + y * uy + z * uz) / squares, 0.0), 1.0)
-        x, y, z = x - t * ux, y - t * uy, z - t * uz
+        x = x - t * ux
+        y = y - t * uy
+        z = z - t * uz
         bound = max(bound, np.sqrt(x * x + y * y + z * z) - np.sqrt(half))
     return bound if bound > 0.0 else -np.sqrt(squares)
 
@@ -178,10 +208,14 @@ def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
 @inlined
 def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest:
     ax, ay, az, ux, uy, uz, squares = line
-    x, y, z = ax - points[at, 0], ay - points[at, 1], az - points[at, 2]
+    x = ax - points[at, 0]
+    y = ay - points[at, 1]
+    z = az - points[at, 2]
     t = min(max(-(x * ux + y * uy + z * uz) / max(squares, TINY), 0.0), 1.0)
     meeting = MEETING_SQUARED * (x * x + y * y + z * z + squares)
-    x, y, z = x + t * ux, y + t * uy, z + t * uz
+    x = x + t * ux
+    y = y + t * uy
+    z = z + t * uz
     apart = x * x + y * y + z * z
     if below <= 0.0 or apart >= below * below:
         return np.inf, 0.0, 0.0, 0.0, 0.0
@@ -194,24 +228,46 @@ def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest
 @subkernel
 def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> Nearest:
     ax, ay, az, ux, uy, uz, squares = line
-    px, py, pz = triangles[at, 0, 0], triangles[at, 0, 1], triangles[at, 0, 2]
-    ex, ey, ez = triangles[at, 1, 0] - px, triangles[at, 1, 1] - py, triangles[at, 1, 2] - pz
-    fx, fy, fz = triangles[at, 2, 0] - px, triangles[at, 2, 1] - py, triangles[at, 2, 2] - pz
-    x, y, z = ax - px, ay - py, az - pz
-    nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
-    ee, ff, ef = ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, ex * fx + ey * fy + ez * fz
+    px = triangles[at, 0, 0]
+    py = triangles[at, 0, 1]
+    pz = triangles[at, 0, 2]
+    ex = triangles[at, 1, 0] - px
+    ey = triangles[at, 1, 1] - py
+    ez = triangles[at, 1, 2] - pz
+    fx = triangles[at, 2, 0] - px
+    fy = triangles[at, 2, 1] - py
+    fz = triangles[at, 2, 2] - pz
+    x = ax - px
+    y = ay - py
+    z = az - pz
+    nx = ey * fz - ez * fy
+    ny = ez * fx - ex * fz
+    nz = ex * fy - ey * fx
+    ee = ex * ex + ey * ey + ez * ez
+    ff = fx * fx + fy * fy + fz * fz
+    ef = ex * fx + ey * fy + ez * fz
     area = nx * nx + ny * ny + nz * nz
     meeting = MEETING_SQUARED * (x * x + y * y + z * z + squares)
-    best, place, sx, sy, sz = below, 0.0, 0.0, 0.0, 0.0
-    found, flat = False, area <= PARALLEL_SQUARED * ee * ff
+    best = below
+    place = 0.0
+    sx = 0.0
+    sy = 0.0
+    sz = 0.0
+    found = False
+    flat = area <= PARALLEL_SQUARED * ee * ff
     if not flat:
-        start, rise = nx * x + ny * y + nz * z, nx * ux + ny * uy + nz * uz
+        start = nx * x + ny * y + nz * z
+        rise = nx * ux + ny * uy + nz * uz
         end = start + rise
         if start * end > 0.0 and below > 0.0 and min(start * start, end * end) >= below * below * area:
             return np.inf, 0.0, 0.0, 0.0, 0.0
         size = np.sqrt(area)
-        nx, ny, nz = nx / size, ny / size, nz / size
-        start, rise, end = start / size, rise / size, end / size
+        nx = nx / size
+        ny = ny / size
+        nz = nz / size
+        start = start / size
+        rise = rise / size
+        end = end / size
         first = 0.0 if abs(start) <= abs(end) else 1.0
         # A point of the line over the triangle: where it crosses the plane, its nearer end, or the other.
         for number in range(3):
@@ -220,14 +276,19 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
                 if rise == 0.0 or min(start, end) > 0.0 or max(start, end) < 0.0:
                     continue
                 t = min(max(-start / rise, 0.0), 1.0)
-            px, py, pz = x + t * ux, y + t * uy, z + t * uz
-            pe, pf = px * ex + py * ey + pz * ez, px * fx + py * fy + pz * fz
-            v, w = ff * pe - ef * pf, ee * pf - ef * pe
+            px = x + t * ux
+            py = y + t * uy
+            pz = z + t * uz
+            pe = px * ex + py * ey + pz * ez
+            pf = px * fx + py * fy + pz * fz
+            v = ff * pe - ef * pf
+            w = ee * pf - ef * pe
             if min(v, w) < -ON_EDGE * area or v + w > (1.0 + ON_EDGE) * area:
                 continue
             if number == 0:
                 # Move up, until its lower end is in the plane, or down.
-                up, down = -min(start, end), max(start, end)
+                up = -min(start, end)
+                down = max(start, end)
                 sign = 1.0 if up <= down else -1.0
                 deepest = start < end if sign > 0.0 else start > end
                 return -min(up, down), 0.0 if deepest else 1.0, sign * nx, sign * ny, sign * nz
@@ -236,7 +297,11 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
             if number == 1 and start * end > 0.0:  # no point of the line is nearer to the plane
                 return abs(height), t, sign * nx, sign * ny, sign * nz
             if abs(height) < best:
-                best, place, sx, sy, sz = abs(height), t, sign * nx, sign * ny, sign * nz
+                best = abs(height)
+                place = t
+                sx = sign * nx
+                sy = sign * ny
+                sz = sign * nz
                 found = True
     for edge in range(3):
         if edge == 0:
@@ -247,13 +312,21 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
             t, gx, gy, gz = way_to_segment(x - ex, y - ey, z - ez, ux, uy, uz, fx - ex, fy - ey, fz - ez)
         apart = gx * gx + gy * gy + gz * gz
         if best > 0.0 and apart < best * best:
-            best, place, found = np.sqrt(apart), t, True
+            best = np.sqrt(apart)
+            place = t
+            found = True
             if apart > meeting:
-                sx, sy, sz = gx / best, gy / best, gz / best
+                sx = gx / best
+                sy = gy / best
+                sz = gz / best
             elif flat:
-                sx, sy, sz = 0.0, 0.0, 0.0
+                sx = 0.0
+                sy = 0.0
+                sz = 0.0
             else:
-                sx, sy, sz = nx, ny, nz
+                sx = nx
+                sy = ny
+                sz = nz
     return best if found else np.inf, place, sx, sy, sz
 
 
@@ -265,8 +338,11 @@ def way_to_segment(
 
     r is the vector from the start of the other line to that of the first; u and v lead to their ends.
     """
-    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
-    ur, vr = ux * rx + uy * ry + uz * rz, vx * rx + vy * ry + vz * rz
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    uv = ux * vx + uy * vy + uz * vz
+    ur = ux * rx + uy * ry + uz * rz
+    vr = vx * rx + vy * ry + vz * rz
     across = uu * vv - uv * uv
     # Nearest place on the first line, then on the other within its ends, then again on the first.
     # This is exact: the admissible pairs of places form a rectangle, on which the distance is convex.
@@ -282,36 +358,53 @@ def way_to_segment(
 def is_inside(x: float, y: float, z: float, trees: Trees, obstacle: int) -> bool:
     """Return whether a point is inside a closed surface, with an odd number of triangles above it along z."""
     boxes, _, levels, items, count = _piece(trees, obstacle)
-    inside, node, level, pending = False, 1, 0, 1
+    inside = False
+    node = 1
+    level = 0
+    pending = 1
     while pending > 0:
-        low, high = trees.boxes[boxes + node, 0], trees.boxes[boxes + node, 1]
+        low = trees.boxes[boxes + node, 0]
+        high = trees.boxes[boxes + node, 1]
         if low[0] <= x <= high[0] and low[1] <= y <= high[1] and z <= high[2]:
             if level < levels - 1:
-                node, level, pending = 2 * node, level + 1, 2 * pending + 1
+                node = 2 * node
+                level = level + 1
+                pending = 2 * pending + 1
                 continue
-            begin, end = (node - (1 << level)) * count >> level, (node - (1 << level) + 1) * count >> level
+            begin = (node - (1 << level)) * count >> level
+            end = (node - (1 << level) + 1) * count >> level
             for at in range(items + begin, items + end):
                 inside ^= _is_below(x, y, z, trees.triangles[at])
         # Bits of `pending` mark other children still to be visited, below a top bit for the root.
         while pending & 1 == 0:
-            node, level, pending = node >> 1, level - 1, pending >> 1
-        node, pending = node ^ 1, pending ^ 1
+            node = node >> 1
+            level = level - 1
+            pending = pending >> 1
+        node = node ^ 1
+        pending = pending ^ 1
     return inside
 
 
 @subkernel
 def _is_below(x: float, y: float, z: float, corners: Array2) -> bool:
     """Return whether a triangle is above a point; of triangles that share an edge, only one is."""
-    a, b, c = corners[0], corners[1], corners[2]
+    a = corners[0]
+    b = corners[1]
+    c = corners[2]
     left = _is_left(a, b, x, y)
     if _is_left(b, c, x, y) != left or _is_left(c, a, x, y) != left:
         return False
-    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    fx, fy, fz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    ex = b[0] - a[0]
+    ey = b[1] - a[1]
+    ez = b[2] - a[2]
+    fx = c[0] - a[0]
+    fy = c[1] - a[1]
+    fz = c[2] - a[2]
     area = ex * fy - ey * fx
     if area == 0.0:
         return False
-    u, v = ((x - a[0]) * fy - (y - a[1]) * fx) / area, (ex * (y - a[1]) - ey * (x - a[0])) / area
+    u = ((x - a[0]) * fy - (y - a[1]) * fx) / area
+    v = (ex * (y - a[1]) - ey * (x - a[0])) / area
     return a[2] + u * ez + v * fz > z
 
 

@@ -37,7 +37,8 @@ MAX_SOLUTIONS = 24  # maximum number of solutions kept per module
 MAX_SAMPLES_OF_THREE = 16  # number of samples for a module of three joints
 MIN_DIFFERENCE = 1e-3  # smallest difference of two solutions [rad, or units of length]
 
-MAX_CORRECTIONS, NO_DISTANCE = 15, 1e-12
+MAX_CORRECTIONS = 15
+NO_DISTANCE = 1e-12
 """Maximum number of correction steps, and their tolerance relative to the arm length."""
 
 MAX_CORRECTED = 3
@@ -54,18 +55,24 @@ Bases = tuple[Array3, Array2]
 @subkernel
 def apply_joint(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, place: Array1) -> None:
     """Multiply a frame, turn (3, 3) and place (3,), by the exponential of a joint's screw."""
-    x, y, z = axis[0], axis[1], axis[2]
+    x = axis[0]
+    y = axis[1]
+    z = axis[2]
     if slide:
         for i in range(3):
             place[i] += q * (turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z)
         return
     e = rotation_about(x, y, z, np.cos(q), np.sin(q))
-    o0, o1, o2 = origin[0], origin[1], origin[2]
+    o0 = origin[0]
+    o1 = origin[1]
+    o2 = origin[2]
     d0 = o0 - e[0] * o0 - e[1] * o1 - e[2] * o2
     d1 = o1 - e[3] * o0 - e[4] * o1 - e[5] * o2
     d2 = o2 - e[6] * o0 - e[7] * o1 - e[8] * o2
     for i in range(3):
-        t0, t1, t2 = turn[i, 0], turn[i, 1], turn[i, 2]
+        t0 = turn[i, 0]
+        t1 = turn[i, 1]
+        t2 = turn[i, 2]
         place[i] += t0 * d0 + t1 * d1 + t2 * d2
         turn[i, 0], turn[i, 1], turn[i, 2] = turn_row(t0, t1, t2, e)
 
@@ -96,7 +103,8 @@ def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
 
     If none is within the limits, return the nearest limit.
     """
-    low, high = chain.lower[u], chain.upper[u]
+    low = chain.lower[u]
+    high = chain.upper[u]
     if chain.sliding[u]:
         return min(max(q, low), high)
     q += FULL_TURN * np.round((chain.near[u] - q) / FULL_TURN)
@@ -114,11 +122,16 @@ def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
 @subkernel
 def solve_last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> float:
     """Return the position of joint u that moves the point x nearest to a goal."""
-    a, o = chain.axes[u], chain.origins[u]
+    a = chain.axes[u]
+    o = chain.origins[u]
     if chain.slides[u]:
         return a[0] * (goal[0] - x[0]) + a[1] * (goal[1] - x[1]) + a[2] * (goal[2] - x[2])
-    x0, x1, x2 = x[0] - o[0], x[1] - o[1], x[2] - o[2]
-    g0, g1, g2 = goal[0] - o[0], goal[1] - o[1], goal[2] - o[2]
+    x0 = x[0] - o[0]
+    x1 = x[1] - o[1]
+    x2 = x[2] - o[2]
+    g0 = goal[0] - o[0]
+    g1 = goal[1] - o[1]
+    g2 = goal[2] - o[2]
     along = (a[0] * x0 + a[1] * x1 + a[2] * x2) * (a[0] * g0 + a[1] * g1 + a[2] * g2)
     sine = a[0] * (x1 * g2 - x2 * g1) + a[1] * (x2 * g0 - x0 * g2) + a[2] * (x0 * g1 - x1 * g0)
     return np.arctan2(sine, x0 * g0 + x1 * g1 + x2 * g2 - along)
@@ -134,16 +147,28 @@ def solve_last_two(
     returned if it is unique. The second hinge is set to `near` if it does not move the point. Returns the
     number of solutions.
     """
-    a, oa, b, ob = chain.axes[u], chain.origins[u], chain.axes[u + 1], chain.origins[u + 1]
-    c0, c1, c2 = c[0] - ob[0], c[1] - ob[1], c[2] - ob[2]
+    a = chain.axes[u]
+    oa = chain.origins[u]
+    b = chain.axes[u + 1]
+    ob = chain.origins[u + 1]
+    c0 = c[0] - ob[0]
+    c1 = c[1] - ob[1]
+    c2 = c[2] - ob[2]
     along = b[0] * c0 + b[1] * c1 + b[2] * c2
-    w0, w1, w2 = c0 - along * b[0], c1 - along * b[1], c2 - along * b[2]
-    s0, s1, s2 = b[1] * w2 - b[2] * w1, b[2] * w0 - b[0] * w2, b[0] * w1 - b[1] * w0
+    w0 = c0 - along * b[0]
+    w1 = c1 - along * b[1]
+    w2 = c2 - along * b[2]
+    s0 = b[1] * w2 - b[2] * w1
+    s1 = b[2] * w0 - b[0] * w2
+    s2 = b[0] * w1 - b[1] * w0
     g0 = ob[0] + along * b[0] - oa[0]
     g1 = ob[1] + along * b[1] - oa[1]
     g2 = ob[2] + along * b[2] - oa[2]
-    t0, t1, t2 = goal[0] - oa[0], goal[1] - oa[1], goal[2] - oa[2]
-    radius, gg = w0 * w0 + w1 * w1 + w2 * w2, g0 * g0 + g1 * g1 + g2 * g2
+    t0 = goal[0] - oa[0]
+    t1 = goal[1] - oa[1]
+    t2 = goal[2] - oa[2]
+    radius = w0 * w0 + w1 * w1 + w2 * w2
+    gg = g0 * g0 + g1 * g1 + g2 * g2
     # Cosine, sine, constant and scale: of the height along a, and of the squared distance from its origin.
     equations = (
         (
@@ -159,7 +184,8 @@ def solve_last_two(
             np.sqrt(radius * (radius + gg)),
         ),
     )
-    x, count = np.empty(3), 0
+    x = np.empty(3)
+    count = 0
     (p0, p1, p2, p3), (r0, r1, r2, r3) = equations
     determinant = p0 * r1 - p1 * r0
     if alone and abs(determinant) > 1e-6 * p3 * r3:
@@ -172,14 +198,17 @@ def solve_last_two(
         for cosine, sine, constant, scale in equations:
             size = np.hypot(cosine, sine)
             if size > 1e-9 * scale:
-                middle, half = np.arctan2(sine, cosine), np.arccos(min(max(constant / size, -1.0), 1.0))
-                out[count, 1], out[count + 1, 1] = middle - half, middle + half
+                middle = np.arctan2(sine, cosine)
+                half = np.arccos(min(max(constant / size, -1.0), 1.0))
+                out[count, 1] = middle - half
+                out[count + 1, 1] = middle + half
                 count += 2
         if count == 0:  # the last hinge does not move the point
             out[0, 1] = near
             count = 1
     for i in range(count):
-        cosine, sine = np.cos(out[i, 1]), np.sin(out[i, 1])
+        cosine = np.cos(out[i, 1])
+        sine = np.sin(out[i, 1])
         x[0] = oa[0] + g0 + cosine * w0 + sine * s0
         x[1] = oa[1] + g1 + cosine * w1 + sine * s1
         x[2] = oa[2] + g2 + cosine * w2 + sine * s2
@@ -197,7 +226,8 @@ def measure_errors(
     """
     (turns, places), total = bases, 0.0
     for k in range(first, last + 1):
-        turn, place = turns[k + 1], places[k + 1]
+        turn = turns[k + 1]
+        place = places[k + 1]
         copy_frame(turns[k], places[k], turn, place)
         for u in range(chain.joints[k], chain.joints[k + 1]):
             amount = chain.ratios[u] * q[chain.inputs[u]]
@@ -215,8 +245,11 @@ def fill_jacobian(chain: ScrewChain, first: int, last: int, bases: Bases, q: Arr
     """Fill rows (3 W, n) with the Jacobian of the ends of modules first to last by their joints."""
     turns, places = bases
     rows[:] = 0.0
-    begin, modules = chain.begins[first], last - first + 1
-    turn, place, ends = np.empty((3, 3)), np.empty(3), np.empty((modules, 3))
+    begin = chain.begins[first]
+    modules = last - first + 1
+    turn = np.empty((3, 3))
+    place = np.empty(3)
+    ends = np.empty((modules, 3))
     for k in range(modules):
         c = chain.points[first + k]
         for i in range(3):
@@ -225,7 +258,10 @@ def fill_jacobian(chain: ScrewChain, first: int, last: int, bases: Bases, q: Arr
     copy_frame(turns[first], places[first], turn, place)
     for own in range(modules):
         for u in range(chain.joints[first + own], chain.joints[first + own + 1]):
-            a, o, j, ratio = chain.axes[u], chain.origins[u], chain.inputs[u] - begin, chain.ratios[u]
+            a = chain.axes[u]
+            o = chain.origins[u]
+            j = chain.inputs[u] - begin
+            ratio = chain.ratios[u]
             a0 = turn[0, 0] * a[0] + turn[0, 1] * a[1] + turn[0, 2] * a[2]
             a1 = turn[1, 0] * a[0] + turn[1, 1] * a[1] + turn[1, 2] * a[2]
             a2 = turn[2, 0] * a[0] + turn[2, 1] * a[1] + turn[2, 2] * a[2]
@@ -234,10 +270,16 @@ def fill_jacobian(chain: ScrewChain, first: int, last: int, bases: Bases, q: Arr
             o2 = turn[2, 0] * o[0] + turn[2, 1] * o[1] + turn[2, 2] * o[2] + place[2]
             for k in range(own, modules):
                 if chain.slides[u]:
-                    m0, m1, m2 = a0, a1, a2
+                    m0 = a0
+                    m1 = a1
+                    m2 = a2
                 else:
-                    x, y, z = ends[k, 0] - o0, ends[k, 1] - o1, ends[k, 2] - o2
-                    m0, m1, m2 = a1 * z - a2 * y, a2 * x - a0 * z, a0 * y - a1 * x
+                    x = ends[k, 0] - o0
+                    y = ends[k, 1] - o1
+                    z = ends[k, 2] - o2
+                    m0 = a1 * z - a2 * y
+                    m1 = a2 * x - a0 * z
+                    m2 = a0 * y - a1 * x
                 rows[3 * k, j] += ratio * m0
                 rows[3 * k + 1, j] += ratio * m1
                 rows[3 * k + 2, j] += ratio * m2
@@ -252,11 +294,16 @@ def correct(
 
     Changes q of these modules, fills in the bases after the first, and returns the largest distance left.
     """
-    begin, r = chain.begins[first], 3 * (last - first + 1)
+    begin = chain.begins[first]
+    r = 3 * (last - first + 1)
     n = chain.begins[last + 1] - begin
-    e, trial_e = np.empty((r // 3, 3)), np.empty((r // 3, 3))
-    rows, matrix, x = np.empty((r, n)), np.empty((r, r)), np.empty(r)
-    tried, held = q.copy(), np.zeros(n, dtype=np.bool_)
+    e = np.empty((r // 3, 3))
+    trial_e = np.empty((r // 3, 3))
+    rows = np.empty((r, n))
+    matrix = np.empty((r, r))
+    x = np.empty(r)
+    tried = q.copy()
+    held = np.zeros(n, dtype=np.bool_)
     cost = measure_errors(chain, first, last, bases, points, q, e)
     damping = 1e-3
     for _ in range(MAX_CORRECTIONS):
@@ -265,7 +312,8 @@ def correct(
         fill_jacobian(chain, first, last, bases, q, rows)
         trace = 0.0
         for j in range(n):
-            u, slope = begin + j, 0.0
+            u = begin + j
+            slope = 0.0
             for i in range(r):
                 slope += rows[i, j] * e[i // 3, i % 3]
             held[j] = (slope > 0.0 and q[u] >= chain.upper[u]) or (slope < 0.0 and q[u] <= chain.lower[u])
@@ -275,7 +323,8 @@ def correct(
                 trace += rows[i, j] ** 2
         if trace <= 0.0:
             break
-        better, found = False, cost
+        better = False
+        found = cost
         for _ in range(6):
             least = max(damping * trace / r * min(1.0, cost / (0.01 * size * size)), 1e-14 * trace)
             for i in range(r):
@@ -287,7 +336,8 @@ def correct(
                     matrix[i, k] = inner
             solve_cholesky(matrix, x)
             for j in range(n):
-                u, step = begin + j, 0.0
+                u = begin + j
+                step = 0.0
                 for i in range(r):
                     step += rows[i, j] * x[i]
                 if not chain.sliding[u]:
@@ -302,7 +352,9 @@ def correct(
         if not better:
             break
         for i in range(r // 3):
-            e[i, 0], e[i, 1], e[i, 2] = trial_e[i, 0], trial_e[i, 1], trial_e[i, 2]
+            e[i, 0] = trial_e[i, 0]
+            e[i, 1] = trial_e[i, 1]
+            e[i, 2] = trial_e[i, 2]
         for u in range(begin, begin + n):
             q[u] = tried[u]
         fallen = cost - found
@@ -361,14 +413,22 @@ def solve_module(
     Fills `residuals` (MAX_SOLUTIONS,) and `found` (MAX_SOLUTIONS, n) with distances and solutions; uses q of
     this module as scratch. Returns the number of solutions. Other arguments are as in `search_branches`.
     """
-    first, stop, joint, end = chain.begins[k], chain.begins[k + 1], chain.joints[k], chain.joints[k + 1]
+    first = chain.begins[k]
+    stop = chain.begins[k + 1]
+    joint = chain.joints[k]
+    end = chain.joints[k + 1]
     n = stop - first
-    c, local, pair = chain.points[k], np.empty(3), np.empty((4, 2))
+    c = chain.points[k]
+    local = np.empty(3)
+    pair = np.empty((4, 2))
     closed = 0  # number of joints solved in closed form, which coupled joints do not have
     if n > 0 and end - joint == n:
         hinges = n > 1 and not chain.slides[end - 2] and not chain.slides[end - 1]
         closed = 2 if hinges else 1
-    turn, place, start, e = np.empty((3, 3)), np.empty(3), np.empty(n), np.empty((1, 3))
+    turn = np.empty((3, 3))
+    place = np.empty(3)
+    start = np.empty(n)
+    e = np.empty((1, 3))
     (turns, places), count = bases, 0
     if n > closed:  # solution nearest to the preferred positions
         for u in range(first, stop):
@@ -383,13 +443,12 @@ def solve_module(
             start[u - first] = chain.near[u]
             if number:
                 half = size if chain.sliding[u] else np.pi
-                low, high = (
-                    max(chain.lower[u], chain.near[u] - half),
-                    min(chain.upper[u], chain.near[u] + half),
-                )
+                low = max(chain.lower[u], chain.near[u] - half)
+                high = min(chain.upper[u], chain.near[u] + half)
                 start[u - first] = low + samples[number, u] * (high - low)
             if closed:
-                at, amount = joint + u - first, start[u - first]
+                at = joint + u - first
+                amount = start[u - first]
                 apply_joint(chain.slides[at], chain.axes[at], chain.origins[at], amount, turn, place)
         for i in range(3):
             local[i] = 0.0
@@ -474,24 +533,35 @@ def search_branches(
         widest = max(widest, chain.begins[k + 1] - chain.begins[first_corrected(chain, k, window)])
     bases = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
     bases[0][0] = np.eye(3)
-    choices, order = np.empty((m, MAX_SOLUTIONS, widest)), np.zeros((m, MAX_SOLUTIONS), np.int64)
-    number, next_choice, base = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
-    residuals, found = np.empty(MAX_SOLUTIONS), np.empty((MAX_SOLUTIONS, widest))
+    choices = np.empty((m, MAX_SOLUTIONS, widest))
+    order = np.zeros((m, MAX_SOLUTIONS), np.int64)
+    number = np.zeros(m, np.int64)
+    next_choice = np.zeros(m, np.int64)
+    base = np.zeros(m, np.int64)
+    residuals = np.empty(MAX_SOLUTIONS)
+    found = np.empty((MAX_SOLUTIONS, widest))
     ranked = np.zeros(MAX_SOLUTIONS, np.int64)
-    scores, e, before = np.empty(MAX_SOLUTIONS), np.empty((m, 3)), q.copy()
-    deepest, best = -1, q.copy()
-    k, descending = base[0], True  # a literal 0 would be compiled as another type
+    scores = np.empty(MAX_SOLUTIONS)
+    e = np.empty((m, 3))
+    before = q.copy()
+    deepest = -1
+    best = q.copy()
+    # a literal 0 would be compiled as another type
+    k = base[0]
+    descending = True
     while True:
         if descending:
             visits -= 1
-            first, stop = chain.begins[k], chain.begins[k + 1]
+            first = chain.begins[k]
+            stop = chain.begins[k + 1]
             ends = solve_module(chain, k, bases, points, size, accepted, samples, q, residuals, found)
             sort_indices(residuals, ends, ranked)
             if k > deepest:
                 deepest = k
                 for u in range(stop):
                     best[u] = q[u] if u < first else found[ranked[0], u - first]
-            count, base[k] = 0, k
+            count = 0
+            base[k] = k
             for i in range(ends):
                 if residuals[ranked[i]] <= accepted:
                     for u in range(first, stop):
@@ -518,7 +588,8 @@ def search_branches(
                 for u in range(low, stop):
                     scores[i] += (choices[k, i, u - low] - chain.near[u]) ** 2
             sort_indices(scores, count, order[k])
-            number[k], next_choice[k] = count, 0
+            number[k] = count
+            next_choice[k] = 0
             if visits <= 0:
                 break
         if next_choice[k] == number[k]:  # no solution left: backtrack to the previous module
@@ -533,7 +604,8 @@ def search_branches(
             if k:
                 measure_errors(chain, 0, k - 1, bases, points, q, e)
             continue
-        low, stop = chain.begins[base[k]], chain.begins[k + 1]
+        low = chain.begins[base[k]]
+        stop = chain.begins[k + 1]
         for u in range(low, stop):
             q[u] = choices[k, order[k, next_choice[k]], u - low]
         next_choice[k] += 1
@@ -573,13 +645,28 @@ def minimise_posture_errors(
         The sum of squares and the mean error at the end.
     """
     chain, joints, units, edges, indices, ends, targets, weights, chords, normal = problem
-    n, p, m, columns = len(joints), len(indices), len(chain.ends), chain.inputs
-    axes, origins = np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3))
-    every, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
-    points, errors, screws = np.empty((p, 3)), np.empty((p, 3)), np.empty((n, 6))
-    tried, x, centre, damping = positions.copy(), np.empty(n), np.zeros(n), np.empty(n)
-    lower, upper, sides = np.empty(n), np.empty(n), np.zeros(n, dtype=np.int8)
-    factor, idle, squares, mean = 1.0, 0, np.inf, np.inf
+    n = len(joints)
+    p = len(indices)
+    m = len(chain.ends)
+    columns = chain.inputs
+    axes = np.empty((len(chain.slides), 3))
+    origins = np.empty((len(chain.slides), 3))
+    every = np.empty((m, 3))
+    rotations = np.empty((m, 3, 3))
+    points = np.empty((p, 3))
+    errors = np.empty((p, 3))
+    screws = np.empty((n, 6))
+    tried = positions.copy()
+    x = np.empty(n)
+    centre = np.zeros(n)
+    damping = np.empty(n)
+    lower = np.empty(n)
+    upper = np.empty(n)
+    sides = np.zeros(n, dtype=np.int8)
+    factor = 1.0
+    idle = 0
+    squares = np.inf
+    mean = np.inf
     for step in range(settings.steps + 1):
         placements(chain, tried, axes, origins, every, rotations)
         for k in range(p):
@@ -588,7 +675,9 @@ def minimise_posture_errors(
         if found < squares:
             idle = idle + 1 if found > (1.0 - settings.converged) * squares else 0
             factor = max(factor * settings.decrease, settings.least_factor) if step else factor
-            squares, mean, largest = found, 0.0, 0.0
+            squares = found
+            mean = 0.0
+            largest = 0.0
             positions[:] = tried
             for k in range(p):
                 size = np.sqrt(errors[k, 0] ** 2 + errors[k, 1] ** 2 + errors[k, 2] ** 2)

@@ -75,7 +75,12 @@ def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Arr
         for u in range(ends[k] - 1, first - 1, -1):
             if len(bodies):
                 _add_body(P, bodies[u])
-            b0, b1, b2, b3, b4, b5 = b[u, 0], b[u, 1], b[u, 2], b[u, 3], b[u, 4], b[u, 5]
+            b0 = b[u, 0]
+            b1 = b[u, 1]
+            b2 = b[u, 2]
+            b3 = b[u, 3]
+            b4 = b[u, 4]
+            b5 = b[u, 5]
             g = gains[u]
             for i in range(3, 9):
                 moved = P[i, 3] * b0 + P[i, 4] * b1 + P[i, 5] * b2
@@ -134,7 +139,9 @@ def _add_body(P: Array2, body: Array2) -> None:
 @subkernel
 def _shift_to_previous(P: Array2, turned: Array2, point: Array1, previous: Array1) -> None:
     """Convert the cost of (v, displacement, w) to (v, w) at the previous point: displacement = w x r."""
-    r0, r1, r2 = point[0] - previous[0], point[1] - previous[1], point[2] - previous[2]
+    r0 = point[0] - previous[0]
+    r1 = point[1] - previous[1]
+    r2 = point[2] - previous[2]
     for i in range(9):  # P (w x r) for the three units of w
         turned[i, 0] = P[i, 5] * r1 - P[i, 4] * r2
         turned[i, 1] = P[i, 3] * r2 - P[i, 5] * r0
@@ -144,7 +151,9 @@ def _shift_to_previous(P: Array2, turned: Array2, point: Array1, previous: Array
             P[i, 6 + j] += turned[i, j]
             P[6 + j, i] = P[i, 6 + j]
     for j in range(3):
-        x, y, z = turned[3, j], turned[4, j], turned[5, j]
+        x = turned[3, j]
+        y = turned[4, j]
+        z = turned[5, j]
         across = (r1 * z - r2 * y, r2 * x - r0 * z, r0 * y - r1 * x)
         for i in range(j + 1):
             P[6 + i, 6 + j] += turned[6 + i, j] + turned[6 + j, i] + across[i]
@@ -162,23 +171,38 @@ def solve_factored(problem: ChainProblem, held: Flags1, gains: Array2, x: Array1
         x: motions of the held joints; filled with those of the others, (n,).
     """
     (b, ends, points, weights, chords), errors, damping, centre = problem
-    n, m = len(b), len(ends)
+    n = len(b)
+    m = len(ends)
     for i in range(ends[m - 1], n):  # joints beyond the last point move no point
         if not held[i]:
             x[i] = centre[i]
-    s0, s1, s2, s3, s4, s5, s6, s7, s8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    s0 = 0.0
+    s1 = 0.0
+    s2 = 0.0
+    s3 = 0.0
+    s4 = 0.0
+    s5 = 0.0
+    s6 = 0.0
+    s7 = 0.0
+    s8 = 0.0
     for k in range(m - 1, -1, -1):
         first = ends[k - 1] if k else 0
-        w, c = weights[k], chords[k]
-        s0, s1, s2 = s0 + w * errors[k, 0], s1 + w * errors[k, 1], s2 + w * errors[k, 2]
+        w = weights[k]
+        c = chords[k]
+        s0 = s0 + w * errors[k, 0]
+        s1 = s1 + w * errors[k, 1]
+        s2 = s2 + w * errors[k, 2]
         if k:
             s3 = s0 + c * (errors[k, 0] - errors[k - 1, 0])
             s4 = s1 + c * (errors[k, 1] - errors[k - 1, 1])
             s5 = s2 + c * (errors[k, 2] - errors[k - 1, 2])
         else:
-            s3, s4, s5 = s0 + c * errors[0, 0], s1 + c * errors[0, 1], s2 + c * errors[0, 2]
+            s3 = s0 + c * errors[0, 0]
+            s4 = s1 + c * errors[0, 1]
+            s5 = s2 + c * errors[0, 2]
         for u in range(ends[k] - 1, first - 1, -1):
-            g, t = gains[u], x[u]
+            g = gains[u]
+            t = x[u]
             if not held[u]:
                 t = g[10] * (
                     damping[u] * centre[u]
@@ -186,19 +210,36 @@ def solve_factored(problem: ChainProblem, held: Flags1, gains: Array2, x: Array1
                     + (b[u, 3] * s6 + b[u, 4] * s7 + b[u, 5] * s8)
                 )
                 g[9] = t
-            s0, s1, s2 = s0 - g[0] * t, s1 - g[1] * t, s2 - g[2] * t
-            s3, s4, s5 = s3 - g[3] * t, s4 - g[4] * t, s5 - g[5] * t
-            s6, s7, s8 = s6 - g[6] * t, s7 - g[7] * t, s8 - g[8] * t
+            s0 = s0 - g[0] * t
+            s1 = s1 - g[1] * t
+            s2 = s2 - g[2] * t
+            s3 = s3 - g[3] * t
+            s4 = s4 - g[4] * t
+            s5 = s5 - g[5] * t
+            s6 = s6 - g[6] * t
+            s7 = s7 - g[7] * t
+            s8 = s8 - g[8] * t
         if k:
             r0, r1, r2 = difference(points, k, k - 1)
-            s6, s7, s8 = s6 + r1 * s5 - r2 * s4, s7 + r2 * s3 - r0 * s5, s8 + r0 * s4 - r1 * s3
-    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            s6 = s6 + r1 * s5 - r2 * s4
+            s7 = s7 + r2 * s3 - r0 * s5
+            s8 = s8 + r0 * s4 - r1 * s3
+    v0 = 0.0
+    v1 = 0.0
+    v2 = 0.0
+    w0 = 0.0
+    w1 = 0.0
+    w2 = 0.0
     for k in range(m):
         first = ends[k - 1] if k else 0
-        d0, d1, d2 = 0.0, 0.0, 0.0
+        d0 = 0.0
+        d1 = 0.0
+        d2 = 0.0
         if k:
             r0, r1, r2 = difference(points, k, k - 1)
-            d0, d1, d2 = w1 * r2 - w2 * r1, w2 * r0 - w0 * r2, w0 * r1 - w1 * r0
+            d0 = w1 * r2 - w2 * r1
+            d1 = w2 * r0 - w0 * r2
+            d2 = w0 * r1 - w1 * r0
         for u in range(first, ends[k]):
             if not held[u]:
                 g = gains[u]
@@ -207,55 +248,99 @@ def solve_factored(problem: ChainProblem, held: Flags1, gains: Array2, x: Array1
                     + (g[3] * d0 + g[4] * d1 + g[5] * d2)
                     + (g[6] * w0 + g[7] * w1 + g[8] * w2)
                 )
-            d0, d1, d2 = d0 + b[u, 0] * x[u], d1 + b[u, 1] * x[u], d2 + b[u, 2] * x[u]
-            w0, w1, w2 = w0 + b[u, 3] * x[u], w1 + b[u, 4] * x[u], w2 + b[u, 5] * x[u]
-        v0, v1, v2 = v0 + d0, v1 + d1, v2 + d2
+            d0 = d0 + b[u, 0] * x[u]
+            d1 = d1 + b[u, 1] * x[u]
+            d2 = d2 + b[u, 2] * x[u]
+            w0 = w0 + b[u, 3] * x[u]
+            w1 = w1 + b[u, 4] * x[u]
+            w2 = w2 + b[u, 5] * x[u]
+        v0 = v0 + d0
+        v1 = v1 + d1
+        v2 = v2 + d2
 
 
 @subkernel
 def evaluate_gradient(problem: ChainProblem, x: Array1, slope: Array1, missed: Array2) -> float:
     """Return half the objective at x and fill `slope` with half its gradient; `missed` (m, 6) is scratch."""
     (b, ends, points, weights, chords), errors, damping, centre = problem
-    n, m = len(b), len(ends)
+    n = len(b)
+    m = len(ends)
     total = 0.0
     for u in range(n):
         off = x[u] - centre[u]
         slope[u] = damping[u] * off
         total += damping[u] * off * off
-    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    v0 = 0.0
+    v1 = 0.0
+    v2 = 0.0
+    w0 = 0.0
+    w1 = 0.0
+    w2 = 0.0
     for k in range(m):
         first = ends[k - 1] if k else 0
-        d0, d1, d2 = 0.0, 0.0, 0.0
-        e0, e1, e2 = 0.0, 0.0, 0.0
+        d0 = 0.0
+        d1 = 0.0
+        d2 = 0.0
+        e0 = 0.0
+        e1 = 0.0
+        e2 = 0.0
         if k:
             r0, r1, r2 = difference(points, k, k - 1)
-            d0, d1, d2 = w1 * r2 - w2 * r1, w2 * r0 - w0 * r2, w0 * r1 - w1 * r0
-            e0, e1, e2 = errors[k - 1, 0], errors[k - 1, 1], errors[k - 1, 2]
+            d0 = w1 * r2 - w2 * r1
+            d1 = w2 * r0 - w0 * r2
+            d2 = w0 * r1 - w1 * r0
+            e0 = errors[k - 1, 0]
+            e1 = errors[k - 1, 1]
+            e2 = errors[k - 1, 2]
         for u in range(first, ends[k]):
-            d0, d1, d2 = d0 + b[u, 0] * x[u], d1 + b[u, 1] * x[u], d2 + b[u, 2] * x[u]
-            w0, w1, w2 = w0 + b[u, 3] * x[u], w1 + b[u, 4] * x[u], w2 + b[u, 5] * x[u]
-        v0, v1, v2 = v0 + d0, v1 + d1, v2 + d2
-        f0, f1, f2 = v0 - errors[k, 0], v1 - errors[k, 1], v2 - errors[k, 2]
+            d0 = d0 + b[u, 0] * x[u]
+            d1 = d1 + b[u, 1] * x[u]
+            d2 = d2 + b[u, 2] * x[u]
+            w0 = w0 + b[u, 3] * x[u]
+            w1 = w1 + b[u, 4] * x[u]
+            w2 = w2 + b[u, 5] * x[u]
+        v0 = v0 + d0
+        v1 = v1 + d1
+        v2 = v2 + d2
+        f0 = v0 - errors[k, 0]
+        f1 = v1 - errors[k, 1]
+        f2 = v2 - errors[k, 2]
         h0 = d0 - (errors[k, 0] - e0)
         h1 = d1 - (errors[k, 1] - e1)
         h2 = d2 - (errors[k, 2] - e2)
-        w, c = weights[k], chords[k]
+        w = weights[k]
+        c = chords[k]
         total += w * (f0 * f0 + f1 * f1 + f2 * f2) + c * (h0 * h0 + h1 * h1 + h2 * h2)
-        missed[k, 0], missed[k, 1], missed[k, 2] = w * f0, w * f1, w * f2
-        missed[k, 3], missed[k, 4], missed[k, 5] = c * h0, c * h1, c * h2
+        missed[k, 0] = w * f0
+        missed[k, 1] = w * f1
+        missed[k, 2] = w * f2
+        missed[k, 3] = c * h0
+        missed[k, 4] = c * h1
+        missed[k, 5] = c * h2
     # Forces at the points, and their moments, summed from the tip.
-    f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    f0 = 0.0
+    f1 = 0.0
+    f2 = 0.0
+    t0 = 0.0
+    t1 = 0.0
+    t2 = 0.0
     for k in range(m - 1, -1, -1):
         first = ends[k - 1] if k else 0
-        f0, f1, f2 = f0 + missed[k, 0], f1 + missed[k, 1], f2 + missed[k, 2]
-        g0, g1, g2 = f0 + missed[k, 3], f1 + missed[k, 4], f2 + missed[k, 5]
+        f0 = f0 + missed[k, 0]
+        f1 = f1 + missed[k, 1]
+        f2 = f2 + missed[k, 2]
+        g0 = f0 + missed[k, 3]
+        g1 = f1 + missed[k, 4]
+        g2 = f2 + missed[k, 5]
         for u in range(first, ends[k]):
             slope[u] += (
                 b[u, 0] * g0 + b[u, 1] * g1 + b[u, 2] * g2 + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
             )
         if k:  # moments about the previous point
             r0, r1, r2 = difference(points, k, k - 1)
-            t0, t1, t2 = t0 + r1 * g2 - r2 * g1, t1 + r2 * g0 - r0 * g2, t2 + r0 * g1 - r1 * g0
+            t0 = t0 + r1 * g2 - r2 * g1
+            t1 = t1 + r2 * g0 - r0 * g2
+            t2 = t2 + r0 * g1 - r1 * g0
     return 0.5 * total
 
 
@@ -282,54 +367,97 @@ def find_screws(
         points: the points, (m, 3).
         filled: filled with linear and angular velocity, (n, 6).
     """
-    k, slides, ratios, driven, starts = 0, chain.slides, chain.ratios, chain.driven, chain.starts
+    k = 0
+    slides = chain.slides
+    ratios = chain.ratios
+    driven = chain.driven
+    starts = chain.starts
     for i in range(len(which)):
         while k < len(ends) and ends[k] <= i:
             k += 1
         at = k if k < len(ends) else len(ends) - 1
-        v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        v0 = 0.0
+        v1 = 0.0
+        v2 = 0.0
+        w0 = 0.0
+        w1 = 0.0
+        w2 = 0.0
         for place in range(starts[which[i]], starts[which[i] + 1]):
             u = driven[place]
             unit = units[i] * ratios[u]
-            a0, a1, a2 = unit * axes[u, 0], unit * axes[u, 1], unit * axes[u, 2]
+            a0 = unit * axes[u, 0]
+            a1 = unit * axes[u, 1]
+            a2 = unit * axes[u, 2]
             if slides[u]:
-                v0, v1, v2 = v0 + a0, v1 + a1, v2 + a2
+                v0 = v0 + a0
+                v1 = v1 + a1
+                v2 = v2 + a2
             else:
                 x = points[at, 0] - origins[u, 0]
                 y = points[at, 1] - origins[u, 1]
                 z = points[at, 2] - origins[u, 2]
-                v0, v1, v2 = v0 + a1 * z - a2 * y, v1 + a2 * x - a0 * z, v2 + a0 * y - a1 * x
-                w0, w1, w2 = w0 + a0, w1 + a1, w2 + a2
-        filled[i, 0], filled[i, 1], filled[i, 2] = v0, v1, v2
-        filled[i, 3], filled[i, 4], filled[i, 5] = w0, w1, w2
+                v0 = v0 + a1 * z - a2 * y
+                v1 = v1 + a2 * x - a0 * z
+                v2 = v2 + a0 * y - a1 * x
+                w0 = w0 + a0
+                w1 = w1 + a1
+                w2 = w2 + a2
+        filled[i, 0] = v0
+        filled[i, 1] = v1
+        filled[i, 2] = v2
+        filled[i, 3] = w0
+        filled[i, 4] = w1
+        filled[i, 5] = w2
 
 
 @compiled
 def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array2) -> None:
     """Compute the motions v of the points, (m, 3), for motions x of the joints."""
-    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    v0 = 0.0
+    v1 = 0.0
+    v2 = 0.0
+    w0 = 0.0
+    w1 = 0.0
+    w2 = 0.0
     for k in range(len(ends)):
         if k:
             r0, r1, r2 = difference(points, k, k - 1)
-            v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
+            v0 = v0 + w1 * r2 - w2 * r1
+            v1 = v1 + w2 * r0 - w0 * r2
+            v2 = v2 + w0 * r1 - w1 * r0
         for u in range(ends[k - 1] if k else 0, ends[k]):
-            v0, v1, v2 = v0 + b[u, 0] * x[u], v1 + b[u, 1] * x[u], v2 + b[u, 2] * x[u]
-            w0, w1, w2 = w0 + b[u, 3] * x[u], w1 + b[u, 4] * x[u], w2 + b[u, 5] * x[u]
-        filled[k, 0], filled[k, 1], filled[k, 2] = v0, v1, v2
+            v0 = v0 + b[u, 0] * x[u]
+            v1 = v1 + b[u, 1] * x[u]
+            v2 = v2 + b[u, 2] * x[u]
+            w0 = w0 + b[u, 3] * x[u]
+            w1 = w1 + b[u, 4] * x[u]
+            w2 = w2 + b[u, 5] * x[u]
+        filled[k, 0] = v0
+        filled[k, 1] = v1
+        filled[k, 2] = v2
 
 
 @subkernel
 def pull_points(b: Array2, ends: Ints1, points: Array2, forces: Array2, filled: Array1) -> None:
     """Add the joint efforts, (n,), caused by forces at the points, (m, 3)."""
-    f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    f0 = 0.0
+    f1 = 0.0
+    f2 = 0.0
+    t0 = 0.0
+    t1 = 0.0
+    t2 = 0.0
     for k in range(len(ends) - 1, -1, -1):
-        f0, f1, f2 = f0 + forces[k, 0], f1 + forces[k, 1], f2 + forces[k, 2]
+        f0 = f0 + forces[k, 0]
+        f1 = f1 + forces[k, 1]
+        f2 = f2 + forces[k, 2]
         for u in range(ends[k - 1] if k else 0, ends[k]):
             linear = b[u, 0] * f0 + b[u, 1] * f1 + b[u, 2] * f2
             filled[u] += linear + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
         if k:  # moments about the point before
             r0, r1, r2 = difference(points, k, k - 1)
-            t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
+            t0 = t0 + r1 * f2 - r2 * f1
+            t1 = t1 + r2 * f0 - r0 * f2
+            t2 = t2 + r0 * f1 - r1 * f0
 
 
 @subkernel
@@ -339,31 +467,59 @@ def move_bodies(b: Array2, ends: Ints1, points: Array2, x: Array1, twists: Array
     Velocities are those of the first point that the body carries, or of the last point.
     """
     k = 0
-    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    v0 = 0.0
+    v1 = 0.0
+    v2 = 0.0
+    w0 = 0.0
+    w1 = 0.0
+    w2 = 0.0
     twists[0] = 0.0
     for u in range(len(b)):
         while k < len(ends) - 1 and ends[k] <= u:
             k += 1
             r0, r1, r2 = difference(points, k, k - 1)
-            v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
-        v0, v1, v2 = v0 + b[u, 0] * x[u], v1 + b[u, 1] * x[u], v2 + b[u, 2] * x[u]
-        w0, w1, w2 = w0 + b[u, 3] * x[u], w1 + b[u, 4] * x[u], w2 + b[u, 5] * x[u]
+            v0 = v0 + w1 * r2 - w2 * r1
+            v1 = v1 + w2 * r0 - w0 * r2
+            v2 = v2 + w0 * r1 - w1 * r0
+        v0 = v0 + b[u, 0] * x[u]
+        v1 = v1 + b[u, 1] * x[u]
+        v2 = v2 + b[u, 2] * x[u]
+        w0 = w0 + b[u, 3] * x[u]
+        w1 = w1 + b[u, 4] * x[u]
+        w2 = w2 + b[u, 5] * x[u]
         t = twists[u + 1]
-        t[0], t[1], t[2], t[3], t[4], t[5] = v0, v1, v2, w0, w1, w2
+        t[0] = v0
+        t[1] = v1
+        t[2] = v2
+        t[3] = w0
+        t[4] = w1
+        t[5] = w2
 
 
 @subkernel
 def pull_bodies(b: Array2, ends: Ints1, points: Array2, wrenches: Array2, filled: Array1) -> None:
     """Add the joint efforts, (n,), caused by forces and moments on bodies; see `move_bodies`."""
     k = len(ends) - 1
-    f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    f0 = 0.0
+    f1 = 0.0
+    f2 = 0.0
+    t0 = 0.0
+    t1 = 0.0
+    t2 = 0.0
     for u in range(len(b) - 1, -1, -1):
         while k > 0 and ends[k - 1] > u:  # moments about the point before
             r0, r1, r2 = difference(points, k, k - 1)
-            t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
+            t0 = t0 + r1 * f2 - r2 * f1
+            t1 = t1 + r2 * f0 - r0 * f2
+            t2 = t2 + r0 * f1 - r1 * f0
             k -= 1
         g = wrenches[u + 1]
-        f0, f1, f2, t0, t1, t2 = f0 + g[0], f1 + g[1], f2 + g[2], t0 + g[3], t1 + g[4], t2 + g[5]
+        f0 = f0 + g[0]
+        f1 = f1 + g[1]
+        f2 = f2 + g[2]
+        t0 = t0 + g[3]
+        t1 = t1 + g[4]
+        t2 = t2 + g[5]
         linear = b[u, 0] * f0 + b[u, 1] * f1 + b[u, 2] * f2
         filled[u] += linear + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
 
@@ -400,13 +556,17 @@ def stiffness(objective: PointObjective) -> float:
     """Return the cost of points and chords per unit of motion of a single joint, averaged over joints."""
     b, ends, points, weights, chords = objective
     m = len(ends)
-    total, whole = 0.0, 0.0
-    first_moment, second, of_chords = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    total = 0.0
+    whole = 0.0
+    first_moment = np.zeros(3)
+    second = np.zeros((3, 3))
+    of_chords = np.zeros((3, 3))
     r = np.zeros(3)
     for k in range(m - 1, -1, -1):
         whole += weights[k]
         for u in range(ends[k - 1] if k else 0, ends[k]):
-            v, a = b[u, :3], b[u, 3:]
+            v = b[u, :3]
+            a = b[u, 3:]
             squared = v[0] ** 2 + v[1] ** 2 + v[2] ** 2
             total += (whole + chords[k]) * squared
             total += 2.0 * (
@@ -418,7 +578,8 @@ def stiffness(objective: PointObjective) -> float:
                 for j in range(3):
                     total += a[i] * (second[i, j] + of_chords[i, j]) * a[j]
         if k:  # moments about the point before
-            inner, along = 0.0, 0.0
+            inner = 0.0
+            along = 0.0
             for i in range(3):
                 r[i] = points[k, i] - points[k - 1, i]
                 inner += r[i] * r[i]
@@ -467,15 +628,47 @@ def minimise_points(
     for u in range(ends[m - 1], len(b)):  # joints beyond the last point move no point
         x[u] = centre[u]
     # The cost is v P v + 2 v Q w + w R w - 2 s (v, w).
-    p00, p01, p02, p11, p12, p22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    q00, q01, q02, q10, q11, q12, q20, q21, q22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    r00, r01, r02, r11, r12, r22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    s0, s1, s2, s3, s4, s5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    p00 = 0.0
+    p01 = 0.0
+    p02 = 0.0
+    p11 = 0.0
+    p12 = 0.0
+    p22 = 0.0
+    q00 = 0.0
+    q01 = 0.0
+    q02 = 0.0
+    q10 = 0.0
+    q11 = 0.0
+    q12 = 0.0
+    q20 = 0.0
+    q21 = 0.0
+    q22 = 0.0
+    r00 = 0.0
+    r01 = 0.0
+    r02 = 0.0
+    r11 = 0.0
+    r12 = 0.0
+    r22 = 0.0
+    s0 = 0.0
+    s1 = 0.0
+    s2 = 0.0
+    s3 = 0.0
+    s4 = 0.0
+    s5 = 0.0
     for k in range(m - 1, -1, -1):
-        p00, p11, p22 = p00 + 1.0, p11 + 1.0, p22 + 1.0
-        s0, s1, s2 = s0 + errors[k, 0], s1 + errors[k, 1], s2 + errors[k, 2]
+        p00 = p00 + 1.0
+        p11 = p11 + 1.0
+        p22 = p22 + 1.0
+        s0 = s0 + errors[k, 0]
+        s1 = s1 + errors[k, 1]
+        s2 = s2 + errors[k, 2]
         for u in range(ends[k] - 1, (ends[k - 1] if k else 0) - 1, -1):
-            v0, v1, v2, w0, w1, w2 = b[u, 0], b[u, 1], b[u, 2], b[u, 3], b[u, 4], b[u, 5]
+            v0 = b[u, 0]
+            v1 = b[u, 1]
+            v2 = b[u, 2]
+            w0 = b[u, 3]
+            w1 = b[u, 4]
+            w2 = b[u, 5]
             g0 = (p00 * v0 + p01 * v1 + p02 * v2) + (q00 * w0 + q01 * w1 + q02 * w2)
             g1 = (p01 * v0 + p11 * v1 + p12 * v2) + (q10 * w0 + q11 * w1 + q12 * w2)
             g2 = (p02 * v0 + p12 * v1 + p22 * v2) + (q20 * w0 + q21 * w1 + q22 * w2)
@@ -484,48 +677,109 @@ def minimise_points(
             g5 = (q02 * v0 + q12 * v1 + q22 * v2) + (r02 * w0 + r12 * w1 + r22 * w2)
             inverse = 1.0 / (damping + (v0 * g0 + v1 * g1 + v2 * g2) + (w0 * g3 + w1 * g4 + w2 * g5))
             pull = (v0 * s0 + v1 * s1 + v2 * s2) + (w0 * s3 + w1 * s4 + w2 * s5)
-            t, g = inverse * (damping * centre[u] + pull), gains[u]
-            g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7] = g0, g1, g2, g3, g4, g5, inverse, t
-            s0, s1, s2 = s0 - g0 * t, s1 - g1 * t, s2 - g2 * t
-            s3, s4, s5 = s3 - g3 * t, s4 - g4 * t, s5 - g5 * t
-            h0, h1, h2 = inverse * g0, inverse * g1, inverse * g2
-            h3, h4, h5 = inverse * g3, inverse * g4, inverse * g5
-            p00, p01, p02 = p00 - h0 * g0, p01 - h0 * g1, p02 - h0 * g2
-            p11, p12, p22 = p11 - h1 * g1, p12 - h1 * g2, p22 - h2 * g2
-            q00, q01, q02 = q00 - h0 * g3, q01 - h0 * g4, q02 - h0 * g5
-            q10, q11, q12 = q10 - h1 * g3, q11 - h1 * g4, q12 - h1 * g5
-            q20, q21, q22 = q20 - h2 * g3, q21 - h2 * g4, q22 - h2 * g5
-            r00, r01, r02 = r00 - h3 * g3, r01 - h3 * g4, r02 - h3 * g5
-            r11, r12, r22 = r11 - h4 * g4, r12 - h4 * g5, r22 - h5 * g5
+            t = inverse * (damping * centre[u] + pull)
+            g = gains[u]
+            g[0] = g0
+            g[1] = g1
+            g[2] = g2
+            g[3] = g3
+            g[4] = g4
+            g[5] = g5
+            g[6] = inverse
+            g[7] = t
+            s0 = s0 - g0 * t
+            s1 = s1 - g1 * t
+            s2 = s2 - g2 * t
+            s3 = s3 - g3 * t
+            s4 = s4 - g4 * t
+            s5 = s5 - g5 * t
+            h0 = inverse * g0
+            h1 = inverse * g1
+            h2 = inverse * g2
+            h3 = inverse * g3
+            h4 = inverse * g4
+            h5 = inverse * g5
+            p00 = p00 - h0 * g0
+            p01 = p01 - h0 * g1
+            p02 = p02 - h0 * g2
+            p11 = p11 - h1 * g1
+            p12 = p12 - h1 * g2
+            p22 = p22 - h2 * g2
+            q00 = q00 - h0 * g3
+            q01 = q01 - h0 * g4
+            q02 = q02 - h0 * g5
+            q10 = q10 - h1 * g3
+            q11 = q11 - h1 * g4
+            q12 = q12 - h1 * g5
+            q20 = q20 - h2 * g3
+            q21 = q21 - h2 * g4
+            q22 = q22 - h2 * g5
+            r00 = r00 - h3 * g3
+            r01 = r01 - h3 * g4
+            r02 = r02 - h3 * g5
+            r11 = r11 - h4 * g4
+            r12 = r12 - h4 * g5
+            r22 = r22 - h5 * g5
         if k:  # at the previous point, v is smaller by w x r = C w: add P C to Q, C Q + Q C + C P C to R
             d0, d1, d2 = difference(points, k, k - 1)
-            a00, a01, a02 = p02 * d1 - p01 * d2, p00 * d2 - p02 * d0, p01 * d0 - p00 * d1
-            a10, a11, a12 = p12 * d1 - p11 * d2, p01 * d2 - p12 * d0, p11 * d0 - p01 * d1
-            a20, a21, a22 = p22 * d1 - p12 * d2, p02 * d2 - p22 * d0, p12 * d0 - p02 * d1
-            c00, c01, c02 = d1 * q20 - d2 * q10, d1 * q21 - d2 * q11, d1 * q22 - d2 * q12
-            c10, c11, c12 = d2 * q00 - d0 * q20, d2 * q01 - d0 * q21, d2 * q02 - d0 * q22
-            c20, c21, c22 = d0 * q10 - d1 * q00, d0 * q11 - d1 * q01, d0 * q12 - d1 * q02
+            a00 = p02 * d1 - p01 * d2
+            a01 = p00 * d2 - p02 * d0
+            a02 = p01 * d0 - p00 * d1
+            a10 = p12 * d1 - p11 * d2
+            a11 = p01 * d2 - p12 * d0
+            a12 = p11 * d0 - p01 * d1
+            a20 = p22 * d1 - p12 * d2
+            a21 = p02 * d2 - p22 * d0
+            a22 = p12 * d0 - p02 * d1
+            c00 = d1 * q20 - d2 * q10
+            c01 = d1 * q21 - d2 * q11
+            c02 = d1 * q22 - d2 * q12
+            c10 = d2 * q00 - d0 * q20
+            c11 = d2 * q01 - d0 * q21
+            c12 = d2 * q02 - d0 * q22
+            c20 = d0 * q10 - d1 * q00
+            c21 = d0 * q11 - d1 * q01
+            c22 = d0 * q12 - d1 * q02
             r00 += 2.0 * c00 + d1 * a20 - d2 * a10
             r01 += c01 + c10 + d1 * a21 - d2 * a11
             r02 += c02 + c20 + d1 * a22 - d2 * a12
             r11 += 2.0 * c11 + d2 * a01 - d0 * a21
             r12 += c12 + c21 + d2 * a02 - d0 * a22
             r22 += 2.0 * c22 + d0 * a12 - d1 * a02
-            q00, q01, q02 = q00 + a00, q01 + a01, q02 + a02
-            q10, q11, q12 = q10 + a10, q11 + a11, q12 + a12
-            q20, q21, q22 = q20 + a20, q21 + a21, q22 + a22
-            s3, s4, s5 = s3 + d1 * s2 - d2 * s1, s4 + d2 * s0 - d0 * s2, s5 + d0 * s1 - d1 * s0
-    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            q00 = q00 + a00
+            q01 = q01 + a01
+            q02 = q02 + a02
+            q10 = q10 + a10
+            q11 = q11 + a11
+            q12 = q12 + a12
+            q20 = q20 + a20
+            q21 = q21 + a21
+            q22 = q22 + a22
+            s3 = s3 + d1 * s2 - d2 * s1
+            s4 = s4 + d2 * s0 - d0 * s2
+            s5 = s5 + d0 * s1 - d1 * s0
+    v0 = 0.0
+    v1 = 0.0
+    v2 = 0.0
+    w0 = 0.0
+    w1 = 0.0
+    w2 = 0.0
     for k in range(m):
         if k:
             d0, d1, d2 = difference(points, k, k - 1)
-            v0, v1, v2 = v0 + w1 * d2 - w2 * d1, v1 + w2 * d0 - w0 * d2, v2 + w0 * d1 - w1 * d0
+            v0 = v0 + w1 * d2 - w2 * d1
+            v1 = v1 + w2 * d0 - w0 * d2
+            v2 = v2 + w0 * d1 - w1 * d0
         for u in range(ends[k - 1] if k else 0, ends[k]):
             g = gains[u]
             moved = (g[0] * v0 + g[1] * v1 + g[2] * v2) + (g[3] * w0 + g[4] * w1 + g[5] * w2)
             y = g[7] - g[6] * moved
-            v0, v1, v2 = v0 + y * b[u, 0], v1 + y * b[u, 1], v2 + y * b[u, 2]
-            w0, w1, w2 = w0 + y * b[u, 3], w1 + y * b[u, 4], w2 + y * b[u, 5]
+            v0 = v0 + y * b[u, 0]
+            v1 = v1 + y * b[u, 1]
+            v2 = v2 + y * b[u, 2]
+            w0 = w0 + y * b[u, 3]
+            w1 = w1 + y * b[u, 4]
+            w2 = w2 + y * b[u, 5]
             x[u] = y
 
 
@@ -564,10 +818,14 @@ def minimise_in_box(
         Number of systems solved.
     """
     problem = objective, errors, damping, centre
-    n, m = len(objective.screws), len(objective.ends)
-    gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
+    n = len(objective.screws)
+    m = len(objective.ends)
+    gains = np.empty((n, 11))
+    slope = np.empty(n)
+    missed = np.empty((m, 6))
     no_bodies = np.empty((0, 6, 6))
-    held, interior = np.empty(n, dtype=np.bool_), np.empty(n)
+    held = np.empty(n, dtype=np.bool_)
+    interior = np.empty(n)
     solved = 0
     for attempt in range(2):
         for _ in range(MAX_CORRECTIONS_OF_SET):
@@ -586,7 +844,8 @@ def minimise_in_box(
             for u in range(n):
                 if _is_fixed(lower[u], upper[u]):
                     continue
-                side, inverse = 0, gains[u, 10]
+                side = 0
+                inverse = gains[u, 10]
                 if held[u]:  # stays held unless it would move inwards by more than rounding error
                     if -slope[u] * inverse * sides[u] >= -NEGLIGIBLE_MOTION:
                         side = sides[u]
@@ -635,16 +894,26 @@ def _interior_point(
 ) -> int:
     """Fill x with a point near the minimum by an interior point method, and `sides` with an active set."""
     objective, errors, damping, centre = problem
-    n, m = len(objective.screws), len(objective.ends)
-    slope, missed, held = np.empty(n), np.empty((m, 6)), np.zeros(n, dtype=np.bool_)
+    n = len(objective.screws)
+    m = len(objective.ends)
+    slope = np.empty(n)
+    missed = np.empty((m, 6))
+    held = np.zeros(n, dtype=np.bool_)
     no_bodies = np.empty((0, 6, 6))
-    low, high = np.zeros(n), np.zeros(n)  # multipliers of the sides
-    stiff, pulled, trial = np.empty(n), np.empty(n), np.empty(n)
-    moves, downs, ups = np.zeros(n), np.zeros(n), np.zeros(n)
+    # multipliers of the sides
+    low = np.zeros(n)
+    high = np.zeros(n)
+    stiff = np.empty(n)
+    pulled = np.empty(n)
+    trial = np.empty(n)
+    moves = np.zeros(n)
+    downs = np.zeros(n)
+    ups = np.zeros(n)
     bounds = 0
     for u in range(n):
         held[u] = _is_fixed(lower[u], upper[u])
-        below, above = np.isfinite(lower[u]), np.isfinite(upper[u])
+        below = np.isfinite(lower[u])
+        above = np.isfinite(upper[u])
         if held[u]:
             x[u] = lower[u]
         elif below and above:
@@ -667,7 +936,9 @@ def _interior_point(
         if not held[u]:
             low[u] = start / (x[u] - lower[u])
             high[u] = start / (upper[u] - x[u])
-    iterations, mismatch = 0, 1.0  # fraction of the initial mismatch of multipliers and gradient
+    # fraction of the initial mismatch of multipliers and gradient
+    iterations = 0
+    mismatch = 1.0
     while iterations < MAX_ITERATIONS:
         gap = 0.0
         for u in range(n):
@@ -677,14 +948,17 @@ def _interior_point(
         if gap <= RELATIVE_GAP * start and mismatch <= RELATIVE_GAP:
             break
         iterations += 1
-        aim, gap_there = 0.0, 0.0
+        aim = 0.0
+        gap_there = 0.0
         for corrector in range(2):
             for u in range(n):
                 if held[u]:
                     trial[u] = x[u]
                     continue
-                a, c = x[u] - lower[u], upper[u] - x[u]
-                p, r = low[u] / a, high[u] / c
+                a = x[u] - lower[u]
+                c = upper[u] - x[u]
+                p = low[u] / a
+                r = high[u] / c
                 push = aim / a - aim / c
                 if corrector:  # second-order terms neglected by the predictor
                     move = moves[u]
@@ -699,8 +973,11 @@ def _interior_point(
             for u in range(n):
                 if held[u]:
                     continue
-                a, c, move = x[u] - lower[u], upper[u] - x[u], trial[u] - x[u]
-                p, r = low[u] / a, high[u] / c
+                a = x[u] - lower[u]
+                c = upper[u] - x[u]
+                move = trial[u] - x[u]
+                p = low[u] / a
+                r = high[u] / c
                 first = moves[u] if corrector else 0.0
                 down = (aim + (low[u] + p * first) * first) / a - low[u] - p * move
                 up = (aim - (high[u] - r * first) * first) / c - high[u] + r * move
@@ -712,7 +989,9 @@ def _interior_point(
                     reach = -low[u] / down
                 if -up * reach > high[u]:
                     reach = -high[u] / up
-                moves[u], downs[u], ups[u] = move if not corrector else first, down, up
+                moves[u] = move if not corrector else first
+                downs[u] = down
+                ups[u] = up
             if corrector:
                 break
             gap_there = 0.0
@@ -745,7 +1024,8 @@ def solve_cholesky(matrix: Array2, x: Array1) -> bool:
     Returns:
         False if the matrix is not positive definite; x is then not a number.
     """
-    n, positive = len(x), True
+    n = len(x)
+    positive = True
     for i in range(n):
         for j in range(i + 1):
             value = matrix[i, j]

@@ -76,9 +76,12 @@ def place_joints_once(
     origins[0] = 0.0
     number = 0
     for joint in range(1, len(tree.parents)):
-        parent, fixed = tree.parents[joint], tree.fixed[joint]
-        before, place = rotations[parent], origins[parent]
-        turned, origin = rotations[joint], origins[joint]
+        parent = tree.parents[joint]
+        fixed = tree.fixed[joint]
+        before = rotations[parent]
+        place = origins[parent]
+        turned = rotations[joint]
+        origin = origins[joint]
         for i in range(3):
             origin[i] = place[i]
             for k in range(3):
@@ -127,9 +130,12 @@ def place_axes(carriers: Ints1, local: Array3, rotations: Array4, origins: Array
 def place_axes_once(carriers: Ints1, local: Array3, rotations: Array3, origins: Array2, ends: Array3) -> None:
     """`place_axes` at one configuration."""
     for body in range(len(carriers)):
-        turn, place = rotations[carriers[body]], origins[carriers[body]]
+        turn = rotations[carriers[body]]
+        place = origins[carriers[body]]
         for end in range(2):
-            x, y, z = local[body, end, 0], local[body, end, 1], local[body, end, 2]
+            x = local[body, end, 0]
+            y = local[body, end, 1]
+            z = local[body, end, 2]
             for i in range(3):
                 ends[body, end, i] = place[i] + turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
 
@@ -158,12 +164,15 @@ def differentiate_distances(
         jacobian: zeros, filled with the derivatives, (k, nv); columns of joints of other kinds stay zero.
     """
     for k in range(len(first)):
-        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+        nx = normals[k, 0]
+        ny = normals[k, 1]
+        nz = normals[k, 2]
         for side in range(2):
             joint, sign = (first[k], 1.0) if side == 0 else (second[k], -1.0)
             while joint > 0:
                 if tree.kinds[joint] < 2:
-                    turn, axis = rotations[joint], tree.axes[joint]
+                    turn = rotations[joint]
+                    axis = tree.axes[joint]
                     ax = turn[0, 0] * axis[0] + turn[0, 1] * axis[1] + turn[0, 2] * axis[2]
                     ay = turn[1, 0] * axis[0] + turn[1, 1] * axis[1] + turn[1, 2] * axis[2]
                     az = turn[2, 0] * axis[0] + turn[2, 1] * axis[1] + turn[2, 2] * axis[2]
@@ -187,8 +196,10 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact
 
     The distance from a tree may be infinite if it is not smaller than `below`.
     """
-    body, other = pairs.first[pair], pairs.second[pair] - len(ends)
-    line, kind = ends[body], pairs.kinds[pair]
+    body = pairs.first[pair]
+    other = pairs.second[pair] - len(ends)
+    line = ends[body]
+    kind = pairs.kinds[pair]
     radius = pairs.radii[body]
     if kind == SEGMENT:
         radius += pairs.radii[pairs.second[pair]]
@@ -198,14 +209,20 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact
         found = _box_contact(line, pairs.centers[other], pairs.frames[other], pairs.halves[other])
         distance, px, py, pz, nx, ny, nz = found
     elif kind == PLANE:
-        frame, center = pairs.frames[other], pairs.centers[other]
-        nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
+        frame = pairs.frames[other]
+        center = pairs.centers[other]
+        nx = frame[0, 2]
+        ny = frame[1, 2]
+        nz = frame[2, 2]
         heights = (
             nx * (line[0, 0] - center[0]) + ny * (line[0, 1] - center[1]) + nz * (line[0, 2] - center[2]),
             nx * (line[1, 0] - center[0]) + ny * (line[1, 1] - center[1]) + nz * (line[1, 2] - center[2]),
         )
         end = 0 if heights[0] <= heights[1] else 1
-        distance, px, py, pz = heights[end], line[end, 0], line[end, 1], line[end, 2]
+        distance = heights[end]
+        px = line[end, 0]
+        py = line[end, 1]
+        pz = line[end, 2]
     elif kind in (PIECE, INSIDE):
         radius += pairs.radii[pairs.second[pair]]
         found = _tree_contact(line, pairs, other, kind == INSIDE, below + radius)
@@ -218,11 +235,19 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact
 
 @subkernel
 def _segment_contact(line: Array2, other: Array2) -> Contact:
-    ux, uy, uz = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
-    vx, vy, vz = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1], other[1, 2] - other[0, 2]
-    rx, ry, rz = line[0, 0] - other[0, 0], line[0, 1] - other[0, 1], line[0, 2] - other[0, 2]
+    ux = line[1, 0] - line[0, 0]
+    uy = line[1, 1] - line[0, 1]
+    uz = line[1, 2] - line[0, 2]
+    vx = other[1, 0] - other[0, 0]
+    vy = other[1, 1] - other[0, 1]
+    vz = other[1, 2] - other[0, 2]
+    rx = line[0, 0] - other[0, 0]
+    ry = line[0, 1] - other[0, 1]
+    rz = line[0, 2] - other[0, 2]
     s, gx, gy, gz = way_to_segment(rx, ry, rz, ux, uy, uz, vx, vy, vz)
-    px, py, pz = line[0, 0] + s * ux, line[0, 1] + s * uy, line[0, 2] + s * uz
+    px = line[0, 0] + s * ux
+    py = line[0, 1] + s * uy
+    pz = line[0, 2] + s * uz
     size = np.sqrt(gx * gx + gy * gy + gz * gz)
     if size * size <= MEETING_SQUARED * (rx * rx + ry * ry + rz * rz + ux * ux + uy * uy + uz * uz):
         return 0.0, px, py, pz, 0.0, 0.0, 0.0
@@ -249,7 +274,8 @@ def _contact_at(
 def _to_frame(line: Array2, center: Array1, frame: Array2, start: Array1, way: Array1) -> None:
     """Fill in the start of a line and the vector to its end, in a frame."""
     for axis in range(3):
-        start[axis], way[axis] = 0.0, 0.0
+        start[axis] = 0.0
+        way[axis] = 0.0
         for i in range(3):
             start[axis] += frame[i, axis] * (line[0, i] - center[i])
             way[axis] += frame[i, axis] * (line[1, i] - line[0, i])
@@ -258,7 +284,8 @@ def _to_frame(line: Array2, center: Array1, frame: Array2, start: Array1, way: A
 @subkernel
 def _box_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
     """Return half the derivative of the squared distance from a box along a line; it never decreases."""
-    slope, rounding = 0.0, 0.0
+    slope = 0.0
+    rounding = 0.0
     for axis in range(3):
         at = start[axis] + t * way[axis]
         rounding += (abs(start[axis]) + half[axis]) * abs(way[axis])
@@ -275,8 +302,10 @@ def _nearest_to_box(start: Array1, way: Array1, half: Array1) -> float:
 
     Between places where a coordinate enters or leaves the box, the slope is linear.
     """
-    places, count = np.empty(8), 2
-    places[0], places[1] = 0.0, 1.0
+    places = np.empty(8)
+    count = 2
+    places[0] = 0.0
+    places[1] = 1.0
     for axis in range(3):
         if way[axis] != 0.0:
             for side in (-1.0, 1.0):
@@ -285,7 +314,9 @@ def _nearest_to_box(start: Array1, way: Array1, half: Array1) -> float:
                     places[count] = t
                     count += 1
     places = np.sort(places[:count])
-    left, before, first = 0.0, _box_slope(start, way, half, 0.0), -1.0
+    left = 0.0
+    before = _box_slope(start, way, half, 0.0)
+    first = -1.0
     if before > 0.0:
         return 0.0
     for k in range(1, count):
@@ -297,13 +328,16 @@ def _nearest_to_box(start: Array1, way: Array1, half: Array1) -> float:
                 return 0.5 * (first + left)
         elif after > 0.0:
             return left + (right - left) * (before / (before - after))
-        left, before = right, after
+        left = right
+        before = after
     return 0.5 * (first + 1.0) if before == 0.0 and first >= 0.0 else 1.0
 
 
 @subkernel
 def _box_contact(line: Array2, center: Array1, frame: Array2, half: Array1) -> Contact:
-    start, way, normal = np.empty(3), np.empty(3), np.zeros(3)
+    start = np.empty(3)
+    way = np.empty(3)
+    normal = np.zeros(3)
     _to_frame(line, center, frame, start, way)
     t = _nearest_to_box(start, way, half)
     squares = 0.0
@@ -330,9 +364,11 @@ def _leave_box(
     The Minkowski sum of line and box is a polytope, whose face normals are normals of the box, or
     perpendicular to an edge of the box and the line. Fills in the normal.
     """
-    deepest, place = -np.inf, inside
+    deepest = -np.inf
+    place = inside
     for axis in range(3):
-        a, b = start[axis], start[axis] + way[axis]
+        a = start[axis]
+        b = start[axis] + way[axis]
         for side in (1.0, -1.0):
             lowest = min(side * a, side * b)
             if lowest - half[axis] > deepest:
@@ -342,31 +378,44 @@ def _leave_box(
                 normal[axis] = side
     length = np.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
     for axis in range(3):
-        j, k = (axis + 1) % 3, (axis + 2) % 3
+        j = (axis + 1) % 3
+        k = (axis + 2) % 3
         size = np.sqrt(way[j] * way[j] + way[k] * way[k])
         if size <= 1e-9 * length or length == 0.0:
             continue
-        nj, nk = -way[k] / size, way[j] / size
+        nj = -way[k] / size
+        nk = way[j] / size
         height = nj * start[j] + nk * start[k]
         if height < 0.0:
-            nj, nk, height = -nj, -nk, -height
+            nj = -nj
+            nk = -nk
+            height = -height
         depth = height - half[j] * abs(nj) - half[k] * abs(nk)
         if depth > deepest:
-            deepest, place = depth, inside
-            normal[axis], normal[j], normal[k] = 0.0, nj, nk
+            deepest = depth
+            place = inside
+            normal[axis] = 0.0
+            normal[j] = nj
+            normal[k] = nk
     return deepest, place
 
 
 @inlined
 def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below: float) -> Contact:
     """Compute the contact of a line with a piece of a tree, or with a closed surface that contains it."""
-    frame, center, trees = pairs.frames[obstacle], pairs.centers[obstacle], pairs.trees
+    frame = pairs.frames[obstacle]
+    center = pairs.centers[obstacle]
+    trees = pairs.trees
     piece = trees.boxes[trees.pieces[obstacle, 0] + trees.pieces[obstacle, 1]]
-    x, y, z = line[0, 0] - center[0], line[0, 1] - center[1], line[0, 2] - center[2]
+    x = line[0, 0] - center[0]
+    y = line[0, 1] - center[1]
+    z = line[0, 2] - center[2]
     ax = frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z + 0.5 * (piece[0, 0] + piece[1, 0])
     ay = frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z + 0.5 * (piece[0, 1] + piece[1, 1])
     az = frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z + 0.5 * (piece[0, 2] + piece[1, 2])
-    x, y, z = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
+    x = line[1, 0] - line[0, 0]
+    y = line[1, 1] - line[0, 1]
+    z = line[1, 2] - line[0, 2]
     bx = ax + frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z
     by = ay + frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z
     bz = az + frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
@@ -376,7 +425,10 @@ def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below
         distance, t, nx, ny, nz = nearest_in_tree((ax, ay, az), (bx, by, bz), trees, obstacle, np.inf)
         if distance <= 0.0:  # it crosses the surface, so pieces of the surface report the contact
             return np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        distance, nx, ny, nz = -distance, -nx, -ny, -nz
+        distance = -distance
+        nx = -nx
+        ny = -ny
+        nz = -nz
     else:
         distance, t, nx, ny, nz = nearest_in_tree((ax, ay, az), (bx, by, bz), trees, obstacle, below)
     return _contact_at(line, t, frame, distance, nx, ny, nz)
@@ -385,8 +437,11 @@ def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below
 @subkernel
 def _cylinder_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
     """Return half the derivative of the squared distance from a cylinder along z, along a line."""
-    x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
-    slope, across = 0.0, np.sqrt(x * x + y * y)
+    x = start[0] + t * way[0]
+    y = start[1] + t * way[1]
+    z = start[2] + t * way[2]
+    slope = 0.0
+    across = np.sqrt(x * x + y * y)
     if across > half[0]:
         slope += (across - half[0]) * (x * way[0] + y * way[1]) / across
     if abs(z) > half[2]:
@@ -396,10 +451,13 @@ def _cylinder_slope(start: Array1, way: Array1, half: Array1, t: float) -> float
 
 @subkernel
 def _cylinder_contact(line: Array2, center: Array1, frame: Array2, half: Array1) -> Contact:
-    start, way = np.empty(3), np.empty(3)
+    start = np.empty(3)
+    way = np.empty(3)
     _to_frame(line, center, frame, start, way)
-    left, right = 0.0, 1.0
-    low, high = _cylinder_slope(start, way, half, 0.0), _cylinder_slope(start, way, half, 1.0)
+    left = 0.0
+    right = 1.0
+    low = _cylinder_slope(start, way, half, 0.0)
+    high = _cylinder_slope(start, way, half, 1.0)
     t = 0.0
     if low < 0.0 and high <= 0.0:
         t = 1.0
@@ -409,16 +467,23 @@ def _cylinder_contact(line: Array2, center: Array1, frame: Array2, half: Array1)
             t = 0.5 * (left + right) if number % 3 == 2 else (left * high - right * low) / (high - low)
             slope = _cylinder_slope(start, way, half, t)
             if slope < 0.0:
-                left, low, high = t, slope, 0.5 * high
+                left = t
+                low = slope
+                high = 0.5 * high
             elif slope > 0.0:
-                right, high, low = t, slope, 0.5 * low
+                right = t
+                high = slope
+                low = 0.5 * low
             else:
                 break
             if right - left <= 1e-15:
                 break
-    x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
+    x = start[0] + t * way[0]
+    y = start[1] + t * way[1]
+    z = start[2] + t * way[2]
     across = np.sqrt(x * x + y * y)
-    out, above = max(across - half[0], 0.0), max(abs(z) - half[2], 0.0)
+    out = max(across - half[0], 0.0)
+    above = max(abs(z) - half[2], 0.0)
     distance = np.sqrt(out * out + above * above)
     if distance > 1e-14 * max(half[0], half[2]):
         nx = out * x / max(across, TINY) / distance
@@ -438,25 +503,33 @@ def _leave_cylinder(
     Returns:
         Negative length, the deepest place, and the direction.
     """
-    a, b = start[2], start[2] + way[2]
-    up, down = min(a, b) - half[2], -max(a, b) - half[2]
+    a = start[2]
+    b = start[2] + way[2]
+    up = min(a, b) - half[2]
+    down = -max(a, b) - half[2]
     depth = max(up, down)
     nz = 1.0 if up >= down else -1.0
     place = inside if a == b else (0.0 if (a < b) == (nz > 0.0) else 1.0)
-    nx, ny = 0.0, 0.0
+    nx = 0.0
+    ny = 0.0
     # Across: the direction of the point of the line nearest to the axis.
     squares = way[0] * way[0] + way[1] * way[1]
     t = 0.5
     if squares > 0.0:
         t = min(max(-(start[0] * way[0] + start[1] * way[1]) / squares, 0.0), 1.0)
-    x, y = start[0] + t * way[0], start[1] + t * way[1]
+    x = start[0] + t * way[0]
+    y = start[1] + t * way[1]
     across = np.sqrt(x * x + y * y)
     if across - half[0] > depth - 1e-9 * half[0]:  # if equal, prefer the one that a stretched arm can do
-        depth, place, nz = across - half[0], t, 0.0
+        depth = across - half[0]
+        place = t
+        nz = 0.0
         if across > 1e-12 * half[0]:
-            nx, ny = x / across, y / across
+            nx = x / across
+            ny = y / across
         elif squares > 0.0:
-            nx, ny = -way[1] / np.sqrt(squares), way[0] / np.sqrt(squares)
+            nx = -way[1] / np.sqrt(squares)
+            ny = way[0] / np.sqrt(squares)
         else:
             nx = 1.0
     return depth, place, nx, ny, nz
@@ -468,14 +541,18 @@ def _leave_cylinder(
 @subkernel
 def bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
     """Fill in centre and radius of a sphere around each block of bodies, (blocks, 4)."""
-    low, high = np.empty(3), np.empty(3)
+    low = np.empty(3)
+    high = np.empty(3)
     for block in range(len(blocks)):
-        begin, stop = block * BLOCK, min(block * BLOCK + BLOCK, len(ends))
-        low[:], high[:] = np.inf, -np.inf
+        begin = block * BLOCK
+        stop = min(block * BLOCK + BLOCK, len(ends))
+        low[:] = np.inf
+        high[:] = -np.inf
         for body in range(begin, stop):
             for end in range(2):
                 for i in range(3):
-                    low[i], high[i] = min(low[i], ends[body, end, i]), max(high[i], ends[body, end, i])
+                    low[i] = min(low[i], ends[body, end, i])
+                    high[i] = max(high[i], ends[body, end, i])
         for i in range(3):
             blocks[block, i] = 0.5 * (low[i] + high[i])
         radius = 0.0
@@ -498,19 +575,27 @@ def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -
         ux = lines[obstacle, 1, 0] - lines[obstacle, 0, 0]
         uy = lines[obstacle, 1, 1] - lines[obstacle, 0, 1]
         uz = lines[obstacle, 1, 2] - lines[obstacle, 0, 2]
-        gx, gy, gz = x - lines[obstacle, 0, 0], y - lines[obstacle, 0, 1], z - lines[obstacle, 0, 2]
+        gx = x - lines[obstacle, 0, 0]
+        gy = y - lines[obstacle, 0, 1]
+        gz = z - lines[obstacle, 0, 2]
         t = (gx * ux + gy * uy + gz * uz) / max(ux * ux + uy * uy + uz * uz, TINY)
         t = min(max(t, 0.0), 1.0)
-        gx, gy, gz = gx - t * ux, gy - t * uy, gz - t * uz
+        gx = gx - t * ux
+        gy = gy - t * uy
+        gz = gz - t * uz
         return (
             np.sqrt(gx * gx + gy * gy + gz * gz)
             - pairs.radii[len(pairs.radii) - len(pairs.shapes) + obstacle]
         )
-    frames, centers = pairs.frames, pairs.centers
-    x, y, z = x - centers[obstacle, 0], y - centers[obstacle, 1], z - centers[obstacle, 2]
+    frames = pairs.frames
+    centers = pairs.centers
+    x = x - centers[obstacle, 0]
+    y = y - centers[obstacle, 1]
+    z = z - centers[obstacle, 2]
     if kind == PLANE:
         return frames[obstacle, 0, 2] * x + frames[obstacle, 1, 2] * y + frames[obstacle, 2, 2] * z
-    squares, inside = 0.0, -np.inf
+    squares = 0.0
+    inside = -np.inf
     for axis in range(3):
         along = frames[obstacle, 0, axis] * x + frames[obstacle, 1, axis] * y + frames[obstacle, 2, axis] * z
         beyond = abs(along) - pairs.halves[obstacle, axis]
@@ -522,19 +607,25 @@ def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -
 @inlined
 def group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
     """Return a lower bound of the distances in a group."""
-    block, other = pairs.groups[group, 0], pairs.groups[group, 1] - len(blocks)
-    x, y, z = blocks[block, 0], blocks[block, 1], blocks[block, 2]
+    block = pairs.groups[group, 0]
+    other = pairs.groups[group, 1] - len(blocks)
+    x = blocks[block, 0]
+    y = blocks[block, 1]
+    z = blocks[block, 2]
     if other >= 0:
         return _point_distance(pairs, other, x, y, z) - blocks[block, 3]
     other += len(blocks)
-    x, y, z = x - blocks[other, 0], y - blocks[other, 1], z - blocks[other, 2]
+    x = x - blocks[other, 0]
+    y = y - blocks[other, 1]
+    z = z - blocks[other, 2]
     return np.sqrt(x * x + y * y + z * z) - blocks[block, 3] - blocks[other, 3]
 
 
 @inlined
 def _body_sphere(ends: Array3, radii: Array1, body: int) -> tuple[float, float, float, float]:
     """Return centre and radius of a sphere around the capsule of a body."""
-    ux, uy = 0.5 * (ends[body, 1, 0] - ends[body, 0, 0]), 0.5 * (ends[body, 1, 1] - ends[body, 0, 1])
+    ux = 0.5 * (ends[body, 1, 0] - ends[body, 0, 0])
+    uy = 0.5 * (ends[body, 1, 1] - ends[body, 0, 1])
     uz = 0.5 * (ends[body, 1, 2] - ends[body, 0, 2])
     reach = np.sqrt(ux * ux + uy * uy + uz * uz) + radii[body]
     return ends[body, 0, 0] + ux, ends[body, 0, 1] + uy, ends[body, 0, 2] + uz, reach
@@ -583,12 +674,16 @@ def near_pairs(
     blocks = np.empty(((len(ends) + BLOCK - 1) // BLOCK, 4))
     bound_blocks(ends, pairs, blocks)
     groups = len(pairs.groups)
-    lower, nearest = np.empty(groups), 0
+    lower = np.empty(groups)
+    nearest = 0
     for group in range(groups):
         lower[group] = group_bound(blocks, pairs, group)
         if lower[group] < lower[nearest]:
             nearest = group
-    count, opened, best, best_pair = 0, 0, np.inf, -1
+    count = 0
+    opened = 0
+    best = np.inf
+    best_pair = -1
     for turn in range(groups):
         # The nearest group comes first, so that most of the others can be skipped.
         group = nearest if turn == 0 else (0 if turn == nearest else turn)
@@ -600,15 +695,22 @@ def near_pairs(
             distance, px, py, pz, nx, ny, nz = pair_contact(ends, pairs, pair, max(within, best))
             if not pairs.exact[pair]:
                 if distance < max(within, best):
-                    open_pairs[opened], bounds[opened] = pair, distance
+                    open_pairs[opened] = pair
+                    bounds[opened] = distance
                     opened += 1
                 continue
             if distance < best:
-                best, best_pair = distance, pair
+                best = distance
+                best_pair = pair
             if distance < within:
-                near[count], distances[count] = pair, distance
-                points[count, 0], points[count, 1], points[count, 2] = px, py, pz
-                normals[count, 0], normals[count, 1], normals[count, 2] = nx, ny, nz
+                near[count] = pair
+                distances[count] = distance
+                points[count, 0] = px
+                points[count, 1] = py
+                points[count, 2] = pz
+                normals[count, 0] = nx
+                normals[count, 1] = ny
+                normals[count, 2] = nz
                 count += 1
     return count, opened, best, best_pair
 
@@ -651,8 +753,12 @@ def contacts_along(
     Returns:
         Number of contacts; those beyond k were not stored.
     """
-    count, bodies, room = len(tree.parents), len(carriers), len(samples)
-    rotations, origins, ends = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty(local.shape)
+    count = len(tree.parents)
+    bodies = len(carriers)
+    room = len(samples)
+    rotations = np.empty((count, 3, 3))
+    origins = np.empty((count, 3))
+    ends = np.empty(local.shape)
     blocks = np.empty(((bodies + BLOCK - 1) // BLOCK, 4))
     found = 0
     for at in range(len(positions)):
@@ -671,12 +777,14 @@ def contacts_along(
                     continue
                 minima[at] = min(minima[at], contact[0])
                 if found < room:
-                    samples[found], distances[found] = at, contact[0]
+                    samples[found] = at
+                    distances[found] = contact[0]
                     other = pairs.second[pair]
                     carrying[found, 0] = carriers[pairs.first[pair]]
                     carrying[found, 1] = carriers[other] if other < bodies else 0
                     for i in range(3):
-                        points[found, i], normals[found, i] = contact[1 + i], contact[4 + i]
+                        points[found, i] = contact[1 + i]
+                        normals[found, i] = contact[4 + i]
                 found += 1
     return found
 
@@ -699,7 +807,9 @@ def smallest_distance(
         The smallest distance of exact pairs and its pair, inf and -1 if none; and the number of open pairs.
     """
     blocks = np.empty(((ends.shape[1] + BLOCK - 1) // BLOCK, 4))
-    best, best_pair, opened = np.inf, -1, 0
+    best = np.inf
+    best_pair = -1
+    opened = 0
     for at in range(len(ends)):
         bound_blocks(ends[at], pairs, blocks)
         for group in range(len(pairs.groups)):
@@ -711,8 +821,11 @@ def smallest_distance(
                 distance = pair_contact(ends[at], pairs, pair, min(below, best))[0]
                 if not pairs.exact[pair]:
                     if distance < min(below, best):
-                        open_pairs[opened, 0], open_pairs[opened, 1], bounds[opened] = at, pair, distance
+                        open_pairs[opened, 0] = at
+                        open_pairs[opened, 1] = pair
+                        bounds[opened] = distance
                         opened += 1
                 elif distance < best:
-                    best, best_pair = distance, pair
+                    best = distance
+                    best_pair = pair
     return best, best_pair, opened

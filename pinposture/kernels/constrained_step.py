@@ -20,7 +20,9 @@ from pinposture.kernels.compiled import compiled, subkernel
 # dual function), maximal at the solution. Newton steps with a line search find it: the chain is solved once
 # more for each relevant row, and a small dense system, the Schur complement, gives the step.
 
-MAX_STEPS, MAX_HALVINGS = 60, 4  # maximum number of Newton steps, and of halvings of each
+# maximum number of Newton steps, and of halvings of each
+MAX_STEPS = 60
+MAX_HALVINGS = 4
 
 MIN_SHARE_OF_GAIN = 1e-4  # fraction of the expected gain at which a step is accepted
 
@@ -61,18 +63,26 @@ def minimise_with_rows(
     Returns:
         False if it was not found: the rows may contradict each other or the box.
     """
-    n, count = len(x), len(rows)
-    sides, box, centre = np.zeros(n, dtype=np.int8), (lower, upper), problem[3]
+    n = len(x)
+    count = len(rows)
+    sides = np.zeros(n, dtype=np.int8)
+    box = (lower, upper)
+    centre = problem[3]
     for u in range(n):
         sides[u] = 1 if centre[u] > upper[u] else (-1 if centre[u] < lower[u] else 0)
-    multipliers, change, tried = np.zeros(count), np.empty(count), np.empty(count)
-    missing, before = np.empty(count), np.empty(count)
-    which, yielding = np.empty(count, dtype=np.int64), np.empty((count, n))
+    multipliers = np.zeros(count)
+    change = np.empty(count)
+    tried = np.empty(count)
+    missing = np.empty(count)
+    before = np.empty(count)
+    which = np.empty(count, dtype=np.int64)
+    yielding = np.empty((count, n))
     give = GIVE * _find_alone(problem, box, rows) if violable else 0.0
     active[:] = False
     value = _minimise_given(problem, box, rows, least, give, multipliers, sides, x, missing)
     for _ in range(MAX_STEPS):
-        counting, settled = 0, True
+        counting = 0
+        settled = True
         for row in range(count):
             if multipliers[row] > 0.0 or missing[row] > ROW_ROUNDING:
                 which[counting] = row
@@ -123,7 +133,8 @@ def _minimise_given(
 ) -> float:
     """Minimise for given multipliers; fill in the violation of each row and return the dual value."""
     objective, errors, damping, centre = problem
-    pushed, n = centre.copy(), len(centre)
+    pushed = centre.copy()
+    n = len(centre)
     for row in range(len(rows)):
         if multipliers[row] > 0.0:
             for u in range(n):
@@ -142,8 +153,10 @@ def _minimise_given(
 def _find_alone(problem: ChainProblem, box: tuple[Array1, Array1], rows: Array2) -> float:
     """Return the mean compliance of rows if joints move one by one."""
     objective, _, damping, _ = problem
-    n, total = len(damping), 0.0
-    gains, held = np.empty((n, 11)), np.empty(n, dtype=np.bool_)
+    n = len(damping)
+    total = 0.0
+    gains = np.empty((n, 11))
+    held = np.empty(n, dtype=np.bool_)
     for u in range(n):
         held[u] = not box[1][u] > box[0][u]
     factor(objective, damping, held, np.empty((0, 6, 6)), gains)
@@ -167,10 +180,15 @@ def _find_schur(
     `yielding`, (r, n), is scratch.
     """
     objective, errors, damping, _ = problem
-    n, count = len(damping), len(which)
-    gains, held, no_bodies = np.empty((n, 11)), np.empty(n, dtype=np.bool_), np.empty((0, 6, 6))
-    force, no_errors = np.empty(n), np.zeros_like(errors)
-    schur, alone = np.zeros((count, count)), np.zeros(count)
+    n = len(damping)
+    count = len(which)
+    gains = np.empty((n, 11))
+    held = np.empty(n, dtype=np.bool_)
+    no_bodies = np.empty((0, 6, 6))
+    force = np.empty(n)
+    no_errors = np.zeros_like(errors)
+    schur = np.zeros((count, count))
+    alone = np.zeros(count)
     for u in range(n):
         held[u] = sides[u] != 0 or not box[1][u] > box[0][u]
     factor(objective, damping, held, no_bodies, gains)
@@ -197,7 +215,9 @@ def _step_multipliers(
         The expected gain; -1 if it cannot be computed.
     """
     count = len(which)
-    factored, right, gain = np.empty((count, count)), np.empty(count), 0.0
+    factored = np.empty((count, count))
+    right = np.empty(count)
+    gain = 0.0
     released = np.zeros(count, dtype=np.bool_)  # rows whose multiplier becomes 0
     change[:] = 0.0
     for _ in range(count + 1):

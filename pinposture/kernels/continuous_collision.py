@@ -73,15 +73,24 @@ def smallest_distance_on_motions(
         The smallest distance found for exact pairs, and its pair: inf and -1 if there is none below; and the
         number of open samples, of which those beyond k were not stored.
     """
-    count, bodies = len(tree.parents), len(carriers)
-    arm, ends, blocks = (tree, carriers, local), np.empty(local.shape), np.empty((-(-bodies // BLOCK), 4))
+    count = len(tree.parents)
+    bodies = len(carriers)
+    arm = (tree, carriers, local)
+    ends = np.empty(local.shape)
+    blocks = np.empty((-(-bodies // BLOCK), 4))
     placed = np.empty((count, 3, 3)), np.empty((count, 3)), ends
-    move, at = np.empty(positions.shape[1]), np.empty(positions.shape[1])
-    drift, here = np.empty(3), np.empty(3)
+    move = np.empty(positions.shape[1])
+    at = np.empty(positions.shape[1])
+    drift = np.empty(3)
+    here = np.empty(3)
     bounds = np.empty((count, 9)), np.empty(bodies), np.empty(len(blocks))
-    stack, begins = np.empty(1024, dtype=np.int64), np.zeros(MAX_DEPTH + 2, dtype=np.int64)
+    stack = np.empty(1024, dtype=np.int64)
+    begins = np.zeros(MAX_DEPTH + 2, dtype=np.int64)
     right = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
-    best, best_pair, opened, pieces = np.inf, -1, 0, len(positions) - 1
+    best = np.inf
+    best_pair = -1
+    opened = 0
+    pieces = len(positions) - 1
     stride = _spread(pieces)
     for turn in range(pieces):
         piece = turn * stride % pieces
@@ -89,9 +98,12 @@ def smallest_distance_on_motions(
             move[u] = positions[piece + 1, u] - positions[piece, u]
         for i in range(3):
             drift[i] = drifts[piece + 1, i] - drifts[piece, i]
-        depth, low, width = 0, 0.0, 1.0
+        depth = 0
+        low = 0.0
+        width = 1.0
         while True:
-            middle, half = low + 0.5 * width, 0.5 * width
+            middle = low + 0.5 * width
+            half = 0.5 * width
             for u in range(len(at)):
                 at[u] = positions[piece, u] + middle * move[u]
             for i in range(3):
@@ -101,18 +113,21 @@ def smallest_distance_on_motions(
             if depth == 0:
                 bound_blocks(ends, pairs, blocks)
                 _bound_block_motions(bounds[1], bounds[2])
-            first, last = begins[depth], begins[depth]
+            first = begins[depth]
+            last = begins[depth]
             groups = len(pairs.groups) if depth == 0 else 1
             for group in range(groups):
                 if depth == 0:
-                    begin, stop = pairs.starts[group], pairs.starts[group + 1]
+                    begin = pairs.starts[group]
+                    stop = pairs.starts[group + 1]
                     reach = bounds[2][pairs.groups[group, 0]]
                     if pairs.groups[group, 1] < len(blocks):
                         reach += bounds[2][pairs.groups[group, 1]]
                     if group_bound(blocks, pairs, group) - reach >= min(below, best):
                         continue
                 else:
-                    begin, stop = begins[depth - 1], begins[depth]
+                    begin = begins[depth - 1]
+                    stop = begins[depth]
                 for entry in range(begin, stop):
                     pair = entry if depth == 0 else stack[entry]
                     # The ends of a motion must be exact: remaining pairs are measured there.
@@ -122,7 +137,8 @@ def smallest_distance_on_motions(
                     if other < bodies:
                         moved += bounds[1][other]
                         if pair_bound(ends, pairs, pair) - moved < aim:
-                            near, far = pairs.first[pair], other
+                            near = pairs.first[pair]
+                            far = other
                             if carriers[near] > carriers[far]:
                                 near, far = far, near
                             apart = _relative_motion(arm, placed, move, half, far, near)
@@ -132,7 +148,8 @@ def smallest_distance_on_motions(
                     distance = pair_contact(ends, pairs, pair, aim + moved)[0]
                     if pairs.exact[pair]:
                         if distance < min(below, best):
-                            best, best_pair = distance, pair
+                            best = distance
+                            best_pair = pair
                             if best < enough:
                                 return best, best_pair, opened
                             aim = best - (tolerance if depth > 0 else 0.0)
@@ -159,21 +176,26 @@ def smallest_distance_on_motions(
                     if distance >= min(below, best):
                         continue
                     if pairs.exact[pair]:
-                        best, best_pair = distance, pair
+                        best = distance
+                        best_pair = pair
                         if best < enough:
                             return best, best_pair, opened
                     else:
                         opened = _leave_open(open_samples, opened, (piece, 1.0, 0.0, pair, 0.0, distance))
             if last > first and depth < MAX_DEPTH:  # the first half, for the remaining pairs
                 depth += 1
-                begins[depth], right[depth], width = last, False, half
+                begins[depth] = last
+                right[depth] = False
+                width = half
                 continue
             while depth > 0 and right[depth]:  # both halves are done
                 depth -= 1
-                low, width = low - width, 2.0 * width
+                low = low - width
+                width = 2.0 * width
             if depth == 0:
                 break
-            right[depth], low = True, low + width
+            right[depth] = True
+            low = low + width
     return best, best_pair, opened
 
 
@@ -202,7 +224,8 @@ def _spread(count: int) -> int:
     """Return a stride that visits all of `count` places, far apart at first."""
     stride = max(int(0.618 * count), 1)
     while True:
-        a, b = count, stride
+        a = count
+        b = stride
         while b:
             a, b = b, a % b
         if a == 1:
@@ -221,24 +244,35 @@ def _bound_motions(
 ) -> None:
     """Fill in the motion of joints, and bounds of how far bodies move until either end."""
     (tree, carriers, _), (rotations, origins, ends) = arm, placed
-    joints, turned = bounds[0], np.empty(len(tree.parents))  # sums of |dq|
+    # sums of |dq|
+    joints = bounds[0]
+    turned = np.empty(len(tree.parents))
     for i in range(9):
         joints[0, i] = drift[i] if i < 3 else 0.0
     turned[0] = 0.0
     for joint in range(1, len(tree.parents)):
-        p, own = tree.parents[joint], joints[joint]
-        v, origin, before = joints[p], origins[joint], origins[p]
+        p = tree.parents[joint]
+        own = joints[joint]
+        v = joints[p]
+        origin = origins[joint]
+        before = origins[p]
         x, y, z = _difference(origin, before)
         own[0] = v[0] + v[4] * z - v[5] * y
         own[1] = v[1] + v[5] * x - v[3] * z
         own[2] = v[2] + v[3] * y - v[4] * x
-        own[3], own[4], own[5] = v[3], v[4], v[5]
+        own[3] = v[3]
+        own[4] = v[4]
+        own[5] = v[5]
         length = np.sqrt(x * x + y * y + z * z)
-        spin, speed_up = v[7], v[8]  # bounds of angular speed and acceleration
-        size, slides = 0.0, tree.kinds[joint] == 1
+        # bounds of angular speed and acceleration
+        spin = v[7]
+        speed_up = v[8]
+        size = 0.0
+        slides = tree.kinds[joint] == 1
         if tree.kinds[joint] < 2:
             dq = tree.ratios[joint] * move[tree.columns[joint]]
-            turn, axis = rotations[joint], tree.axes[joint]
+            turn = rotations[joint]
+            axis = tree.axes[joint]
             size = abs(dq)
             for i in range(3):
                 along = turn[i, 0] * axis[0] + turn[i, 1] * axis[1] + turn[i, 2] * axis[2]
@@ -254,8 +288,10 @@ def _bound_motions(
         now = np.sqrt(own[3] ** 2 + own[4] ** 2 + own[5] ** 2)
         own[7] = min(turned[joint], now + half * min(own[8], 0.5 * turned[joint] ** 2))
     for body in range(len(carriers)):
-        joint, most = carriers[body], 0.0
-        own, origin = joints[joint], origins[joint]
+        joint = carriers[body]
+        most = 0.0
+        own = joints[joint]
+        origin = origins[joint]
         for end in range(2):
             x, y, z = _difference(ends[body, end], origin)
             vx = own[0] + own[4] * z - own[5] * y
@@ -283,16 +319,20 @@ def _relative_motion(arm: Arm, placed: Placed, move: Array1, half: float, one: i
     Infinite if the other does not carry it, or if joints slide between them.
     """
     (tree, carriers, _), (rotations, origins, ends) = arm, placed
-    base, joint = carriers[other], carriers[one]
+    base = carriers[other]
+    joint = carriers[one]
     far = origins[joint]
-    velocity, turned, length = np.zeros((2, 3)), 0.0, 0.0
+    velocity = np.zeros((2, 3))
+    turned = 0.0
+    length = 0.0
     while joint > base:
         origin = origins[joint]
         length += np.sqrt((far[0] - origin[0]) ** 2 + (far[1] - origin[1]) ** 2 + (far[2] - origin[2]) ** 2)
         far = origin
         if tree.kinds[joint] < 2:
             dq = tree.ratios[joint] * move[tree.columns[joint]]
-            turn, axis = rotations[joint], tree.axes[joint]
+            turn = rotations[joint]
+            axis = tree.axes[joint]
             if tree.kinds[joint] == 1 and dq != 0.0:
                 return np.inf
             turned += abs(dq)
@@ -307,7 +347,8 @@ def _relative_motion(arm: Arm, placed: Placed, move: Array1, half: float, one: i
         joint = tree.parents[joint]
     if joint != base:
         return np.inf
-    most, origin = 0.0, origins[carriers[one]]
+    most = 0.0
+    origin = origins[carriers[one]]
     for end in range(2):
         x, y, z = _difference(ends[one, end], origin)
         acceleration = 1.5 * turned * turned * (length + np.sqrt(x * x + y * y + z * z))

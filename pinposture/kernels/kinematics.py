@@ -30,9 +30,15 @@ def difference(points: Array2, i: int, j: int) -> Three:
 def rotation_about(x: float, y: float, z: float, c: float, s: float) -> Nine:
     """Return the rotation about a unit axis by an angle of cosine c and sine s, row by row (Rodrigues)."""
     v = 1.0 - c
-    e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
-    e10, e11, e12 = v * x * y + s * z, c + v * y * y, v * y * z - s * x
-    e20, e21, e22 = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+    e00 = c + v * x * x
+    e01 = v * x * y - s * z
+    e02 = v * x * z + s * y
+    e10 = v * x * y + s * z
+    e11 = c + v * y * y
+    e12 = v * y * z - s * x
+    e20 = v * x * z - s * y
+    e21 = v * y * z + s * x
+    e22 = c + v * z * z
     return e00, e01, e02, e10, e11, e12, e20, e21, e22
 
 
@@ -66,42 +72,62 @@ def placements(
         rotations: filled with their orientations, (m, 3, 3).
     """
     slides, columns, ratios, fixed, axes, ends, offsets, turns, _, _, _ = chain
-    r00, r01, r02 = 1.0, 0.0, 0.0
-    r10, r11, r12 = 0.0, 1.0, 0.0
-    r20, r21, r22 = 0.0, 0.0, 1.0
-    px, py, pz = 0.0, 0.0, 0.0
+    r00 = 1.0
+    r01 = 0.0
+    r02 = 0.0
+    r10 = 0.0
+    r11 = 1.0
+    r12 = 0.0
+    r20 = 0.0
+    r21 = 0.0
+    r22 = 1.0
+    px = 0.0
+    py = 0.0
+    pz = 0.0
     # Sines and cosines first, because the loop below would wait for each; they are stored in `joint_axes`.
     for u in range(len(slides)):
         q = ratios[u] * positions[columns[u]]
         if slides[u]:
             joint_axes[u, 0] = q
         else:
-            joint_axes[u, 0], joint_axes[u, 1] = np.cos(q), np.sin(q)
+            joint_axes[u, 0] = np.cos(q)
+            joint_axes[u, 1] = np.sin(q)
     k = 0
     for u in range(len(slides)):
-        f, c, s = fixed[u], joint_axes[u, 0], joint_axes[u, 1]
-        px, py, pz = (
-            px + r00 * f[9] + r01 * f[10] + r02 * f[11],
-            py + r10 * f[9] + r11 * f[10] + r12 * f[11],
-            pz + r20 * f[9] + r21 * f[10] + r22 * f[11],
-        )
+        f = fixed[u]
+        c = joint_axes[u, 0]
+        s = joint_axes[u, 1]
+        px = px + r00 * f[9] + r01 * f[10] + r02 * f[11]
+        py = py + r10 * f[9] + r11 * f[10] + r12 * f[11]
+        pz = pz + r20 * f[9] + r21 * f[10] + r22 * f[11]
         turn = (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
         r00, r01, r02 = turn_row(r00, r01, r02, turn)
         r10, r11, r12 = turn_row(r10, r11, r12, turn)
         r20, r21, r22 = turn_row(r20, r21, r22, turn)
-        x, y, z = axes[u, 0], axes[u, 1], axes[u, 2]
-        ax, ay, az = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
-        joint_axes[u, 0], joint_axes[u, 1], joint_axes[u, 2] = ax, ay, az
+        x = axes[u, 0]
+        y = axes[u, 1]
+        z = axes[u, 2]
+        ax = r00 * x + r01 * y + r02 * z
+        ay = r10 * x + r11 * y + r12 * z
+        az = r20 * x + r21 * y + r22 * z
+        joint_axes[u, 0] = ax
+        joint_axes[u, 1] = ay
+        joint_axes[u, 2] = az
         if slides[u]:
-            px, py, pz = px + c * ax, py + c * ay, pz + c * az
+            px = px + c * ax
+            py = py + c * ay
+            pz = pz + c * az
         else:
             turn = rotation_about(x, y, z, c, s)
             r00, r01, r02 = turn_row(r00, r01, r02, turn)
             r10, r11, r12 = turn_row(r10, r11, r12, turn)
             r20, r21, r22 = turn_row(r20, r21, r22, turn)
-        joint_origins[u, 0], joint_origins[u, 1], joint_origins[u, 2] = px, py, pz
+        joint_origins[u, 0] = px
+        joint_origins[u, 1] = py
+        joint_origins[u, 2] = pz
         while k < len(ends) and ends[k] == u + 1:
-            o, t = offsets[k], turns[k]
+            o = offsets[k]
+            t = turns[k]
             points[k, 0] = px + r00 * o[0] + r01 * o[1] + r02 * o[2]
             points[k, 1] = py + r10 * o[0] + r11 * o[1] + r12 * o[2]
             points[k, 2] = pz + r20 * o[0] + r21 * o[1] + r22 * o[2]
@@ -121,8 +147,11 @@ def trace_points(chain: ChainArrays, positions: Array2, points: Array3) -> None:
         positions: joint positions, (s, nv).
         points: filled with the control points, (s, m, 3).
     """
-    n, m = len(chain.slides), len(chain.ends)
-    axes, origins, rotations = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3, 3))
+    n = len(chain.slides)
+    m = len(chain.ends)
+    axes = np.empty((n, 3))
+    origins = np.empty((n, 3))
+    rotations = np.empty((m, 3, 3))
     for i in range(len(positions)):
         placements(chain, positions[i], axes, origins, points[i], rotations)
 
@@ -140,10 +169,15 @@ def jacobians(
         points: control points, (m, 3).
         filled: zeros, filled with the Jacobians, (m, 3, nv).
     """
-    slides, columns, ends, ratios = chain.slides, chain.columns, chain.ends, chain.ratios
+    slides = chain.slides
+    columns = chain.columns
+    ends = chain.ends
+    ratios = chain.ratios
     for k in range(len(ends)):
         for u in range(ends[k]):
-            a, j, ratio = joint_axes[u], columns[u], ratios[u]
+            a = joint_axes[u]
+            j = columns[u]
+            ratio = ratios[u]
             if slides[u]:
                 for i in range(3):
                     filled[k, i, j] += ratio * a[i]
@@ -174,14 +208,22 @@ def carry_screws(
     for i in range(len(columns)):
         while k < len(ends) - 1 and ends[k] <= i:
             k += 1
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        x = points[k, 0]
+        y = points[k, 1]
+        z = points[k, 2]
         j = columns[i]
-        v0, v1, v2 = motions[j, 0], motions[j, 1], motions[j, 2]
-        w0, w1, w2 = motions[j, 3], motions[j, 4], motions[j, 5]
+        v0 = motions[j, 0]
+        v1 = motions[j, 1]
+        v2 = motions[j, 2]
+        w0 = motions[j, 3]
+        w1 = motions[j, 4]
+        w2 = motions[j, 5]
         filled[i, 0] = units[i] * (v0 + w1 * z - w2 * y)
         filled[i, 1] = units[i] * (v1 + w2 * x - w0 * z)
         filled[i, 2] = units[i] * (v2 + w0 * y - w1 * x)
-        filled[i, 3], filled[i, 4], filled[i, 5] = units[i] * w0, units[i] * w1, units[i] * w2
+        filled[i, 3] = units[i] * w0
+        filled[i, 4] = units[i] * w1
+        filled[i, 5] = units[i] * w2
 
 
 # The rows of a posture control matrix are motions of some points, the stations, along some directions. The
@@ -207,21 +249,37 @@ def motions_along(screws: Screws, rows: Rows, x: Array1, values: Array2) -> None
     """
     b, ends, points = screws
     stations, ranks, directions, coupling = rows
-    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    u, at = 0, 0
+    v0 = 0.0
+    v1 = 0.0
+    v2 = 0.0
+    w0 = 0.0
+    w1 = 0.0
+    w2 = 0.0
+    u = 0
+    at = 0
     for k in range(len(stations)):
         if coupling != FULL:
-            v0, v1, v2 = 0.0, 0.0, 0.0
+            v0 = 0.0
+            v1 = 0.0
+            v2 = 0.0
         if coupling == LOCAL:
-            w0, w1, w2 = 0.0, 0.0, 0.0
+            w0 = 0.0
+            w1 = 0.0
+            w2 = 0.0
         for point in range(stations[k - 1] + 1 if k else 0, stations[k] + 1):
             r0, r1, r2 = difference(points, point, at)
-            v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
+            v0 = v0 + w1 * r2 - w2 * r1
+            v1 = v1 + w2 * r0 - w0 * r2
+            v2 = v2 + w0 * r1 - w1 * r0
             at = point
             while u < ends[point]:
                 xu = x[u]
-                v0, v1, v2 = v0 + xu * b[u, 0], v1 + xu * b[u, 1], v2 + xu * b[u, 2]
-                w0, w1, w2 = w0 + xu * b[u, 3], w1 + xu * b[u, 4], w2 + xu * b[u, 5]
+                v0 = v0 + xu * b[u, 0]
+                v1 = v1 + xu * b[u, 1]
+                v2 = v2 + xu * b[u, 2]
+                w0 = w0 + xu * b[u, 3]
+                w1 = w1 + xu * b[u, 4]
+                w2 = w2 + xu * b[u, 5]
                 u += 1
         for j in range(ranks[k]):
             e = directions[k, j]
@@ -240,22 +298,37 @@ def joints_along(screws: Screws, rows: Rows, values: Array2, x: Array1) -> None:
     """
     b, ends, points = screws
     stations, ranks, directions, coupling = rows
-    f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # force, and moment about the point
+    # force, and moment about the point
+    f0 = 0.0
+    f1 = 0.0
+    f2 = 0.0
+    t0 = 0.0
+    t1 = 0.0
+    t2 = 0.0
     at = stations[-1]
     for u in range(ends[at], len(x)):
         x[u] = 0.0
     for k in range(len(stations) - 1, -1, -1):
         first = stations[k - 1] + 1 if k else 0
         if coupling != FULL:
-            f0, f1, f2 = 0.0, 0.0, 0.0
+            f0 = 0.0
+            f1 = 0.0
+            f2 = 0.0
         if coupling == LOCAL:
-            t0, t1, t2 = 0.0, 0.0, 0.0
+            t0 = 0.0
+            t1 = 0.0
+            t2 = 0.0
         for j in range(ranks[k]):
-            e, value = directions[k, j], values[k, j]
-            f0, f1, f2 = f0 + value * e[0], f1 + value * e[1], f2 + value * e[2]
+            e = directions[k, j]
+            value = values[k, j]
+            f0 = f0 + value * e[0]
+            f1 = f1 + value * e[1]
+            f2 = f2 + value * e[2]
         for point in range(stations[k], first - 1, -1):
             for u in range(ends[point] - 1, (ends[point - 1] if point else 0) - 1, -1):
                 x[u] = b[u, 0] * f0 + b[u, 1] * f1 + b[u, 2] * f2 + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
             if point:
                 r0, r1, r2 = difference(points, point, point - 1)
-                t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
+                t0 = t0 + r1 * f2 - r2 * f1
+                t1 = t1 + r2 * f0 - r0 * f2
+                t2 = t2 + r0 * f1 - r1 * f0

@@ -38,7 +38,12 @@ def _with_module(gram: Gram, screws: Screws, plane: Array2, module: int, point: 
                 plane[1, 0] * x + plane[1, 1] * y + plane[1, 2] * z,
                 0.0,
             )
-        xx, xy, xz, yy, yz, zz = xx + x * x, xy + x * y, xz + x * z, yy + y * y, yz + y * z, zz + z * z
+        xx = xx + x * x
+        xy = xy + x * y
+        xz = xz + x * z
+        yy = yy + y * y
+        yz = yz + y * z
+        zz = zz + z * z
     return xx, xy, xz, yy, yz, zz
 
 
@@ -60,7 +65,9 @@ def _index(gram: Gram, dimension: int) -> float:
         largest = mean + np.sqrt(half * half + xy * xy)
         determinant = (xx / largest) * (yy / largest) - (xy / largest) * (xy / largest)
     else:
-        dx, dy, dz = xx - mean, yy - mean, zz - mean
+        dx = xx - mean
+        dy = yy - mean
+        dz = zz - mean
         spread = np.sqrt((dx * dx + dy * dy + dz * dz + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
         safe = spread if spread > 0.0 else 1.0
         cosine = 0.5 * _determinant((dx / safe, xy / safe, xz / safe, dy / safe, yz / safe, dz / safe))
@@ -118,13 +125,21 @@ def base_indices(screws: Screws, plane: Array2, threshold: float, filled: Array1
     rounding errors could decide whether it exceeds the threshold. Other arguments are as in `all_indices`.
     """
     b, ends, points = screws
-    vv, vw, ww = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    X, P = np.zeros((3, 3)), plane
+    vv = np.zeros((3, 3))
+    vw = np.zeros((3, 3))
+    ww = np.zeros((3, 3))
+    X = np.zeros((3, 3))
+    P = plane
     d = len(plane)
     for i in range(len(ends)):
         if i:  # v + w x r, as a matrix times w
             r0, r1, r2 = difference(points, i, i - 1)
-            X[0, 1], X[0, 2], X[1, 0], X[1, 2], X[2, 0], X[2, 1] = r2, -r1, -r2, r0, r1, -r0
+            X[0, 1] = r2
+            X[0, 2] = -r1
+            X[1, 0] = -r2
+            X[1, 2] = r0
+            X[2, 0] = r1
+            X[2, 1] = -r0
             for j in range(3):
                 for k in range(3):
                     vv[j, k] += X[j, 0] * vw[k, 0] + X[j, 1] * vw[k, 1] + X[j, 2] * vw[k, 2]
@@ -143,7 +158,9 @@ def base_indices(screws: Screws, plane: Array2, threshold: float, filled: Array1
         if d == 3:
             gram = (vv[0, 0], vv[0, 1], vv[0, 2], vv[1, 1], vv[1, 2], vv[2, 2])
         else:
-            xx, xy, yy = 0.0, 0.0, 0.0
+            xx = 0.0
+            xy = 0.0
+            yy = 0.0
             for j in range(3):
                 for k in range(3):
                     xx += P[0, j] * vv[j, k] * P[0, k]
@@ -189,15 +206,19 @@ def best_path(
     Returns:
         Number of points in the set.
     """
-    m, d, known = len(screws.ends), len(plane), 0
-    score, before = np.zeros(m), np.full(m, -1)
+    m = len(screws.ends)
+    d = len(plane)
+    known = 0
+    score = np.zeros(m)
+    before = np.full(m, -1)
     order = np.empty(m, np.int64)  # points so far, from the worst to the best
     grams = np.empty((m, 6))  # of the sections from each point to this one
     for i in range(m):
         if not usable[i]:
             continue
         score[i] = errors[i]
-        gram, reached = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), i
+        gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        reached = i
         for at in range(known - 1, -1, -1):
             s = order[at]
             if score[s] <= 0.0:
@@ -218,7 +239,8 @@ def best_path(
             at -= 1
         order[at] = i
         known += 1
-    count, point = 0, order[known - 1] if known else -1
+    count = 0
+    point = order[known - 1] if known else -1
     while point >= 0:
         path[count] = point
         count += 1
@@ -270,17 +292,29 @@ def module_spaces(
         The smallest ratio of a retained singular value to the largest of its section; 1 if there is none.
     """
     b, ends, points = screws
-    widest, u = 0, 0
+    widest = 0
+    u = 0
     for station in stations:
-        widest, u = max(widest, ends[station] - u), ends[station]
-    d, length = len(plane), max(widest, len(plane))
-    vectors, turns, sigma = np.empty((3, length)), np.empty((3, 3)), np.empty(3)
+        widest = max(widest, ends[station] - u)
+        u = ends[station]
+    d = len(plane)
+    length = max(widest, len(plane))
+    vectors = np.empty((3, length))
+    turns = np.empty((3, 3))
+    sigma = np.empty(3)
     columns = np.empty((widest, 3))
-    smallest, u, point = 1.0, 0, 0
+    smallest = 1.0
+    u = 0
+    point = 0
     for k in range(len(stations)):
-        end, count, rank, largest = points[stations[k]], 0, 0, 0.0
+        end = points[stations[k]]
+        count = 0
+        rank = 0
+        largest = 0.0
         while point <= stations[k]:
-            r0, r1, r2 = end[0] - points[point, 0], end[1] - points[point, 1], end[2] - points[point, 2]
+            r0 = end[0] - points[point, 0]
+            r1 = end[1] - points[point, 1]
+            r2 = end[2] - points[point, 2]
             while u < ends[point]:
                 x = b[u, 0] + b[u, 4] * r2 - b[u, 5] * r1
                 y = b[u, 1] + b[u, 5] * r0 - b[u, 3] * r2
@@ -334,7 +368,8 @@ def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> No
         turned = False
         for i in range(size - 1):
             for j in range(i + 1, size):
-                ii, jj = _product(vectors, i, i, length), _product(vectors, j, j, length)
+                ii = _product(vectors, i, i, length)
+                jj = _product(vectors, j, j, length)
                 ij = _product(vectors, i, j, length)
                 if abs(ij) <= ORTHOGONAL * np.sqrt(ii * jj):
                     continue
@@ -345,11 +380,15 @@ def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> No
                 c = 1.0 / np.sqrt(1.0 + t * t)
                 s = c * t
                 for e in range(length):
-                    one, other = vectors[i, e], vectors[j, e]
-                    vectors[i, e], vectors[j, e] = c * one - s * other, s * one + c * other
+                    one = vectors[i, e]
+                    other = vectors[j, e]
+                    vectors[i, e] = c * one - s * other
+                    vectors[j, e] = s * one + c * other
                 for e in range(size):
-                    one, other = turns[i, e], turns[j, e]
-                    turns[i, e], turns[j, e] = c * one - s * other, s * one + c * other
+                    one = turns[i, e]
+                    other = turns[j, e]
+                    turns[i, e] = c * one - s * other
+                    turns[j, e] = s * one + c * other
         if not turned:
             return
 
@@ -361,7 +400,9 @@ def _complete_basis(directions: Array2, rank: int) -> None:
         e = directions[i]
         for attempt in range(1 if i < rank else 3):
             if i >= rank:
-                e[0], e[1], e[2] = 0.0, 0.0, 0.0
+                e[0] = 0.0
+                e[1] = 0.0
+                e[2] = 0.0
                 e[attempt] = 1.0
             for _ in range(2):
                 for j in range(i):
@@ -414,12 +455,16 @@ def best_branch(
                 if reached > product[node, left]:
                     product[node, left] = reached
                     before[node, left] = j
-    node, left, best = root, 0, -np.inf
+    node = root
+    left = 0
+    best = -np.inf
     for end in range(max(root, leaf - strides[0] + 1), leaf + 1):
         for edges in range(counts):
             score = bonus[edges] + (product[end, edges] / max(edges, 1) if mean else product[end, edges])
             if score > best:
-                node, left, best = end, edges, score
+                node = end
+                left = edges
+                best = score
     count = 0
     while node != root:
         j = before[node, left]

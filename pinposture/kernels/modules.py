@@ -20,10 +20,13 @@ from pinposture.kernels.spline import parameter_at, span_at, value
 # All closed forms are in the base frame of a module, with x along it and y along its first transverse hinge.
 # Signs and branches are explained in `pinposture.placement.module_kinematics`.
 
-CIRCLE, TORUS, ROLL_PITCH = 1, 2, 3
+CIRCLE = 1
+TORUS = 2
+ROLL_PITCH = 3
 """Numbers of the closed forms: one hinge; two transverse hinges; a roll and a transverse hinge."""
 
-FIRST_CROSSING, LAST_CROSSING = 1e-9, 1.0 + 1e-9
+FIRST_CROSSING = 1e-9
+LAST_CROSSING = 1.0 + 1e-9
 """Range of a crossing on a segment from 0 to 1: excluding its start, with tolerance at its end."""
 
 TOUCHING = 0.5e-14
@@ -36,8 +39,10 @@ REACH_TOLERANCE = 1e-9  # tolerance of positions, relative to the reach of a mod
 @subkernel
 def torus_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end."""
-    c0, s0 = np.cos(q0), np.sin(q0)
-    c1, s1 = np.cos(sense * q1), np.sin(sense * q1)
+    c0 = np.cos(q0)
+    s0 = np.sin(q0)
+    c1 = np.cos(sense * q1)
+    s1 = np.sin(sense * q1)
     radius = l1 + l2 * c1
     return (c0 * radius, l2 * s1, -s0 * radius, c0 * c1, -c0 * s1, s0, s1, c1, 0.0, -s0 * c1, s0 * s1, c0)
 
@@ -45,16 +50,21 @@ def torus_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> t
 @subkernel
 def circle_forward(link: float, q0: float) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end."""
-    c, s = np.cos(q0), np.sin(q0)
+    c = np.cos(q0)
+    s = np.sin(q0)
     return (link * c, 0.0, -link * s, c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
 
 
 @subkernel
 def roll_pitch_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end."""
-    c0, s0 = np.cos(sense * q0), np.sin(sense * q0)
-    c1, s1 = np.cos(q1), np.sin(q1)
-    x, y, z = l1 + l2 * c1, l2 * s0 * s1, -l2 * c0 * s1
+    c0 = np.cos(sense * q0)
+    s0 = np.sin(sense * q0)
+    c1 = np.cos(q1)
+    s1 = np.sin(q1)
+    x = l1 + l2 * c1
+    y = l2 * s0 * s1
+    z = -l2 * c0 * s1
     return (x, y, z, c1, 0.0, s1, s0 * s1, c0, -s0 * c1, -c0 * s1, s0, c0 * c1)
 
 
@@ -80,12 +90,15 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
     count = 0
     for branch in range(2):
         if branch == 0:
-            a0, a1 = q0, sense * np.arctan2(y, radius - l1)
+            a0 = q0
+            a1 = sense * np.arctan2(y, radius - l1)
         else:
-            a0, a1 = q0 - np.pi if q0 > 0.0 else q0 + np.pi, sense * np.arctan2(y, -radius - l1)
+            a0 = q0 - np.pi if q0 > 0.0 else q0 + np.pi
+            a1 = sense * np.arctan2(y, -radius - l1)
         end = torus_forward(l1, l2, sense, a0, a1)
         if max(abs(end[0] - x), abs(end[1] - y), abs(end[2] - z)) < 1e-7 * reach:
-            out[count, 0], out[count, 1] = a0, a1
+            out[count, 0] = a0
+            out[count, 1] = a1
             count += 1
     return count
 
@@ -96,15 +109,18 @@ def roll_pitch_inverse(l1: float, l2: float, sense: float, x: float, y: float, z
 
     Returns the number of pairs. The roll is zero if it does not move the end.
     """
-    rho, reach = np.hypot(y, z), l1 + l2
+    rho = np.hypot(y, z)
+    reach = l1 + l2
     if abs(np.hypot(x - l1, rho) - l2) > 1e-7 * reach:
         return 0
     bend = np.arctan2(rho, x - l1)
     roll = np.arctan2(y, -z) if rho > 1e-12 * reach else 0.0
     other = roll - np.pi if roll > 0.0 else roll + np.pi
     first = int(abs(other) < abs(roll))
-    out[first, 0], out[first, 1] = sense * roll, bend
-    out[1 - first, 0], out[1 - first, 1] = sense * other, -bend
+    out[first, 0] = sense * roll
+    out[first, 1] = bend
+    out[1 - first, 0] = sense * other
+    out[1 - first, 1] = -bend
     return 2
 
 
@@ -181,13 +197,15 @@ def quartic_roots(c: Four, c4: float, out: Array1) -> int:
 
     A polynomial has at most one root between its extrema, which are roots of its derivative, found likewise.
     """
-    places, extrema = np.empty(5), np.empty(4)
+    places = np.empty(5)
+    extrema = np.empty(4)
     places[0] = FIRST_CROSSING
     count = 1
     square = 9.0 * c[3] * c[3] - 24.0 * c4 * c[2]
     if square >= 0.0:  # half the second derivative, c2 + 3 c3 t + 6 c4 t^2, has roots
         half = -0.5 * (3.0 * c[3] + np.copysign(np.sqrt(square), c[3]))
-        a, b = half / (6.0 * c4), c[2] / half
+        a = half / (6.0 * c4)
+        b = c[2] / half
         for t in (a, b) if a < b else (b, a):
             if places[count - 1] < t < LAST_CROSSING:  # False if NaN
                 places[count] = t
@@ -217,22 +235,28 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
     if l1 == 0.0:  # a sphere, for which the quartic below has double roots
         return circle_crossings(l2, a, b, out)
     ax, ay, az = a
-    dx, dy, dz = b[0] - ax, b[1] - ay, b[2] - az
+    dx = b[0] - ax
+    dy = b[1] - ay
+    dz = b[2] - az
     aa = ax * ax + ay * ay + az * az
     ad = ax * dx + ay * dy + az * dz
     dd = dx * dx + dy * dy + dz * dz
-    off, hinge = aa - (l1 * l1 + l2 * l2), 4.0 * l1 * l1
+    off = aa - (l1 * l1 + l2 * l2)
+    hinge = 4.0 * l1 * l1
     c = (
         off * off - hinge * (l2 * l2 - ay * ay),
         4.0 * ad * off + 2.0 * hinge * ay * dy,
         2.0 * off * dd + 4.0 * ad * ad + hinge * dy * dy,
         4.0 * ad * dd,
     )
-    count, smallest = 0, (1e-6 * (l1 + l2)) ** 2
+    count = 0
+    smallest = (1e-6 * (l1 + l2)) ** 2
     for i in range(quartic_roots(c, dd * dd, out)):
         t = out[i]
         s = min(t, 1.0)
-        x, y, z = ax + s * dx, ay + s * dy, az + s * dz
+        x = ax + s * dx
+        y = ay + s * dy
+        z = az + s * dz
         if t > FIRST_CROSSING and x * x + y * y + z * z > smallest:
             out[count] = s
             count += 1
@@ -243,7 +267,9 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
 def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
     """Find where the segment from a to b crosses the sphere around the base, as `torus_crossings`."""
     ax, ay, az = a
-    dx, dy, dz = b[0] - ax, b[1] - ay, b[2] - az
+    dx = b[0] - ax
+    dy = b[1] - ay
+    dz = b[2] - az
     ad = ax * dx + ay * dy + az * dz
     dd = dx * dx + dy * dy + dz * dz
     square = ad * ad - dd * (ax * ax + ay * ay + az * az - link * link)
@@ -260,10 +286,13 @@ def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
 @subkernel
 def roll_pitch_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> int:
     """Find where the segment from a to b crosses the sphere around the hinge, as `torus_crossings`."""
-    count, smallest = 0, (1e-6 * (l1 + l2)) ** 2
+    count = 0
+    smallest = (1e-6 * (l1 + l2)) ** 2
     for i in range(circle_crossings(l2, (a[0] - l1, a[1], a[2]), (b[0] - l1, b[1], b[2]), out)):
         s = out[i]
-        x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
+        x = a[0] + s * (b[0] - a[0])
+        y = a[1] + s * (b[1] - a[1])
+        z = a[2] + s * (b[2] - a[2])
         if x * x + y * y + z * z > smallest:
             out[count] = s
             count += 1
@@ -325,7 +354,9 @@ def end_frame(form: int, shape: Array1, q: Array1, frame: Array2, next_turn: Arr
     """Fill next_turn (3, 3) with the rotation of the next module, given the base frame (3, 3) of this one."""
     e = module_forward(form, shape, q)
     for i in range(3):
-        f0, f1, f2 = frame[i, 0], frame[i, 1], frame[i, 2]
+        f0 = frame[i, 0]
+        f1 = frame[i, 1]
+        f2 = frame[i, 2]
         a = f0 * e[3] + f1 * e[6] + f2 * e[9]
         b = f0 * e[4] + f1 * e[7] + f2 * e[10]
         c = f0 * e[5] + f1 * e[8] + f2 * e[11]
@@ -385,17 +416,24 @@ def search_segment(
     Returns:
         Number of crossings regardless of joint limits, and whether the choice faces the module.
     """
-    found, dof = 0, min(form, 2)
+    found = 0
+    dof = min(form, 2)
     for i in range(module_crossings(form, shape, a, b, roots)):
         r = roots[i]
-        x, y, z = a[0] + r * (b[0] - a[0]), a[1] + r * (b[1] - a[1]), a[2] + r * (b[2] - a[2])
+        x = a[0] + r * (b[0] - a[0])
+        y = a[1] + r * (b[1] - a[1])
+        z = a[2] + r * (b[2] - a[2])
         n = module_inverse(form, shape, x, y, z, qs)
         found += int(n > 0)
         facing = module_faces(form, shape, x, y, z)
         for j in range(n):
             if clip_to_limits(dof, qs[j], joint, lower, upper):
                 if facing or np.isnan(choice[0]):
-                    choice[0], choice[1], choice[2], choice[3], choice[4] = r, x, y, z, qs[j, 0]
+                    choice[0] = r
+                    choice[1] = x
+                    choice[2] = y
+                    choice[3] = z
+                    choice[4] = qs[j, 0]
                     choice[5] = qs[j, 1]
                 if facing:
                     return found, 1
@@ -442,24 +480,39 @@ def place_modules(
     """
     total = length.lengths[-1]
     step = total / (samples - 1)
-    work, roots, qs, choice = np.empty((6, 3)), np.empty(4), np.empty((2, 2)), np.empty(6)
-    turn, frame = np.zeros((3, 3)), np.empty((3, 3))
+    work = np.empty((6, 3))
+    roots = np.empty(4)
+    qs = np.empty((2, 2))
+    choice = np.empty(6)
+    turn = np.zeros((3, 3))
+    frame = np.empty((3, 3))
     turn[0, 0] = turn[1, 1] = turn[2, 2] = 1.0
     parameter = state[0]
-    px, py, pz = state[1], state[2], state[3]
-    sx, sy, sz = state[4], state[5], state[6]
+    px = state[1]
+    py = state[2]
+    pz = state[3]
+    sx = state[4]
+    sy = state[5]
+    sz = state[6]
     for k in range(len(units)):
-        form, joint, shape = units[k, 0], units[k, 1], shapes[k]
-        dof, reach = min(form, 2), shape[0] + shape[1]
+        form = units[k, 0]
+        joint = units[k, 1]
+        shape = shapes[k]
+        dof = min(form, 2)
+        reach = shape[0] + shape[1]
         base_frame(turn, shape, frame)
-        a, s, at = in_frame(frame, sx - px, sy - py, sz - pz), parameter, parameter
+        a = in_frame(frame, sx - px, sy - py, sz - pz)
+        s = parameter
+        at = parameter
         state[0] = parameter
         state[1], state[2], state[3] = a
         # The first sample ahead.
         following = max(int(parameter / step) - 1, 0)
         while following < samples and (following * step if following < samples - 1 else total) <= parameter:
             following += 1
-        found, beyond, facing = 0, False, 0
+        found = 0
+        beyond = False
+        facing = 0
         choice[0] = np.nan
         while following < samples and not beyond and not facing:
             # Jump to the last sample that cannot be across the reachable set or out of reach, if any. The
@@ -479,11 +532,13 @@ def place_modules(
                 found += crossed
                 if facing or (np.isnan(before) and not np.isnan(choice[0])):
                     at = s + (s_next - s) * choice[0]
-            a, s = b, s_next
+            a = b
+            s = s_next
             following += 1
         if np.isnan(choice[0]):
             state[4], state[5], state[6] = a
-            state[7], state[8] = beyond, found
+            state[7] = beyond
+            state[8] = found
             return k
         for j in range(dof):
             positions[joint + j] = choice[4 + j]
@@ -491,7 +546,10 @@ def place_modules(
         px += frame[0, 0] * choice[1] + frame[0, 1] * choice[2] + frame[0, 2] * choice[3]
         py += frame[1, 0] * choice[1] + frame[1, 1] * choice[2] + frame[1, 2] * choice[3]
         pz += frame[2, 0] * choice[1] + frame[2, 1] * choice[2] + frame[2, 2] * choice[3]
-        sx, sy, sz, parameter = px, py, pz, at
+        sx = px
+        sy = py
+        sz = pz
+        parameter = at
         parameters[units[k, 2]] = parameter
     return -1
 
@@ -507,9 +565,12 @@ def neighbours(q: Array1, starts: Ints1) -> tuple[float, float]:
     Returns:
         Sums over the pairs of the dot products of their joint positions, and of the products of their norms.
     """
-    products, norms, before = 0.0, 0.0, 0.0
+    products = 0.0
+    norms = 0.0
+    before = 0.0
     for k in range(len(starts) - 1):
-        first, size = starts[k], starts[k + 1] - starts[k]
+        first = starts[k]
+        size = starts[k + 1] - starts[k]
         square = 0.0
         for j in range(first, first + size):
             square += q[j] * q[j]

@@ -25,13 +25,15 @@ STEP_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
 MAX_BRAKING_STEPS = 1e60
 """Number of braking steps that stands for infinitely many: a joint without position limits."""
 
-MAX_PROFILE_ITERATIONS, PROFILE_ROUNDING = 60, 1e-12
+MAX_PROFILE_ITERATIONS = 60
+PROFILE_ROUNDING = 1e-12
 """Largest number of iterations for the speed at a place, and the relative rounding of accelerations there."""
 
 MIN_GAIN = 0.2
 """Share of the largest change of speed from rest that is allowed at any speed."""
 
-UNMET_LIMITS, OUTSIDE_LIMITS = 1, 2
+UNMET_LIMITS = 1
+OUTSIDE_LIMITS = 2
 """Flags that `step_box` returns: limits that cannot be met, and a joint of the chain outside its limits."""
 
 
@@ -41,8 +43,10 @@ UNMET_LIMITS, OUTSIDE_LIMITS = 1, 2
 @subkernel
 def spline_bends(x: Array2) -> Array2:
     """Return the second derivatives of natural cubic splines through waypoints x, (N + 1, n) each."""
-    last, n = len(x) - 1, x.shape[1]
-    bends, pivots = np.zeros((last + 1, n)), np.zeros(last + 1)
+    last = len(x) - 1
+    n = x.shape[1]
+    bends = np.zeros((last + 1, n))
+    pivots = np.zeros(last + 1)
     for i in range(1, last):  # bends[i - 1] + 4 bends[i] + bends[i + 1] = 6 (x[i - 1] - 2 x[i] + x[i + 1])
         pivots[i] = 1.0 / (4.0 - pivots[i - 1])
         for u in range(n):
@@ -62,7 +66,8 @@ def spline_slopes(x: Array2, slopes: Array2) -> None:
         x: waypoints, (N + 1, n), N > 0.
         slopes: change per waypoint, (N + 1, n).
     """
-    last, bends = len(x) - 1, spline_bends(x)
+    last = len(x) - 1
+    bends = spline_bends(x)
     for i in range(last):
         for u in range(x.shape[1]):
             slopes[i, u] = x[i + 1, u] - x[i, u] - (2.0 * bends[i, u] + bends[i + 1, u]) / 6.0
@@ -81,18 +86,25 @@ def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3
     h = 1.0 / parts
     for i in range(len(offsets) - 1):
         for part in range(parts):
-            at, s = i * parts + part, part * h
+            at = i * parts + part
+            s = part * h
             for j in range(offsets.shape[1]):
-                one, other = slopes[i, j], slopes[i + 1, j]
+                one = slopes[i, j]
+                other = slopes[i + 1, j]
                 whole = offsets[i + 1, j] - offsets[i, j]
-                cubic, square = one + other - 2.0 * whole, 3.0 * whole - 2.0 * one - other
+                cubic = one + other - 2.0 * whole
+                square = 3.0 * whole - 2.0 * one - other
                 slope_start = one + s * (2.0 * square + s * 3.0 * cubic)
-                bend_start, jerk = 2.0 * square + 6.0 * cubic * s, 6.0 * cubic
+                bend_start = 2.0 * square + 6.0 * cubic * s
+                jerk = 6.0 * cubic
                 slope_middle = slope_start + 0.5 * h * (bend_start + 0.25 * h * jerk)
                 slope_end = slope_start + h * (bend_start + 0.5 * h * jerk)
-                bend_middle, bend_end = bend_start + 0.5 * h * jerk, bend_start + h * jerk
-                a[at, 0, j], b[at, 0, j] = slope_start, bend_start
-                a[at, 2, j], b[at, 2, j] = slope_end + 2.0 * h * bend_end, bend_end
+                bend_middle = bend_start + 0.5 * h * jerk
+                bend_end = bend_start + h * jerk
+                a[at, 0, j] = slope_start
+                b[at, 0, j] = bend_start
+                a[at, 2, j] = slope_end + 2.0 * h * bend_end
+                b[at, 2, j] = bend_end
                 a_middle = slope_middle + h * bend_middle
                 a[at, 1, j] = 2.0 * a_middle - 0.5 * (a[at, 0, j] + a[at, 2, j])
                 b[at, 1, j] = 2.0 * bend_middle - 0.5 * (bend_start + bend_end)
@@ -105,17 +117,23 @@ def _acceleration_range(
     a: Array2, b: Array2, limit: Array1, tiny: float, x: float
 ) -> tuple[float, float, float, float]:
     """Return the range of u in which |a u + b x| <= limit, and the derivatives of its ends by x."""
-    low, high, low_slope, high_slope = -np.inf, np.inf, 0.0, 0.0
+    low = -np.inf
+    high = np.inf
+    low_slope = 0.0
+    high_slope = 0.0
     for row in range(len(a)):
         for j in range(a.shape[1]):
             steep = abs(a[row, j])
             if steep <= tiny:
                 continue
-            middle, reach = -b[row, j] * x / a[row, j], limit[j] / steep
+            middle = -b[row, j] * x / a[row, j]
+            reach = limit[j] / steep
             if middle + reach < high:
-                high, high_slope = middle + reach, -b[row, j] / a[row, j]
+                high = middle + reach
+                high_slope = -b[row, j] / a[row, j]
             if middle - reach > low:
-                low, low_slope = middle - reach, -b[row, j] / a[row, j]
+                low = middle - reach
+                low_slope = -b[row, j] / a[row, j]
     return low, high, low_slope, high_slope
 
 
@@ -132,9 +150,11 @@ def _fastest_start(
     for _ in range(MAX_PROFILE_ITERATIONS):  # Newton's method on a convex function
         low, high, low_slope, high_slope = _acceleration_range(a, b, limit, tiny, x)
         if (after - x) / (2.0 * h) < high:
-            high, high_slope = (after - x) / (2.0 * h), -0.5 / h
+            high = (after - x) / (2.0 * h)
+            high_slope = -0.5 / h
         if -x / (2.0 * h) > low:
-            low, low_slope = -x / (2.0 * h), -0.5 / h
+            low = -x / (2.0 * h)
+            low_slope = -0.5 / h
         excess = low - high
         if excess <= PROFILE_ROUNDING * (abs(low) + abs(high) + x / h):  # both may be nearly zero
             return x
@@ -174,9 +194,11 @@ def find_speed_profile(
         b: likewise.
         top: filled with the speed where they begin, and at the end, (N parts + 1,) [waypoints per step].
     """
-    count, joints = len(a), offsets.shape[1]
+    count = len(a)
+    joints = offsets.shape[1]
     parts = count // (len(offsets) - 1)
-    h, tiny = 1.0 / parts, 1e-100
+    h = 1.0 / parts
+    tiny = 1e-100
     steepest = np.empty((count, joints))
     _find_rows(offsets, slopes, parts, a, b, steepest)
     for i in range(count):
@@ -212,13 +234,18 @@ def find_speed_profile(
 @subkernel
 def _travel(place: float, top: Array1, parts: int, onward: bool) -> float:
     """Return the distance along the profile from a place in the next step, or in the previous one."""
-    last, left, at, sign = len(top) - 1, 1.0, place * parts, 1.0 if onward else -1.0
+    last = len(top) - 1
+    left = 1.0
+    at = place * parts
+    sign = 1.0 if onward else -1.0
     while left > 0.0:
         i = min(int(at), last - 1) if onward else max(int(np.ceil(at)) - 1, 0)
         to = i + 1.0 if onward else float(i)
         share = at - i
-        squares, change = (1.0 - share) * top[i] ** 2 + share * top[i + 1] ** 2, top[i + 1] ** 2 - top[i] ** 2
-        here, there = np.sqrt(squares), top[i + 1] if onward else top[i]
+        squares = (1.0 - share) * top[i] ** 2 + share * top[i + 1] ** 2
+        change = top[i + 1] ** 2 - top[i] ** 2
+        here = np.sqrt(squares)
+        there = top[i + 1] if onward else top[i]
         passed = 2.0 * abs(to - at) / (parts * max(here + there, 1e-100))
         if passed > left:
             gain = 0.5 * parts * change  # acceleration
@@ -255,16 +282,20 @@ def next_path_speed(
     if place <= 0.0:
         return min(wanted, left)
     # Off the profile, steps change as much as the limits allow at that speed.
-    before, tiny = _travel(place, top, parts, False), 1e-100
-    first, last = min(int(place * parts), count - 1), min(int((place + wanted) * parts), count - 1)
+    before = _travel(place, top, parts, False)
+    tiny = 1e-100
+    first = min(int(place * parts), count - 1)
+    last = min(int((place + wanted) * parts), count - 1)
     for i in range(first, last + 1):
         for j in range(a.shape[2]):
             tiny = max(tiny, small * abs(a[i, 0, j]))
-    gain, loss = np.inf, np.inf
+    gain = np.inf
+    loss = np.inf
     for i in range(first, last + 1):
         low, high, _, _ = _acceleration_range(a[i], b[i], brake, tiny, rate**2)
         least = MIN_GAIN * _acceleration_range(a[i], b[i], brake, tiny, 0.0)[1]
-        gain, loss = min(gain, max(high, least)), min(loss, max(-low, least))
+        gain = min(gain, max(high, least))
+        loss = min(loss, max(-low, least))
     fastest = min(wanted, rate + max(gain, wanted - before))
     return min(max(fastest, min(rate - max(loss, before - wanted), wanted + rate)), left)
 
@@ -315,11 +346,14 @@ def step_box(
     """
     found = 0
     for u in range(len(positions)):
-        low, high = edges[0, u] - positions[u], edges[1, u] - positions[u]
+        low = edges[0, u] - positions[u]
+        high = edges[1, u] - positions[u]
         slowest_point = 0.0
-        smallest, largest = low, high
+        smallest = low
+        largest = high
         if len(brake):
-            low, high = _stoppable_step(low, brake[u]), _stoppable_step(high, brake[u])
+            low = _stoppable_step(low, brake[u])
+            high = _stoppable_step(high, brake[u])
             before = previous[u]
             slowest_point = before - min(max(before, -brake[u]), brake[u])
             smallest = min(max(low, before - brake[u]), before + brake[u])
@@ -361,14 +395,17 @@ def shorten_step(
         most = max(most, abs(dq[u]) / bound[u])
     scale = 1.0 / most
     for u in range(len(dq)):
-        low, high = edges[0, u] - positions[u], edges[1, u] - positions[u]
+        low = edges[0, u] - positions[u]
+        high = edges[1, u] - positions[u]
         if len(brake):
-            low, high = _stoppable_step(low, brake[u]), _stoppable_step(high, brake[u])
+            low = _stoppable_step(low, brake[u])
+            high = _stoppable_step(high, brake[u])
         scaled = dq[u] * scale
         cut[u] = min(max(min(max(scaled, low), high), -bound[u]), bound[u])
         clipped[u] = cut[u] != scaled
         if len(brake):
-            near, far = previous[u] - brake[u], previous[u] + brake[u]
+            near = previous[u] - brake[u]
+            far = previous[u] + brake[u]
             low = min(max(min(max(low, near), far), -bound[u]), bound[u])
             high = min(max(min(max(high, near), far), -bound[u]), bound[u])
             goal = abs(_stoppable_step(dq[u], brake[u]))
@@ -433,8 +470,10 @@ def step_along(
         The place at its end, unchanged if the limits admit no step ahead; the largest remaining joint motion
         before the step, in units; and whether the step is within the limits.
     """
-    n, last = len(columns), len(offsets) - 1
-    offset, begin = np.empty(n), np.empty(n)
+    n = len(columns)
+    last = len(offsets) - 1
+    offset = np.empty(n)
+    begin = np.empty(n)
     left = 0.0
     i = min(int(place), last - 1)
     share = place - i
@@ -444,7 +483,8 @@ def step_along(
         gone = positions[u] - start[u]
         if endless[u]:
             gone += 2.0 * np.pi * np.round((here - gone) / (2.0 * np.pi))
-        offset[k], begin[k] = gone, here - gone
+        offset[k] = gone
+        begin[k] = here - gone
         left = max(left, abs(offsets[last, u] - gone) / units[k])
     while place < last:
         i = min(int(place), last - 1)
@@ -466,7 +506,8 @@ def step_along(
             break
     inside = True
     for k in range(n):
-        u, slack = columns[k], STEP_ROUNDING * units[k]
+        u = columns[k]
+        slack = STEP_ROUNDING * units[k]
         dq[u] = begin[k]
         fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
         inside = inside and fits and abs(begin[k]) <= max_motion * units[k]
@@ -505,7 +546,9 @@ def look_ahead(
     Returns:
         Sum of the distances of the control points from their targets before the step and after it.
     """
-    columns, n, m = chain.inputs, len(chain.slides), len(chain.ends)
+    columns = chain.inputs
+    n = len(chain.slides)
+    m = len(chain.ends)
     for u in range(len(dq)):
         reached[u] = positions[u] + dq[u]
         at_limit[u] = False
@@ -515,8 +558,10 @@ def look_ahead(
         reached[u] = positions[u] + dq[u]
         slack = STEP_ROUNDING * units[k]
         at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
-    joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
-    trial, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
+    joint_axes = np.empty((n, 3))
+    joint_origins = np.empty((n, 3))
+    trial = np.empty((m, 3))
+    rotations = np.empty((m, 3, 3))
     placements(chain, reached, joint_axes, joint_origins, trial, rotations)
     return sum_point_errors(points, targets, has_target), sum_point_errors(trial, targets, has_target)
 
@@ -527,7 +572,9 @@ def sum_point_errors(points: Array2, targets: Array2, has_target: Flags1) -> flo
     total = 0.0
     for k in range(len(points)):
         if has_target[k]:
-            x, y, z = points[k, 0] - targets[k, 0], points[k, 1] - targets[k, 1], points[k, 2] - targets[k, 2]
+            x = points[k, 0] - targets[k, 0]
+            y = points[k, 1] - targets[k, 1]
+            z = points[k, 2] - targets[k, 2]
             total += np.sqrt(x * x + y * y + z * z)
     return total
 

@@ -34,20 +34,23 @@ from pinposture.kernels.path_following import spline_bends
 
 MAX_RELAXATION = 1.85  # largest over-relaxation of a waypoint; 1 moves it to its own minimum
 
-WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
+WAYPOINT_DAMPING_DOWN = 0.1
+WAYPOINT_DAMPING_UP = 30.0
 """Factors of a waypoint's damping after successful and failed moves."""
 
 MIN_WAYPOINT_DAMPING = 3e-6
 """Smallest damping, relative to the mean squared distance of the control points from the base."""
 
-FEWEST_SAMPLES, SAMPLES_PER_PIECE = 24, 4
+FEWEST_SAMPLES = 24
+SAMPLES_PER_PIECE = 4
 """Number of samples for the length of a path: minimum, and per piece."""
 
 MAX_WAYPOINT_TRIALS = 6  # number of failed moves after which a waypoint waits for the next pass
 
 MAX_SET_CHANGES = 3  # number of corrections of the active set in a step of all waypoints
 
-MAX_CONJUGATE_STEPS, CONJUGATE_RESIDUAL = 60, 1e-2
+MAX_CONJUGATE_STEPS = 60
+CONJUGATE_RESIDUAL = 1e-2
 """Maximum number of conjugate gradient iterations for a step of all waypoints, and relative tolerance."""
 
 
@@ -83,8 +86,10 @@ def find_direct_waypoints(
         Waypoints, (K + 1, n); two for joint interpolation.
     """
     chain, which, ends, units, start, lower, upper, weight = problem
-    x, best = guess.copy(), np.empty((2, guess.shape[1]))
-    best[0], best[1] = guess[0], guess[-1]
+    x = guess.copy()
+    best = np.empty((2, guess.shape[1]))
+    best[0] = guess[0]
+    best[1] = guess[-1]
     shortest = _length_ratio(problem, _refined(best, FEWEST_SAMPLES, lower, upper))
     if shortest <= kept:
         return best
@@ -106,7 +111,8 @@ def find_direct_waypoints(
             finer = max(FEWEST_SAMPLES // pieces, SAMPLES_PER_PIECE)
             ratio = _length_ratio(problem, _refined(x, finer * pieces, lower, upper))
             if ratio < shortest:
-                best, shortest = x.copy(), ratio
+                best = x.copy()
+                shortest = ratio
             if shortest <= good:
                 break
     return best
@@ -126,12 +132,21 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
         The energy [m^2].
     """
     chain, which, own_ends, units, start, lower, upper, weight = problem
-    n, m, last = len(which), len(chain.ends), len(x) - 1
+    n = len(which)
+    m = len(chain.ends)
+    last = len(x) - 1
     # Joint axes and origins of all waypoints, and last those of the trial waypoint.
     lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
-    points, errors, rotations = np.empty((last + 2, m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
-    trial, b, gains = points[last + 1], np.empty((n, 6)), np.empty((n, 8))
-    positions, dx, moved, centre = start.copy(), np.empty(n), np.empty(n), np.empty(n)
+    points = np.empty((last + 2, m, 3))
+    errors = np.empty((m, 3))
+    rotations = np.empty((m, 3, 3))
+    trial = points[last + 1]
+    b = np.empty((n, 6))
+    gains = np.empty((n, 8))
+    positions = start.copy()
+    dx = np.empty(n)
+    moved = np.empty(n)
+    centre = np.empty(n)
     for i in range(last + 1):
         _set_positions(start, chain.inputs, which, units, x[i], positions)
         placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations)
@@ -140,7 +155,8 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
         for j in range(3):
             size += (points[0, k, j] - lines[1][0, 0, j]) ** 2 / m
     least = MIN_WAYPOINT_DAMPING * size
-    extra, energy = np.full(last + 1, least), 0.0
+    extra = np.full(last + 1, least)
+    energy = 0.0
     for i in range(last):
         energy += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
     relaxation = min(2.0 / (1.0 + np.sin(np.pi / last)), MAX_RELAXATION)  # optimal for a row of equal springs
@@ -164,7 +180,9 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
                     inside = inside and lower[u] <= x[i, u] + dx[u] <= upper[u]
                 if not inside:
                     objective = PointObjective(b, own_ends, points[i], np.ones(m), np.zeros(m))
-                    low, high, sides = lower - x[i], upper - x[i], np.zeros(n, dtype=np.int8)
+                    low = lower - x[i]
+                    high = upper - x[i]
+                    sides = np.zeros(n, dtype=np.int8)
                     minimise_in_box(objective, errors, np.full(n, damping), centre, low, high, sides, dx)
                 gain = 0.0
                 for share in (relaxation if number else 1.0, 1.0):
@@ -178,7 +196,8 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
                     if gain > 0.0:
                         break
                 if gain > 0.0:
-                    x[i], points[i] = moved, trial
+                    x[i] = moved
+                    points[i] = trial
                     lines[0][i], lines[1][i] = lines[0][last + 1], lines[1][last + 1]
                     fall += gain
                     extra[i] = max(extra[i] * WAYPOINT_DAMPING_DOWN, least)
@@ -198,8 +217,10 @@ def refine_waypoints(x: Array2, finer: Array2) -> None:
         x: waypoints, (N + 1, n).
         finer: filled with the refined waypoints, (k N + 1, n); every k-th is one of x.
     """
-    last, n = len(x) - 1, x.shape[1]
-    factor, bends = (len(finer) - 1) // last, spline_bends(x)
+    last = len(x) - 1
+    n = x.shape[1]
+    factor = (len(finer) - 1) // last
+    bends = spline_bends(x)
     for i in range(last):
         for part in range(factor):
             t = part / factor
@@ -224,10 +245,15 @@ def _refined(x: Array2, pieces: int, lower: Array1, upper: Array1) -> Array2:
 @subkernel
 def _length_ratio(problem: PathProblem, x: Array2) -> float:
     """Return the path length of all control points relative to straight lines."""
-    chain, which, start, units = problem.chain, problem.which, problem.start, problem.units
-    m, last = len(chain.ends), len(x) - 1
+    chain = problem.chain
+    which = problem.which
+    start = problem.start
+    units = problem.units
+    m = len(chain.ends)
+    last = len(x) - 1
     frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))
-    points, positions = np.empty((3, m, 3)), start.copy()
+    points = np.empty((3, m, 3))
+    positions = start.copy()
     path = 0.0
     for i in range(last + 1):
         _set_positions(start, chain.inputs, which, units, x[i], positions)
@@ -252,7 +278,8 @@ def _set_positions(
 @subkernel
 def _segment_energy(one: Array2, other: Array2, x: Array1, y: Array1, weight: float) -> float:
     """Return the energy of the motion between two neighbours."""
-    points, joints = 0.0, 0.0
+    points = 0.0
+    joints = 0.0
     for k in range(len(one)):
         for j in range(3):
             points += (other[k, j] - one[k, j]) ** 2
@@ -266,7 +293,9 @@ def _sum_distances(one: Array2, other: Array2) -> float:
     """Return the sum of the distances between points."""
     total = 0.0
     for k in range(len(one)):
-        x, y, z = one[k, 0] - other[k, 0], one[k, 1] - other[k, 1], one[k, 2] - other[k, 2]
+        x = one[k, 0] - other[k, 0]
+        y = one[k, 1] - other[k, 1]
+        z = one[k, 2] - other[k, 2]
         total += np.sqrt(x * x + y * y + z * z)
     return total
 
@@ -301,12 +330,20 @@ def step_waypoints(
         Number of iterations; -1 if the step is not finite.
     """
     chain, which, own_ends, units, start, lower, upper, weight = problem
-    n, m, last = len(which), len(chain.ends), len(x) - 1
-    axes, origins = np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3))
-    points, screws = np.empty((last + 1, m, 3)), np.empty((last + 1, n, 6))
-    rotations, positions = np.empty((m, 3, 3)), start.copy()
-    slope, downhill = np.zeros((last + 1, n)), np.empty((last + 1, n))
-    force, no_chords, typical = np.empty((m, 3)), np.zeros(m), 0.0
+    n = len(which)
+    m = len(chain.ends)
+    last = len(x) - 1
+    axes = np.empty((len(chain.slides), 3))
+    origins = np.empty((len(chain.slides), 3))
+    points = np.empty((last + 1, m, 3))
+    screws = np.empty((last + 1, n, 6))
+    rotations = np.empty((m, 3, 3))
+    positions = start.copy()
+    slope = np.zeros((last + 1, n))
+    downhill = np.empty((last + 1, n))
+    force = np.empty((m, 3))
+    no_chords = np.zeros(m)
+    typical = 0.0
     for i in range(last + 1):
         _set_positions(start, chain.inputs, which, units, x[i], positions)
         placements(chain, positions, axes, origins, points[i], rotations)
@@ -322,16 +359,22 @@ def step_waypoints(
             last - 1
         )
     # Blocks of the factor: stiff[i] M + damping, by d_1 = 2 + damping, d_{i+1} = 2 + damping - 1 / d_i.
-    own, stiff, pivot = damping * typical, np.zeros(last + 1), 2.0 + damping
+    own = damping * typical
+    stiff = np.zeros(last + 1)
+    pivot = 2.0 + damping
     for i in range(1, last):
         stiff[i] = pivot - damping
         pivot = 2.0 + damping - 1.0 / pivot
-    active, held = contacts.errors > 0.0, np.zeros((last + 1, n), dtype=np.bool_)
-    wrenches, values = np.zeros((len(active), 2, 6)), np.empty(len(active))
-    parts, scratch = (rows, contacts, wrenches, active), np.empty((n + 1, 6))
+    active = contacts.errors > 0.0
+    held = np.zeros((last + 1, n), dtype=np.bool_)
+    wrenches = np.zeros((len(active), 2, 6))
+    values = np.empty(len(active))
+    parts = (rows, contacts, wrenches, active)
+    scratch = np.empty((n + 1, 6))
     for i in range(1, last):
         _find_wrenches(contacts, i, own_ends, points[i], wrenches)
-    gains, bodies = np.empty((last + 1, n, 11)), np.empty((n, 6, 6))
+    gains = np.empty((last + 1, n, 11))
+    bodies = np.empty((n, 6, 6))
     total = 0
     steps[:] = 0.0
     for _ in range(MAX_SET_CHANGES):
@@ -346,7 +389,8 @@ def step_waypoints(
                 above = x[i, u] >= upper[u] and downhill[i, u] > 0.0
                 held[i, u] = above or (x[i, u] <= lower[u] and downhill[i, u] < 0.0)
                 if held[i, u]:
-                    downhill[i, u], steps[i, u] = 0.0, 0.0
+                    downhill[i, u] = 0.0
+                    steps[i, u] = 0.0
             _collect_contacts(parts, i, own_ends, bodies)
             objective = PointObjective(screws[i], own_ends, points[i], np.full(m, stiff[i]), no_chords)
             factor(objective, np.full(n, stiff[i] * weight + own), held[i], bodies, gains[i])
@@ -397,28 +441,32 @@ def _find_wrenches(contacts: PathContacts, i: int, ends: Ints1, points: Array2, 
             y = contacts.points[row, 1] - points[k, 1]
             z = contacts.points[row, 2] - points[k, 2]
             sign = 1.0 - 2.0 * side
-            f0, f1, f2 = (
-                sign * contacts.normals[row, 0],
-                sign * contacts.normals[row, 1],
-                sign * contacts.normals[row, 2],
-            )
+            f0 = sign * contacts.normals[row, 0]
+            f1 = sign * contacts.normals[row, 1]
+            f2 = sign * contacts.normals[row, 2]
             own = wrenches[row, side]
-            own[0], own[1], own[2] = f0, f1, f2
-            own[3], own[4], own[5] = y * f2 - z * f1, z * f0 - x * f2, x * f1 - y * f0
+            own[0] = f0
+            own[1] = f1
+            own[2] = f2
+            own[3] = y * f2 - z * f1
+            own[4] = z * f0 - x * f2
+            own[5] = x * f1 - y * f0
 
 
 @subkernel
 def _move_contacts(parts: Parts, i: int, here: Chain, step: Array1, twists: Array2, values: Array1) -> None:
     """Fill in by how much a step of a waypoint increases the distances of its contacts."""
     _, contacts, wrenches, _ = parts
-    begin, end = contacts.begins[i], contacts.begins[i + 1]
+    begin = contacts.begins[i]
+    end = contacts.begins[i + 1]
     if begin == end:
         return
     move_bodies(here[0], here[1], here[2], step, twists)
     for row in range(begin, end):
         values[row] = 0.0
         for side in range(2):
-            twist, own = twists[contacts.carried[row, side]], wrenches[row, side]
+            twist = twists[contacts.carried[row, side]]
+            own = wrenches[row, side]
             for j in range(6):
                 values[row] += own[j] * twist[j]
 
@@ -435,7 +483,8 @@ def _pull_contacts(
         if active[row]:
             any_active = True
             for side in range(2):
-                force, own = forces[contacts.carried[row, side]], wrenches[row, side]
+                force = forces[contacts.carried[row, side]]
+                own = wrenches[row, side]
                 for j in range(6):
                     force[j] += factors[row] * own[j]
     if any_active:
@@ -449,7 +498,8 @@ def _collect_contacts(parts: Parts, i: int, ends: Ints1, bodies: Array3) -> None
     bodies[:] = 0.0
     for row in range(contacts.begins[i], contacts.begins[i + 1]):
         for side in range(2):
-            carried, own = min(contacts.carried[row, side], last), wrenches[row, side]
+            carried = min(contacts.carried[row, side], last)
+            own = wrenches[row, side]
             if carried == 0 or not active[row]:
                 continue
             cost = bodies[carried - 1]
@@ -461,9 +511,13 @@ def _collect_contacts(parts: Parts, i: int, ends: Ints1, bodies: Array3) -> None
 @subkernel
 def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2, steps: Array2) -> int:
     """Improve the steps of waypoints, (N + 1, n), until they approximately solve H steps = right."""
-    last, n = len(right) - 1, right.shape[1]
-    residual, product, solved = np.zeros((last + 1, n)), np.zeros((last + 1, n)), np.zeros((last + 1, n))
-    motions, factors = np.zeros((last + 1, len(system[0][1]), 3)), np.empty(len(system[1][3]))
+    last = len(right) - 1
+    n = right.shape[1]
+    residual = np.zeros((last + 1, n))
+    product = np.zeros((last + 1, n))
+    solved = np.zeros((last + 1, n))
+    motions = np.zeros((last + 1, len(system[0][1]), 3))
+    factors = np.empty(len(system[1][3]))
     _precondition(system, blocks, right, solved)
     aim = CONJUGATE_RESIDUAL**2 * _inner(right, solved)
     _multiply(system, steps, motions, factors, product)
@@ -471,7 +525,8 @@ def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2,
         for u in range(n):
             residual[i, u] = right[i, u] - product[i, u]
     _precondition(system, blocks, residual, solved)
-    direction, size = solved.copy(), _inner(residual, solved)
+    direction = solved.copy()
+    size = _inner(residual, solved)
     for number in range(MAX_CONJUGATE_STEPS):
         if not size > aim:
             return number
@@ -482,7 +537,8 @@ def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2,
                 steps[i, u] += length * direction[i, u]
                 residual[i, u] -= length * product[i, u]
         _precondition(system, blocks, residual, solved)
-        before, size = size, _inner(residual, solved)
+        before = size
+        size = _inner(residual, solved)
         for i in range(1, last):
             for u in range(n):
                 direction[i, u] = solved[i, u] + size / before * direction[i, u]
@@ -503,7 +559,9 @@ def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, p
     """Compute H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
     (screws, ends, points), parts, held, own, weight = system
     rows, contacts, _, _ = parts
-    last, n, force = len(steps) - 1, steps.shape[1], np.empty((len(ends), 3))
+    last = len(steps) - 1
+    n = steps.shape[1]
+    force = np.empty((len(ends), 3))
     scratch = np.empty((n + 1, 6))
     for i in range(1, last):
         move_points(screws[i], ends, points[i], steps[i], motions[i])
@@ -517,7 +575,8 @@ def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, p
             beside = steps[i - 1, u] + steps[i + 1, u]
             product[i, u] += (2.0 * weight + own) * steps[i, u] - weight * beside
     for row in range(len(rows.errors)):
-        i, moved = rows.waypoints[row], 0.0
+        i = rows.waypoints[row]
+        moved = 0.0
         for u in range(n):
             moved += rows.matrix[row, u] * steps[i, u]
         for u in range(n):
@@ -537,9 +596,14 @@ def _precondition(system: System, blocks: Blocks, right: Array2, solved: Array2)
     """Apply the preconditioner: solve with the factor for the waypoints in order, then in reverse."""
     (screws, ends, points), _, held, own, weight = system
     stiff, gains = blocks
-    last, n, m = len(right) - 1, right.shape[1], len(ends)
-    moved, errors, chords = np.zeros((m, 3)), np.empty((m, 3)), np.zeros(m)
-    centre, change = np.empty(n), np.empty(n)
+    last = len(right) - 1
+    n = right.shape[1]
+    m = len(ends)
+    moved = np.zeros((m, 3))
+    errors = np.empty((m, 3))
+    chords = np.zeros(m)
+    centre = np.empty(n)
+    change = np.empty(n)
     for turn in range(2):
         moved[:] = 0.0
         for place in range(1, last):

@@ -24,7 +24,9 @@ ZERO_PIVOT = 1e-60
 """Replaces zeros on the diagonal of L, so that it has an inverse; its square does not underflow."""
 
 LARGEST_BASIS = 400  # number of Lanczos vectors after which the search restarts from the best result
-MAX_RESTARTS, BISECTIONS = 20, 60  # maximum number of restarts, and number of bisections of an eigenvalue
+# maximum number of restarts, and number of bisections of an eigenvalue
+MAX_RESTARTS = 20
+BISECTIONS = 60
 
 Twist = tuple[float, float, float, float, float, float]
 """Linear and angular velocity."""
@@ -42,17 +44,25 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
     b, ends, points = screws
     stations, ranks, directions, coupling = rows
     triangles, gains = factors
-    widest, u = 0, 0
+    widest = 0
+    u = 0
     for station in stations:
-        widest, u = max(widest, ends[station] - u), ends[station]
-    A, left = np.empty((6, widest + 6)), np.empty((6, 6))
-    free, at, u = 0, 0, 0
+        widest = max(widest, ends[station] - u)
+        u = ends[station]
+    A = np.empty((6, widest + 6))
+    left = np.empty((6, 6))
+    free = 0
+    at = 0
+    u = 0
     for k in range(len(stations)):
-        E, rank, station = directions[k], ranks[k], stations[k]
+        E = directions[k]
+        rank = ranks[k]
+        station = stations[k]
         for c in range(free):
             twist = left[0, c], left[1, c], left[2, c], left[3, c], left[4, c], left[5, c]
             _write(A, c, E, twist, points[station], points[at])
-        width, last = free, station
+        width = free
+        last = station
         if k:
             at += 1
         for point in range(at, last + 1):
@@ -64,7 +74,8 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
         at = last
         for j in range(min(rank, width)):
             _reflect(A, j, j, width)
-        R, K = triangles[k], gains[k]
+        R = triangles[k]
+        K = gains[k]
         for j in range(rank):
             for i in range(rank):
                 R[i, j] = A[i, j] if j <= i and j < width else 0.0
@@ -87,18 +98,26 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
         for c in range(free):
             _read_column(A, rank + c, E, left, c, True)
             if coupling == RELATIVE:
-                left[0, c], left[1, c], left[2, c] = 0.0, 0.0, 0.0
+                left[0, c] = 0.0
+                left[1, c] = 0.0
+                left[2, c] = 0.0
 
 
 @subkernel
 def _write(A: Array2, column: int, E: Array2, twist: Twist, to: Array1, since: Array1) -> None:
     """Write (v, w), moved to another point and projected onto the directions, to a column."""
     v0, v1, v2, w0, w1, w2 = twist
-    r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
-    v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
+    r0 = to[0] - since[0]
+    r1 = to[1] - since[1]
+    r2 = to[2] - since[2]
+    v0 = v0 + w1 * r2 - w2 * r1
+    v1 = v1 + w2 * r0 - w0 * r2
+    v2 = v2 + w0 * r1 - w1 * r0
     for i in range(3):
         A[i, column] = E[i, 0] * v0 + E[i, 1] * v1 + E[i, 2] * v2
-    A[3, column], A[4, column], A[5, column] = w0, w1, w2
+    A[3, column] = w0
+    A[4, column] = w1
+    A[5, column] = w2
 
 
 @subkernel
@@ -114,7 +133,8 @@ def _read_column(A: Array2, column: int, E: Array2, to: Array2, place: int, exis
 @subkernel
 def _reflect(A: Array2, row: int, pivot: int, width: int) -> None:
     """Apply a Householder reflection to the columns from the pivot on that zeros the row after it."""
-    head, tail = A[row, pivot], 0.0
+    head = A[row, pivot]
+    tail = 0.0
     for c in range(pivot + 1, width):
         tail += A[row, c] * A[row, c]
     if tail < ZERO_PIVOT:  # practically zero; its inverse may be infinite
@@ -141,17 +161,36 @@ def multiply_down(points: Array2, rows: Rows, factors: Factors, solve: bool, val
     """Multiply `values`, (p, 3), by L, or by its inverse to solve: the pass from the base to the tip."""
     stations, ranks, directions, coupling = rows
     triangles, gains = factors
-    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    v0 = 0.0
+    v1 = 0.0
+    v2 = 0.0
+    w0 = 0.0
+    w1 = 0.0
+    w2 = 0.0
     for k in range(len(stations)):
         if coupling != FULL:
-            v0, v1, v2 = 0.0, 0.0, 0.0
+            v0 = 0.0
+            v1 = 0.0
+            v2 = 0.0
         if coupling == LOCAL:
-            w0, w1, w2 = 0.0, 0.0, 0.0
+            w0 = 0.0
+            w1 = 0.0
+            w2 = 0.0
         if k:
             r0, r1, r2 = difference(points, stations[k], stations[k - 1])
-            v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
-        E, R, K, y = directions[k], triangles[k], gains[k], values[k]
-        p0, p1, p2, p3, p4, p5 = v0, v1, v2, w0, w1, w2
+            v0 = v0 + w1 * r2 - w2 * r1
+            v1 = v1 + w2 * r0 - w0 * r2
+            v2 = v2 + w0 * r1 - w1 * r0
+        E = directions[k]
+        R = triangles[k]
+        K = gains[k]
+        y = values[k]
+        p0 = v0
+        p1 = v1
+        p2 = v2
+        p3 = w0
+        p4 = w1
+        p5 = w2
         for i in range(ranks[k] if solve else 0):
             rest = y[i] - (E[i, 0] * v0 + E[i, 1] * v1 + E[i, 2] * v2)
             for j in range(i):
@@ -159,11 +198,20 @@ def multiply_down(points: Array2, rows: Rows, factors: Factors, solve: bool, val
             y[i] = rest / R[i, i]
         for j in range(ranks[k]):
             g = y[j]
-            p0, p1, p2 = p0 + K[0, j] * g, p1 + K[1, j] * g, p2 + K[2, j] * g
-            p3, p4, p5 = p3 + K[3, j] * g, p4 + K[4, j] * g, p5 + K[5, j] * g
+            p0 = p0 + K[0, j] * g
+            p1 = p1 + K[1, j] * g
+            p2 = p2 + K[2, j] * g
+            p3 = p3 + K[3, j] * g
+            p4 = p4 + K[4, j] * g
+            p5 = p5 + K[5, j] * g
         for i in range(0 if solve else ranks[k]):
             y[i] = E[i, 0] * p0 + E[i, 1] * p1 + E[i, 2] * p2
-        v0, v1, v2, w0, w1, w2 = p0, p1, p2, p3, p4, p5
+        v0 = p0
+        v1 = p1
+        v2 = p2
+        w0 = p3
+        w1 = p4
+        w2 = p5
 
 
 @subkernel
@@ -171,14 +219,27 @@ def multiply_up(points: Array2, rows: Rows, factors: Factors, solve: bool, value
     """Multiply `values`, (p, 3), by L transposed, or by its inverse: the pass from the tip to the base."""
     stations, ranks, directions, coupling = rows
     triangles, gains = factors
-    f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    f0 = 0.0
+    f1 = 0.0
+    f2 = 0.0
+    t0 = 0.0
+    t1 = 0.0
+    t2 = 0.0
     before = np.empty(3)
     for k in range(len(stations) - 1, -1, -1):
         if coupling != FULL:
-            f0, f1, f2 = 0.0, 0.0, 0.0
+            f0 = 0.0
+            f1 = 0.0
+            f2 = 0.0
         if coupling == LOCAL:
-            t0, t1, t2 = 0.0, 0.0, 0.0
-        E, R, K, y, rank = directions[k], triangles[k], gains[k], values[k], ranks[k]
+            t0 = 0.0
+            t1 = 0.0
+            t2 = 0.0
+        E = directions[k]
+        R = triangles[k]
+        K = gains[k]
+        y = values[k]
+        rank = ranks[k]
         for j in range(rank):
             before[j] = (
                 K[0, j] * f0 + K[1, j] * f1 + K[2, j] * f2 + K[3, j] * t0 + K[4, j] * t1 + K[5, j] * t2
@@ -190,7 +251,9 @@ def multiply_up(points: Array2, rows: Rows, factors: Factors, solve: bool, value
                     rest -= R[j, i] * y[j]
                 y[i] = rest / R[i, i]
         for j in range(rank):
-            f0, f1, f2 = f0 + E[j, 0] * y[j], f1 + E[j, 1] * y[j], f2 + E[j, 2] * y[j]
+            f0 = f0 + E[j, 0] * y[j]
+            f1 = f1 + E[j, 1] * y[j]
+            f2 = f2 + E[j, 2] * y[j]
         if not solve:
             for i in range(rank):
                 for j in range(i, rank):
@@ -199,7 +262,9 @@ def multiply_up(points: Array2, rows: Rows, factors: Factors, solve: bool, value
                 y[i] = before[i]
         if k:
             r0, r1, r2 = difference(points, stations[k], stations[k - 1])
-            t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
+            t0 = t0 + r1 * f2 - r2 * f1
+            t1 = t1 + r2 * f0 - r0 * f2
+            t2 = t2 + r0 * f1 - r1 * f0
 
 
 @compiled
@@ -215,7 +280,8 @@ def least_change(screws: Screws, rows: Rows, factors: Factors, values: Array2, x
         values: one value for each row, (p, 3).
         x: motions of the joints, (n,); changed.
     """
-    y, change = np.empty((len(rows.stations), 3)), np.empty(len(x))
+    y = np.empty((len(rows.stations), 3))
+    change = np.empty(len(x))
     motions_along(screws, rows, x, y)
     for k in range(len(y)):
         for j in range(rows.ranks[k]):
@@ -241,7 +307,8 @@ def well_conditioned(screws: Screws, rows: Rows, least: float, kept: Flags1) -> 
         least: the bound [m/rad].
         kept: filled with True for chosen stations, (p,).
     """
-    tried, most = np.empty_like(kept), -1
+    tried = np.empty_like(kept)
+    most = -1
     for spare in (0.0, 1.0, 3.0):
         count = _choose_stations(screws, rows, least, spare * least * least, tried)
         if count > most:
@@ -261,20 +328,26 @@ def _choose_stations(screws: Screws, rows: Rows, least: float, spare: float, kep
     """
     b, ends, points = screws
     stations, ranks, directions, _ = rows
-    P, S, R, G, turn = (
-        np.zeros((6, 6)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 6)),
-        np.zeros((3, 3)),
-    )
-    at, u, count = 0, 0, 0
+    P = np.zeros((6, 6))
+    S = np.empty((3, 3))
+    R = np.empty((3, 3))
+    G = np.empty((3, 6))
+    turn = np.zeros((3, 3))
+    at = 0
+    u = 0
+    count = 0
     for k in range(len(stations)):
-        E, rank, station = directions[k], ranks[k], stations[k]
+        E = directions[k]
+        rank = ranks[k]
+        station = stations[k]
         if k:
             r0, r1, r2 = difference(points, station, at - 1)
-            turn[0, 1], turn[0, 2], turn[1, 2] = r2, -r1, r0
-            turn[1, 0], turn[2, 0], turn[2, 1] = -r2, r1, -r0
+            turn[0, 1] = r2
+            turn[0, 2] = -r1
+            turn[1, 2] = r0
+            turn[1, 0] = -r2
+            turn[2, 0] = r1
+            turn[2, 1] = -r0
             for i in range(3):
                 for j in range(6):
                     P[i, j] += turn[i, 0] * P[3, j] + turn[i, 1] * P[4, j] + turn[i, 2] * P[5, j]
@@ -285,11 +358,9 @@ def _choose_stations(screws: Screws, rows: Rows, least: float, spare: float, kep
             r0, r1, r2 = difference(points, station, point)
             for column in range(u, ends[point]):
                 s = b[column]
-                v0, v1, v2 = (
-                    s[0] + s[4] * r2 - s[5] * r1,
-                    s[1] + s[5] * r0 - s[3] * r2,
-                    s[2] + s[3] * r1 - s[4] * r0,
-                )
+                v0 = s[0] + s[4] * r2 - s[5] * r1
+                v1 = s[1] + s[5] * r0 - s[3] * r2
+                v2 = s[2] + s[3] * r1 - s[4] * r0
                 moved = (v0, v1, v2, s[3], s[4], s[5])
                 for i in range(6):
                     for j in range(6):
@@ -343,18 +414,23 @@ def extreme_value(points: Array2, rows: Rows, factors: Factors, smallest: bool, 
         smallest: True for the smallest, False for the largest.
         tolerance: residual at which the search ends, relative to the square of the singular value.
     """
-    ranks, p = rows.ranks, len(rows.stations)
+    ranks = rows.ranks
+    p = len(rows.stations)
     count = int(np.sum(ranks))
     largest_basis = min(count, LARGEST_BASIS)
-    V, y = np.empty((largest_basis + 1, count)), np.empty((p, 3))
-    diagonal, off, ritz = np.empty(largest_basis), np.empty(largest_basis), np.empty(largest_basis)
+    V = np.empty((largest_basis + 1, count))
+    y = np.empty((p, 3))
+    diagonal = np.empty(largest_basis)
+    off = np.empty(largest_basis)
+    ritz = np.empty(largest_basis)
     start = np.empty(count)
     for i in range(count):  # generic, so not orthogonal to a singular vector
         start[i] = 1.0 + np.sin(12.9898 * (i + 1.0) * (i + 1.0))
     best = 0.0
     for _ in range(MAX_RESTARTS):
         V[0] = start / np.sqrt(np.sum(start * start))
-        j, due = 0, 4
+        j = 0
+        due = 4
         while True:
             at = 0
             for k in range(p):
@@ -399,13 +475,17 @@ def extreme_value(points: Array2, rows: Rows, factors: Factors, smallest: bool, 
 @subkernel
 def _largest_eigenvalue(diagonal: Array1, off: Array1, size: int, vector: Array1) -> float:
     """Find the largest eigenvalue of a tridiagonal matrix by bisection, its vector by inverse iteration."""
-    low, high = diagonal[0], diagonal[0]
+    low = diagonal[0]
+    high = diagonal[0]
     for i in range(size):
         reach = (off[i - 1] if i else 0.0) + (off[i] if i < size - 1 else 0.0)
-        low, high = max(low, diagonal[i]), max(high, diagonal[i] + reach)
+        low = max(low, diagonal[i])
+        high = max(high, diagonal[i] + reach)
     high *= 1.0 + 1e-14
     for _ in range(BISECTIONS):
-        middle, pivot, above = 0.5 * (low + high), 1.0, True
+        middle = 0.5 * (low + high)
+        pivot = 1.0
+        above = True
         for i in range(size):
             pivot = middle - diagonal[i] - (off[i - 1] * off[i - 1] / pivot if i else 0.0)
             if pivot <= 0.0:

@@ -12,7 +12,8 @@ MAX_HALVINGS = 48  # maximum number of halvings of a span, enough for a speed th
 MAX_PIECES_PER_SPAN = 64
 """Maximum number of pieces per span that are halved at a time; more indicates rounding errors."""
 
-MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 60, 1e-10
+MAX_NEWTON_STEPS = 60
+NEWTON_TOLERANCE = 1e-10
 """Maximum number of Newton steps, and their tolerance relative to the bracket."""
 
 SPEED_SAMPLES = 9  # number of samples of the speed in a knot span
@@ -34,7 +35,9 @@ def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
     n = len(c)
     table = np.zeros((degree + 1, n, 3))
     for i in range(n):
-        table[0, i, 0], table[0, i, 1], table[0, i, 2] = c[i, 0], c[i, 1], c[i, 2]
+        table[0, i, 0] = c[i, 0]
+        table[0, i, 1] = c[i, 1]
+        table[0, i, 2] = c[i, 2]
     for p in range(1, degree + 1):
         for i in range(n - p):
             width = t[i + degree + 1] - t[i + p]
@@ -63,7 +66,8 @@ def interval_at(table: Array1, x: float, first: int, last: int) -> int:
 @subkernel
 def span_at(spline: SplineArrays, u: float) -> int:
     """Return the knot span that contains u; the following one at a knot, the last one at the end."""
-    t, degree = spline.knots, spline.degree
+    t = spline.knots
+    degree = spline.degree
     span = interval_at(t, u, degree, len(t) - degree - 1)
     while t[span + 1] <= t[span] and span > degree:
         span -= 1
@@ -76,10 +80,15 @@ def value(spline: SplineArrays, order: int, span: int, u: float, work: Array2) -
 
     `order` is 0 to the degree; `work` (6, 3) is scratch.
     """
-    t, degree = spline.knots, spline.degree
-    d, first, c = degree - order, span - degree, spline.table[order]
+    t = spline.knots
+    degree = spline.degree
+    d = degree - order
+    first = span - degree
+    c = spline.table[order]
     for i in range(d + 1):
-        work[i, 0], work[i, 1], work[i, 2] = c[first + i, 0], c[first + i, 1], c[first + i, 2]
+        work[i, 0] = c[first + i, 0]
+        work[i, 1] = c[first + i, 1]
+        work[i, 2] = c[first + i, 2]
     for r in range(1, d + 1):
         for i in range(d, r - 1, -1):
             left = t[span - d + i]
@@ -115,16 +124,22 @@ def expand(spline: SplineArrays, low: float, high: float, work: Array2, taylor: 
     scale = 1.0
     for p in range(spline.degree):
         x, y, z = value(spline, p + 1, span, middle, work)
-        taylor[p, 0], taylor[p, 1], taylor[p, 2] = scale * x, scale * y, scale * z
+        taylor[p, 0] = scale * x
+        taylor[p, 1] = scale * y
+        taylor[p, 2] = scale * z
         scale *= half / (p + 1)
 
 
 @subkernel
 def speed(taylor: Array2, degree: int, x: float) -> float:
     """Return the speed at x, given an expanded velocity."""
-    a, b, c = taylor[degree - 1, 0], taylor[degree - 1, 1], taylor[degree - 1, 2]
+    a = taylor[degree - 1, 0]
+    b = taylor[degree - 1, 1]
+    c = taylor[degree - 1, 2]
     for p in range(degree - 2, -1, -1):
-        a, b, c = a * x + taylor[p, 0], b * x + taylor[p, 1], c * x + taylor[p, 2]
+        a = a * x + taylor[p, 0]
+        b = b * x + taylor[p, 1]
+        c = c * x + taylor[p, 2]
     return float(np.sqrt(a * a + b * b + c * c))
 
 
@@ -132,7 +147,8 @@ def speed(taylor: Array2, degree: int, x: float) -> float:
 def expand_spans(spline: SplineArrays) -> Array3:
     """Expand the velocity about the midpoint of each knot span, see `expand`, (k, degree, 3)."""
     breaks = spline.breaks
-    work, taylors = np.empty((6, 3)), np.empty((len(breaks) - 1, spline.degree, 3))
+    work = np.empty((6, 3))
+    taylors = np.empty((len(breaks) - 1, spline.degree, 3))
     for i in range(len(taylors)):
         expand(spline, breaks[i], breaks[i + 1], work, taylors[i])
     return taylors
@@ -177,16 +193,24 @@ def measure_length(
         tail: tolerance for the last terms of a piece's series, relative to the total length.
         rounding: rounding error of the length of a span, at which halving ends.
     """
-    nodes, spans = len(rule), len(taylors)
-    breaks, degree = spline.breaks, spline.degree
-    work, finer, speeds = np.empty((6, 3)), np.empty((degree, 3)), np.empty(nodes)
+    nodes = len(rule)
+    spans = len(taylors)
+    breaks = spline.breaks
+    degree = spline.degree
+    work = np.empty((6, 3))
+    finer = np.empty((degree, 3))
+    speeds = np.empty(nodes)
     # Start and end of each piece, size of its last Legendre coefficients (-1: unknown), and all coefficients.
     pieces = np.empty((spans, 3 + nodes))
     for i in range(spans):
-        pieces[i, 0], pieces[i, 1], pieces[i, 2] = breaks[i], breaks[i + 1], -1.0
-    largest, unresolved = 0.0, spans
+        pieces[i, 0] = breaks[i]
+        pieces[i, 1] = breaks[i + 1]
+        pieces[i, 2] = -1.0
+    largest = 0.0
+    unresolved = spans
     for depth in range(MAX_HALVINGS):
-        total, unresolved = 0.0, 0
+        total = 0.0
+        unresolved = 0
         for i in range(len(pieces)):
             piece = pieces[i]
             if piece[2] < 0.0:
@@ -203,25 +227,33 @@ def measure_length(
                 unresolved += int(pieces[i, 2] > largest)
         if unresolved == 0 or unresolved > MAX_PIECES_PER_SPAN * len(breaks) or depth == MAX_HALVINGS - 1:
             break
-        halves, k = np.empty((len(pieces) + unresolved, 3 + nodes)), 0
+        halves = np.empty((len(pieces) + unresolved, 3 + nodes))
+        k = 0
         for i in range(len(pieces)):
             piece = pieces[i]
             if piece[2] > largest:
                 middle = piece[0] + 0.5 * (piece[1] - piece[0])
-                halves[k, 0], halves[k, 1], halves[k, 2] = piece[0], middle, -1.0
+                halves[k, 0] = piece[0]
+                halves[k, 1] = middle
+                halves[k, 2] = -1.0
                 k += 1
-                halves[k, 0], halves[k, 1], halves[k, 2] = middle, piece[1], -1.0
+                halves[k, 0] = middle
+                halves[k, 1] = piece[1]
+                halves[k, 2] = -1.0
             else:
                 for j in range(3 + nodes):
                     halves[k, j] = piece[j]
             k += 1
         pieces = halves
-    edges, lengths = np.empty(len(pieces) + 1), np.empty(len(pieces) + 1)
+    edges = np.empty(len(pieces) + 1)
+    lengths = np.empty(len(pieces) + 1)
     series = np.zeros((len(pieces), nodes + 1))
-    edges[0], lengths[0] = breaks[0], 0.0
+    edges[0] = breaks[0]
+    lengths[0] = 0.0
     for i in range(len(pieces)):
         piece = pieces[i]
-        edges[i + 1], lengths[i + 1] = piece[1], lengths[i] + 2.0 * piece[3]
+        edges[i + 1] = piece[1]
+        lengths[i + 1] = lengths[i] + 2.0 * piece[3]
         for g in range(nodes):
             for j in range(nodes + 1):
                 series[i, j] += piece[3 + g] * rule[g, 1 + nodes + j]
@@ -231,7 +263,8 @@ def measure_length(
 @subkernel
 def length_at(length: LengthArrays, u: float) -> float:
     """Return the arc length from the start to the parameter u."""
-    edges, lengths = length.edges, length.lengths
+    edges = length.edges
+    lengths = length.lengths
     i = interval_at(edges, u, 0, len(edges) - 1)
     x = (2.0 * u - edges[i] - edges[i + 1]) / (edges[i + 1] - edges[i])
     row = length.series[i]
@@ -259,13 +292,17 @@ def newton_step(x: float, gap: float, slope: float, low: float, high: float) -> 
 @subkernel
 def parameter_at(length: LengthArrays, s: float) -> float:
     """Return the parameter at the arc length s, by Newton's method within a bracket."""
-    edges, lengths = length.edges, length.lengths
+    edges = length.edges
+    lengths = length.lengths
     i = interval_at(lengths, s, 0, len(lengths) - 1)
-    row, local = length.series[i], s - lengths[i]
-    low, high = -1.0, 1.0
+    row = length.series[i]
+    local = s - lengths[i]
+    low = -1.0
+    high = 1.0
     x = min(max(2.0 * local / (lengths[i + 1] - lengths[i]) - 1.0, -1.0), 1.0)
     for _ in range(MAX_NEWTON_STEPS):
-        gap, slope = row[0], 0.0
+        gap = row[0]
+        slope = 0.0
         for j in range(1, len(row)):
             slope = slope * x + gap
             gap = gap * x + row[j]
@@ -298,7 +335,9 @@ def slopes(spline: SplineArrays, u: float, p: Array1, work: Array2) -> tuple[flo
     """Return half the first and second derivatives of the squared distance from p (3,) by u."""
     span = span_at(spline, u)
     x, y, z = value(spline, 0, span, u, work)
-    x, y, z = x - p[0], y - p[1], z - p[2]
+    x = x - p[0]
+    y = y - p[1]
+    z = z - p[2]
     a, b, c = value(spline, 1, span, u, work)
     second = a * a + b * b + c * c
     if spline.degree > 1:
@@ -312,13 +351,18 @@ def nearest_within(
     spline: SplineArrays, low: float, high: float, p: Array1, work: Array2
 ) -> tuple[float, float]:
     """Return the parameter of the point nearest to p (3,) within a short piece, and the distance."""
-    best, distance = low, distance_at(spline, low, p, work)
+    best = low
+    distance = distance_at(spline, low, p, work)
     at_high = distance_at(spline, high, p, work)
     if at_high < distance:
-        best, distance = high, at_high
+        best = high
+        distance = at_high
     inner = np.nextafter(high, low)  # a corner there belongs to the next piece
     if slopes(spline, low, p, work)[0] < 0.0 and slopes(spline, inner, p, work)[0] > 0.0:
-        u, width, left, right = 0.5 * (low + high), inner - low, low, inner
+        u = 0.5 * (low + high)
+        width = inner - low
+        left = low
+        right = inner
         for _ in range(MAX_NEWTON_STEPS):
             gap, slope = slopes(spline, u, p, work)
             before = u
@@ -327,7 +371,8 @@ def nearest_within(
                 break
         inside = distance_at(spline, u, p, work)
         if inside <= distance:
-            best, distance = u, inside
+            best = u
+            distance = inside
     return best, distance
 
 
@@ -352,7 +397,9 @@ def nearest_places(spline: SplineArrays, length: LengthArrays, pieces: int, poin
     parts = max(2, -(-pieces // len(length.series)))
     count = parts * len(length.series)
     work = np.empty((6, 3))
-    ends, reach, middles = np.empty(count + 1), np.empty(count), np.empty((count, 3))
+    ends = np.empty(count + 1)
+    reach = np.empty(count)
+    middles = np.empty((count, 3))
     for i in range(len(length.series)):
         for j in range(parts):
             ends[i * parts + j] = edges[i] + (edges[i + 1] - edges[i]) * (j / parts)
@@ -360,35 +407,45 @@ def nearest_places(spline: SplineArrays, length: LengthArrays, pieces: int, poin
     s_low = 0.0
     for i in range(count):
         middle = 0.5 * (ends[i] + ends[i + 1])
-        s_middle, s_high = length_at(length, middle), length_at(length, ends[i + 1])
+        s_middle = length_at(length, middle)
+        s_high = length_at(length, ends[i + 1])
         reach[i] = max(s_middle - s_low, s_high - s_middle)
         middles[i, 0], middles[i, 1], middles[i, 2] = value(spline, 0, span_at(spline, middle), middle, work)
         s_low = s_high
-    found, away = np.empty((len(points), 2)), np.empty(count)
+    found = np.empty((len(points), 2))
+    away = np.empty(count)
     for k in range(len(points)):
         p = points[k]
         bound = np.inf
         for i in range(count):
-            x, y, z = middles[i, 0] - p[0], middles[i, 1] - p[1], middles[i, 2] - p[2]
+            x = middles[i, 0] - p[0]
+            y = middles[i, 1] - p[1]
+            z = middles[i, 2] - p[2]
             away[i] = np.sqrt(x * x + y * y + z * z)
             bound = min(bound, away[i])
-        best, distance = 0.0, np.inf
+        best = 0.0
+        distance = np.inf
         for i in range(count):
             if away[i] - reach[i] <= bound * (1.0 + 1e-12):
                 u, d = nearest_within(spline, ends[i], ends[i + 1], p, work)
                 if d < distance:
-                    best, distance = u, d
+                    best = u
+                    distance = d
                     bound = min(bound, d)
-        found[k, 0], found[k, 1] = length_at(length, best), distance
+        found[k, 0] = length_at(length, best)
+        found[k, 1] = distance
     return found
 
 
 @subkernel
 def half_square_slope(taylor: Array2, degree: int, x: float) -> tuple[float, float]:
     """Return the first and second derivatives by x of half the squared speed, given an expanded velocity."""
-    value, slope = 0.0, 0.0
+    value = 0.0
+    slope = 0.0
     for axis in range(3):
-        v, dv, ddv = taylor[degree - 1, axis], 0.0, 0.0
+        v = taylor[degree - 1, axis]
+        dv = 0.0
+        ddv = 0.0
         for p in range(degree - 2, -1, -1):
             ddv = ddv * x + 2.0 * dv
             dv = dv * x + v
@@ -401,10 +458,12 @@ def half_square_slope(taylor: Array2, degree: int, x: float) -> tuple[float, flo
 @subkernel
 def slowest_point(taylor: Array2, degree: int, low: float, high: float) -> float:
     """Return the x of the smallest speed between two bounds; NaN unless its slope changes sign between."""
-    falls, rises = half_square_slope(taylor, degree, low)[0], half_square_slope(taylor, degree, high)[0]
+    falls = half_square_slope(taylor, degree, low)[0]
+    rises = half_square_slope(taylor, degree, high)[0]
     if not (falls < 0.0 and rises > 0.0):
         return np.nan
-    x, width = 0.5 * (low + high), high - low
+    x = 0.5 * (low + high)
+    width = high - low
     for _ in range(MAX_NEWTON_STEPS):
         gap, slope = half_square_slope(taylor, degree, x)
         before = x
@@ -425,8 +484,12 @@ def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
     Returns:
         The parameter; NaN if there is none.
     """
-    spans, degree, last = len(taylors), taylors.shape[1], SPEED_SAMPLES - 1
-    v, fastest, overall = np.empty((spans, SPEED_SAMPLES)), np.zeros(spans), 0.0
+    spans = len(taylors)
+    degree = taylors.shape[1]
+    last = SPEED_SAMPLES - 1
+    v = np.empty((spans, SPEED_SAMPLES))
+    fastest = np.zeros(spans)
+    overall = 0.0
     for i in range(spans):
         for j in range(SPEED_SAMPLES):
             v[i, j] = speed(taylors[i], degree, 2.0 * j / last - 1.0)
@@ -439,7 +502,8 @@ def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
     # slower than the fastest; on a circle all are equal up to rounding, and no search is needed.
     for i in range(spans):
         for j in range(SPEED_SAMPLES):
-            before, after = max(j - 1, 0), min(j + 1, last)
+            before = max(j - 1, 0)
+            after = min(j + 1, last)
             if v[i, j] <= min(v[i, before], v[i, after]) and v[i, j] < 0.9 * fastest[i]:
                 x = slowest_point(taylors[i], degree, 2.0 * before / last - 1.0, 2.0 * after / last - 1.0)
                 if speed(taylors[i], degree, x) <= STATIONARY_SPEED * fastest[i]:  # False if NaN

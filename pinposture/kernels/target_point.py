@@ -26,14 +26,17 @@ from pinposture.kernels.spline import parameter_at, span_at, value
 
 CURVE_SAMPLES = 48  # number of curve samples per reach
 MAX_CURVE_SAMPLES = 400  # maximum number of samples ahead
-STARTS, STARTS_OF_MANY, ENOUGH = 8, 16, 4
+STARTS = 8
+STARTS_OF_MANY = 16
+ENOUGH = 4
 """Number of start postures for up to two degrees of freedom and for more; in the latter case, number of
 postures that reach the curve at which to stop."""
 
 START_DISTANCE = 0.3  # smallest difference between start postures, in units of the joints
 COST_OF_DISTANCE = 25.0  # weight of the squared distance from the curve, in reaches, against joint motion
 
-STEPS, POLISHING_STEPS = 40, 8
+STEPS = 40
+POLISHING_STEPS = 8
 """Maximum number of steps to the curve, and along it towards the preferred posture; then back to it."""
 
 LARGEST_STEP = 0.5  # in units of the joints, and in reaches along the curve
@@ -65,7 +68,8 @@ def end_and_jacobian(
     turn[0, 0] = turn[1, 1] = turn[2, 2] = 1.0
     place[:] = 0.0
     for u in range(len(module.slides)):
-        a, o = module.axes[u], module.origins[u]
+        a = module.axes[u]
+        o = module.origins[u]
         for i in range(3):
             screws[u, 0, i] = turn[i, 0] * a[0] + turn[i, 1] * a[1] + turn[i, 2] * a[2]
             screws[u, 1, i] = turn[i, 0] * o[0] + turn[i, 1] * o[1] + turn[i, 2] * o[2] + place[i]
@@ -75,12 +79,20 @@ def end_and_jacobian(
         end[i] = turn[i, 0] * c[0] + turn[i, 1] * c[1] + turn[i, 2] * c[2] + place[i]
     columns[:] = 0.0
     for u in range(len(module.slides)):
-        a, j, ratio = screws[u, 0], module.inputs[u], module.ratios[u]
+        a = screws[u, 0]
+        j = module.inputs[u]
+        ratio = module.ratios[u]
         if module.slides[u]:
-            m0, m1, m2 = a[0], a[1], a[2]
+            m0 = a[0]
+            m1 = a[1]
+            m2 = a[2]
         else:
-            x, y, z = end[0] - screws[u, 1, 0], end[1] - screws[u, 1, 1], end[2] - screws[u, 1, 2]
-            m0, m1, m2 = a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x
+            x = end[0] - screws[u, 1, 0]
+            y = end[1] - screws[u, 1, 1]
+            z = end[2] - screws[u, 1, 2]
+            m0 = a[1] * z - a[2] * y
+            m1 = a[2] * x - a[0] * z
+            m2 = a[0] * y - a[1] * x
         columns[0, j] += ratio * m0
         columns[1, j] += ratio * m1
         columns[2, j] += ratio * m2
@@ -90,7 +102,9 @@ def end_and_jacobian(
 def module_ends(module: ModuleArrays, positions: Array2, ends: Array2) -> None:
     """Fill ends (s, 3) with the ends of a module at positions (s, k)."""
     n = len(module.slides)
-    turn, place, screws = np.empty((3, 3)), np.empty(3), np.empty((n, 2, 3))
+    turn = np.empty((3, 3))
+    place = np.empty(3)
+    screws = np.empty((n, 2, 3))
     columns = np.empty((3, positions.shape[1]))
     for i in range(len(positions)):
         end_and_jacobian(module, positions[i], turn, place, screws, ends[i], columns)
@@ -110,7 +124,9 @@ def curve_point(
     u = parameter_at(length, s)
     span = span_at(spline, u)
     x, y, z = value(spline, 0, span, u, work)
-    x, y, z = x - base[0, 3], y - base[1, 3], z - base[2, 3]
+    x = x - base[0, 3]
+    y = y - base[1, 3]
+    z = z - base[2, 3]
     for i in range(3):
         point[i] = base[0, i] * x + base[1, i] * y + base[2, i] * z
     x, y, z = value(spline, 1, span, u, work)
@@ -127,7 +143,8 @@ def least_solution(
 
     `share` is the regularisation relative to the trace; matrix (3, 3) is scratch.
     """
-    trace, right = 0.0, wanted.copy()
+    trace = 0.0
+    right = wanted.copy()
     for i in range(3):
         for j in range(len(x)):
             if held[j]:
@@ -165,24 +182,32 @@ def nearest_starts(
     Returns:
         Number of chosen postures.
     """
-    n, nearest, scores = len(candidates), np.empty(len(candidates), np.int64), np.empty(len(candidates))
+    n = len(candidates)
+    nearest = np.empty(len(candidates), np.int64)
+    scores = np.empty(len(candidates))
     for i in range(n):
-        least, best = np.inf, 0
+        least = np.inf
+        best = 0
         for j in range(count):
-            x, y, z = ends[i, 0] - points[j, 0], ends[i, 1] - points[j, 1], ends[i, 2] - points[j, 2]
+            x = ends[i, 0] - points[j, 0]
+            y = ends[i, 1] - points[j, 1]
+            z = ends[i, 2] - points[j, 2]
             away = x * x + y * y + z * z
             if away < least:
-                least, best = away, j
+                least = away
+                best = j
         motion = 0.0
         for j in range(candidates.shape[1]):
             motion += candidates[i, j] ** 2
-        nearest[i], scores[i] = best, COST_OF_DISTANCE * least / (reach * reach) + motion
+        nearest[i] = best
+        scores[i] = COST_OF_DISTANCE * least / (reach * reach) + motion
     found = 0
     while found < len(starts):
         best = int(np.argmin(scores))
         if not np.isfinite(scores[best]):
             break
-        starts[found], at[found] = best, nearest[best]
+        starts[found] = best
+        at[found] = nearest[best]
         found += 1
         for i in range(n):
             apart = 0.0
@@ -228,12 +253,25 @@ def next_target_point(
     Returns:
         The arc length of the point; NaN if there is none, or -1 if the curve also ends within reach.
     """
-    k, n, reach, total = len(preferred), len(module.slides), module.reach[0], length.lengths[-1]
-    work, points = np.empty((6, 3)), np.empty((MAX_CURVE_SAMPLES, 3))
-    point, tangent, end = np.empty(3), np.empty(3), np.empty(3)
-    turn, place, screws = np.empty((3, 3)), np.empty(3), np.empty((n, 2, 3))
-    columns, rows, matrix = np.empty((3, k)), np.empty((3, k + 1)), np.empty((3, 3))
-    step, count, beyond, s = reach / CURVE_SAMPLES, 0, False, start
+    k = len(preferred)
+    n = len(module.slides)
+    reach = module.reach[0]
+    total = length.lengths[-1]
+    work = np.empty((6, 3))
+    points = np.empty((MAX_CURVE_SAMPLES, 3))
+    point = np.empty(3)
+    tangent = np.empty(3)
+    end = np.empty(3)
+    turn = np.empty((3, 3))
+    place = np.empty(3)
+    screws = np.empty((n, 2, 3))
+    columns = np.empty((3, k))
+    rows = np.empty((3, k + 1))
+    matrix = np.empty((3, 3))
+    step = reach / CURVE_SAMPLES
+    count = 0
+    beyond = False
+    s = start
     while count < MAX_CURVE_SAMPLES and s < total and not beyond:
         s = min(start + (count + 1) * step, total)
         curve_point(spline, length, base, s, work, points[count], tangent)
@@ -243,22 +281,34 @@ def next_target_point(
     last = s
     if count == 0:
         return -1.0
-    low, high = np.empty(k + 1), np.empty(k + 1)
+    low = np.empty(k + 1)
+    high = np.empty(k + 1)
     for j in range(k):
         low[j] = (lower[j] - preferred[j]) / module.units[j]
         high[j] = (upper[j] - preferred[j]) / module.units[j]
-    low[k], high[k] = (start + AHEAD * reach) / reach, last / reach
+    low[k] = (start + AHEAD * reach) / reach
+    high[k] = last / reach
     tries = STARTS if k <= 2 else STARTS_OF_MANY
-    candidates, begins, at = np.empty(samples.shape), np.empty(tries, np.int64), np.empty(tries, np.int64)
+    candidates = np.empty(samples.shape)
+    begins = np.empty(tries, np.int64)
+    at = np.empty(tries, np.int64)
     for i in range(len(samples)):
         for j in range(k):
             candidates[i, j] = (samples[i, j] - preferred[j]) / module.units[j]
     chosen = nearest_starts(candidates, ends, points, count, reach, begins, at)
-    z, x, q = np.empty(k + 1), np.empty(k + 1), np.empty(k)
-    offset, costs, held = np.zeros(k + 1), np.ones(k + 1), np.zeros(k + 1, np.bool_)
-    gap, wanted, kept = np.empty(3), np.empty(3), np.empty(k + 1)
+    z = np.empty(k + 1)
+    x = np.empty(k + 1)
+    q = np.empty(k)
+    offset = np.zeros(k + 1)
+    costs = np.ones(k + 1)
+    held = np.zeros(k + 1, np.bool_)
+    gap = np.empty(3)
+    wanted = np.empty(3)
+    kept = np.empty(k + 1)
     costs[k] = COST_ALONG
-    best_cost, best_s, best_facing = np.inf, np.nan, False
+    best_cost = np.inf
+    best_s = np.nan
+    best_facing = False
     arrivals = 0
     for each in range(chosen):
         if k > 2 and arrivals == ENOUGH:
@@ -267,7 +317,10 @@ def next_target_point(
         z[k] = max(min(start + (at[each] + 1) * step, last) / reach, low[k])
         # First straight to the curve; with redundant joints then along it towards the preferred positions,
         # and to the curve again, if that works.
-        pulled, left, reached, arrived = False, STEPS, False, False
+        pulled = False
+        left = STEPS
+        reached = False
+        arrived = False
         while left > 0:
             left -= 1
             for j in range(k):
@@ -285,7 +338,9 @@ def next_target_point(
             if reached and not pulled:
                 if arrived or k <= 2:
                     break
-                arrived, pulled, left = True, True, STEPS
+                arrived = True
+                pulled = True
+                left = STEPS
                 kept[:] = z
             # Unknowns x: joint motions, or joint positions when pulled; and the motion of s.
             for j in range(k):
@@ -298,12 +353,16 @@ def next_target_point(
             held[:] = False
             for _ in range(k + 1):
                 least_solution(rows, wanted, costs, softened, held, matrix, x)
-                worst, which, edge = 1e-12, -1, 0.0
+                worst = 1e-12
+                which = -1
+                edge = 0.0
                 for j in range(k + 1):
                     to = z[j] + x[j] - offset[j]
                     over = max(low[j] - to, to - high[j])
                     if not held[j] and over > worst:
-                        worst, which, edge = over, j, low[j] if to < low[j] else high[j]
+                        worst = over
+                        which = j
+                        edge = low[j] if to < low[j] else high[j]
                 if which < 0:
                     break
                 held[which] = True  # it goes to its limit, and the others compensate
@@ -315,19 +374,24 @@ def next_target_point(
             for j in range(k + 1):
                 z[j] = min(max(z[j] + scale * (x[j] - offset[j]), low[j]), high[j])
             if pulled and (largest <= STILL or left == 0):
-                pulled, left = False, POLISHING_STEPS
+                pulled = False
+                left = POLISHING_STEPS
         if arrived and not reached:
-            z[:], reached = kept, True
+            z[:] = kept
+            reached = True
         if not reached or z[k] <= low[k]:
             continue
         arrivals += 1
-        cost, facing = 0.0, k <= 2
+        cost = 0.0
+        facing = k <= 2
         for j in range(k):
             cost += z[j] ** 2
             facing = facing and (not module.turning[j] or abs(z[j]) <= FACING)
         better = z[k] * reach < best_s if facing and best_facing else cost < best_cost
         if (facing and not best_facing) or (facing == best_facing and better):
-            best_cost, best_s, best_facing = cost, z[k] * reach, facing
+            best_cost = cost
+            best_s = z[k] * reach
+            best_facing = facing
             for j in range(k):
                 found[j] = min(max(preferred[j] + z[j] * module.units[j], lower[j]), upper[j])
     if np.isnan(best_s) and not beyond:

@@ -12,7 +12,8 @@ Array = NDArray[np.float64]
 ARRIVAL_TOLERANCE = 1e-6
 """Mean distance of the control points from their targets at which the arm has converged, in arm lengths."""
 
-AVERAGED_TIME, AVERAGED_READINGS = 0.25, 8
+AVERAGED_TIME = 0.25
+AVERAGED_READINGS = 8
 """Least duration [s] and least number of different readings that are averaged."""
 
 LONGEST_TIME = 1.0
@@ -108,7 +109,8 @@ class Arrival:
 
     def _judge(self, target: Target) -> None:
         """Compare the average with the target."""
-        n, placed = self._count, target.has_target
+        n = self._count
+        placed = target.has_target
         mean = np.asarray(self._points / n)
         self.positions = np.asarray(self._joints / n)
         slope = 12.0 * (self._weighted - 0.5 * (n - 1) * self._points) / (n * (n**2 - 1.0))

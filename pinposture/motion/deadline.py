@@ -36,7 +36,8 @@ class DirectStep:
     """
 
     def __init__(self, controller: Controller, deadline: float) -> None:
-        self.controller, self._deadline = controller, deadline
+        self.controller = controller
+        self._deadline = deadline
         self._pending: Future[Step] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -58,7 +59,8 @@ class DirectStep:
         if self._pending is not None:
             if not self._pending.done():
                 return None, memory
-            pending, self._pending = self._pending, None
+            pending = self._pending
+            self._pending = None
             late = pending.result()
             # The arm has braked since, and is at rest or almost.
             memory = late.memory if memory is None else late.memory.with_motion_of(memory)
@@ -104,7 +106,9 @@ class PlannedStep:
         self._arm = arm
         self._shared_arm = Shared(arm)
         self._request: Request | None = None
-        self._outdated, self._interrupted = False, False  # this plan; the one before
+        # this plan; the one before
+        self._outdated = False
+        self._interrupted = False
         self.controller = controller
         self._process = BackgroundProcess(partial(_prepare, self._shared_arm, self._shared))
 
@@ -140,10 +144,12 @@ class PlannedStep:
                     self._process.interrupt()
                 return None, memory
             # One step to the target of the path; the next cycle bends the path or replans.
-            planned, self._request = self._request, None
+            planned = self._request
+            self._request = None
             self._interrupted = self._outdated = False
             try:
-                target, memory = planned.target, self._take_plan(planned, memory)
+                target = planned.target
+                memory = self._take_plan(planned, memory)
             except Interrupted:
                 self._interrupted = True
         try:

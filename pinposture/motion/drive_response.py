@@ -23,7 +23,8 @@ USUAL_LEAD = 0.75
 """Lead that may be needed to start a joint that has not moved yet, in `max_tracking_error`: 0.225 rad by
 default. Friction in logs of a snake corresponds to 0.06 to 0.21 rad."""
 
-LEAD_FACTOR, LEAD_MARGIN = 2.0, 0.05
+LEAD_FACTOR = 2.0
+LEAD_MARGIN = 0.05
 """The command moves a joint for certain by twice the largest lead at which joints began to move before, as
 friction holds on either side, and this much more, in `Arm.joint_units`."""
 

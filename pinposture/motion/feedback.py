@@ -224,7 +224,8 @@ class Feedback:
         Raises:
             InvalidValue: arrays of a wrong shape.
         """
-        arm, measured_points = self.arm, self._checked_points(points)
+        arm = self.arm
+        measured_points = self._checked_points(points)
         measured, reason = self._checked_configuration(q)
         if measured is None:
             return FeedbackState(self._state(), reason, None)
@@ -316,7 +317,9 @@ class Feedback:
 
     def compensate(self, target: Target) -> Target:
         """Return the target for the command such that the arm reaches a target."""
-        tiny, offset, shift = FEEDBACK_TOLERANCE * self.arm.length, self._offset, self._shift
+        tiny = FEEDBACK_TOLERANCE * self.arm.length
+        offset = self._offset
+        shift = self._shift
         if self._last_compensated is not None and self._last_compensated[0] is target:
             _, used, before, at = self._last_compensated
             turned = np.abs(offset - before) / self.arm.joint_units
@@ -327,12 +330,15 @@ class Feedback:
         return used
 
     def _compensated(self, target: Target, offset: Array, shift: Array) -> Target:
-        arm, shifts = self.arm, bool(np.any(shift))
+        arm = self.arm
+        shifts = bool(np.any(shift))
         if not (np.any(offset) or shifts) or self.command is None:
             return target
-        q, q_compensated = target.q, None
+        q = target.q
+        q_compensated = None
         if q is not None:
-            positions, limits = arm.positions(q), arm.limits
+            positions = arm.positions(q)
+            limits = arm.limits
             inside = np.clip(positions - offset, limits.lower, limits.upper)
             inside = np.where((positions < limits.lower) | (positions > limits.upper), positions, inside)
             q_compensated = arm.integrate(q, inside - positions)
@@ -354,12 +360,14 @@ class Feedback:
             target: the target of the arm.
             positions: measured joint positions, (nv,) [rad or m].
         """
-        arm, command = self.arm, cast(Array, self.positions)
+        arm = self.arm
+        command = cast(Array, self.positions)
         off = positions - command - self._offset
         if target.q is not None:
             off = arm.difference(target.q, arm.configuration(positions))
         joint = int(np.abs(off / arm.joint_units).argmax())
-        name, history = arm.joint_names[joint], self.response.history
+        name = arm.joint_names[joint]
+        history = self.response.history
         most = self._max_difference * arm.joint_units[joint]
         edge = arm.limits.lower[joint] if off[joint] > 0.0 else arm.limits.upper[joint]
         if abs(command[joint] - edge) <= LIMIT_TOLERANCE * arm.joint_units[joint]:
@@ -419,7 +427,8 @@ class Feedback:
 
     def _estimate(self, difference: Array, share: float) -> None:
         """Filter the estimate of b, for joints whose commands may go farther."""
-        response, most = self.response, self._max_difference * self.arm.joint_units
+        response = self.response
+        most = self._max_difference * self.arm.joint_units
         shares = np.where(response.compensable, share * 0.5**response.history.overshoots, 0.0)
         if not (response.moved or self._at_rest):
             shares = 0.0 * shares  # nothing is known of the drives yet

@@ -159,7 +159,8 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(str(arrays["about"]))
-        found, version = about["format"], about["version"]
+        found = about["format"]
+        version = about["version"]
         wanted = _format_named(found) if wanted is None else wanted
         if wanted is None or (found, version) != (wanted.name, wanted.version):
             known = ARCHIVES.values() if wanted is None else (wanted,)
@@ -258,11 +259,14 @@ def check_arrays(
         array = arrays[name]
         if array.shape != expected:
             raise InvalidValue(f"{name} (shape)", array.shape, str(expected))
-        kinds, allowed = "biuf", "numbers"
+        kinds = "biuf"
+        allowed = "numbers"
         if name in _FLAGS:
-            kinds, allowed = "b", "True or False"
+            kinds = "b"
+            allowed = "True or False"
         elif name in _TEXTS or name in texts:
-            kinds, allowed = "U", "text"
+            kinds = "U"
+            allowed = "text"
         if array.dtype.kind not in kinds:
             raise InvalidValue(f"{name} (type)", str(array.dtype), allowed)
 
@@ -311,7 +315,8 @@ def _pack_run(run: Trajectory) -> tuple[About, Arrays]:
 def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
     target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
     arm = Arm.from_dict(about["arm"])
-    steps, m = len(arrays["active"]), arm.n_modules
+    steps = len(arrays["active"])
+    m = arm.n_modules
     shapes = {
         "q": (steps + 1, arm.nq),
         "points": (steps + 1, m, 3),
@@ -360,10 +365,12 @@ def _pack_motion(motion: Motion) -> tuple[About, Arrays]:
 
 
 def _unpack_motion(about: About, arrays: Arrays) -> Motion:
-    run, timed = _unpack_run(about, arrays), about["motion"]
+    run = _unpack_run(about, arrays)
+    timed = about["motion"]
     if run.limits.dt is None:
         raise InvalidValue("dt", None, "the duration of a cycle")
-    rows, m = run.steps + 1, run.arm.n_modules
+    rows = run.steps + 1
+    m = run.arm.n_modules
     check_arrays(
         arrays, {"motion_targets": (rows, m, 3), "motion_target_mask": (rows, m), "motion_plan_time": (rows,)}
     )
@@ -492,7 +499,8 @@ def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> t
 
 def _check_batch(batch: Batch) -> None:
     """Raise InvalidValue unless the arrays of a batch are consistent with each other and the arm."""
-    arm, count = batch.arm, len(batch.status)
+    arm = batch.arm
+    count = len(batch.status)
     if count == 0 or len(batch.targets) not in (1, count):
         numbers = (len(batch.targets), count)
         raise InvalidValue("numbers of targets and runs", numbers, "as many, or one target")
@@ -509,7 +517,8 @@ def _check_batch(batch: Batch) -> None:
     if motions.offsets[0] != 0 or np.any(np.diff(motions.offsets) != batch.steps + 1):
         raise InvalidValue("offsets", motions.offsets, "those of runs of so many steps")
     rows = int(motions.offsets[-1])
-    steps, n_texts = rows - count, len(motions.texts)
+    steps = rows - count
+    n_texts = len(motions.texts)
     shapes: dict[str, tuple[int, ...]] = {name: (steps,) for name in STEP_ARRAYS + TEXT_ARRAYS}
     shapes |= {"q": (rows, arm.nq), "clearance": (rows,)}
     shapes |= {"active": (steps, arm.n_modules), "clipped": (steps, arm.nv)}

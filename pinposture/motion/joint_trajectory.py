@@ -115,7 +115,8 @@ def step_duration(dt: float | None, known: float | None) -> float:
 COUPLING_TOLERANCE = 1e-6
 """Largest deviation of a coupled joint from its coupling that is attributed to rounding [rad or m]."""
 
-RADIAN, METRE = "rad", "m"
+RADIAN = "rad"
+METRE = "m"
 """Units of the position of a revolute and of a prismatic joint."""
 
 
@@ -193,12 +194,14 @@ def compute_rates(time: Array, positions: Array) -> tuple[Array, Array]:
         time: time of each row, (N,) [s], strictly increasing.
         positions: joint positions, (N, n) [rad or m].
     """
-    velocities, accelerations = np.zeros_like(positions), np.zeros_like(positions)
+    velocities = np.zeros_like(positions)
+    accelerations = np.zeros_like(positions)
     if len(time) > 2:
         intervals = np.diff(time)[:, None]
         with np.errstate(over="ignore", invalid="ignore"):  # `JointTrajectory` checks for finite values
             slopes = np.diff(positions, axis=0) / intervals
-            before, after = intervals[:-1], intervals[1:]
+            before = intervals[:-1]
+            after = intervals[1:]
             velocities[1:-1] = (before * slopes[1:] + after * slopes[:-1]) / (before + after)
             accelerations[1:-1] = 2.0 * (slopes[1:] - slopes[:-1]) / (before + after)
     return velocities, accelerations
@@ -243,7 +246,8 @@ def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: A
     after = np.minimum(before + 1, last)
     span = time[after] - time[before]
     share = np.divide(clipped - time[before], span, out=np.zeros_like(span), where=span > 0.0)[..., None]
-    start, way = positions[before], positions[after] - positions[before]
+    start = positions[before]
+    way = positions[after] - positions[before]
     # The chord, and the deviation of the slopes at both ends from its slope.
     first = span[..., None] * velocities[before] - way
     second = span[..., None] * velocities[after] - way
@@ -358,7 +362,8 @@ class JointTrajectory:
         Raises:
             InvalidValue: as `matched`.
         """
-        led, couplings = self.matched(arm), arm.couplings
+        led = self.matched(arm)
+        couplings = arm.couplings
         leaders = [arm.joint_names.index(each.leader) for each in couplings]
         ratios = np.array([each.ratio for each in couplings])
         turns = joint_axes(arm.model, [arm.model.getJointId(each.joint) for each in couplings])[1]

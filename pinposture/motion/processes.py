@@ -146,7 +146,8 @@ def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
         ProcessError: processes are ended again and again before the next result.
     """
     listed = list(tasks)
-    done, ended = 0, 0
+    done = 0
+    ended = 0
     while True:
         try:
             for result in _distribute_once(listed[done:], jobs, first_here=not ended):
@@ -353,5 +354,6 @@ def _answer_calls(connection: Connection) -> None:
                     error = raised
                 busy = False
             except Interrupted as raised:
-                value, error = None, raised
+                value = None
+                error = raised
             connection.send_bytes(pickle.dumps((value, error)))

@@ -107,7 +107,9 @@ def write_bag(
     if path.exists() and not (alone and path.is_file()):
         raise FileError(path, "exists already; allowed: the name of a new folder, or of a .mcap file")
     check_writable(path.parent)
-    types, topics, connections = get_typestore(Stores.ROS2_HUMBLE), {}, {}
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    topics = {}
+    connections = {}
     messages = list(_messages(types.types, trajectory, arm, start))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

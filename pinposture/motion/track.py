@@ -46,7 +46,8 @@ class RunRecord:
     """
 
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
-        self._target, self._scene = target, scene
+        self._target = target
+        self._scene = scene
         self._distances_of = None if scene is None or scene.empty else CollisionModel(start.arm, scene)
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
@@ -58,7 +59,8 @@ class RunRecord:
         """Replace the target, and restart measuring progress."""
         self._target = target
         self._now = self._point_errors(self._last)
-        self._best, self._idle = self.posture_error, 0.0
+        self._best = self.posture_error
+        self._idle = 0.0
 
     def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error at a state exceeds the current one, by more than rounding."""
@@ -118,7 +120,8 @@ class RunRecord:
         It is the travel that the limits allowed, without steps along a path, and hence independent of dt.
         """
         if self.posture_error < self._best * (1.0 - share):
-            self._best, self._idle = self.posture_error, 0.0
+            self._best = self.posture_error
+            self._idle = 0.0
         return self._idle
 
     def trajectory(
@@ -250,7 +253,9 @@ class ControlLoop:
         limits: Limits,
         scene: Scene | None = None,
     ) -> None:
-        self.arm, self.controller, self.limits = arm, controller, limits
+        self.arm = arm
+        self.controller = controller
+        self.limits = limits
         self.state = arm.at(q0)
         self.memory: Memory | None = None
         self.last_step: Step | None = None
@@ -264,7 +269,8 @@ class ControlLoop:
         step = next_step(self.controller, self.ahead, target, self.limits, before)
         # Keep the plan of the controller, but not the motion: the arm has not moved yet.
         before = Memory(np.zeros(self.arm.nv)) if before is None else before
-        self.memory, self.last_step = step.memory.with_motion_of(before), step
+        self.memory = step.memory.with_motion_of(before)
+        self.last_step = step
         return step
 
     def take_step(self, step: Step, target: Target | None = None) -> None:
@@ -274,7 +280,8 @@ class ControlLoop:
             step: the step.
             target: the target after the step, if it has changed.
         """
-        dq, self.memory = self.filter.apply(step.dq), step.memory
+        dq = self.filter.apply(step.dq)
+        self.memory = step.memory
         self.state = self.ahead = self.arm.at(self.arm.integrate(self.state.q, dq))
         if self.filter.cycles > 1:
             rises = self.record.error_rises_at(self.state)
@@ -306,7 +313,8 @@ class ControlLoop:
                 continue
             if step.diagnostics.reason:
                 # With active points but no step, the controller is stuck.
-                status, reason = "stalled" if step.active else "no_control_points", step.diagnostics.reason
+                status = "stalled" if step.active else "no_control_points"
+                reason = step.diagnostics.reason
                 break
             self.take_step(step)
             number = self.record.steps

@@ -108,7 +108,8 @@ def track_many(
     if jobs is not None:
         check_jobs(jobs)
     require_known("thing to keep", keep, KEEP)
-    listed, configurations = _targets(arm, targets), _starts(arm, starts)
+    listed = _targets(arm, targets)
+    configurations = _starts(arm, starts)
     count = _count_runs(len(listed), len(configurations))
     limits.for_arm(arm)  # refuse limits of another arm before any run
     if scene is not None:

@@ -38,7 +38,8 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-INTERFACES, PLANNING = ("position", "velocity"), ("process", "thread")
+INTERFACES = ("position", "velocity")
+PLANNING = ("process", "thread")
 
 MIN_CYCLE = 1e-4
 """Shortest duration of a cycle, relative to the nominal one."""
@@ -218,7 +219,8 @@ class Tracker:
             if not (is_number(value) and value > 0.0 and (value == inf or is_usable(value))):
                 raise InvalidValue(name, value, "a number > 0, or inf")
         self.arm = arm
-        self._limits, self._period = limits, period
+        self._limits = limits
+        self._period = period
         self._smooth = SmoothSteps(arm, limits)
         self._rates = RateCheck(arm, period)
         self._former: Limits | None = None
@@ -327,7 +329,8 @@ class Tracker:
             self._arrival.restart()
             self._feedback.settled = False
             self._feedback.aim()
-        self._target, self._age = given, 0.0
+        self._target = given
+        self._age = 0.0
 
     def _is_same(self, target: Target) -> bool:
         """Return whether a target is the present one to rounding."""
@@ -353,7 +356,8 @@ class Tracker:
         """
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
         self._feedback.restart(read_start(self.arm, q_measured), moved is not None)
-        self._memory, self._dt = None if moved is None else Memory(moved), self._period
+        self._memory = None if moved is None else Memory(moved)
+        self._dt = self._period
         self._smooth.restart(moved)
         self._rates.restart(moved)
         self._arrival.restart()
@@ -412,7 +416,8 @@ class Tracker:
         needed = self._smooth.needs_step(share) or self._decision is None
         decision = self._decide(feedback, dt) if needed or self._decision is None else self._decision
         dq = self._smooth.advance(share, decision.memory.dq if needed else None)
-        self._memory, self._decision = decision.memory, decision
+        self._memory = decision.memory
+        self._decision = decision
         self._feedback.apply_step(dq)
         decision = decision._replace(step=self._describe_sent(feedback, decision, dq))
         report = self._make_report(feedback, decision, dq, passed)
@@ -426,12 +431,15 @@ class Tracker:
 
         With a limit of jerk it is a step of a nominal cycle, and only some shorter cycles need one.
         """
-        limits, memory = self._limits if self._former is None else self._former, self._memory
+        limits = self._limits if self._former is None else self._former
+        memory = self._memory
         if not self._smooth.active:
             limits = limits if dt == self._period else replace(limits, dt=dt)
             memory = self._rescaled_memory(dt)
             self._dt = dt
-        step, reason, compensated = None, feedback.reason or self._target_problem(), None
+        step = None
+        reason = feedback.reason or self._target_problem()
+        compensated = None
         if not reason and self._former is not None:
             reason = BRAKES_FIRST
         state = self._ahead(feedback.state)
@@ -446,7 +454,8 @@ class Tracker:
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # unusable input, such as a target without a configuration
             if step is not None and not isfinite(step.dq @ step.dq):
-                step, reason = None, "the step of the controller is not finite"
+                step = None
+                reason = "the step of the controller is not finite"
         if step is not None and (not reason or aim is feedback.held):
             return Decision(step, step.memory, reason, compensated, False)
         held, evading = self._hold(None if feedback.reason else state, limits, memory)
@@ -455,7 +464,8 @@ class Tracker:
 
     def _watch_clearance(self) -> None:
         """Let the controller keep the measured arm clear, too, where drives lag or sag."""
-        controller, displacement = self._steps.controller, self._feedback.displacement
+        controller = self._steps.controller
+        displacement = self._feedback.displacement
         if not isinstance(controller, Geodesic) or controller.offset is displacement:
             return
         if controller.scene is not None:
@@ -473,7 +483,9 @@ class Tracker:
 
     def _judge_arrival(self, feedback: FeedbackState, dt: float) -> None:
         """Judge from the measurements so far whether the arm is at its target, and settle there."""
-        points, positions, target = self._feedback.points, self._feedback.measured, self._target
+        points = self._feedback.points
+        positions = self._feedback.measured
+        target = self._target
         if feedback.tracking_error is None or feedback.reason:
             return
         if points is not None and positions is not None and target is not None:
@@ -528,7 +540,9 @@ class Tracker:
         return self.arm.at(self.arm.neutral())
 
     def _make_report(self, feedback: FeedbackState, decision: Decision, dq: Array, passed: float) -> Report:
-        step, target, points = decision.step, self._target, self._feedback.points
+        step = decision.step
+        target = self._target
+        points = self._feedback.points
         error = None if target is None or points is None else _mean_distance(points, target)
         status, reason = self._judge_status(feedback, decision, dq, error)
         age = None if target is None else self._age
@@ -545,8 +559,10 @@ class Tracker:
 
     def _describe_sent(self, feedback: FeedbackState, decision: Decision, dq: Array) -> Step | None:
         """Return the step dq that was sent, with diagnostics; None if the controller computed none."""
-        step, aim = decision.step, decision.compensated or self._target
-        command, before = self._feedback.command, feedback.state
+        step = decision.step
+        aim = decision.compensated or self._target
+        command = self._feedback.command
+        before = feedback.state
         if step is None or aim is None or command is None or before is None or np.array_equal(step.dq, dq):
             return step
         after = self.arm.at(command).compiled
@@ -558,7 +574,8 @@ class Tracker:
         self, feedback: FeedbackState, decision: Decision, dq: Array, error: float | None
     ) -> tuple[str, str]:
         """Return status and reason of a cycle with a step dq and a measured mean error [m]."""
-        reason, compensated = feedback.reason or decision.reason, decision.compensated
+        reason = feedback.reason or decision.reason
+        compensated = decision.compensated
         if decision.step is not None and self._smooth.moving and not feedback.reason:
             reason = ""  # the jerk filter has not settled yet
         stalled = decision.step is not None and not feedback.reason
@@ -586,7 +603,8 @@ class Tracker:
 
     def _lost_limits(self, known: tuple[str, ...]) -> tuple[str, ...]:
         """Return a message if a joint of the command is outside its limits, unless it is known."""
-        positions, limits = self._feedback.positions, self.arm.limits
+        positions = self._feedback.positions
+        limits = self.arm.limits
         if positions is None or any(text.startswith("position limit") for text in known):
             return ()
         outside = np.maximum(limits.lower - positions, positions - limits.upper) / self.arm.joint_units
@@ -603,7 +621,8 @@ class Tracker:
 
         The command is as the jerk filter can cut a corner, the measured arm as it can lag or sag.
         """
-        command, measured = self._feedback.command, self._feedback.measured
+        command = self._feedback.command
+        measured = self._feedback.measured
         if self.scene is None or command is None:
             return ()
         found: list[str] = []

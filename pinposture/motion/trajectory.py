@@ -89,7 +89,8 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     """Return the violations of velocity, acceleration and jerk limits in a run, from and to rest."""
     if not run.steps:
         return None
-    bounds, kinds = run.limits.for_arm(run.arm), ("velocity", "acceleration", "jerk")
+    bounds = run.limits.for_arm(run.arm)
+    kinds = ("velocity", "acceleration", "jerk")
     shares = _joint_shares(run)
     for each in shares[1:]:
         each[run.steps - 1] = each[run.steps - 1 :].max(axis=0)
@@ -104,14 +105,16 @@ def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + LIMIT_TOLERANCE)
     if not len(steps):
         return None
-    words, ratios = [], []
+    words = []
+    ratios = []
     for step in steps:
         kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
         ratios.append(float(shares[kind][step, joint]))
         name = run.arm.joint_names[joint]
         words.append(f"{kinds[kind]} limit: joint {name!r} exceeds it by a factor of {ratios[-1]:.4g}")
     most = int(np.argmax(ratios))
-    number, worst = len(steps), int(steps[most])
+    number = len(steps)
+    worst = int(steps[most])
     count = f"{number} step" + ("s" if number > 1 else "")
     text = f"limits are exceeded in {count}, most in step {worst + 1} (of {run.steps}): {words[most]}"
     return LimitViolation(tuple(int(step) for step in steps), tuple(words), worst, ratios[most], text)
@@ -123,7 +126,8 @@ def _joint_shares(run: Trajectory) -> tuple[Array, Array, Array]:
     The arm is at rest before and after. Without a limit, the ratio is zero.
     """
     bounds = run.limits.for_arm(run.arm)
-    values, shares = run.displacements, []
+    values = run.displacements
+    shares = []
     for most in (bounds.bound, bounds.acceleration, bounds.jerk):
         shares.append(np.abs(values) / (np.inf if most is None else most))
         values = np.diff(np.pad(values, ((1, 1), (0, 0))), axis=0)
@@ -252,7 +256,8 @@ def find_penetration(motion: FinishedMotion) -> Penetration | None:
 
     Verdicts, exports and the editor all judge collisions of a finished motion by it.
     """
-    arm, least = motion.arm, smallest_distance(motion)
+    arm = motion.arm
+    least = smallest_distance(motion)
     if least.pair is None or least.distance >= -CONTACT_TOLERANCE * arm.length:
         return None
     clearance = motion.clearance
@@ -273,7 +278,8 @@ def smallest_distance(motion: FinishedMotion) -> Closest:
 
 def _minimum_in(motion: FinishedMotion, scene: Scene) -> Closest:
     """Return the smallest distance in a scene at the rows of a motion."""
-    arm, start = motion.arm, motion.q[0]
+    arm = motion.arm
+    start = motion.q[0]
     offsets = np.array([arm.difference(start, q) for q in motion.q])
     return CollisionModel(arm, scene).minimum_along(start, offsets)
 

@@ -58,7 +58,8 @@ class ConstantCurvature:
 
     def forward(self, q: Array) -> tuple[Array, Array]:
         """FK: position (3,) [m] and orientation (3, 3) of the end at q, (2,) or (3,), base frame."""
-        bend_y, bend_z = float(q[0]), float(q[1])
+        bend_y = float(q[0])
+        bend_z = float(q[1])
         length = self.length + (float(q[2]) if self.stretch else 0.0)
         bend = np.hypot(bend_y, bend_z)
         along = np.sinc(bend / np.pi)  # sin(bend) / bend
@@ -72,7 +73,8 @@ class ConstantCurvature:
         The angle between the chord and x is half the bending angle.
         """
         x, y, z = map(float, p)
-        across, half = np.hypot(y, z), float(np.arctan2(np.hypot(y, z), x))
+        across = np.hypot(y, z)
+        half = float(np.arctan2(np.hypot(y, z), x))
         length = float(self._lengths(np.array([[x, y, z]]))[0])
         slack = max(self.stretch, 0.0) + ON_SURFACE * self.length
         if not abs(length - self.length) <= slack or half >= np.pi:

@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 
 TURN_PER_STAGE = 2.0  # largest turn of the curve's tip between stages of bending [rad]
 
-RESTARTS_OF_FIT, RESTART_NOISE = 4, 0.3
+RESTARTS_OF_FIT = 4
+RESTART_NOISE = 0.3
 """Number of restarts, and standard deviation of their perturbations [rad, or arm lengths]."""
 
 EXACT_FIT = 1e-6  # root mean square distance from the curve below which there are no restarts, in arm lengths
@@ -31,22 +32,30 @@ ROUGH_EVALUATIONS = 6  # number of evaluations at the final curve for a rough fi
 SAMPLES_PER_MODULE = 12
 """Curve samples per module in all stages but the last, which uses the curve itself."""
 
-MIN_SPACING, MAX_SPACING = 0.05, 3.0
+MIN_SPACING = 0.05
+MAX_SPACING = 3.0
 """Bounds on the arc length between neighbouring control points, in module lengths."""
 
-REFINE_STEPS, REFINE_MAX_STEP = 12, 0.2
+REFINE_STEPS = 12
+REFINE_MAX_STEP = 0.2
 """Maximum number and size of steps of `refined` [rad, or arm lengths]."""
 
-REFINE_MIN_STEP, REFINE_MIN_COST = 1e-7, 1e-24
+REFINE_MIN_STEP = 1e-7
+REFINE_MIN_COST = 1e-24
 """Step [rad, or arm lengths] and cost at which `refined` has converged."""
 
-REFINE_DAMPING, REFINE_DAMPING_DOWN, REFINE_DAMPING_UP = 1e-11, 0.1, 10.0
+REFINE_DAMPING = 1e-11
+REFINE_DAMPING_DOWN = 0.1
+REFINE_DAMPING_UP = 10.0
 """Smallest damping of `refined`, relative to `stiffness`, and its factors after better and worse steps."""
 
-LOOK_AHEAD, LOOK_AHEAD_SAMPLES = 2.0, 64
+LOOK_AHEAD = 2.0
+LOOK_AHEAD_SAMPLES = 64
 """Search range for the next control point along the curve, in module lengths, and number of samples."""
 
-TIP_WEIGHT, LINK_WEIGHT, SLIDE_WEIGHT = 0.1, 1e-2, 4e-3
+TIP_WEIGHT = 0.1
+LINK_WEIGHT = 1e-2
+SLIDE_WEIGHT = 4e-3
 """Weights of the tip's distance from the end of the curve, of the links' distance from it, and of differences
 between slides, against the distance of control points from the curve."""
 
@@ -67,7 +76,9 @@ class Samples:
     """
 
     def __init__(self, s: Array, points: Array, tangents: Array) -> None:
-        self.s, self.points, self.tangents = s, points, tangents
+        self.s = s
+        self.points = points
+        self.tangents = tangents
 
     @property
     def length(self) -> float:
@@ -192,7 +203,8 @@ def transported_turns(tangents: Array) -> Array:
     sine = np.linalg.norm(normals, axis=1)
     angle = np.arctan2(sine, np.einsum("ij,ij->i", tangents[:-1], tangents[1:]))
     turns = normals * (angle / np.maximum(sine, 1e-300))[:, None]
-    frame, transported = np.eye(3), np.empty(turns.shape)
+    frame = np.eye(3)
+    transported = np.empty(turns.shape)
     for i, matrix in enumerate(Rotation.from_rotvec(turns).as_matrix()):
         transported[i] = turns[i] @ frame
         frame = matrix @ frame
@@ -202,7 +214,8 @@ def transported_turns(tangents: Array) -> Array:
 def _bent_curve(s: Array, origin: Array, tangent: Array, turns: Array) -> Samples:
     """Integrate a curve from its origin, first tangent and the turns between samples."""
     tangents = np.empty((len(s), 3))
-    tangents[0], frame = tangent, np.eye(3)
+    tangents[0] = tangent
+    frame = np.eye(3)
     for i, matrix in enumerate(Rotation.from_rotvec(turns).as_matrix(), start=1):
         frame = frame @ matrix
         tangents[i] = frame @ tangent
@@ -215,9 +228,11 @@ def base_positions(arm: Arm, curve: Curve, start: float) -> Array:
 
     All other entries are zero.
     """
-    positions, on_chain = np.zeros(arm.nv), arm.roaming[arm.columns]
+    positions = np.zeros(arm.nv)
+    on_chain = arm.roaming[arm.columns]
     if np.any(on_chain):
-        gap, axes = curve.at(start) - arm.chain.base, arm.chain.axes[arm.chain.leaders[on_chain]]
+        gap = curve.at(start) - arm.chain.base
+        axes = arm.chain.axes[arm.chain.leaders[on_chain]]
         positions[arm.columns[on_chain]] = np.linalg.lstsq(axes.T, gap, rcond=None)[0]
     return np.asarray(np.clip(positions, arm.limits.lower, arm.limits.upper))
 
@@ -227,7 +242,8 @@ def _nearest_parameters(arm: Arm, curve: Curve, start: float, q: Array) -> Array
 
     Each is searched for only within reach of the previous one, because the curve may pass a second time.
     """
-    points, lengths = arm.chain.flattened(arm.at(q).compiled.points), arm.chain.module_lengths
+    points = arm.chain.flattened(arm.at(q).compiled.points)
+    lengths = arm.chain.module_lengths
     reach = LOOK_AHEAD * np.maximum(lengths, lengths.mean())
     steps = np.arange(1, LOOK_AHEAD_SAMPLES + 1) / LOOK_AHEAD_SAMPLES
     found = np.empty(len(points))
@@ -253,11 +269,14 @@ class FitProblem:
         settled: relative decrease of the sum of squares below which the fit ends.
     """
 
-    exact, settled = EXACT_FIT, 1e-15
+    exact = EXACT_FIT
+    settled = 1e-15
 
     def __init__(self, arm: Arm, start: float, bending: float, base: Array | None = None) -> None:
         self.reach = arm.length
-        self._arm, self._start, self._bending = arm, start, bending / arm.length
+        self._arm = arm
+        self._start = start
+        self._bending = bending / arm.length
         movable = arm.limits.upper[arm.columns] - arm.limits.lower[arm.columns] > 0.0
         columns = self.columns = arm.columns[movable & ~arm.roaming[arm.columns]]
         self._joints = len(columns)
@@ -316,7 +335,8 @@ class FitProblem:
 
     def with_slides(self, positions: Array) -> FitProblem:
         """Return the same problem with the slides at given positions, those of (nv,) [m]."""
-        arm, n = self._arm, self._joints
+        arm = self._arm
+        n = self._joints
         if not np.any(arm.slides):
             return self
         held = copy(self)
@@ -351,7 +371,9 @@ class FitProblem:
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
         """Return the residuals (3 m + n,) and their Jacobian (3 m + n, n + m)."""
-        arm, n, m = self._arm, self._joints, self._arm.n_modules
+        arm = self._arm
+        n = self._joints
+        m = self._arm.n_modules
         positions, s = self.split(unknowns)
         state = arm.at(arm.configuration(positions)).compiled
         inside = np.clip(s, 0.0, curve.length)
@@ -377,14 +399,17 @@ class SlidingFit(FitProblem):
     4. Differences of the slides from those of the straight arm that is as long as the curve.
     """
 
-    exact, settled = NEAR_FIT, 1e-5
+    exact = NEAR_FIT
+    settled = 1e-5
 
     def __init__(
         self, arm: Arm, start: float, bending: float, base: Array, length: float, to_end: bool
     ) -> None:
         super().__init__(arm, start, bending, base)
-        chain, n = arm.chain, self._joints
-        extended, slid = arm.positions(arm.straight()), slid_positions(arm, to_end * (length - start))
+        chain = arm.chain
+        n = self._joints
+        extended = arm.positions(arm.straight())
+        slid = slid_positions(arm, to_end * (length - start))
         longest = _module_lengths(arm, extended)
         lengths = _module_lengths(arm, slid)
         self.reach = float(longest.sum())
@@ -392,7 +417,8 @@ class SlidingFit(FitProblem):
         self.upper[n:] = np.maximum(self.upper[n:], longest)
         self.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths / arm.length)
         self._straight = np.clip(self.joined(slid, start + np.cumsum(lengths)), self.lower, self.upper)
-        self._only_points, self._tip_weight = False, TIP_WEIGHT * to_end
+        self._only_points = False
+        self._tip_weight = TIP_WEIGHT * to_end
         self._end = min(length - END_MARGIN * arm.length, start + self.reach)
         self._sliding = np.flatnonzero(arm.slides[self.columns])
         # Stations are the base, the joints and the control points along the arm; each is moved by the joints
@@ -402,7 +428,9 @@ class SlidingFit(FitProblem):
         self._points = ends + np.arange(1, len(ends) + 1)
         self._origins = joints + 1 + np.searchsorted(ends, joints, side="right")
         before = np.empty(len(joints) + len(ends) + 1, dtype=np.int64)
-        before[0], before[self._points], before[self._origins] = 0, ends, joints
+        before[0] = 0
+        before[self._points] = ends
+        before[self._origins] = joints
         self._carried = joints < before[:, None]
         self._ratios = (chain.columns[:, None] == self.columns) * chain.ratios[:, None]
         long = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1) > ON_JOINT * arm.length
@@ -424,26 +452,32 @@ class SlidingFit(FitProblem):
 
     def closed(self, curve: Samples | Curve, unknowns: Array) -> Array:
         """Move the control points of a fit onto the curve, if other residuals hold them off it."""
-        tip, length = self.split(unknowns)[1][-1], self._arm.length
+        tip = self.split(unknowns)[1][-1]
+        length = self._arm.length
         if self._bending > EXACT_FIT or tip > curve.length + NEAR_FIT * length:  # it cannot
             return unknowns
         points = copy(self)
-        points._only_points, points._tip_weight = True, 1.0
+        points._only_points = True
+        points._tip_weight = 1.0
         points._end = min(tip, curve.length - END_MARGIN * length)
         return refined(points, curve, unknowns, weight=CLOSING_WEIGHT)
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
         """Return the residuals and their Jacobian as `FitProblem.evaluate`, and the additional rows."""
         residual, jacobian = super().evaluate(curve, unknowns)
-        n, m, sliding = self._joints, self.points, self._sliding
-        residual[3 * m + sliding], jacobian[3 * m + sliding] = 0.0, 0.0
+        n = self._joints
+        m = self.points
+        sliding = self._sliding
+        residual[3 * m + sliding] = 0.0
+        jacobian[3 * m + sliding] = 0.0
         tip = self._tip_weight * (self.split(unknowns)[1][-1:] - self._end) / self._arm.length
         row = self._tip_weight * np.repeat([0.0, 1.0], [n, m])
         if self._only_points:
             return np.append(residual, tip), np.vstack([jacobian, row])
         gaps, rows = self._link_rows(curve, unknowns)
         weight = LINK_WEIGHT * np.sqrt(3 * m / len(rows)) / self._arm.length
-        links, slides = np.zeros((len(rows), n + m)), SLIDE_WEIGHT * np.eye(n + m)[sliding]
+        links = np.zeros((len(rows), n + m))
+        slides = SLIDE_WEIGHT * np.eye(n + m)[sliding]
         links[:, :n] = weight * self._units[:n] * rows
         shifts = slides @ (unknowns - self._straight)
         residual = np.concatenate([residual, tip, weight * gaps, shifts])
@@ -451,9 +485,11 @@ class SlidingFit(FitProblem):
 
     def _stations(self, positions: Array) -> tuple[Array, Array]:
         """Return the base, joints and control points along the arm, (k, 3) [m], and their Jacobians."""
-        chain, forward = self._arm.chain, self._arm.kinematics.forward(positions)
+        chain = self._arm.chain
+        forward = self._arm.kinematics.forward(positions)
         stations = np.empty((len(self._carried), 3))
-        stations[0], stations[self._points] = chain.base, forward.points
+        stations[0] = chain.base
+        stations[self._points] = forward.points
         stations[self._origins] = forward.origins
         levers = np.cross(forward.axes, stations[:, None] - forward.origins)
         moved = np.where(chain.revolute[:, None], levers, forward.axes) * self._carried[:, :, None]
@@ -474,7 +510,8 @@ class SlidingFit(FitProblem):
         places = np.clip(places, 0.0, curve.length)
         ahead = np.einsum("ij,ij->i", points - curve.at(places), curve.tangent(places))
         places = np.clip(places + ahead, 0.0, curve.length)
-        gaps, tangents = points - curve.at(places), curve.tangent(places)
+        gaps = points - curve.at(places)
+        tangents = curve.tangent(places)
         across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
         return np.einsum("pij,pj->pi", across, gaps).ravel(), (across @ jacobians).reshape(-1, self._joints)
 
@@ -497,12 +534,14 @@ def refined(
         weight: weight of the squared distance from `before`.
         reach: largest deviation of joints from `before` [rad, or arm lengths].
     """
-    anchor, margin = guess if before is None else before, np.full(len(guess), np.inf)
+    anchor = guess if before is None else before
+    margin = np.full(len(guess), np.inf)
     margin[: len(problem.columns)] = reach
     lower = np.maximum(problem.lower, anchor - margin)
     upper = np.minimum(problem.upper, anchor + margin)
     x = np.clip(guess, lower, upper)
-    damping, largest = REFINE_DAMPING, REFINE_MAX_STEP
+    damping = REFINE_DAMPING
+    largest = REFINE_MAX_STEP
     residual, jacobian = problem.evaluate(curve, x)
     cost = float(residual @ residual + weight * ((x - anchor) @ (x - anchor)))
     for _ in range(REFINE_STEPS):
@@ -518,7 +557,10 @@ def refined(
         trial_cost = trial_residual @ trial_residual + weight * ((trial - anchor) @ (trial - anchor))
         if trial_cost <= cost:
             largest = float(np.abs(trial - x).max())
-            x, cost, residual, jacobian = trial, float(trial_cost), trial_residual, trial_jacobian
+            x = trial
+            cost = float(trial_cost)
+            residual = trial_residual
+            jacobian = trial_jacobian
             damping = max(damping * REFINE_DAMPING_DOWN, REFINE_DAMPING)
         else:
             damping *= REFINE_DAMPING_UP

@@ -46,10 +46,12 @@ CROSSING_SAMPLES = 200  # number of curve samples per reach in the search for cr
 
 AHEAD = 1e-6  # smallest arc length from the base to a crossing, relative to the reach
 
-GRID, MANY_SAMPLES = 21, 512
+GRID = 21
+MANY_SAMPLES = 512
 """Number of start postures of the numeric search: per degree of freedom, and in total for more than two."""
 
-IK_VISITS, EXACT = 40, 1e-10
+IK_VISITS = 40
+EXACT = 1e-10
 """Number of attempts of the numeric IK, and its tolerance relative to the reach."""
 
 
@@ -75,7 +77,8 @@ def curve_crossings(
         return np.asarray(base.rotation.T @ (np.asarray(curve.at(s)) - base.translation))
 
     step = reach / CROSSING_SAMPLES
-    s, value = start + AHEAD * reach, np.nan
+    s = start + AHEAD * reach
+    value = np.nan
     while s < curve.length:
         block = np.minimum(s + step * np.arange(CROSSING_SAMPLES + 1), curve.length)
         points = (curve.at(block) - base.translation) @ base.rotation
@@ -204,7 +207,9 @@ class Torus(ClosedForm):
     sense: float = 1.0
 
     def _level(self, p: Array) -> Array:
-        l1, l2, rho = self.l1, self.l2, np.hypot(p[:, 0], p[:, 2])
+        l1 = self.l1
+        l2 = self.l2
+        rho = np.hypot(p[:, 0], p[:, 2])
         outer = np.hypot(rho - l1, p[:, 1]) - l2
         return np.asarray(outer * (np.hypot(rho + l1, p[:, 1]) - l2) if l2 > l1 > 0.0 else outer)
 
@@ -313,7 +318,9 @@ class NumericModule:
     @cached_property
     def _samples(self) -> tuple[Array, Array]:
         """Start postures, (s, k), the preferred one first, and their end positions, (s, 3) [m]."""
-        k, low, high = self.dof, self._low, self._high
+        k = self.dof
+        low = self._low
+        high = self._high
         if k <= 2:
             shares = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * k), axis=-1).reshape(-1, k)
         else:
@@ -502,7 +509,8 @@ def has_custom_kinematics(arm: Arm) -> bool:
 
 
 def _find_units(arm: Arm) -> tuple[Unit, ...]:
-    chain, units = arm.chain, list[Unit]()
+    chain = arm.chain
+    units = list[Unit]()
     own = [_registered(arm, k) for k in range(arm.n_modules)]
     waiting = int(np.count_nonzero(arm.roaming[chain.columns]))  # the first free joint
     base = chain.base
@@ -511,13 +519,15 @@ def _find_units(arm: Arm) -> tuple[Unit, ...]:
         if claimed is not None:
             units.append(claimed)
         else:
-            start, stop = max(waiting, joints.start), after_last_mover(chain, k, joints.start)
+            start = max(waiting, joints.start)
+            stop = after_last_mover(chain, k, joints.start)
             if waiting < joints.start and stop - joints.start < (1 if arm.dimension == 2 else 2):
                 start = waiting
             if stop <= start:
                 raise UnsupportedModule(k + 1, chain.joints[joints], "none of its joints moves its end")
             units.extend(_units_of(arm, k, slice(start, stop), base, end))
-        waiting, base = units[-1].joints.stop, end
+        waiting = units[-1].joints.stop
+        base = end
     return tuple(units)
 
 
@@ -540,7 +550,8 @@ def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoi
     columns = chain.columns[joints]
     own = np.array(list(dict.fromkeys(columns.tolist())))
     stations = chain.flattened(np.vstack([base, chain.origins[joints], end]))
-    lower, upper = arm.limits.lower[own], arm.limits.upper[own]
+    lower = arm.limits.lower[own]
+    upper = arm.limits.upper[own]
     kinds = chain.joints[joints], chain.revolute[joints], chain.axes[joints]
     return joints_in_base_frame(*kinds, stations, columns, chain.ratios[joints], lower, upper)
 
@@ -550,7 +561,8 @@ def after_last_mover(chain: Chain, module: int, start: int) -> int:
 
     A joint whose axis passes through the end does not move it, unless another joint is coupled to it.
     """
-    alone, stop = np.bincount(chain.columns)[chain.columns] == 1, int(chain.module_slices[module].stop)
+    alone = np.bincount(chain.columns)[chain.columns] == 1
+    stop = int(chain.module_slices[module].stop)
     while stop > start and chain.revolute[stop - 1] and alone[stop - 1]:
         lever = chain.points[module] - chain.origins[stop - 1]
         if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > SHAPE_TOLERANCE * chain.length:
@@ -578,7 +590,8 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
         UnsupportedModule: there are none; gives the reason.
     """
     chain = arm.chain
-    axes, origins = chain.axes[joints], chain.origins[joints]
+    axes = chain.axes[joints]
+    origins = chain.origins[joints]
     stations = np.vstack([start, origins[1:], end])
     links = np.diff(stations, axis=0)
     lengths = np.linalg.norm(links, axis=1)

@@ -23,7 +23,8 @@ from pinposture.placement.target import Target
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-VISITS_PER_MODULE, MIN_VISITS = 20, 200
+VISITS_PER_MODULE = 20
+MIN_VISITS = 200
 """Limit on the number of module visits of a search: per module, and its minimum."""
 
 WINDOW = 3  # number of modules corrected together if a point cannot be reached by its own joints
@@ -31,28 +32,36 @@ WINDOW = 3  # number of modules corrected together if a point cannot be reached 
 JOINT_SAMPLES = 16
 """Number of samples of a joint without a closed form; twice as many for two or more such joints."""
 
-ROUGH_DISTANCE, EXACT_DISTANCE = 1e-3, 1e-9
+ROUGH_DISTANCE = 1e-3
+EXACT_DISTANCE = 1e-9
 """Distances accepted by a rough search, in mean module lengths, and by an exact one, in arm lengths."""
 
 REGULARISATION = 1e-8
 """Weight of joint positions against distances in arm lengths [1/rad]; resolves redundancy."""
 
-TAKEN, NO_ERROR = 1e-6, 1e-9
+TAKEN = 1e-6
+NO_ERROR = 1e-9
 """Distances at which a point counts as reached, and at which the search stops, in arm lengths."""
 
-POINT_FIT_RESTARTS, POINT_FIT_NOISE = 8, 0.3
+POINT_FIT_RESTARTS = 8
+POINT_FIT_NOISE = 0.3
 """Number of restarts, and standard deviation of their perturbations in `Arm.joint_units`."""
 
-POINT_FIT_STEPS, POINT_FIT_MAX_STEP = 300, 0.5
+POINT_FIT_STEPS = 300
+POINT_FIT_MAX_STEP = 0.5
 """Maximum number of steps of a fit, and largest step in `Arm.joint_units`."""
 
-MIN_DECREASE, MAX_SLOW_STEPS = 1e-9, 3
+MIN_DECREASE = 1e-9
+MAX_SLOW_STEPS = 3
 """Relative decrease of the cost that counts as progress, and number of successive steps without it."""
 
-MIN_POINT_DAMPING, MAX_POINT_DAMPING = 1e-12, 1e6
+MIN_POINT_DAMPING = 1e-12
+MAX_POINT_DAMPING = 1e6
 """Bounds on the damping of a fit, relative to its mean stiffness."""
 
-POINT_DAMPING_DOWN, POINT_DAMPING_UP = 0.2, 5.0  # damping factors after better and worse steps
+# damping factors after better and worse steps
+POINT_DAMPING_DOWN = 0.2
+POINT_DAMPING_UP = 5.0
 
 WEAK_MOTION = 0.3
 """Noise-induced joint motion, in `Arm.joint_units`, at which a measurement gets half its weight. Along
@@ -85,8 +94,10 @@ def place_sequentially(
     bounded = np.isfinite(chain.lower) & np.isfinite(chain.upper)
     low, high = (np.where(bounded, side, chain.near) for side in (chain.lower, chain.upper))
     center = 0.5 * low + 0.5 * high
-    visits, positions = max(VISITS_PER_MODULE * len(goals), MIN_VISITS), near.copy()
-    exact, rough = EXACT_DISTANCE * arm.length, ROUGH_DISTANCE * arm.length / len(goals)
+    visits = max(VISITS_PER_MODULE * len(goals), MIN_VISITS)
+    positions = near.copy()
+    exact = EXACT_DISTANCE * arm.length
+    rough = ROUGH_DISTANCE * arm.length / len(goals)
     samples = _joint_samples(len(center))
     # Positions far from the limits leave more freedom for later modules.
     for start, accepted, first in (
@@ -147,10 +158,13 @@ def _screw_chain(
     arm: Arm, points: Array, has_target: NDArray[np.bool_], near: Array
 ) -> tuple[ScrewChain, Array]:
     """Return the chain as arrays for kernels, and the points to reach, (p, 3) [m]."""
-    chain, columns = arm.chain, arm.columns
-    lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
+    chain = arm.chain
+    columns = arm.columns
+    lower = arm.limits.lower[columns]
+    upper = arm.limits.upper[columns]
     indices, joints, begins = _first_joints(chain, tuple(np.flatnonzero(has_target).tolist()))
-    goals, carried = points[indices], chain.points[indices]
+    goals = points[indices]
+    carried = chain.points[indices]
     if arm.dimension == 2:  # errors normal to the plane cannot be reduced
         goals = carried + (goals - carried) @ arm.plane.T @ arm.plane
     preferred = np.clip(near[columns], lower, upper)
@@ -231,14 +245,17 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
 def _closest_positions(arm: Arm, target: Target) -> Array:
     """Return the joint positions (nv,) that come closest to a target, from several starts."""
     straight = arm.positions(arm.straight())
-    rng, noise = np.random.default_rng(0), np.where(arm.moved > 0.0, POINT_FIT_NOISE * arm.joint_units, 0.0)
-    best, least = straight, np.inf
+    rng = np.random.default_rng(0)
+    noise = np.where(arm.moved > 0.0, POINT_FIT_NOISE * arm.joint_units, 0.0)
+    best = straight
+    least = np.inf
     for guess in (*initial_guesses(arm, target, straight), straight, *[None] * POINT_FIT_RESTARTS):
         found = _fit(arm, target, best + noise * rng.normal(size=arm.nv) if guess is None else guess)
         gaps = _gaps(arm, target, found)
         cost = float(target.weights @ np.einsum("ij,ij->i", gaps, gaps))
         if cost < least:
-            best, least = found, cost
+            best = found
+            least = cost
         if least <= (NO_ERROR * arm.length) ** 2:
             break
     return best
@@ -273,11 +290,20 @@ def _gaps(arm: Arm, target: Target, positions: Array) -> Array:
 
 def _fit(arm: Arm, target: Target, start: Array) -> Array:
     """Minimise the squared distances from a start, (nv,), by Levenberg-Marquardt steps within the limits."""
-    columns, indices, chain = arm.columns, np.flatnonzero(target.has_target), arm.kinematics.constants
-    ends, weights, no_chords = arm.kinematics.ends[indices], target.weights[indices], np.zeros(len(indices))
-    n, units, goals = len(columns), arm.joint_units[columns], target.points[indices]
-    lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
-    sides, x, screws = np.zeros(n, dtype=np.int8), np.zeros(n), np.empty((n, 6))
+    columns = arm.columns
+    indices = np.flatnonzero(target.has_target)
+    chain = arm.kinematics.constants
+    ends = arm.kinematics.ends[indices]
+    weights = target.weights[indices]
+    no_chords = np.zeros(len(indices))
+    n = len(columns)
+    units = arm.joint_units[columns]
+    goals = target.points[indices]
+    lower = arm.limits.lower[columns]
+    upper = arm.limits.upper[columns]
+    sides = np.zeros(n, dtype=np.int8)
+    x = np.zeros(n)
+    screws = np.empty((n, 6))
 
     def evaluate(positions: Array) -> tuple[float, Array, PointObjective]:
         forward = arm.kinematics.forward(positions)
@@ -290,7 +316,8 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
     positions = start.copy()
     positions[columns] = np.clip(start[columns], lower, upper)
     cost, gaps, objective = evaluate(positions)
-    damping, slow_steps = 1e-3, 0
+    damping = 1e-3
+    slow_steps = 0
     for _ in range(POINT_FIT_STEPS):
         no_error = (1e-3 * NO_ERROR * arm.length) ** 2
         if slow_steps >= MAX_SLOW_STEPS or damping > MAX_POINT_DAMPING or cost <= no_error:
@@ -341,7 +368,10 @@ class PointFilter:
         require_instance("arm", arm, Arm, "an Arm")
         for name, value in (("dt", dt), ("noise", noise), ("acceleration", acceleration)):
             require_positive(name, value)
-        self.arm, self.dt, self.noise, self.acceleration = arm, float(dt), float(noise), float(acceleration)
+        self.arm = arm
+        self.dt = float(dt)
+        self.noise = float(noise)
+        self.acceleration = float(acceleration)
         self.restart()
 
     def restart(self) -> None:
@@ -371,14 +401,18 @@ class PointFilter:
         measured = np.where(seen[:, None], measured, 0.0)
         if self._positions is None or not self._correct(self._positions, measured, seen):
             target = Target.from_points(arm, measured, seen.astype(np.float64))
-            self._positions, self._velocity = _closest_positions(arm, target), np.zeros(arm.nv)
+            self._positions = _closest_positions(arm, target)
+            self._velocity = np.zeros(arm.nv)
         target = Target.from_configuration(arm, arm.configuration(self._positions))
         return replace(target, velocity=self._velocity)
 
     def _correct(self, positions: Array, measured: Array, seen: NDArray[np.bool_]) -> bool:
         """Advance by a cycle; return whether the points are close to their prediction."""
-        arm, columns, units = self.arm, self.arm.columns, self.arm.joint_units[self.arm.columns]
-        lower, upper = arm.limits.lower, arm.limits.upper
+        arm = self.arm
+        columns = self.arm.columns
+        units = self.arm.joint_units[self.arm.columns]
+        lower = arm.limits.lower
+        upper = arm.limits.upper
         if not seen.any():
             self._velocity = np.zeros(arm.nv)
             return True
@@ -394,7 +428,8 @@ class PointFilter:
         # Noise of the joint motion along a direction is that of the points divided by its singular value.
         ratios = self.acceleration * self.dt**2 / self.noise * np.sqrt(np.maximum(squares, 0.0))
         alpha, beta = stationary_gains(ratios)
-        corrected, self._velocity = foreseen.copy(), self._velocity.copy()
+        corrected = foreseen.copy()
+        self._velocity = self._velocity.copy()
         corrected[columns] += units * (directions @ (alpha * motions))
         self._velocity[columns] += units * (directions @ (beta * motions)) / self.dt
         self._positions = np.clip(corrected, lower, upper)

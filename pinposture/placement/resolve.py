@@ -118,12 +118,14 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
 
 
 def _place_modules(arm: Arm, curve: Curve, samples: int, near: Target | None) -> Placement:
-    units, names = arm_units(arm), kinematics_names(arm)
+    units = arm_units(arm)
+    names = kinematics_names(arm)
     if is_compiled(arm):
         return _place_compiled(arm, curve, samples, units)._replace(placed_by=names)
     preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
     walk = Walk(arm, curve, samples, preferred)
-    parameters, failure = np.full(arm.n_modules, curve.length), None
+    parameters = np.full(arm.n_modules, curve.length)
+    failure = None
     for unit in units:
         failure = walk.place(unit)
         if failure is not None:
@@ -142,8 +144,11 @@ def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...
     parameter, on_curve = beginning(arm, curve)
     base = np.array(arm.chain.base)
     state = np.empty(9)
-    state[0], state[1:4], state[4:7] = parameter, base, base if on_curve else curve.at(parameter)
-    lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+    state[0] = parameter
+    state[1:4] = base
+    state[4:7] = base if on_curve else curve.at(parameter)
+    lower = arm.limits.lower[arm.columns]
+    upper = arm.limits.upper[arm.columns]
     found = np.zeros(len(lower))
     parameters = np.full(arm.n_modules, curve.length)
     spline, length = curve.measured
@@ -174,16 +179,21 @@ class Walk:
     """
 
     def __init__(self, arm: Arm, curve: Curve, samples: int, preferred: Array) -> None:
-        self._arm, self._curve, self._samples = arm, curve, samples
+        self._arm = arm
+        self._curve = curve
+        self._samples = samples
         self.parameter, on_curve = beginning(arm, curve)
         self.positions = np.where(arm.roaming, base_positions(arm, curve, self.parameter), preferred)
-        self._turn, self._place, self._carried = np.eye(3), np.zeros(3), 0
+        self._turn = np.eye(3)
+        self._place = np.zeros(3)
+        self._carried = 0
         self._from_base = on_curve or bool(np.any(arm.roaming))
 
     def place(self, unit: Unit) -> TargetError | None:
         """Place the next unit; return the error if that fails."""
         self._carry(unit.joints.start)
-        columns, kinematics = self._arm.columns[unit.inputs], unit.kinematics
+        columns = self._arm.columns[unit.inputs]
+        kinematics = unit.kinematics
         base = pin.SE3(self._turn @ unit.frame, self._turn @ unit.base + self._place)
         found: tuple[float, Array] | TargetError
         if isinstance(kinematics, ClosedForm):
@@ -242,9 +252,12 @@ class Walk:
     def _by_your_own(
         self, unit: Unit, kinematics: ModuleKinematics, base: pin.SE3
     ) -> tuple[float, Array] | TargetError:
-        arm, s, name = self._arm, self.parameter, type(kinematics).__name__
+        arm = self._arm
+        s = self.parameter
+        name = type(kinematics).__name__
         columns = arm.columns[unit.inputs]
-        lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
+        lower = arm.limits.lower[columns]
+        upper = arm.limits.upper[columns]
         for _ in range(MAX_ASKED):
             following = kinematics.target_point(base, self._curve, s)
             if following is None:
@@ -266,8 +279,11 @@ class Walk:
 
     def _no_place(self, unit: Unit, base: pin.SE3, in_reach: bool) -> TargetError:
         """Explain why there is no point for a module; `in_reach` if the curve ends within its reach."""
-        curve, at, module = self._curve, self.parameter, unit.module + 1
-        left, reach = curve.length - at, unit.kinematics.reach
+        curve = self._curve
+        at = self.parameter
+        module = unit.module + 1
+        left = curve.length - at
+        reach = unit.kinematics.reach
         gap = float(np.linalg.norm(curve.at(at) - base.translation))
         to_end = float(np.linalg.norm(curve.at(curve.length) - base.translation))
         if in_reach or (left < reach and to_end < reach):
@@ -338,8 +354,13 @@ class Unlimited(NamedTuple):
 
 def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) -> TargetError:
     """Explain why a unit could not be placed, from the state after `kernels.place_modules`."""
-    first, last, beyond, found = state[1:4], state[4:7], bool(state[7]), int(state[8])
-    module, at, slack = unit.module + 1, float(state[0]), ON_CURVE * arm.length
+    first = state[1:4]
+    last = state[4:7]
+    beyond = bool(state[7])
+    found = int(state[8])
+    module = unit.module + 1
+    at = float(state[0])
+    slack = ON_CURVE * arm.length
     reach = unit.kinematics.reach
     off_axis = unit.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0])) > 1e-6
     left = curve.length - at
@@ -506,7 +527,8 @@ def _place(
         if fitted.failure is None:
             return fitted, "closest", "its slides fit its length to the curve"
     try:
-        in_turn, compiled = _place_in_turn(arm, curve, samples, near), is_compiled(arm)
+        in_turn = _place_in_turn(arm, curve, samples, near)
+        compiled = is_compiled(arm)
     except UnsupportedModule as error:
         return fitted or _place_together(arm, curve, "closest", near), "closest", str(error)
     ends_early = compiled and isinstance(in_turn.failure, CurveEndsEarly)
@@ -560,11 +582,14 @@ def _zigzags(arm: Arm, positions: Array) -> bool:
 
 def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
     """Return the bend of each module as vectors in the frames before and after it, (m, 3) each."""
-    chain, before, after = arm.chain, np.empty((arm.n_modules, 3)), np.empty((arm.n_modules, 3))
+    chain = arm.chain
+    before = np.empty((arm.n_modules, 3))
+    after = np.empty((arm.n_modules, 3))
     spans = np.diff(np.vstack([chain.base, chain.points]), axis=0)
     axes = spans / np.maximum(np.linalg.norm(spans, axis=1), 1e-300)[:, None]
     for k, joints in enumerate(chain.module_slices):
-        turn, place = np.eye(3), np.zeros(3)
+        turn = np.eye(3)
+        place = np.zeros(3)
         amounts = np.ascontiguousarray(chain.ratios[joints] * positions[chain.columns[joints]])
         kernels.move_frame(
             ~chain.revolute[joints], chain.axes[joints], chain.origins[joints], amounts, turn, place
@@ -612,7 +637,8 @@ def _place_together(
 
 
 def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target | None) -> Target:
-    weights, reason = np.ones(arm.n_modules), ""
+    weights = np.ones(arm.n_modules)
+    reason = ""
     if result.failure is not None:
         weights[result.failure.module - 1 :] = 0.0
         reason = str(result.failure)
@@ -647,7 +673,8 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
 def _link_lengths(arm: Arm, q: Array) -> list[float]:
     """Return the length along the links of each module at a configuration, (m,) [m]."""
     state = arm.at(q).compiled
-    lengths, start = [], arm.chain.base
+    lengths = []
+    start = arm.chain.base
     for k, joints in enumerate(arm.chain.module_slices):
         line = np.vstack([start, state.forward.origins[joints], state.points[k]])
         lengths.append(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()))

@@ -150,7 +150,8 @@ class Target:
         if self.q is None or self.curve is None:
             return
         distances = np.linalg.norm(arm.at(self.q).compiled.points - self.points, axis=1)
-        missed, allowed = float(distances[self.has_target].mean()), MAX_POSTURE_ERROR * arm.length
+        missed = float(distances[self.has_target].mean())
+        allowed = MAX_POSTURE_ERROR * arm.length
         if missed > allowed:
             name = "mean distance of target.points from the posture of this arm at target.q [m]"
             raise InvalidValue(name, float(f"{missed:.3g}"), f"{allowed:.3g} at most; {RESOLVE_AGAIN}")
@@ -222,7 +223,8 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
     worst = int(np.argmax(distances))
     if distances[worst] <= MAX_LENGTH_RATIO * arm.length or np.any(arm.unlimited & arm.slides):
         return
-    away, share = distances[worst], distances[worst] / arm.length
+    away = distances[worst]
+    share = distances[worst] / arm.length
     text = f"points[{worst}] is {away:.4g} m from the base of the arm, {share:.3g} times its length"
     warn_caller(f"{text}; is it in millimetres, not metres?")
 
@@ -230,7 +232,8 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
 ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
 MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] of a curve that count as a change
 
-SAMPLES_PER_LINK, REFINEMENTS = 4, 5
+SAMPLES_PER_LINK = 4
+REFINEMENTS = 5
 """Number of parts of a link in the search for its farthest point, and number of search rounds."""
 
 
@@ -345,7 +348,8 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
         quarter of a link may be missed.
     """
     ends = arm.chain.flattened(arm.at(q).compiled.links)
-    starts, links = ends[:-1], np.diff(ends, axis=0)
+    starts = ends[:-1]
+    links = np.diff(ends, axis=0)
     longest = float(np.linalg.norm(links, axis=1).max())
     parts = np.maximum(np.ceil(SAMPLES_PER_LINK * np.linalg.norm(links, axis=1) / longest), 1.0).astype(int)
     link = np.repeat(np.arange(len(links)), parts + 1)
@@ -355,7 +359,8 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
         distances = curve.nearest(starts[link] + share[:, None] * links[link]).distance
         best = int(np.argmax(distances))
         farthest = max(farthest, float(distances[best]))
-        center, width = share[best], 1.0 / parts[link[best]]
+        center = share[best]
+        width = 1.0 / parts[link[best]]
         parts = parts * SAMPLES_PER_LINK
         share = np.clip(np.linspace(center - width, center + width, 2 * SAMPLES_PER_LINK + 1), 0.0, 1.0)
         link = np.full(len(share), link[best])
@@ -381,7 +386,8 @@ def _rotation(axis: Array, angle: float) -> Array:
 def _least_rotation(a: Array, b: Array) -> Array:
     """Return the rotation (3, 3) by the smallest angle that turns unit vector a into unit vector b."""
     normal = np.cross(a, b)
-    sine, cosine = math.hypot(*normal), float(a @ b)
+    sine = math.hypot(*normal)
+    cosine = float(a @ b)
     if sine < 1e-12:  # parallel: no turn, or half a turn about any normal
         any_normal = np.cross(b, np.eye(3)[np.argmin(np.abs(b))])
         return _rotation(any_normal / np.linalg.norm(any_normal), 0.0 if cosine > 0 else math.pi)

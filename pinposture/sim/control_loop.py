@@ -204,7 +204,9 @@ def simulate_closed(
     positions = arm.positions(start)
     recording = Recording(Plant(build_plant_model(arm, servos, gravity), positions, dt), at(0.0))
     sensors = Sensors(Sensing() if sensing is None else sensing)
-    cycles, arrived, done = max(1, int(np.ceil(duration / dt - 1e-9))), 0, 0
+    cycles = max(1, int(np.ceil(duration / dt - 1e-9)))
+    arrived = 0
+    done = 0
     command = start
     for done in range(1, cycles + 1):
         measured = sensors.measure(recording.plant.positions)
@@ -252,7 +254,9 @@ class Recording:
         self, loop: str, scene: Scene | None, tolerance: float | None, measured: float = 1.0
     ) -> Simulation:
         """Return the recorded motion; for the arguments see `simulate` and `Simulation`."""
-        plant, model, arm = self.plant, self.plant.model, self.plant.model.arm
+        plant = self.plant
+        model = self.plant.model
+        arm = self.plant.model.arm
         set_points, positions, torques = (np.array(column) for column in zip(*self._rows, strict=True))
         commanded = np.array([arm.configuration(row) for row in set_points])
         q = np.array([arm.configuration(row) for row in positions])
@@ -266,7 +270,8 @@ class Recording:
         distances = np.linalg.norm((goal.points - points[-1])[goal.has_target], axis=1)
         error = float(distances.sum()) / max(len(distances), 1)
         tolerance = END_TOLERANCE * arm.length if tolerance is None else tolerance
-        status, reason = "unstable", plant.failure
+        status = "unstable"
+        reason = plant.failure
         if not plant.failure:
             status = "converged" if error <= tolerance else "missed"
             reason = _final_error(error, tolerance, plant.dt * (len(q) - 1), plant.saturated)

@@ -154,7 +154,8 @@ N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass ma
 MAX_LISTED = 6  # maximum number of links with the same fault in a warning
 
 # Solid ball at the joint that replaces a moving link without mass [kg], [m].
-DEFAULT_MASS, DEFAULT_RADIUS = 1e-3, 1e-2
+DEFAULT_MASS = 1e-3
+DEFAULT_RADIUS = 1e-2
 MIN_RADIUS = 1e-4  # moments of inertia are at least those of a ball of the same mass with this radius [m]
 INERTIA_ROUNDING = 1e-3  # relative violation of physical consistency that is corrected without a warning
 
@@ -271,11 +272,13 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     except ValueError as error:
         raise URDFError(source, "<robot>", f"was rejected by MuJoCo: {error}") from None
     dofs = {name: int(model.joint(name).dofadr[0]) for name in list(complete.names)[1:]}
-    rest, effort = np.zeros(model.nv), np.zeros(model.nv)
+    rest = np.zeros(model.nv)
+    effort = np.zeros(model.nv)
     for name, position in _held_positions(arm, complete, source).items():
         rest[dofs[name]] = position
     for joint in list(complete.joints)[1:]:
-        dof, limit = dofs[complete.names[joint.id]], float(complete.upperEffortLimit[joint.idx_v])
+        dof = dofs[complete.names[joint.id]]
+        limit = float(complete.upperEffortLimit[joint.idx_v])
         effort[dof] = limit if 0.0 < limit < NO_LIMIT else math.inf  # 0 stands for an unknown limit
         # Set here, because the type of these fields of MjSpec depends on the version of MuJoCo.
         model.dof_damping[dof] = complete.damping[joint.idx_v]
@@ -284,12 +287,14 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     leading = np.ones(model.nv, dtype=np.bool_)
     coupling = np.eye(model.nv)
     for each in arm.couplings:
-        leading[dofs[each.joint]], rest[dofs[each.joint]] = False, each.offset
+        leading[dofs[each.joint]] = False
+        rest[dofs[each.joint]] = each.offset
         coupling[dofs[each.joint], dofs[each.leader]] = each.ratio
     coupling = coupling[:, leading]
     effort[~leading] = math.inf
     sites = np.array([model.site(f"point_{k}").id for k in range(arm.n_modules)], dtype=np.intp)
-    data, matrices = mujoco.MjData(model), []
+    data = mujoco.MjData(model)
+    matrices = []
     of_arm = coupling[:, np.searchsorted(np.flatnonzero(leading), columns)]
     for positions in _sample_positions(arm):
         data.qpos[:] = rest + of_arm @ positions
@@ -361,7 +366,8 @@ def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
 def _check_inertials(text: str, source: str) -> None:
     """Raise URDFError for an invalid number in <inertial>; Pinocchio accepts NaN and negative masses."""
     for link in parse_xml(text, source).findall("link"):
-        inertial, name = link.find("inertial"), f"link {link.get('name')!r}"
+        inertial = link.find("inertial")
+        name = f"link {link.get('name')!r}"
         if inertial is None:
             continue
         for tag, (attributes, size, least, allowed) in _INERTIAL.items():
@@ -439,19 +445,22 @@ def _specification(
             gravcomp=float(servos.gravity_compensation),
         )
         added.append(body)
-        motion, name = np.ravel(joint.createData().S), str(model.names[number])
+        motion = np.ravel(joint.createData().S)
+        name = str(model.names[number])
         slides = bool(np.any(motion[:3]))
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
         axis = motion[:3] if slides else motion[3:]
         moved = body.add_joint(name=name, type=kind, axis=axis, armature=servos.armature)
         interval = limits.get(name, (-np.inf, np.inf))
         if np.all(np.isfinite(interval)):
-            moved.limited, moved.range = mujoco.mjtLimited.mjLIMITED_TRUE, interval
+            moved.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            moved.range = interval
         if name in followers:  # `Plant` moves it
             continue
         servo = spec.add_actuator(name=name, target=name)
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     for k, frame in enumerate(arm.model.frames[i] for i in frame_ids(arm.model, arm.control_points)):
         body = added[model.getJointId(str(arm.model.names[frame.parentJoint]))]
         body.add_site(name=f"point_{k}", pos=frame.placement.translation)
@@ -477,15 +486,18 @@ def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]
     These are joints off the chain and locked joints. In the model of the arm, the links before and after such
     a joint are fixed to each other, which determines its position.
     """
-    frames, children = list(model.frames), _links_after(model)
+    frames = list(model.frames)
+    children = _links_after(model)
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     positions: dict[str, float] = {}
     moving = {*arm.joint_names, *(each.joint for each in arm.couplings)}
     for frame in frames:
         if frame.type != pin.FrameType.JOINT or frame.name in moving:
             continue
-        parent, child = frames[frame.parentFrame], children[frame.name]
-        before, after = links.get(parent.name), links.get(child.name)
+        parent = frames[frame.parentFrame]
+        child = children[frame.name]
+        before = links.get(parent.name)
+        after = links.get(child.name)
         if before is None or after is None or before.parentJoint != after.parentJoint:
             raise URDFError(source, f"joint {frame.name!r}", "is not in the model of the arm")
         origin = parent.placement.actInv(model.jointPlacements[frame.parentJoint])

@@ -50,7 +50,10 @@ class Plant:
     def __init__(self, model: PlantModel, start: Array, dt: float) -> None:
         require_positive("dt", dt)
         self._mujoco = load_mujoco()
-        self.model, self.dt, self.cycles, self.failure = model, dt, 0, ""
+        self.model = model
+        self.dt = dt
+        self.cycles = 0
+        self.failure = ""
         self.substeps = max(1, int(np.ceil(dt / model.servos.timestep - 1e-9)))
         self._model = copy(model.model)  # the time step and the servo gains are changed below
         self._model.opt.timestep = dt / self.substeps
@@ -98,11 +101,14 @@ class Plant:
             command: joint positions sent to the servos, (nv,) [rad or m].
         """
         sent = self.model.positions(command)
-        begin, first, last = self._set_points, self._speed, (sent - self._sent) / self.dt
+        begin = self._set_points
+        first = self._speed
+        last = (sent - self._sent) / self.dt
         follows = float(self.model.servos.speed_reference)
         with no_log_file(self._mujoco):
             for number in range(self.substeps):
-                share, midst = number / self.substeps, (number + 0.5) / self.substeps
+                share = number / self.substeps
+                midst = (number + 0.5) / self.substeps
                 at = begin + self.dt * (share * first + share**2 / 2.0 * (last - first))
                 before = np.array(self._data.qpos)
                 self._step(at, follows * (first + midst * (last - first)))
@@ -113,13 +119,16 @@ class Plant:
                     self._data.qpos[:] = before
                     break
         self._set_points = (self._sent + sent) / 2.0
-        self._speed, self._sent = last, sent
+        self._speed = last
+        self._sent = sent
         self.cycles += 1
         return not self.failure
 
     def _step(self, set_point: Array, speed: Array) -> None:
         """Take a physics step in which no servo exceeds its limit."""
-        data, damping, limits = self._data, self.model.gains.damping, self.model.torque_limits
+        data = self._data
+        damping = self.model.gains.damping
+        limits = self.model.torque_limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
         compensation = np.array(data.qfrc_gravcomp)  # gravity compensation; it counts towards the limits
         spring = self.model.gains.stiffness * (set_point - state[0]) + damping * speed
@@ -136,7 +145,8 @@ class Plant:
                 return
             self._at_limit = saturated
         self._integrate(state, 0.0 * compensation, 0.0 * damping)
-        own, within = self._driven, np.zeros(len(spring))
+        own = self._driven
+        within = np.zeros(len(spring))
         within[own] = torques_within_limits(
             self._mobility()[np.ix_(own, own)],
             np.array(data.qvel)[own],
@@ -167,9 +177,12 @@ class Plant:
         With positions q = rest + A u, the motion of u obeys A^T (M A u'' + bias) = A^T torques exactly.
         Damping is evaluated at the end of the step, as in `mj_step`. Joints stop instantly at their limits.
         """
-        data, coupling, step = self._data, self.model.coupling, self._model.opt.timestep
+        data = self._data
+        coupling = self.model.coupling
+        step = self._model.opt.timestep
         self._mujoco.mj_forward(self._model, data)
-        own, matrix = self._model.dof_damping, full_mass_matrix(self._model, data)
+        own = self._model.dof_damping
+        matrix = full_mass_matrix(self._model, data)
         forces = torques + data.qfrc_passive + own * data.qvel - data.qfrc_bias
         moving = coupling.T @ (matrix + step * np.diag(own + damping)) @ coupling
         speeds = coupling @ np.linalg.solve(moving, coupling.T @ (matrix @ data.qvel + step * forces))
@@ -181,13 +194,15 @@ class Plant:
             keeps = ~np.any(coupling[stopped] != 0.0, axis=0)
             speeds = coupling[:, keeps] @ np.linalg.lstsq(coupling[:, keeps], speeds, rcond=None)[0]
             reached = data.qpos + step * speeds
-        data.qpos[:], data.qvel[:] = reached, speeds
+        data.qpos[:] = reached
+        data.qvel[:] = speeds
         data.time += step
 
     def _mobility(self) -> Array:
         """Return the final joint velocity of a physics step per unit of torque, (n, n)."""
         step = self._model.opt.timestep
-        matrix, coupling = full_mass_matrix(self._model, self._data), self.model.coupling
+        matrix = full_mass_matrix(self._model, self._data)
+        coupling = self.model.coupling
         moving = coupling.T @ (matrix + step * np.diag(self._model.dof_damping)) @ coupling
         inverse = coupling @ np.linalg.inv(moving) @ coupling.T
         return np.asarray(step * (inverse + inverse.T) / 2.0)

@@ -277,7 +277,8 @@ def _pack(simulation: Simulation) -> tuple[dict[str, Any], dict[str, Array]]:
 
 def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
     arm = Arm.from_dict(about["arm"])
-    rows, m = len(arrays["q"]), arm.n_modules
+    rows = len(arrays["q"])
+    m = arm.n_modules
     shapes = {
         "gravity": (3,),
         "commanded": (rows, arm.nq),

@@ -28,7 +28,9 @@ BEND_SHARES = 0.7, 0.5, 0.35
 """Curvature of the arcs relative to the largest that the modules can follow; each tree draws one. The spline
 bends more where arcs meet."""
 
-ENOUGH_PATHS, MAX_TRIES, MAX_SHORTENINGS = 3, 2000, 200
+ENOUGH_PATHS = 3
+MAX_TRIES = 2000
+MAX_SHORTENINGS = 200
 """Number of paths after which the shortest is taken, and attempts to grow a tree and to shorten a path."""
 
 GOAL_SHARE = 0.15
@@ -40,7 +42,8 @@ ROOM = 0.6
 MAX_ARC = 1.4
 """Largest angle between the initial direction of an arc and its chord [rad]."""
 
-POINTS_PER_RADIUS, POINTS_PER_PATH = 6.0, 12
+POINTS_PER_RADIUS = 6.0
+POINTS_PER_PATH = 12
 """Control points of the spline per smallest bending radius, and smallest total number."""
 
 SAME_PLACE = 1e-9
@@ -99,7 +102,8 @@ def find_path(
     until = began + budget
     require_whole("seed", seed, 0)
     follower = _follower(arm)
-    body, plane = follower.body, follower.body.plane
+    body = follower.body
+    plane = follower.body.plane
     begin = follower.entry if start is None else as_vector("start", start)
     end = as_vector("goal", goal)
     ahead = follower.axis if direction is None else np.array(unit_vector("direction", direction))
@@ -170,7 +174,8 @@ def _follower(arm: Arm) -> _Follower:
 
 def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> None:
     """Refuse a start and a goal that no curve for the arm can connect."""
-    body, plane = follower.body, follower.body.plane
+    body = follower.body
+    plane = follower.body.plane
     ends = {"goal": end - follower.entry, "start": begin - follower.entry, "direction": ahead}
     misfits: list[PostureError] = []
     for name, vector in ends.items():
@@ -299,21 +304,30 @@ class _ArcTree:
         arm_length: float,
         space: _FreeSpace,
     ) -> None:
-        self._start, self._direction, self._goal = start, direction, goal
-        self._bend, self._plane, self._space = bend, plane, space
+        self._start = start
+        self._direction = direction
+        self._goal = goal
+        self._bend = bend
+        self._plane = plane
+        self._space = space
         distance = float(np.linalg.norm(goal - start))
         self._stride = min(max(1.0 / bend, arm_length / 25.0), 0.5 * distance)
         self._spacing = min(1.0 / (POINTS_PER_RADIUS * bend), distance / POINTS_PER_PATH)
         room = ROOM * max(distance, 0.5 * arm_length)
-        self._low, self._high = np.minimum(start, goal) - room, np.maximum(start, goal) + room
+        self._low = np.minimum(start, goal) - room
+        self._high = np.maximum(start, goal) + room
 
     def grow(self, rng: np.random.Generator, until: float) -> list[Array] | None:
         """Return the ends of arcs from the start to the goal; None if none were found."""
         first = self._line()
         if not self._is_free(first):
             return None
-        places, tangents, parents = np.empty((MAX_TRIES + 1, 3)), np.empty((MAX_TRIES + 1, 3)), [-1]
-        places[0], tangents[0], count = first.end, first.end_tangent, 1
+        places = np.empty((MAX_TRIES + 1, 3))
+        tangents = np.empty((MAX_TRIES + 1, 3))
+        parents = [-1]
+        places[0] = first.end
+        tangents[0] = first.end_tangent
+        count = 1
         for _ in range(MAX_TRIES):
             if perf_counter() >= until:
                 break
@@ -329,12 +343,14 @@ class _ArcTree:
             arc = self._towards(places[node], tangents[node], aim)
             if not self._is_free(arc):
                 continue
-            places[count], tangents[count] = arc.end, arc.end_tangent
+            places[count] = arc.end
+            tangents[count] = arc.end_tangent
             parents.append(node)
             count += 1
             last = _arc_to(arc.end, arc.end_tangent, self._goal, self._bend)
             if last is not None and self._is_free(last):
-                path, at = [self._goal], count - 1
+                path = [self._goal]
+                at = count - 1
                 while at >= 0:
                     path.append(places[at])
                     at = parents[at]
@@ -344,7 +360,8 @@ class _ArcTree:
 
     def shorten(self, places: list[Array], rng: np.random.Generator, until: float) -> list[Array]:
         """Remove and move points as long as that shortens the path."""
-        best, length = places, self._length(self._arcs(places))
+        best = places
+        length = self._length(self._arcs(places))
         for _ in range(MAX_SHORTENINGS):
             if len(best) < 3 or perf_counter() >= until:
                 break
@@ -359,7 +376,8 @@ class _ArcTree:
                 tried[k] = best[k] + rng.uniform(0.1, 0.8) * (middle - best[k])
             found = self._length(self._arcs(tried))
             if found < length:
-                best, length = tried, found
+                best = tried
+                length = found
         return best
 
     def spline(self, places: list[Array]) -> Curve:

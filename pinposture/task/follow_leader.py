@@ -95,12 +95,15 @@ class FedArm:
         require_instance("arm", arm, Arm, FEED_REQUIREMENT)
         raise_together(_not_fed(arm))
         chain = arm.chain
-        column, feed = int(chain.columns[0]), repr(chain.joints[0])
-        lower, upper = float(arm.limits.lower[column]), float(arm.limits.upper[column])
+        column = int(chain.columns[0])
+        feed = repr(chain.joints[0])
+        lower = float(arm.limits.lower[column])
+        upper = float(arm.limits.upper[column])
         columns = np.delete(np.arange(arm.nv), column)
         rest = arm.positions(arm.neutral() if start is None else arm.checked(start, "start"))
         body, links = _without_feed(arm, rest)
-        axis, stretched = arm_axis(body), body.positions(body.straight())
+        axis = arm_axis(body)
+        stretched = body.positions(body.straight())
         along = float(chain.axes[0] @ axis)
         self.misfits: list[PostureError] = []
         if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
@@ -111,13 +114,18 @@ class FedArm:
             allowed = f"{FEED_REQUIREMENT}, to within {tolerance}; choose a tip on the axis"
             self.misfits.append(InvalidValue(f"axis of the feed {feed}", text, allowed))
         if start is None:
-            rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
+            rest[column] = lower if along > 0.0 else upper
+            rest[columns] = stretched
             body, links = _without_feed(arm, rest)
         else:
             self.misfits += _not_straight(arm, rest, columns, stretched)
-        self.arm, self.body, self.links = arm, body, links
+        self.arm = arm
+        self.body = body
+        self.links = links
         self.start: Array = arm.configuration(rest)
-        self.column, self.columns, self.axis = column, columns, axis
+        self.column = column
+        self.columns = columns
+        self.axis = axis
         self.sense = 1.0 if along > 0.0 else -1.0
         self.travel = upper - float(rest[column]) if along > 0.0 else float(rest[column]) - lower
         self.straight: Array = rest[columns]
@@ -129,7 +137,8 @@ class FedArm:
 
 def _not_fed(arm: Arm) -> list[PostureError]:
     """Return why an arm is not one on a feed; empty if it is."""
-    chain, found = arm.chain, list[PostureError]()
+    chain = arm.chain
+    found = list[PostureError]()
     if arm.couplings:
         name, leader, *_ = arm.couplings[0]
         found.append(InvalidValue(f"joint {name!r}", f"follows {leader!r}", "an arm without coupled joints"))
@@ -158,7 +167,8 @@ def _not_straight(arm: Arm, start: Array, columns: NDArray[np.intp], straight: A
     if not arm.within_limits(arm.configuration(start)):
         worst = int(np.argmax(over))
         text = f"{arm.joint_names[worst]} at {start[worst]:.4g}, {over[worst]:.4g} beyond its limit"
-        low, high = arm.limits.lower[worst], arm.limits.upper[worst]
+        low = arm.limits.lower[worst]
+        high = arm.limits.upper[worst]
         found.append(InvalidValue("start", text, f"from {low:.4g} to {high:.4g}"))
     return found
 
@@ -174,7 +184,8 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     places = [pin.SE3.Identity()]
     for joint in range(1, model.njoints):
         places.append(places[model.parents[joint]] * model.jointPlacements[joint])
-    ends, names = [*body.chain.origins[1:], body.chain.points[-1]], []
+    ends = [*body.chain.origins[1:], body.chain.points[-1]]
+    names = []
     for name, begin, end in zip(body.chain.joints, body.chain.origins, ends, strict=True):
         if np.linalg.norm(end - begin) > MIN_LINK_LENGTH * body.length:
             joint = model.getJointId(name)
@@ -234,14 +245,17 @@ class Route:
             moved = moved._replace(translation=(x, y, z))
         else:
             self.misfits += _off_the_entry(fed, path)
-        self.path, self.moved = placed, moved
-        behind, end = _prepend_line(placed, fed.axis, fed.run_up), placed.tangent(placed.length)
+        self.path = placed
+        self.moved = moved
+        behind = _prepend_line(placed, fed.axis, fed.run_up)
+        end = placed.tangent(placed.length)
         self.whole = _prepend_line(behind.reversed(), -end, fed.max_tip_lead).reversed()
 
     @property
     def max_straight_depth(self) -> float:
         """Depth at which the first joint of the body, which moves straight, leaves the path [m]."""
-        fed, s = self.fed, np.linspace(0.0, self.path.length, 2001)
+        fed = self.fed
+        s = np.linspace(0.0, self.path.length, 2001)
         distances = np.linalg.norm(self.path.at(s) - (self.path.start + s[:, None] * fed.axis), axis=1)
         off = np.flatnonzero(distances > LINE_TOLERANCE * fed.length)
         return fed.length + float(s[max(int(off[0]) - 1, 0)] if len(off) else s[-1])
@@ -303,14 +317,17 @@ BENDING_WEIGHT = 1e-3
 """Weight of bending against distance from the route, in mean link lengths [1/rad]: small, only to
 hold joints that do not change the distance."""
 
-MAX_GAUSS_NEWTON_STEPS, GAUSS_NEWTON_TOLERANCE = 20, 1e-8
+MAX_GAUSS_NEWTON_STEPS = 20
+GAUSS_NEWTON_TOLERANCE = 1e-8
 """Largest number of steps to find a posture, and largest joint motion in the last of them."""
 
 MAX_LINK_DISTANCE = 0.25
 """Largest distance of the end of a link from the route, in module lengths: that of the middle of a module
 with one hinge, bent by a quarter turn, whose ends are on the arc."""
 
-DEVIATION_PER_BENDING, MIN_DEVIATION, MAX_DEVIATION = 1.25, 0.1, 0.6
+DEVIATION_PER_BENDING = 1.25
+MIN_DEVIATION = 0.1
+MAX_DEVIATION = 0.6
 """Largest distance of any part of the arm from the route, in lengths of its longest link l: the first times
 kappa l for the largest curvature kappa of the path, but not below the second, nor above the third. An arc
 over two links is kappa l / 2 high. Placements that keep to the path came to 97 % of this or less, on the
@@ -387,13 +404,16 @@ class ClosestPlacement:
         return self._positions
 
     def _step(self) -> Array:
-        fed, route, x = self._route.fed, self._route.whole, self._positions
+        fed = self._route.fed
+        route = self._route.whole
+        x = self._positions
         state = fed.links.at(fed.links.configuration(x)).compiled
         points = state.points + self._depth * fed.axis
         for _ in range(2):  # the nearest points on the route
             ahead = np.einsum("ij,ij->i", points - route.at(self._s), route.tangent(self._s))
             self._s = np.clip(self._s + ahead, 0.0, route.length)
-        gaps, tangents = route.at(self._s) - points, route.tangent(self._s)
+        gaps = route.at(self._s) - points
+        tangents = route.tangent(self._s)
         along = np.einsum("ij,ijk->ik", tangents, state.jacobians)
         across = (state.jacobians - tangents[:, :, None] * along[:, None, :]).reshape(-1, len(x))
         error = (gaps - tangents * np.einsum("ij,ij->i", gaps, tangents)[:, None]).ravel()
@@ -418,7 +438,8 @@ class ClosestPlacement:
 
 def _bounded_step(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     """Minimise a quadratic model; joints that would exceed their limits are held there."""
-    step, held = np.zeros(len(gradient)), np.zeros(len(gradient), dtype=np.bool_)
+    step = np.zeros(len(gradient))
+    held = np.zeros(len(gradient), dtype=np.bool_)
     while not held.all():
         free = ~held
         rest = gradient[free] - hessian[np.ix_(free, held)] @ step[held]
@@ -536,7 +557,8 @@ def follow_leader(
         if progress is not None:
             progress(row + 1, len(depths))
     # A search may find a first posture that is straighter than the start.
-    begin, offsets = arm.integrate(fed.start, offsets[0]), offsets - offsets[0]
+    begin = arm.integrate(fed.start, offsets[0])
+    offsets = offsets - offsets[0]
     deviation = _deviation(route, np.array([arm.integrate(begin, offset) for offset in offsets]))
     _require_near(route, deviation, depths, method)
     way = FollowedPath(route, deviation.largest)
@@ -581,7 +603,8 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
 
 def _too_deep(route: Route, depth: float | None) -> list[PostureError]:
     """Return why the arm cannot go to a depth [m], or to the end of the path; empty if it can."""
-    path, asked = route.path, route.path.length if depth is None else depth
+    path = route.path
+    asked = route.path.length if depth is None else depth
     limits = [
         (path.length, f"the path is {path.length:.6g} m long"),
         (route.fed.travel, f"the feed has {route.fed.travel:.6g} m of travel from the start"),
@@ -618,9 +641,11 @@ class FollowedPath:
 
 
 def _last_row(way: FollowedPath, begin: Array, name: str, offsets: Array) -> Mark:
-    route, arm = way.route, way.route.fed.arm
+    route = way.route
+    arm = way.route.fed.arm
     q = arm.integrate(begin, offsets[-1])
-    points, weights = arm.at(q).compiled.points, np.ones(arm.n_modules)
+    points = arm.at(q).compiled.points
+    weights = np.ones(arm.n_modules)
     target = Target(points, weights, q=q, curve=route.path, moved=route.moved)
     return Mark(name, len(offsets) - 1, target, way=way)
 
@@ -631,7 +656,8 @@ def _require_near(route: Route, deviation: Deviation, depths: Array, method: str
     Raises:
         TargetError: names the module that is farthest from the route.
     """
-    fed, path = route.fed, route.path
+    fed = route.fed
+    path = route.path
     link = float(fed.links.chain.module_lengths.max())
     bend = float(path.curvature(np.linspace(0.0, path.length, CURVATURE_SAMPLES)).max())
     allowed = link * float(np.clip(DEVIATION_PER_BENDING * bend * link, MIN_DEVIATION, MAX_DEVIATION))
@@ -694,7 +720,8 @@ def check_leader(leader: Leader, arm: Arm, scene: Scene | None = None) -> None:
         require_known("placement", leader.placement, PATH_PLACEMENTS)
     require_known("method", leader.method, PATH_METHODS)
     require_instance("and_back", leader.and_back, bool, "True or False")
-    longest, narrowest = MAX_SIZE_RATIO * arm.length, arm.length / MAX_SIZE_RATIO
+    longest = MAX_SIZE_RATIO * arm.length
+    narrowest = arm.length / MAX_SIZE_RATIO
     if leader.path.length > longest:
         allowed = f"{longest:.4g} m, {MAX_SIZE_RATIO} times the arm"
         raise InvalidValue("length of the path [m]", leader.path.length, allowed)
@@ -814,8 +841,11 @@ def _deviation(route: Route, rows: Array) -> Deviation:
 
 
 def _deviation_of_few(route: Route, rows: Array) -> Deviation:
-    fed, arm = route.fed, route.fed.arm
-    points, stations, feeds = [], [], []
+    fed = route.fed
+    arm = route.fed.arm
+    points = []
+    stations = []
+    feeds = []
     order = _stations(arm)
     for row in rows:
         state = arm.at(row)
@@ -835,7 +865,8 @@ def _deviation_of_few(route: Route, rows: Array) -> Deviation:
 
 def _stations(arm: Arm) -> list[int]:
     """Order joints that bend and control points from base to tip: indices into joints, then points."""
-    joints, order = len(arm.chain.joints), []
+    joints = len(arm.chain.joints)
+    order = []
     for k, module in enumerate(arm.chain.module_slices):
         order += [*range(module.start, module.stop), joints + k]
     return order[order.index(1) :]  # joint 0 is the feed
@@ -844,7 +875,8 @@ def _stations(arm: Arm) -> list[int]:
 def _cut_links(stations: Array) -> tuple[Array, Array]:
     """Divide links into pieces: their ends (N, p, 3), and their arc lengths along the arm, (p,) [m]."""
     shares = np.arange(1, PIECES_PER_LINK + 1) / PIECES_PER_LINK
-    begins, links = stations[:, :-1, None], np.diff(stations, axis=1)[:, :, None]
+    begins = stations[:, :-1, None]
+    links = np.diff(stations, axis=1)[:, :, None]
     inner = (begins + shares[:, None] * links).reshape(len(stations), -1, 3)
     lengths = np.linalg.norm(links[0, :, 0], axis=1)
     along = (np.cumsum(lengths) - lengths)[:, None] + shares * lengths[:, None]
@@ -853,7 +885,8 @@ def _cut_links(stations: Array) -> tuple[Array, Array]:
 
 def _travelled(route: Route, tips: Array, depths: Array) -> Array:
     """Return the arc length of the route at the tip in each row, (N,) [m], near the depth of the feed."""
-    near, curve = route.fed.max_tip_lead, route.whole
+    near = route.fed.max_tip_lead
+    curve = route.whole
     shifts = np.linspace(-near, near, 101)
     s = np.clip(route.fed.run_up + depths[:, None] + shifts, 0.0, curve.length)
     gaps = curve.at(s.ravel()).reshape(*s.shape, 3) - tips[:, None]
@@ -870,7 +903,8 @@ def _distances(route: Route, places: Array, ends: Array) -> Array:
     count = max(int(np.ceil(SAMPLES_PER_ARM * curve.length / route.fed.length)), 2)
     s = np.linspace(0.0, curve.length, count)
     samples = curve.at(s)
-    flat, limits = places.reshape(-1, 3), np.repeat(ends, places.shape[1])
+    flat = places.reshape(-1, 3)
+    limits = np.repeat(ends, places.shape[1])
     last = np.searchsorted(s, limits, side="right") - 1  # of the samples travelled
     nearest = np.asarray(cKDTree(samples).query(flat)[1])
     for i in np.flatnonzero(nearest > last):
@@ -879,7 +913,8 @@ def _distances(route: Route, places: Array, ends: Array) -> Array:
     stops = curve.at(ends).repeat(places.shape[1], axis=0)
     found = np.linalg.norm(flat - samples[nearest], axis=1)
     for other in (nearest - 1, nearest + 1):
-        begin, end = samples[nearest], samples[np.clip(other, 0, count - 1)]
+        begin = samples[nearest]
+        end = samples[np.clip(other, 0, count - 1)]
         chord = np.where((other > last)[:, None], stops, end) - begin
         square = np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-300)
         share = np.clip(np.einsum("ij,ij->i", flat - begin, chord) / square, 0.0, 1.0)

@@ -278,10 +278,15 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
     Raises:
         TaskError: times that do not increase, naming the keyframe.
     """
-    reached, left, end, longest = [], [], 0.0, MOST_CYCLES * interval
+    reached = []
+    left = []
+    end = 0.0
+    longest = MOST_CYCLES * interval
     for index, keyframe in enumerate(keyframes):
-        where, before = title(keyframes, index), f"keyframe {index}"
-        time, given = keyframe.time, keyframe.time or keyframe.duration or 0.0
+        where = title(keyframes, index)
+        before = f"keyframe {index}"
+        time = keyframe.time
+        given = keyframe.time or keyframe.duration or 0.0
         if index == 0:
             if keyframe.duration:
                 reason = f"its duration is {given:g} s, the time to return to it in a repeated tour"
@@ -325,7 +330,8 @@ def lap_of(keyframes: tuple[Keyframe, ...], interval: float) -> tuple[Keyframe, 
     Raises:
         TaskError: times that do not increase, or no time to return.
     """
-    first, last = replace(keyframes[0], duration=None), keyframes[-1]
+    first = replace(keyframes[0], duration=None)
+    last = keyframes[-1]
     there = (first, *keyframes[1:])
     when: dict[str, Any] = {"time": None, "duration": None, "hold": 0.0, "name": "", "speed": 1.0}
     back = keyframes[0].duration
@@ -364,7 +370,8 @@ def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence
         Values (r, d).
     """
     # In units of the stretch, so that fifth powers do not lose digits.
-    begin, span = stretch.rows[0], stretch.rows[-1] - stretch.rows[0]
+    begin = stretch.rows[0]
+    span = stretch.rows[-1] - stretch.rows[0]
     knots = (stretch.rows - begin) / span
     x = np.clip((np.asarray(rows) - begin) / span, 0.0, 1.0)
     gaps = np.diff(knots)[:, None]
@@ -382,7 +389,8 @@ def _smaller_inside(before: Array, after: Array) -> Array:
         before: values for each interval at its end, (k - 1, d).
         after: values for each interval at its beginning, (k - 1, d).
     """
-    before, after = before[:-1], after[1:]
+    before = before[:-1]
+    after = after[1:]
     smaller = np.minimum(np.abs(before), np.abs(after)) * np.sign(before)
     inner = np.where(np.sign(before) == np.sign(after), smaller, 0.0)
     return np.pad(inner, ((1, 1), (0, 0)))
@@ -519,7 +527,8 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
 
 
 def _resolved(arm: Arm, target: Target, fixed: bool) -> Resolved:
-    curve, q = cast(Curve, target.curve), cast(Array, target.q)
+    curve = cast(Curve, target.curve)
+    q = cast(Array, target.q)
     return Resolved(AnchoredCurve(curve, beginning(arm, curve)[0]), target, arm.positions(q), fixed)
 
 
@@ -553,7 +562,8 @@ def _of_joints(arm: Arm, keyframe: Keyframe) -> Target:
 
 def _warn_of_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
     """Warn of a curve that is longer than the arm covers, unless it is to be trimmed."""
-    anchored, covered = cast(AnchoredCurve, resolved.anchored), float(resolved.parameters[-1])
+    anchored = cast(AnchoredCurve, resolved.anchored)
+    covered = float(resolved.parameters[-1])
     length = anchored.curve.length - anchored.parameter
     allowed = float(arm.chain.module_lengths.max()) * (SLIDING_REST if np.any(fitting_slides(arm)) else 1.0)
     if not keyframes[index].trim and length - covered > allowed:
@@ -599,7 +609,9 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
 
 def target_at(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
     """Return the target of a keyframe with the control points of a configuration (nq,)."""
-    points, weights, moved = arm.at(q).compiled.points, np.ones(arm.n_modules), target.moved
+    points = arm.at(q).compiled.points
+    weights = np.ones(arm.n_modules)
+    moved = target.moved
     result = Target(points, weights, q)
     if target.curve is not None:
         parameters, distances = map(np.asarray, target.curve.nearest(arm.chain.flattened(points)))
@@ -635,8 +647,11 @@ def joints_misfit(arm: Arm, keyframe: Keyframe) -> str:
     worst = int(np.argmax(over))
     if over[worst] <= SLACK:
         return ""
-    low, high, unit = arm.limits.lower[worst], arm.limits.upper[worst], "m" if arm.slides[worst] else "rad"
-    joint, value = f"joint {worst + 1} {arm.joint_names[worst]!r}", positions[worst]
+    low = arm.limits.lower[worst]
+    high = arm.limits.upper[worst]
+    unit = "m" if arm.slides[worst] else "rad"
+    joint = f"joint {worst + 1} {arm.joint_names[worst]!r}"
+    value = positions[worst]
     text = f"is {value:.4g} {unit} for {joint}, whose limits are {low:.4g} and {high:.4g} {unit}"
     if unit == "rad" and abs(value) > FULL_TURN:
         text += f'; is it in degrees? np.deg2rad converts to radians; in a task file, write "{value:.4g} deg"'
@@ -678,7 +693,9 @@ class SequentialFollower:
         # The parameter is the arc length.
         length = LengthArrays(ends, ends, np.full((1, 2), 0.5 * curve.length))
         state = np.empty(9)
-        state[0], state[1:4], state[4:7] = 0.0, self._base, curve.points[0]
+        state[0] = 0.0
+        state[1:4] = self._base
+        state[4:7] = curve.points[0]
         found = np.zeros(len(self._arm.columns))
         stopped = kernels.place_modules(
             spline,

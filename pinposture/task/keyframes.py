@@ -52,21 +52,26 @@ Progress = Callable[[int, int], object]
 CURVES_PER_CHUNK = 128
 """Number of curves that are computed at a time."""
 
-ROW_STEP, MAX_ROW_STEP = 0.05, 0.06
+ROW_STEP = 0.05
+MAX_ROW_STEP = 0.06
 """Intended and largest accepted joint motion from one row to the next, in `Arm.joint_units`."""
 
-JUMP_HALVINGS, JUMP_SHARE = 8, 0.1
+JUMP_HALVINGS = 8
+JUMP_SHARE = 0.1
 """Bisections in time that distinguish a jump from a long step, and the share of the step that may remain."""
 
-EQUAL_ERROR, SIMILAR_ERROR = 1e-7, 0.01
+EQUAL_ERROR = 1e-7
+SIMILAR_ERROR = 0.01
 """How much farther off its curve a keyframe may be if reached from the previous one than if resolved alone:
 in arm lengths, and in module lengths if other paths are farther off the curves."""
 
-MAX_SHIFT, MAX_EXTRA_ERROR = 0.05, 0.02
+MAX_SHIFT = 0.05
+MAX_EXTRA_ERROR = 0.02
 """Largest joint motion by which the rows before a keyframe may be shifted to meet it [rad], and how much
 farther off the curve the arm may be in between before other configurations are tried [module lengths]."""
 
-MIN_TRAVEL, TRAVEL_RATIO = 12.0, 2.5
+MIN_TRAVEL = 12.0
+TRAVEL_RATIO = 2.5
 """Largest joint motion from keyframe to keyframe: in rad, or relative to their distance if that is more. It
 prevents jumps where a local optimum ends."""
 
@@ -75,7 +80,8 @@ MOST_SOLVED = 400
 interpolate the rows in between. With 400 of 1,200, arms of 6 and 8 modules on the way to a bow are off by
 2.4e-6 and 1.9e-7 rad at the others."""
 
-CROSSFADE_STARTS, COST_ROWS = 13, 33
+CROSSFADE_STARTS = 13
+COST_ROWS = 33
 """Number of rows at which a transition to other configurations is tried, and its cost computed."""
 
 
@@ -90,8 +96,11 @@ class StretchCurves:
     """
 
     def __init__(self, bending: Bending, vectors: Array, stretch: Stretch, continuity: str) -> None:
-        self._bending, self._vectors, self._stretch = bending, vectors, stretch
-        self._continuity, self._chunk = continuity, -1
+        self._bending = bending
+        self._vectors = vectors
+        self._stretch = stretch
+        self._continuity = continuity
+        self._chunk = -1
         self._made: list[BentCurve] = []
 
     def of(self, rows: Iterable[float]) -> list[BentCurve]:
@@ -133,7 +142,9 @@ class RowSolver:
     """
 
     def __init__(self, arm: Arm, motion: ResolvedMotion, continuity: str) -> None:
-        self._arm, self._motion, self._continuity = arm, motion, continuity
+        self._arm = arm
+        self._motion = motion
+        self._continuity = continuity
         self._bending = Bending(arm, motion.length)
         vector: Array | None = None
         self._vectors: list[Array | None] = []
@@ -183,7 +194,8 @@ class RowSolver:
         values = [before]
         for keyframe in self._motion.keyframes[stretch.first + 1 : stretch.last + 1]:
             values.append(self._unwrapped(keyframe.positions, values[-1]))
-        own, numbers = np.array(values), np.arange(stretch.rows[0], stretch.rows[-1] + 1)
+        own = np.array(values)
+        numbers = np.arange(stretch.rows[0], stretch.rows[-1] + 1)
         rows = interpolate(stretch, own, self._continuity, numbers)
         rows[stretch.rows - stretch.rows[0]] = own  # to the last bit
         return rows
@@ -225,7 +237,8 @@ class RowSolver:
         self, follower: SequentialFollower, curves: StretchCurves, row: float, first: Array, last: Array
     ) -> bool:
         """Whether sequential placement jumps between a row and the next."""
-        units, width = self._arm.joint_units, 1.0
+        units = self._arm.joint_units
+        width = 1.0
         whole = float((np.abs(last - first) / units).max())
         for _ in range(JUMP_HALVINGS):
             width /= 2.0
@@ -236,7 +249,8 @@ class RowSolver:
             if np.abs((middle - first) / units).max() > np.abs((last - middle) / units).max():
                 last = middle
             else:
-                first, row = middle, row + width
+                first = middle
+                row = row + width
         return float((np.abs(last - first) / units).max()) > JUMP_SHARE * whole
 
     def _follow(
@@ -247,7 +261,8 @@ class RowSolver:
         Slides move from their position at one keyframe to that at the next, so that the arm extends with the
         curve, and the hinges place it on the curve.
         """
-        problem, keyframes = self._follower.problem, self._motion.keyframes
+        problem = self._follower.problem
+        keyframes = self._motion.keyframes
         begin = int(stretch.rows[0])
         end = int(stretch.rows[-1])
         keyed = np.array([each.positions for each in keyframes[stretch.first : stretch.last + 1]])
@@ -262,7 +277,8 @@ class RowSolver:
         rows = np.empty((end - begin + 1, self._arm.nv))
         rows[0] = before
         for k in range(stretch.first + 1, stretch.last + 1):
-            resolved, row = keyframes[k], int(stretch.rows[k - stretch.first])
+            resolved = keyframes[k]
+            row = int(stretch.rows[k - stretch.first])
             own = problem.joined(self._unwrapped(resolved.positions, before), resolved.parameters)
             goal = PieceEnd(row, own, self._sequential is not None or resolved.fixed)
             unknowns = self._follow_piece(curves, problem_at, start, goal)
@@ -287,13 +303,15 @@ class RowSolver:
         bent = curves.of(start.row + solved)
         problems = [problem_at(row) for row in (start.row + solved).tolist()]
         fitted = refined(problems[0], bent[0], start.unknowns)
-        shift, zero = start.unknowns - fitted, np.zeros(len(fitted))
+        shift = start.unknowns - fitted
+        zero = np.zeros(len(fitted))
         travel = max(MIN_TRAVEL, TRAVEL_RATIO * float(np.abs(end.unknowns - fitted).max()))
         forward = _filled(solved, self._follower.follow(bent, problems, fitted, travel))
         arrival = problems[-1]
         last = bent[-1]
         goal = end.unknowns if end.pinned else refined(arrival, last, forward[-1])
-        left, best = goal - forward[-1], arrival.distance(last, end.unknowns)
+        left = goal - forward[-1]
+        best = arrival.distance(last, end.unknowns)
         met = float(np.abs(left).max()) <= MAX_SHIFT
         forward += ramp(count, shift, left if met else zero)
 
@@ -310,7 +328,8 @@ class RowSolver:
             return sum(error**2 for error in errors(rows))
 
         between = errors(forward)
-        excess, module = between[-1] - best, 1.0 / self._arm.n_modules
+        excess = between[-1] - best
+        module = 1.0 / self._arm.n_modules
         if met and excess <= EQUAL_ERROR and max(between) <= best + MAX_EXTRA_ERROR * module:
             return forward
         arrived = refined(arrival, last, end.unknowns)
@@ -332,10 +351,12 @@ def _filled(solved: NDArray[np.int64], values: Array) -> Array:
 PEAK_SPEED_RATIO = 1.9
 """Estimated ratio of the largest to the mean speed from one keyframe to the next."""
 
-MIN_ROWS_BETWEEN, MAX_ROWS_IN_ALL = 16, 200_000
+MIN_ROWS_BETWEEN = 16
+MAX_ROWS_IN_ALL = 200_000
 """Smallest number of rows from one keyframe to the next, if that many rows in all suffice for it."""
 
-ENOUGH_ROWS, ENOUGH_ROWS_PER_CYCLE = 10_000, 4
+ENOUGH_ROWS = 10_000
+ENOUGH_ROWS_PER_CYCLE = 4
 """Numbers of rows in all, and per cycle, beyond which long steps do not add rows. Those that a short time
 needs multiply the rows of all other times; 4 per cycle are enough for 10 rad/s in cycles of 20 ms."""
 
@@ -439,7 +460,9 @@ def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
     """Repeat a lap of `count` keyframes; the last one ends at row `end`, before the return to the first."""
     rows = lap.rows - 1
     turns = np.where(lap.arm.kinematics.endless, np.round(lap.offsets[-1] / (2.0 * np.pi)), 0.0)
-    offsets, weights, marks = [], [], [lap.marks[0]._replace(name=f"{lap.marks[0].name}, lap 1")]
+    offsets = []
+    weights = []
+    marks = [lap.marks[0]._replace(name=f"{lap.marks[0].name}, lap 1")]
     for number in range(repeat):
         last = number == repeat - 1
         kept = end + 1 if last else rows
@@ -478,7 +501,8 @@ def _with_tips(
     shifts = np.zeros((len(keyframes), arm.nv))
     for index, keyframe in enumerate(keyframes):
         if keyframe.tip is not None:
-            where, q = title(keyframes, index), arm.configuration(positions[rows.reached[index]])
+            where = title(keyframes, index)
+            q = arm.configuration(positions[rows.reached[index]])
             with naming(where):
                 shifts[index] = tip_shift(arm, keyframe, motion.keyframes[index].target, q, where)
             try:

@@ -142,7 +142,9 @@ def _gap(body: str, near: Distances, chosen: NDArray[np.int64], margin: float, s
 
     Both move its nearest points by at most `shift` [m] along each axis.
     """
-    normals, points, distances = near.normals[chosen], near.points[chosen], near.distances[chosen]
+    normals = near.normals[chosen]
+    points = near.points[chosen]
+    distances = near.distances[chosen]
     arms = points - points.mean(axis=0)
     size = max(float(np.linalg.norm(arms, axis=1).max()), 1e-9)
     turning = np.cross(arms, normals) / size

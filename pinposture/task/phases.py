@@ -44,7 +44,8 @@ Array = NDArray[np.float64]
 MIN_CYCLES = 20
 """Fewest control cycles of a motion along a planned path."""
 
-DRAG_SHARE, MIN_DRAG_STEPS = 0.25, 8
+DRAG_SHARE = 0.25
+MIN_DRAG_STEPS = 8
 """Distance between goals on the straight line to a goal of the tip, in modules, and their smallest number."""
 
 DRAG_MARGIN = 1.1
@@ -341,8 +342,11 @@ class _Planner:
         continuity: Literal["velocity", "acceleration"],
         progress: Progress | None,
     ) -> None:
-        self._arm, self._limits, self._scene = arm, limits, scene
-        self._continuity, self._progress = continuity, progress
+        self._arm = arm
+        self._limits = limits
+        self._scene = scene
+        self._continuity = continuity
+        self._progress = progress
         self._dt = cycle_of(limits)
         self._q = start
         self._pieces: list[Reference] = []
@@ -371,7 +375,8 @@ class _Planner:
     def joined(self) -> Reference:
         """Return all phases as one reference."""
         first = self._pieces[0]
-        offsets, weights = [np.zeros((1, self._arm.nv))], [first.weights[:1]]
+        offsets = [np.zeros((1, self._arm.nv))]
+        weights = [first.weights[:1]]
         marks: list[Mark] = []
         for piece in self._pieces:
             row = sum(map(len, offsets)) - 1
@@ -420,7 +425,8 @@ class _Planner:
 
     def _drag(self, goal: TipGoal) -> JointPath | None:
         """Return the path on which the tip moves straight to its goal; None if it is not clear."""
-        arm, start = self._arm, self._begin()
+        arm = self._arm
+        start = self._begin()
         scene = None if self._scene is None else replace(self._scene, margin=DRAG_MARGIN * self._scene.margin)
         state = arm.at(start)
         now = pin.SE3(state.rotations[-1], state.points[-1])
@@ -428,7 +434,8 @@ class _Planner:
         there = np.array(goal.position)
         spacing = DRAG_SHARE * arm.length / arm.n_modules
         steps = max(ceil(float(np.linalg.norm(there - now.translation)) / spacing), MIN_DRAG_STEPS)
-        q, offsets = start, [np.zeros(arm.nv)]
+        q = start
+        offsets = [np.zeros(arm.nv)]
         for share in np.arange(1, steps + 1) / steps:
             place: Any = (1.0 - share) * now.translation + share * there
             direction = None

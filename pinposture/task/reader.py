@@ -139,7 +139,8 @@ Key = TypeVar("Key", bound=Hashable)
 
 def _mistakes(found: Mapping[str, Any]) -> list[tuple[Place, str]]:
     """Return place and reason of each mistake that a validator found."""
-    inside, cause = found["loc"], found.get("ctx", {}).get("error")
+    inside = found["loc"]
+    cause = found.get("ctx", {}).get("error")
     if found["type"] == "missing":
         return [(inside[:-1], f"the key {inside[-1]!r} is missing")]
     if cause is None:
@@ -160,7 +161,9 @@ class Document:
     """
 
     def __init__(self, path: Path, values: dict[str, Any], toml: str | None = None) -> None:
-        self.path, self.values, self.toml = path, values, toml
+        self.path = path
+        self.values = values
+        self.toml = toml
         self.described: dict[Hashable, object] = {}
 
     @classmethod
@@ -265,7 +268,8 @@ class Document:
 
     def fault(self, where: Place, reason: str) -> FileError:
         """Return an error about a place."""
-        line, text = self.line(where), " ".join(reason.split())
+        line = self.line(where)
+        text = " ".join(reason.split())
         before = "" if line is None else f"line {line}: "
         return FileError(self.path, f"{before}{place_in_words(where)}: {text}")
 
@@ -297,7 +301,8 @@ def make_arm(document: Document, spec: ArmSpec) -> Arm:
         return Arm.from_spec(spec)
     except PostureError as error:
         table = document.at(("arm",))
-        key, reason = _key_of(error, table), str(error)
+        key = _key_of(error, table)
+        reason = str(error)
         if isinstance(error, InvalidValue) and key in table:
             value = error.value if key == "split" else table[key]
             reason = f"is {shown(value)}; allowed: {error.allowed}"
@@ -340,9 +345,11 @@ def _make_keyframe(
     with document.blaming(where):
         keyframe = Keyframe(**values)
     if keyframe.curve is None:
-        key, misfit = "joints", joints_misfit(arm, keyframe)
+        key = "joints"
+        misfit = joints_misfit(arm, keyframe)
     else:
-        key, misfit = "curve", length_misfit(arm, keyframe.curve)
+        key = "curve"
+        misfit = length_misfit(arm, keyframe.curve)
     if misfit:
         raise document.fault((*where, key), misfit)
     if keyframe.tip is not None:
@@ -380,12 +387,14 @@ def make_curve(document: Document, where: Place, spec: str | dict[str, Any]) -> 
     if isinstance(spec, str) and spec in CURVES:
         curve = CURVES[spec]
     elif isinstance(spec, str):
-        curve, description = document.file(where, Curve.load), settled(document.named(where, spec))
+        curve = document.file(where, Curve.load)
+        description = settled(document.named(where, spec))
     elif "path" in spec:
         with document.blaming(where):
             known_keys("a curve file", spec, ("path", "scale"))
             path = document.named((*where, "path"), spec["path"])
-            curve, description = Curve.load(path, spec.get("scale", 1.0)), {**spec, "path": settled(path)}
+            curve = Curve.load(path, spec.get("scale", 1.0))
+            description = {**spec, "path": settled(path)}
     else:
         with document.blaming(where):
             curve = Curve.from_dict(spec)
@@ -507,7 +516,8 @@ def check_task(task: TaskParts) -> None:
     for each in task.formats:
         require_known("format", each, RESULT_FORMATS)
     require_instance("name", task.name, str, "text")
-    described, kinds = task.described, (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
+    described = task.described
+    kinds = (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
     if not isinstance(described, Mapping) or not all(isinstance(each, kinds) for each in described):
         allowed = "a mapping from curves, tips, a scene or obstacles to their descriptions"
         raise InvalidValue("described", described, allowed)

@@ -82,7 +82,8 @@ class Reference:
     durations: Array | None = None
 
     def __post_init__(self) -> None:
-        rows, arm = len(self.offsets), self.arm
+        rows = len(self.offsets)
+        arm = self.arm
         if self.offsets.shape != (rows, arm.nv) or rows < 2:
             raise InvalidValue("offsets (shape)", self.offsets.shape, f"(2 or more, {arm.nv})")
         if self.weights.shape != (rows, arm.n_modules):
@@ -175,7 +176,8 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
         reference: the reference.
         scene: the obstacles to avoid; clearances are those at these postures only.
     """
-    arm, found = reference.arm, []
+    arm = reference.arm
+    found = []
     for mark in _named(reference):
         q = reference.configuration(mark.row)
         room, pair = (None, None) if scene is None else _closest(arm, q, scene)
@@ -252,21 +254,25 @@ class BentCurve(Samples):
         inner[:, 0] -= handles
         inner[:, 1] += handles
         coefficients = inner.reshape(-1, 3)
-        coefficients[0], coefficients[-1] = self.points[0], self.points[-1]
+        coefficients[0] = self.points[0]
+        coefficients[-1] = self.points[-1]
         return coefficients
 
     def at(self, s: Array) -> Array:
         """Return points (k, 3) [m] at arc lengths (k,) from 0 to the length."""
         i, x = self._located(s)
-        a, b = self.points[i], self.points[i + 1]
-        u, v = self.cell * self.tangents[i], self.cell * self.tangents[i + 1]
+        a = self.points[i]
+        b = self.points[i + 1]
+        u = self.cell * self.tangents[i]
+        v = self.cell * self.tangents[i + 1]
         return np.asarray(a + x * (u + x * (3.0 * (b - a) - 2.0 * u - v + x * (2.0 * (a - b) + u + v))))
 
     def tangent(self, s: Array) -> Array:
         """Return derivatives by arc length, (k, 3): unit vectors, except for interpolation errors."""
         i, x = self._located(s)
         rise = (self.points[i + 1] - self.points[i]) / self.cell
-        u, v = self.tangents[i], self.tangents[i + 1]
+        u = self.tangents[i]
+        v = self.tangents[i + 1]
         return np.asarray(u + x * (6.0 * rise - 4.0 * u - 2.0 * v + 3.0 * x * (u + v - 2.0 * rise)))
 
     def _located(self, s: Array) -> tuple[NDArray[np.intp], Array]:
@@ -356,7 +362,8 @@ class Bending:
         """
         axis, _, third = self._axes.T
         across = np.cross(axis, tangent)
-        sine, cosine = float(np.linalg.norm(across)), float(axis @ tangent)
+        sine = float(np.linalg.norm(across))
+        cosine = float(axis @ tangent)
         turned = float(np.linalg.norm(before))
         about = across / sine if sine > 1e-12 else before / turned if turned > 0.0 else third
         angle = float(np.arctan2(sine, cosine))
@@ -365,7 +372,8 @@ class Bending:
 
     def _frames(self, first: Array, turns: Array) -> tuple[Array, Array]:
         """Return carried frames (r, n + 1, 3, 3), axes as columns, and chords between them, (r, n, 3)."""
-        a, b = turns[..., 0], turns[..., 1]
+        a = turns[..., 0]
+        b = turns[..., 1]
         angle = np.hypot(a, b)
         small = angle < 1e-4  # where the series are exact to the last digit
         safe = np.where(small, 1.0, angle)

@@ -746,7 +746,8 @@ class TaskSpec(TableSpec):
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
         """Refuse another version, and keys of another kind of motion."""
-        version, kind = values.get("version", VERSION), values.get("kind", "keyframes")
+        version = values.get("version", VERSION)
+        kind = values.get("kind", "keyframes")
         if version is True or version != VERSION:
             raise Misplaced(f"is {shown(version)}; allowed: {VERSION}", "version")
         _within("kind", _read_word, kind, _KEYS_OF_KIND)

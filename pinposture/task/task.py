@@ -347,14 +347,16 @@ STOPPED = "stopped by the callback"
 MAX_PERFORMED_CYCLES = 1e6
 """Largest number of cycles of a motion."""
 
-STEP_BUDGET_RATIO, STEP_BUDGET_EXTRA = 10.0, 3000
+STEP_BUDGET_RATIO = 10.0
+STEP_BUDGET_EXTRA = 3000
 """Number of steps after which a motion is given up: a multiple of the expected number, plus an extra."""
 
 
 MARK_SHARE = 0.6
 """Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a mark."""
 
-MAX_SLOWDOWNS, SLOWDOWN_MARGIN = 10, 1.02
+MAX_SLOWDOWNS = 10
+SLOWDOWN_MARGIN = 1.02
 """Number of attempts to pass all marks closely enough, and the factor by which each slows down more than the
 error requires."""
 
@@ -381,8 +383,10 @@ class ReferencePath:
     """
 
     def __init__(self, reference: Reference, limits: Limits) -> None:
-        arm, bounds = reference.arm, limits.for_arm(reference.arm)
-        self.reference, self.times = reference, reference.times
+        arm = reference.arm
+        bounds = limits.for_arm(reference.arm)
+        self.reference = reference
+        self.times = reference.times
         self._rows = np.arange(reference.rows, dtype=np.float64)
         self._dt = cycle_of(limits)
         self._lower, self._upper = bounds.edges - arm.positions(reference.start)
@@ -415,12 +419,14 @@ class ReferencePath:
 
     def _limit_speeds(self, beside: int) -> None:
         """Lower the rates to the speeds of the marks, for so many cycles also before and after."""
-        before, after = self.path.slopes[:-1], self.path.slopes[1:]
+        before = self.path.slopes[:-1]
+        after = self.path.slopes[1:]
         middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
         slopes = np.abs([before, middle, after]).max(axis=0)  # the slope in between is in their hull
         bound = SPEED_SHARE * self.timed.bounds.bound
         full = np.maximum((slopes / bound).max(axis=1), ROW_TOLERANCE)  # cycles per row at full speed
-        begin, places = 0, self.timed.places
+        begin = 0
+        places = self.timed.places
         for mark in self.reference.marks:
             if mark.speed < 1.0:
                 cycles = np.searchsorted(places, (begin, mark.row)) + (-beside, beside)
@@ -436,10 +442,12 @@ class ReferencePath:
         The arm is then at the mean of the configurations at as many places. Its distance from the path is
         proportional to the square of the rate.
         """
-        offsets, module = self.path.offsets, self.path.arm.length / self.path.arm.n_modules
+        offsets = self.path.offsets
+        module = self.path.arm.length / self.path.arm.n_modules
         moving = np.flatnonzero(np.any(np.abs(np.diff(offsets, axis=0)) > HELD_ROUNDING, axis=1))
         for _ in range(MAX_SLOWDOWNS if cycles > 1 else 0):
-            places, slower = np.pad(self.timed.places, (cycles - 1, cycles), mode="edge"), False
+            places = np.pad(self.timed.places, (cycles - 1, cycles), mode="edge")
+            slower = False
             passed = np.cumsum(np.append(0.0, places))
             means = (passed[cycles:] - passed[:-cycles]) / cycles
             for mark in self.reference.marks:
@@ -453,7 +461,8 @@ class ReferencePath:
                 averaged = (1.0 - share) * averaged[:-1] + share * averaged[1:]
                 excess = self._distance(averaged, middle) / (MARK_SHARE * MAX_MEAN_LAG * module)
                 if excess > 1.0:
-                    ratio, slower = SLOWDOWN_MARGIN * np.sqrt(excess), True
+                    ratio = SLOWDOWN_MARGIN * np.sqrt(excess)
+                    slower = True
                     first, last = middle + (averaged[[0, -1]] - middle) / ratio
                     piece = slice(int(first), ceil(last))
                     rate = (averaged[-1] - averaged[0]) / (cycles - 1) / ratio
@@ -464,7 +473,8 @@ class ReferencePath:
 
     def _distance(self, averaged: Array, place: float) -> float:
         """Return the mean distance of the control points, at a mean of configurations, from a place [m]."""
-        arm, target = self.path.arm, self.target(place)
+        arm = self.path.arm
+        target = self.target(place)
         q = arm.integrate(self.path.start, self.path.smooth_offset(averaged).mean(axis=0))
         apart = np.linalg.norm(arm.at(q).compiled.points - target.points, axis=1)
         return float(apart[target.has_target].mean())
@@ -498,14 +508,16 @@ class ReferencePath:
 
     def target(self, place: float) -> Target:
         """Return the target posture at a place."""
-        arm, row = self.reference.arm, min(int(np.ceil(place)), self.reference.rows - 1)
+        arm = self.reference.arm
+        row = min(int(np.ceil(place)), self.reference.rows - 1)
         offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
         q = arm.integrate(self.reference.start, offset)
         return Target(arm.at(q).compiled.points, self.reference.weights[row], q)
 
     def remaining(self, place: float, controller: Geodesic) -> TimedPath:
         """Return the rest of the path from a place, which is a whole row."""
-        row, path = int(place), self.path
+        row = int(place)
+        path = self.path
         objective = controller.objective(path.arm, self.target(place))
         if row == 0:
             return retime(path.revised(objective=objective), self.timed.limits, self._rates)
@@ -569,7 +581,8 @@ def perform(
     loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress)
     motion = performance.motion(*performance.run())
-    status, reason = motion.run.status, motion.run.reason
+    status = motion.run.status
+    reason = motion.run.reason
     logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * motion.steps, reason)
     return motion
 
@@ -615,7 +628,10 @@ class _Performance:
     def __init__(
         self, guide: ReferencePath, loop: ControlLoop, tolerance: float, progress: Progress | None
     ) -> None:
-        self.guide, self.loop, self.tolerance, self.progress = guide, loop, tolerance, progress
+        self.guide = guide
+        self.loop = loop
+        self.tolerance = tolerance
+        self.progress = progress
         self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
         self._max_lag = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
         self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
@@ -647,7 +663,9 @@ class _Performance:
 
     def motion(self, status: str, reason: str) -> Motion:
         """Return everything so far as a result; "missed" if only the last of its postures was reached."""
-        reference, loop, places = self.guide.reference, self.loop, np.array(self._places)
+        reference = self.guide.reference
+        loop = self.loop
+        places = np.array(self._places)
         run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
         nexts = [*(mark.row for mark in reference.marks[1:]), np.inf]
         waypoints = tuple(
@@ -673,8 +691,11 @@ class _Performance:
 
         That is at the first step at which the arm is near it; at the step nearest in time if it never is.
         """
-        reference, begun, moved = self.guide.reference, self._start_index, mark.target.moved
-        planned, off = float(self.guide.times[mark.row]), off_curve(mark)
+        reference = self.guide.reference
+        begun = self._start_index
+        moved = mark.target.moved
+        planned = float(self.guide.times[mark.row])
+        off = off_curve(mark)
         there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
         if begun is None or not len(there):
             return Waypoint(mark.name, planned, None, None, None, off, moved=moved, speed=mark.speed)
@@ -682,14 +703,17 @@ class _Performance:
         if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
             row -= 1
         end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - ROW_TOLERANCE)))
-        chosen, first = mark.target.has_target, max(row - 1, 0)
+        chosen = mark.target.has_target
+        first = max(row - 1, 0)
         points = run.points[first : end + 1, chosen]
         errors = np.linalg.norm(mark.target.points[chosen] - points, axis=2).mean(axis=1)
         steps = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
         allowed = self._max_lag + 0.5 * np.maximum(np.append(0.0, steps), np.append(steps, 0.0))
         near = (errors <= allowed)[row - first : end - first]
-        row, missed = row + int(np.argmax(near)), not np.any(near)
-        reached, error = (row - begun) * cycle_of(run.limits), float(errors[row - first])
+        row = row + int(np.argmax(near))
+        missed = not np.any(near)
+        reached = (row - begun) * cycle_of(run.limits)
+        error = float(errors[row - first])
         tip = tip_off(mark.tip, mark.target, reference.arm.at(run.q[row]))
         if mark.way is not None:
             since = max([other.row for other in reference.marks if other.row < mark.row], default=0)
@@ -712,7 +736,8 @@ class _Performance:
                 return f"the arm left its path by {length_text(off)} on the way to {mark.name} ({allowed})"
         missed = [waypoint for waypoint in waypoints if waypoint.missed]
         worst = max(missed, key=lambda waypoint: waypoint.mean_error or 0.0)
-        one, number = len(missed) == 1, f"{len(missed)} of {len(waypoints)} postures"
+        one = len(missed) == 1
+        number = f"{len(missed)} of {len(waypoints)} postures"
         text = f"{number} {'is' if one else 'are'} missed, {'' if one else 'most '}{worst.name}, by "
         text += f"{length_text(worst.mean_error or 0.0)} on average (allowed: {length_text(self._max_lag)})"
         row = self.guide.reference.marks[waypoints.index(worst)].row
@@ -722,7 +747,8 @@ class _Performance:
 
     def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
         """Come to rest at a place, by any path, not before step `due`; return status and reason."""
-        target, loop = self.guide.target(place), self.loop
+        target = self.guide.target(place)
+        loop = self.loop
         record = loop.record
         begun = record.steps
         record.set_target(target)
@@ -742,7 +768,8 @@ class _Performance:
     def _cycles_to(self, target: Target) -> float:
         """Estimate the number of cycles of a straight path to a target in joint space."""
         loop = self.loop
-        bounds, q = loop.limits.for_arm(loop.arm), loop.state.q
+        bounds = loop.limits.for_arm(loop.arm)
+        q = loop.state.q
         distance = np.abs(loop.arm.difference(q, q if target.q is None else target.q))
         braking = 0.0 if bounds.brake is None else 2.0 * np.sqrt(distance / bounds.brake)
         return float((distance / bounds.bound + braking).max())
@@ -782,10 +809,13 @@ class _Performance:
 
     def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
         """Follow the path with a controller that knows it; return None at its end, else status and reason."""
-        loop, guide = self.loop, self.guide
+        loop = self.loop
+        guide = self.guide
         while self._place < guide.end:
-            begun, progress = self._place, None
-            remaining, mark = guide.remaining(begun, controller), guide.next_mark(begun)
+            begun = self._place
+            progress = None
+            remaining = guide.remaining(begun, controller)
+            mark = guide.next_mark(begun)
             loop.memory = controller.start(remaining, loop.ahead.compiled, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
@@ -800,7 +830,8 @@ class _Performance:
                     if self._leaves_path(step, begun + ahead.place):
                         break
                     mark = guide.next_mark(begun + ahead.place)
-                progress, place = ahead, self._advance(begun + ahead.place)
+                progress = ahead
+                place = self._advance(begun + ahead.place)
                 target = target if place == foreseen else guide.target(place)
                 loop.take_step(step, target)
                 ended = self._record(place, target)
@@ -821,7 +852,8 @@ class _Performance:
 
     def _leaves_path(self, step: Step, place: float) -> bool:
         """Whether the arm is off the path after a step to a place, so that it would miss a mark there."""
-        arm, target = self.loop.arm, self.guide.target(place)
+        arm = self.loop.arm
+        target = self.guide.target(place)
         points = arm.at(arm.integrate(self.loop.ahead.q, step.dq)).compiled.points
         apart = np.linalg.norm(points - target.points, axis=1)[target.has_target].mean()
         return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.cycles > 1 else 1.0))
@@ -839,11 +871,14 @@ class _Performance:
 
     def _lead(self) -> tuple[str, str] | None:
         """Move the target of a controller that does not look ahead; the plan waits if it falls behind."""
-        loop, guide = self.loop, self.guide
-        speed, patient = 0.0, True
+        loop = self.loop
+        guide = self.guide
+        speed = 0.0
+        patient = True
         target = guide.target(self._place)
         while self._place < guide.end:
-            place, behind = self._place, loop.record.mean_error > self._max_lag
+            place = self._place
+            behind = loop.record.mean_error > self._max_lag
             if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
                 error = loop.record.mean_error
                 self._note(place, f"the arm was {length_text(error)} behind on average, and did not catch up")

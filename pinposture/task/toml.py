@@ -23,7 +23,8 @@ Place = tuple[str | int, ...]
 
 # The lines on which tables, keys and list items begin, which tomlkit does not provide.
 
-_BASIC, _LITERAL = r'"(?:[^"\\\n]|\\.)*"', r"'[^'\n]*'"
+_BASIC = r'"(?:[^"\\\n]|\\.)*"'
+_LITERAL = r"'[^'\n]*'"
 _NAME = rf"(?:[A-Za-z0-9_-]+|{_BASIC}|{_LITERAL})"
 _KEY = re.compile(rf"{_NAME}(?:[ \t]*\.[ \t]*{_NAME})*")
 _STRING = re.compile(
@@ -58,7 +59,8 @@ class _Scanner:
     def __init__(self, text: str) -> None:
         self.lines: dict[Place, int] = {}
         self.headers: list[tuple[int, Place]] = []
-        self._text, self._at = text, 0
+        self._text = text
+        self._at = 0
         self._breaks = [match.start() for match in re.finditer("\n", text)]
         self._last_items: dict[Place, int] = {}  # of each list of tables
         table: Place = ()
@@ -71,7 +73,8 @@ class _Scanner:
             self._skip(_BLANK)
 
     def _header(self) -> Place:
-        line, brackets = self._line(), 2 if self._text.startswith("[[", self._at) else 1
+        line = self._line()
+        brackets = 2 if self._text.startswith("[[", self._at) else 1
         self._at += brackets
         self._skip(_BLANK)
         place: Place = ()
@@ -119,7 +122,8 @@ class _Scanner:
     def _key(self) -> list[str]:
         begin = self._at
         self._skip(_KEY)
-        table, names = parse_toml(f"{self._text[begin : self._at]} = 0"), []
+        table = parse_toml(f"{self._text[begin : self._at]} = 0")
+        names = []
         while isinstance(table, dict):
             ((name, table),) = table.items()
             names.append(name)
@@ -217,18 +221,24 @@ def _sections(text: str) -> dict[Place, _Section]:
     lines = re.findall(r"[^\n]*\n|[^\n]+", text)
     sections: dict[Place, _Section] = {}
     place: Place = ()
-    header, begin = "", 0
+    header = ""
+    begin = 0
     for number, (line, following) in enumerate([*headers, (len(lines) + 1, ())]):
         end = entries = line - 1
         while entries > begin and lines[entries - 1].lstrip(" \t")[:1] in ("#", "\n", ""):
             entries -= 1
         blank = (at for at in range(entries, end) if not lines[at].strip())
         lead = end if number == len(headers) else next(blank, entries - 1) + 1
-        body, tail = "".join(lines[begin:entries]), "".join(lines[entries:lead])
+        body = "".join(lines[begin:entries])
+        tail = "".join(lines[entries:lead])
         if not place and not body:  # what precedes everything else stays there
-            header, tail, lead = "".join(lines[:end]), "", end
+            header = "".join(lines[:end])
+            tail = ""
+            lead = end
         sections[place] = _Section(number, header, body, tail)
-        place, header, begin = following, "".join(lines[lead : end + 1]), end + 1
+        place = following
+        header = "".join(lines[lead : end + 1])
+        begin = end + 1
     return sections
 
 
@@ -246,7 +256,8 @@ class _Editor:
 
     def text(self) -> str:
         """Join the pieces, with blank lines around new ones."""
-        text, apart = "", False
+        text = ""
+        apart = False
         for _, (piece, new) in sorted(self._pieces.items()):
             if text and piece and (new or apart) and not text.endswith("\n\n"):
                 text += "\n" if text.endswith("\n") else "\n\n"
@@ -263,7 +274,8 @@ class _Editor:
 
     def _children(self, place: Place) -> dict[str, bool]:
         """Return the keys of sections below a place, and whether each is a list of tables."""
-        depth, found = len(place), dict[str, bool]()
+        depth = len(place)
+        found = dict[str, bool]()
         for other in self._sections:
             if len(other) > depth and other[:depth] == place:
                 found[str(other[depth])] = len(other) > depth + 1 and isinstance(other[depth + 1], int)
@@ -271,7 +283,8 @@ class _Editor:
 
     def update(self, place: Place, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
         """Write the sections at and below a place with new values."""
-        section, children = self._sections.get(place), self._children(place)
+        section = self._sections.get(place)
+        children = self._children(place)
         kept = {
             key
             for key, listed in children.items()
@@ -281,7 +294,8 @@ class _Editor:
         own = {key: value for key, value in new.items() if key not in kept}
         present = own if own_old == own else parse_toml(section.body) if section else {}
         added = {key for key in own if key not in present and not _unchanged(own_old, own, key)}
-        outermost, headless = not place, section is None
+        outermost = not place
+        headless = section is None
         sections = {key for key in added if _is_section(own[key], outermost, headless)}
         own = {key: value for key, value in own.items() if key not in sections}
         if section:
@@ -326,7 +340,8 @@ class _Editor:
         items = {other[: len(place) + 1] for other in self._sections if other[: len(place)] == place}
         same_count = isinstance(old, list) and len(old) == len(items)
         origins = _matches(old, new) if same_count else [None] * len(new)
-        first, before = self._within(place)[0].number, -1
+        first = self._within(place)[0].number
+        before = -1
         in_place = origins == list(range(len(items)))
         for origin, value in zip(origins, new, strict=True):
             if origin is None:
@@ -357,7 +372,8 @@ def _is_section(value: object, outermost: bool = False, headless: bool = False) 
 
 def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:
     """Return the previous index of each table of a list: that of an equal table, or of a similar one."""
-    left, found = list(range(len(old))), dict[int, int]()
+    left = list(range(len(old)))
+    found = dict[int, int]()
 
     def alike(key: str, present: bool) -> Callable[[Any, Any], bool]:
         return lambda one, other: one.get(key) == other.get(key) and (key in one) == present
@@ -372,7 +388,8 @@ def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:
         for at, value in enumerate(new):
             if at in found:
                 continue
-            low, high = -1, len(old)
+            low = -1
+            high = len(old)
             if ordered:  # between the tables that are matched already
                 low = max((found[each] for each in found if each < at), default=low)
                 high = min((found[each] for each in found if each > at), default=high)
@@ -506,7 +523,8 @@ def _array(items: list[Item], broken: bool) -> Array:
     for item, text in zip(items, texts, strict=True):
         if line and (nested or width + len(text) + 4 > MAX_LINE_WIDTH):
             array.add_line(*line)
-            line, width = [], 0
+            line = []
+            width = 0
         line.append(item)
         width += len(text) + 2
     array.add_line(*line)

@@ -70,7 +70,9 @@ class Descriptions:
     """
 
     def __init__(self, file: Path, described: Mapping[Hashable, object], just_read: bool = False) -> None:
-        self.file, self.folder, self.just_read = file, file.parent, just_read
+        self.file = file
+        self.folder = file.parent
+        self.just_read = just_read
         self._described = described
 
     def find(self, part: Hashable, key: str, spec: Any, make: Callable[..., object]) -> Any:
@@ -144,7 +146,9 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
             placement=spec.placement,
             characteristic_length=spec.characteristic_length,
         )
-    source, folders, arguments = spec.urdf, spec.package_dirs, spec.xacro_args
+    source = spec.urdf
+    folders = spec.package_dirs
+    arguments = spec.xacro_args
     if source is None:
         return spec, None
     if isinstance(source, Path):
@@ -171,7 +175,8 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
 
 def write_keyframe(keyframe: Keyframe, scene: Scene | None, descriptions: Descriptions) -> dict[str, Any]:
     """Return the table of a keyframe without defaults; that of its placement depends on the scene."""
-    curve, tip = keyframe.curve, keyframe.tip
+    curve = keyframe.curve
+    tip = keyframe.tip
     values = {key: getattr(keyframe, key) for key in KeyframeSpec.model_fields}
     if curve is not None:
         values["curve"] = descriptions.find(curve, "curve", CurveSpec, make_curve) or write_curve(curve)
@@ -256,7 +261,8 @@ def _limit(key: str, value: float | Array, arm: Arm) -> Any:
     """Return one number for all joints, one for those that turn and those that slide, or one for each."""
     if not isinstance(value, np.ndarray):
         return value if np.isfinite(value) else UNLIMITED_WORD
-    both, rest = {}, arm.limits.velocity if key == "velocity" else np.full(arm.nv, np.inf)
+    both = {}
+    rest = arm.limits.velocity if key == "velocity" else np.full(arm.nv, np.inf)
     for kind, joints in (("turning", ~arm.slides), ("sliding", arm.slides)):
         own = np.unique(value[joints])
         if len(own) == 1 and np.isfinite(own[0]):
@@ -357,7 +363,8 @@ def _same_part(one: Keyframe | Phase, other: Keyframe | Phase) -> bool:
 
 
 def _same_keyframe(one: Keyframe, other: Keyframe) -> bool:
-    mine, its = one.tip, other.tip
+    mine = one.tip
+    its = other.tip
     if mine is None or its is None or mine.pose is None or its.pose is None:
         return one == other
     still = pin.SE3.Identity()

@@ -58,7 +58,8 @@ def plot_arm(
     """
     require_type("arm", arm, Arm)
     shown = arm.neutral() if q is None else q
-    forward, chosen = arm.at(shown).forward, arm.at(shown).ellipsoids(ellipsoids)
+    forward = arm.at(shown).forward
+    chosen = arm.at(shown).ellipsoids(ellipsoids)
     # Half the length of the bars: short compared to the links, but visible compared to the arm.
     half = float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
     planar = arm.dimension == 2
@@ -69,7 +70,8 @@ def plot_arm(
     draw_ellipsoids(panel, chosen)
     start = arm.chain.base
     for k, (joints, point) in enumerate(zip(arm.chain.module_slices, forward.points, strict=True)):
-        line, shade = np.vstack([start, forward.origins[joints], point]), palette.MODULES[k % 2]
+        line = np.vstack([start, forward.origins[joints], point])
+        shade = palette.MODULES[k % 2]
         panel.line(line, color=shade, lw=5.0, solid_capstyle="butt", solid_joinstyle="round", zorder=3)
         start = point
     _draw_axes(panel, forward.origins, forward.axes, half)
@@ -106,12 +108,15 @@ def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
     panel.ax.set_position((0.5 - width / 2, 0.5 - side / height / 2, width, side / height))
     # The scales and their labels may be wider than the axes, on one side only.
     figure.draw_without_rendering()
-    renderer, ax = cast(Any, FigureCanvasAgg(figure)).get_renderer(), cast(Any, panel.ax)
+    renderer = cast(Any, FigureCanvasAgg(figure)).get_renderer()
+    ax = cast(Any, panel.ax)
     drawn = Bbox.union([axis.get_tightbbox(renderer) for axis in (ax.xaxis, ax.yaxis, ax.zaxis)])
-    left, right = drawn.x0 / figure.bbox.width, drawn.x1 / figure.bbox.width
+    left = drawn.x0 / figure.bbox.width
+    right = drawn.x1 / figure.bbox.width
     scale = min(1.0, (1.0 - 2.0 * SIDE_ROOM) / (right - left))
     middle = 0.5 - scale * ((left + right) / 2.0 - 0.5)
-    width, high = scale * width, scale * side / height
+    width = scale * width
+    high = scale * side / height
     panel.ax.set_position((middle - width / 2, 0.5 - high / 2, width, high))
 
 
@@ -122,13 +127,15 @@ def _draw_axes(panel: PosturePanel, origins: Array, axes: Array, half: float) ->
     rings["mec"] = palette.TURN
     bars: dict[str, Any] = {"color": palette.TURN, "lw": 1.8, "solid_capstyle": "round"}
     slides: dict[str, Any] = {"color": palette.SLIDE, "lw": 2.6, "ls": (0, (1, 0.7))}
-    turning, sliding = "axis of a joint that turns", "axis of a joint that slides"
+    turning = "axis of a joint that turns"
+    sliding = "axis of a joint that slides"
     for chosen, label, style in (
         (turns & facing, turning, rings),
         (turns & ~facing, "_" if np.any(turns & facing) else turning, bars),
         (~turns, sliding, slides),
     ):
-        points, along = origins[chosen], half * axes[chosen]
+        points = origins[chosen]
+        along = half * axes[chosen]
         if style is not rings:  # one line with gaps, for one entry in the legend
             gaps = np.full_like(points, np.nan)
             points = np.stack([points - along, points + along, gaps], axis=1).reshape(-1, 3)
@@ -153,7 +160,9 @@ def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellip
 
 def _number_points(panel: PosturePanel, points: Array, base: Array, offset: float) -> None:
     """Write the numbers of control points beside the arm without overlap, starting with the last."""
-    screen, ax = panel.screen, cast(Any, panel.ax)  # text in space has three coordinates
+    # text in space has three coordinates
+    screen = panel.screen
+    ax = cast(Any, panel.ax)
     flat = np.vstack([base, points]) @ screen.T
     size = float(np.ptp(flat, axis=0).max())
     ahead = np.vstack([flat[1:], flat[-1:]]) - np.vstack([flat[:1], flat[:-1]])

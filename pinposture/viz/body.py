@@ -53,7 +53,8 @@ def bodies(arm: Arm) -> tuple[DrawnBody, ...]:
     modules = np.repeat(np.arange(arm.n_modules), [len(joints) for joints in arm.module_joints])
     listed = []
     for u, origin in enumerate(chain.origins):
-        nodes, point = [np.zeros(3)], None
+        nodes = [np.zeros(3)]
+        point = None
         if u in ends:
             point = chain.points[ends[u]] - origin
             nodes.append(point)
@@ -101,7 +102,8 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
         else:
             place = place + np.einsum("fij,fj->fi", turn, amounts[:, u, None] * axis)
         shift = place - turn @ origin
-        poses[:, u, :3, :3], poses[:, u, :3, 3] = turn, place
+        poses[:, u, :3, :3] = turn
+        poses[:, u, :3, 3] = place
     return poses if several else poses[0]
 
 
@@ -186,13 +188,15 @@ def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Array]]:
     for link in parse_xml(arm.urdf, "URDF text").iterfind("link"):
         frame = frames.get(link.get("name", ""))
         for visual in link.iterfind("visual"):
-            mesh, origin = visual.find("geometry/mesh"), visual.find("origin")
+            mesh = visual.find("geometry/mesh")
+            origin = visual.find("origin")
             if mesh is None or frame is None:
                 continue
             place = {} if origin is None else origin.attrib
             turn = pin.rpy.rpyToMatrix(_three_numbers(place.get("rpy", "0 0 0")))
             placement = pin.SE3(turn, _three_numbers(place.get("xyz", "0 0 0")))
-            scale, joint = _three_numbers(mesh.get("scale", "1 1 1")), int(frame.parentJoint)
+            scale = _three_numbers(mesh.get("scale", "1 1 1"))
+            joint = int(frame.parentJoint)
             yield mesh.get("filename", ""), joint, places[joint] * frame.placement * placement, scale
 
 
@@ -208,11 +212,13 @@ def _place_mesh(name: str, mesh: TriangleMesh, pose: pin.SE3, scale: Array, orig
 
 def _triangles_per_body(counts: Sequence[int], max_triangles: int) -> int:
     """Return the limit of triangles per body that keeps the total within the maximum."""
-    left, bodies = max_triangles, len(counts)
+    left = max_triangles
+    bodies = len(counts)
     for count in sorted(counts):
         if count * bodies > left:
             return left // bodies
-        left, bodies = left - count, bodies - 1
+        left = left - count
+        bodies = bodies - 1
     return max_triangles
 
 
@@ -338,7 +344,8 @@ def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
     edges = np.sort(hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     a, b = np.unique(edges, axis=0).T
     crossing = (heights[a] > 0.0) != (heights[b] > 0.0)
-    a, b = a[crossing], b[crossing]
+    a = a[crossing]
+    b = b[crossing]
     share = (heights[a] / (heights[a] - heights[b]))[:, None]
     below = hull.vertices[heights[hull.vertices] <= 0.0]
     left = np.vstack([corners[below], corners[a] + share * (corners[b] - corners[a])])
@@ -386,7 +393,8 @@ def section(corners: Array, origin: Array, plane: Array) -> Array:
     normal = np.cross(*plane)
     offset = float(normal @ origin)
     size = float(np.ptp(corners, axis=0).max())
-    low, high = (corners @ normal - offset).min(), (corners @ normal - offset).max()
+    low = (corners @ normal - offset).min()
+    high = (corners @ normal - offset).max()
     if not low < -FLATNESS * size < FLATNESS * size < high:
         return np.zeros((0, 2))
     lower = cut_by_plane(corners, normal, offset)
@@ -403,12 +411,14 @@ def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
     """Return which points, (n, 3) [m], a solid contains or hides from a distant eye in a direction, (3,)."""
     sides = ConvexHull(corners).equations
     # The ray from a point to the eye crosses the plane of each face once, inwards or outwards.
-    above, rising = points @ sides[:, :3].T + sides[:, 3], sides[:, :3] @ eye
+    above = points @ sides[:, :3].T + sides[:, 3]
+    rising = sides[:, :3] @ eye
     along = np.abs(rising) < 1e-12
     passed = -above / np.where(along, 1.0, rising)
     enter = np.where(rising < 0.0, passed, -np.inf)
     leave = np.where(rising > 0.0, passed, np.inf)
-    enter[:, along], leave[:, along] = -np.inf, np.inf
+    enter[:, along] = -np.inf
+    leave[:, along] = np.inf
     aside = np.any(above[:, along] > 0.0, axis=1)
     return np.asarray(~aside & (np.maximum(enter.max(axis=1), 0.0) < leave.min(axis=1)))
 
@@ -443,7 +453,8 @@ def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan | MeshShap
         center = np.array(obstacle.center)
         return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))
     if isinstance(obstacle, (Capsule, Cylinder)):
-        start, radius = np.array(obstacle.start), obstacle.radius
+        start = np.array(obstacle.start)
+        radius = obstacle.radius
         length = float(np.linalg.norm(np.subtract(obstacle.end, start)))
         if isinstance(obstacle, Capsule):
             profile = np.vstack([_arc(radius, -1.0, 0.0), _arc(radius, 0.0, 1.0) + (0.0, length)])
@@ -468,7 +479,8 @@ def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:
     faces: NDArray[np.integer] | None = obstacle.content[1]
     if len(points) > MAX_SHOWN:
         kept, cubes = representatives(points, MAX_SHOWN)
-        points, faces = points[kept], None if faces is None else between_cubes(faces, cubes)
+        points = points[kept]
+        faces = None if faces is None else between_cubes(faces, cubes)
     if faces is not None:
         return TriangleMesh(points, np.asarray(faces, dtype=np.intp))
     radius = DOT_SIZE * float(np.ptp(obstacle.bounds, axis=0).max())

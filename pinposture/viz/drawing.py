@@ -92,13 +92,15 @@ def frame_points(points: Array) -> Framing:
     radius = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-9)
     # Small isotropic spread: a line has no area in any view, but its length should be visible.
     scatter = offsets.T @ offsets / (len(points) * radius**2) + 1e-4 * np.eye(3)
-    chosen, largest = (0.0, 0.0), 0.0
+    chosen = (0.0, 0.0)
+    largest = 0.0
     for elevation in ELEVATIONS:
         for azimuth in AZIMUTHS:
             screen = view_axes(float(azimuth), float(elevation))[:2]
             area = float(np.sqrt(np.linalg.det(screen @ scatter @ screen.T)))
             if area > AREA_GAIN * largest:
-                chosen, largest = (float(azimuth), float(elevation)), area
+                chosen = (float(azimuth), float(elevation))
+                largest = area
     return Framing(center, radius, *chosen)
 
 
@@ -135,14 +137,17 @@ def outline(arm: Arm, target: Target) -> Outline:
     if target.curve is None:
         if target.q is None:
             return Outline((), ())
-        line, ends, count = backbone(arm, target.q), [0], 1
+        line = backbone(arm, target.q)
+        ends = [0]
+        count = 1
         for body in bodies(arm):
             if body.point is not None:
                 ends.append(count + int(np.linalg.norm(body.nodes - body.point, axis=1).argmin()))
             count += len(body.nodes)
         spans = [(ends[run[0]], ends[run[-1]]) for run in runs]
         return _cut(spans, ends[-1], 0.0, lambda a, b: line[int(a) : int(b) + 1])
-    curve, length = target.curve, target.curve.length
+    curve = target.curve
+    length = target.curve.length
     if target.parameters is None:
         return Outline((curve.at(np.linspace(0.0, length, CURVE_SAMPLES)),), ())
     places = np.clip(np.append(0.0, target.parameters), 0.0, length)
@@ -208,7 +213,8 @@ def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | 
     if run is not None and run.q.shape[1] != arm.nq:
         raise InvalidValue("run.q (shape)", run.q.shape, f"(steps + 1, {arm.nq}) for this arm")
     if run is not None and run.arm is not arm:
-        own, shown = run.arm.at(run.q[0]).points, arm.at(run.q[0]).points
+        own = run.arm.at(run.q[0]).points
+        shown = arm.at(run.q[0]).points
         if own.shape != shown.shape or np.abs(own - shown).max() > SAME_ARM * arm.length:
             raise InvalidValue("run.arm", run.arm, f"the arm that is given, {arm!r}")
     if target is not None and target.points.shape != (arm.n_modules, 3):
@@ -224,7 +230,9 @@ class Surfaces(NamedTuple):
 
 def arm_surfaces(arm: Arm) -> Surfaces:
     """Return the surfaces of an arm: the meshes of its description, or round bars where unreadable."""
-    radius, own, listed = link_radius(arm), body_meshes(arm), bodies(arm)
+    radius = link_radius(arm)
+    own = body_meshes(arm)
+    listed = bodies(arm)
     surfaces = []
     for u, body in enumerate(listed):
         # The ball of the next joint closes the bar, unless that joint is prismatic or missing.
@@ -245,10 +253,13 @@ def visual_model(arm: Arm) -> pin.GeometryModel:
     Returns:
         One object for the base and one per joint of the chain, with the shapes and colours of `view`.
     """
-    surfaces, places, model = arm_surfaces(arm), neutral_placements(arm.model), pin.GeometryModel()
+    surfaces = arm_surfaces(arm)
+    places = neutral_placements(arm.model)
+    model = pin.GeometryModel()
     drawn = [("base", 0, surfaces.base, palette.BASE, pin.SE3.Identity())]
     for u, (body, mesh) in enumerate(zip(bodies(arm), surfaces.bodies, strict=True)):
-        joint, shade = arm.model.getJointId(body.joint), palette.MODULES[body.module % len(palette.MODULES)]
+        joint = arm.model.getJointId(body.joint)
+        shade = palette.MODULES[body.module % len(palette.MODULES)]
         # Body frames are aligned with the world at the neutral configuration.
         placement = pin.SE3(places[joint].rotation.T, np.zeros(3))
         drawn.append((f"body_{u + 1:03d}", joint, mesh, shade, placement))
@@ -290,7 +301,8 @@ def _body_mesh(body: DrawnBody, radius: float, closed: bool) -> TriangleMesh:
 
 def _base_mesh(arm: Arm, radius: float) -> TriangleMesh:
     """Return a plate at the base link, with a bar to the first joint if it is elsewhere."""
-    foot, joint = np.asarray(arm.base_placement.translation), arm.chain.base
+    foot = np.asarray(arm.base_placement.translation)
+    joint = arm.chain.base
     gap = float(np.linalg.norm(joint - foot))
     if gap > 1e-6 * arm.length and arm.urdf is not None:
         return merge(
@@ -339,7 +351,8 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
     """
     if scene is None or not scene.obstacles:
         return []
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     size = max(float(np.max(high - low)), 1e-9)
     region = low - VIEW_MARGIN * size, high + VIEW_MARGIN * size
     shown: dict[str, ShownObstacle] = {}
@@ -378,16 +391,19 @@ def _half_space_plates(
     planes: dict[str, tuple[Array, float]], seen: Array, size: float, region: tuple[Array, Array]
 ) -> dict[str, Array]:
     """Return the corners of a plate below the surface of each half-space that reaches into a region."""
-    middle, half = (seen.min(axis=0) + seen.max(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2.0
+    half = np.ptp(seen, axis=0) / 2.0
     half = np.maximum(half, MIN_PLATE_WIDTH * size / 2.0)
-    low, high = middle - half, middle + half
+    low = middle - half
+    high = middle + half
     feet = [low[None], high[None]]
     for normal, offset in planes.values():
         heights = box_corners(*region) @ normal - offset
         if heights.min() < 0.0 < heights.max():
             corners = box_corners(low, high)
             feet.append(np.clip(corners - np.outer(corners @ normal - offset, normal), *region))
-    reach, thickness = np.vstack(feet), PLATE_THICKNESS * size
+    reach = np.vstack(feet)
+    thickness = PLATE_THICKNESS * size
     room = box_corners(reach.min(axis=0) - thickness, reach.max(axis=0) + thickness)
     plates = {}
     for name, (normal, offset) in planes.items():
@@ -454,7 +470,9 @@ def pose_tracks(path: str, times: Array, positions: Array, turns: Array) -> list
     ]
 
 
-REST_BEFORE, REST_AFTER = 0.6, 1.6  # time for which the first and the last posture are held [s]
+# time for which the first and the last posture are held [s]
+REST_BEFORE = 0.6
+REST_AFTER = 1.6
 MIN_DURATION = 2.0  # minimum duration of a run; short ones are shown more slowly [s]
 MAX_DURATION = 60.0  # maximum duration of a motion in time; longer ones are shown faster [s]
 
@@ -538,7 +556,8 @@ def arm_tracks(arm: Arm, shown: Timeline) -> list[Track]:
     """
     run = shown.run
     poses = body_poses(arm, run.q[shown.rows])  # (f, n, 4, 4)
-    held, times = shown.key_rows, shown.key_times
+    held = shown.key_rows
+    times = shown.key_times
     listed = []
     for u in range(poses.shape[1]):
         turns = Rotation.from_matrix(poses[:, u, :3, :3]).as_quat()
@@ -568,8 +587,10 @@ NO_SIZE = 1e-3  # size of a hoop without a target
 
 def moving_target_tracks(motion: Motion, playback: Timeline) -> list[Track]:
     """Return the tracks of the target hoops, which move, appear and disappear."""
-    held, times = playback.key_rows, playback.key_times
-    targets, mask = motion.targets[playback.rows], motion.target_mask[playback.rows]
+    held = playback.key_rows
+    times = playback.key_times
+    targets = motion.targets[playback.rows]
+    mask = motion.target_mask[playback.rows]
     turns = hoop_turns(motion.arm, targets, mask)
     listed = []
     for k in targeted_points(motion):
@@ -602,7 +623,8 @@ def hoop_turns(arm: Arm, targets: Array, mask: NDArray[np.bool_]) -> Array:
     for row in range(len(targets)):
         ahead = _tangents(arm, targets[row], mask[row], normals)
         turn = _shortest_rotations(normals, ahead) * turn
-        normals, turns[row] = ahead, turn.as_quat()
+        normals = ahead
+        turns[row] = turn.as_quat()
     return same_signs(turns)
 
 

@@ -64,7 +64,10 @@ class FoxgloveViewer(Viewer):
         self.tracker = run if isinstance(run, Tracker) else None
         self.run = None if isinstance(run, Tracker) else run
         drawing.require_fitting(arm, self.run, target)
-        self.arm, self.target, self.scene, self.ellipsoids = arm, target, scene, ()
+        self.arm = arm
+        self.target = target
+        self.scene = scene
+        self.ellipsoids = ()
         self._playback = None if self.run is None else drawing.playback(self.run, fps, MAX_FRAMES)
         self._messages: Any = messages
         self._world = world_frame(arm)
@@ -75,7 +78,10 @@ class FoxgloveViewer(Viewer):
         self.context = Context()
         self._channels: Any = {name: each(name, context=self.context) for name, each in kinds.items()}
         self._waiting: deque[Callable[[bool], None]] = deque(maxlen=BACKLOG)
-        self._wake, self._subscribed, self._closed, self._stop = Event(), Event(), Event(), Event()
+        self._wake = Event()
+        self._subscribed = Event()
+        self._closed = Event()
+        self._stop = Event()
         self._lock = Lock()
         self._drawn: tuple[Target | None, Scene | None] = None, None
         listener = type("Listener", (ServerListener,), {"on_subscribe": self._send_again})
@@ -110,9 +116,13 @@ class FoxgloveViewer(Viewer):
         """
         with self._lock:
             self._stop.set()
-        target, scene, command, status = self.target, self.scene, None, {}
+        target = self.target
+        scene = self.scene
+        command = None
+        status = {}
         if self.tracker is not None:
-            target, scene = target or self.tracker.target, scene or self.tracker.scene
+            target = target or self.tracker.target
+            scene = scene or self.tracker.scene
             known = self.tracker.report._asdict().items()
             status = {name: each for name, each in known if isinstance(each, str | float)}
             with suppress(InvalidValue):  # no command before the first measurement
@@ -149,7 +159,8 @@ class FoxgloveViewer(Viewer):
         self._wake.set()
 
     def _play(self, shown: drawing.Timeline, stop: Event) -> None:
-        run, motion = shown.run, shown.motion
+        run = shown.run
+        motion = shown.motion
         means = (motion or run).mean_error
         pauses = np.diff(shown.key_times, append=shown.key_times[-1:]) / shown.fps
         while not stop.is_set():
@@ -163,13 +174,15 @@ class FoxgloveViewer(Viewer):
                     break
 
     def _send(self) -> None:
-        last, failure = None, ""
+        last = None
+        failure = ""
         while self._wake.wait() and not self._closed.is_set():
             self._wake.clear()
             if self._subscribed.is_set() and last is not None and not self._waiting:
                 self._waiting.append(last)
             while self._waiting:
-                last, again = self._waiting.popleft(), self._subscribed.is_set()
+                last = self._waiting.popleft()
+                again = self._subscribed.is_set()
                 self._subscribed.clear()
                 try:
                     last(again)
@@ -213,9 +226,11 @@ class FoxgloveViewer(Viewer):
             self._channels[topic].log(message(*about), log_time=stamp)
 
     def _place(self, q: ArrayLike, stamp: int) -> Any:
-        m, poses = self._messages, body_poses(self.arm, q)
+        m = self._messages
+        poses = body_poses(self.arm, q)
         turns = Rotation.from_matrix(poses[:, :3, :3] @ self._turns).as_quat()
-        rows, time = np.hstack([poses[:, :3, 3], turns]).tolist(), m.Timestamp(*divmod(stamp, 10**9))
+        rows = np.hstack([poses[:, :3, 3], turns]).tolist()
+        time = m.Timestamp(*divmod(stamp, 10**9))
         transforms = [
             m.FrameTransform(
                 timestamp=time,
@@ -229,7 +244,8 @@ class FoxgloveViewer(Viewer):
         return m.FrameTransforms(transforms=transforms)
 
     def _joints(self, q: Any, stamp: int) -> Any:
-        m, named = self._messages, zip(self.arm.joint_names, self.arm.positions(q).tolist(), strict=True)
+        m = self._messages
+        named = zip(self.arm.joint_names, self.arm.positions(q).tolist(), strict=True)
         joints = [m.JointState(name=name, position=position) for name, position in named]
         return m.JointStates(timestamp=m.Timestamp(*divmod(stamp, 10**9)), joints=joints)
 
@@ -245,8 +261,11 @@ class FoxgloveViewer(Viewer):
         return self._messages.SceneUpdate(entities=entities)
 
     def _draw_arm(self) -> None:
-        model, listed, surfaces = self.arm.model, bodies(self.arm), drawing.arm_surfaces(self.arm)
-        joints, places = [model.getJointId(each.joint) for each in listed], neutral_placements(model)
+        model = self.arm.model
+        listed = bodies(self.arm)
+        surfaces = drawing.arm_surfaces(self.arm)
+        joints = [model.getJointId(each.joint) for each in listed]
+        places = neutral_placements(model)
         # The frame of a joint is that of the link after it; a body frame has another orientation.
         frames = [each for each in model.frames if each.type == pin.BODY and each.placement.isIdentity()]
         names = {int(each.parentJoint): each.name for each in reversed(frames)}
@@ -263,7 +282,8 @@ class FoxgloveViewer(Viewer):
     def _outline(self, target: Target | None) -> dict[str, Any]:
         if target is None:
             return {}
-        m, radius = self._messages, drawing.link_radius(self.arm)
+        m = self._messages
+        radius = drawing.link_radius(self.arm)
         style = {"type": m.LinePrimitiveLineType.LineStrip, "thickness": 0.6 * radius}
         lines = [
             m.LinePrimitive(points=self._points(line), color=self._color(color), **style)

@@ -168,7 +168,9 @@ def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> N
 
 
 ELLIPSOID_OPACITY = 0.5
-HOOP_RADIUS, WIRE_RADIUS = 1.35, 0.14  # radii of a hoop and its wire, relative to that of a control point
+# radii of a hoop and its wire, relative to that of a control point
+HOOP_RADIUS = 1.35
+WIRE_RADIUS = 0.14
 HOOP_SIDES = 32  # number of sides of the polygon that approximates a hoop
 LINE_RADIUS = 0.25  # radius of lines through targets, relative to `link_radius`
 
@@ -189,7 +191,8 @@ def add(
 
 def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
     """Draw the arm at a configuration, (nq,): a mesh per body, and control points fixed to the bodies."""
-    radius, surfaces = drawing.link_radius(arm), drawing.arm_surfaces(arm)
+    radius = drawing.link_radius(arm)
+    surfaces = drawing.arm_surfaces(arm)
     add(viewer, f"{ROOT}/arm/base", surfaces.base, palette.BASE)
     for u, body in enumerate(bodies(arm)):
         shade = palette.MODULES[body.module % len(palette.MODULES)]
@@ -221,7 +224,8 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
 
 def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[palette.Place]) -> None:
     """Draw the targets at the start of a motion, and thin lines through the targets at named places."""
-    arm, radius = motion.arm, drawing.link_radius(motion.arm)
+    arm = motion.arm
+    radius = drawing.link_radius(motion.arm)
     for number, place in enumerate(places, start=1):
         points = motion.targets[place.row][motion.target_mask[place.row]]
         line = without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
@@ -249,7 +253,8 @@ def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
     """Draw the ellipsoids of the first configuration, replacing previous ones."""
     unit = ball(np.zeros(3), 1.0, 3)
     for p, point in enumerate(shown.points):
-        path, axes = ellipsoid_path(point), (shown.frames[0, p] * shown.radii[0, p, :, None]).T
+        path = ellipsoid_path(point)
+        axes = (shown.frames[0, p] * shown.radii[0, p, :, None]).T
         add(viewer, path, unit, palette.index_color(shown.indices[0, p]), ELLIPSOID_OPACITY)
         viewer[path].set_transform(_transform(shown.centers[0, p], axes))
 
@@ -384,7 +389,10 @@ class Viewer:
         scene: Scene | None = None,
     ) -> None:
         drawing.require_fitting(arm, run, target)
-        self.arm, self.run, self.target, self.scene = arm, run, target, scene
+        self.arm = arm
+        self.run = run
+        self.target = target
+        self.scene = scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
         self._playback = None if run is None else drawing.playback(run, fps, MAX_FRAMES)
         self._playing = False
@@ -462,7 +470,8 @@ class Viewer:
 
 def captions(shown: Timeline) -> list[str]:
     """Return the caption of each shown configuration."""
-    listed, run = [], shown.run
+    listed = []
+    run = shown.run
     for row in shown.rows:
         text = _step_text(shown, row) if shown.motion is None else _motion_text(shown.motion, row)
         listed.append(text + (f", clearance {length_text(run.clearance[row])}" if has_clearance(run) else ""))
@@ -543,7 +552,8 @@ def _color_key(entries: Sequence[tuple[str, str]]) -> str:
     return "".join(dots)
 
 
-MAX_RUN_FRAMES, MAX_MOTION_FRAMES = 240, 1200
+MAX_RUN_FRAMES = 240
+MAX_MOTION_FRAMES = 1200
 
 
 @dataclass(frozen=True)
@@ -650,7 +660,8 @@ def save_html(
 
 
 def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[int, ...]) -> str:
-    run, motion = shown.run, shown.motion
+    run = shown.run
+    motion = shown.motion
     recording = CommandRecorder()
     viewer = Visualizer(window=recording)
     drawn = draw_scene(viewer, arm, shown, target, run.scene, points)

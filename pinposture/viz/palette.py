@@ -49,10 +49,14 @@ ACTIVE = "#E69F00"  # a control point in the active control set
 IDLE = "#FFFFFF"  # an inactive control point
 
 OBSTACLE = "#94897A"
-SEE_THROUGH, SHEER = 0.45, 0.18  # opacity of obstacles: of a few, and of many behind each other
+# opacity of obstacles: of a few, and of many behind each other
+SEE_THROUGH = 0.45
+SHEER = 0.18
 
 # Manipulability ellipsoids with index 0, a quarter of `REGULAR_INDEX`, and `REGULAR_INDEX` or more.
-SINGULAR, WORSE, REGULAR = "#CC2A1E", "#D6CB2A", "#009E73"
+SINGULAR = "#CC2A1E"
+WORSE = "#D6CB2A"
+REGULAR = "#009E73"
 REGULAR_INDEX = 0.4
 
 ESCAPE = "#E4D9F2"  # background of steps in which the posture error may rise
@@ -83,9 +87,12 @@ def index_color(index: float) -> str:
     There are 33 colours, so that small motions of the arm do not change the colour.
     """
     share = round(32.0 * min(index / REGULAR_INDEX, 1.0) ** 0.5) / 16.0  # 0 to 1 to 2 along three colours
-    before, after = SINGULAR, WORSE
+    before = SINGULAR
+    after = WORSE
     if share > 1.0:
-        share, before, after = share - 1.0, WORSE, REGULAR
+        share = share - 1.0
+        before = WORSE
+        after = REGULAR
     return mixed(before, after, share)
 
 
@@ -179,7 +186,8 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
     """
     low, high = ax.get_ylim()
     below = value <= low  # a logarithmic axis cannot show 0
-    place, scale = (x, 0.0 if below else value), ax.get_xaxis_transform() if below else ax.transData
+    place = (x, 0.0 if below else value)
+    scale = ax.get_xaxis_transform() if below else ax.transData
     ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale)
     ax.set_ylim(low, high)
     styles = {"start": (7, 4, "left", "bottom"), "least": (0, 8, "center", "bottom")}
@@ -220,7 +228,9 @@ def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any)
     bar.outline.set_visible(False)
 
 
-FIGURE_WIDTH, FIGURE_HEIGHT = 12.0, 7.2  # [inch]; 1200 pixels wide at the default resolution
+# [inch]; 1200 pixels wide at the default resolution
+FIGURE_WIDTH = 12.0
+FIGURE_HEIGHT = 7.2
 
 
 def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
@@ -292,7 +302,8 @@ def _parameters(text: str) -> dict[str, str]:
 
 def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator[str]:
     for name, value in given.items():
-        kind, default = value.partition("(")[0], usual.get(name, "")
+        kind = value.partition("(")[0]
+        default = usual.get(name, "")
         if name in ("name", "scene") or value == default:
             continue
         words = name.replace("_", " ")
@@ -306,11 +317,13 @@ def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator
 
 def limits_text(run: Trajectory) -> str:
     """Return the limits of the steps of a run in words."""
-    limits, slides = run.limits, run.arm.slides[run.arm.columns]
+    limits = run.limits
+    slides = run.arm.slides[run.arm.columns]
     units = ["m"] * bool(slides.any()) + ["rad"] * (not slides.all())
 
     def most(value: float | NDArray[np.float64], per: str) -> str:
-        low, high = float(np.min(value)), float(np.max(value))
+        low = float(np.min(value))
+        high = float(np.max(value))
         text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
         return f"{text} {' or '.join(unit + per for unit in units)}"
 
@@ -377,7 +390,8 @@ def shown_places(motion: Motion) -> list[Place]:
 
 def group_alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
     """Group places with the same posture, ordered by the first place of each group."""
-    points, tolerance = motion.run.points, SAME_POSTURE * motion.arm.length
+    points = motion.run.points
+    tolerance = SAME_POSTURE * motion.arm.length
     groups: list[list[Place]] = []
     for place in places:
         for group in groups:

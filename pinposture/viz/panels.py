@@ -120,7 +120,8 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
         run: the run.
         ax: axes to draw into.
     """
-    m, targeted = run.arm.n_modules, np.flatnonzero(run.target.has_target)
+    m = run.arm.n_modules
+    targeted = np.flatnonzero(run.target.has_target)
     colors, norm = palette.colors_along(m)
     style: dict[str, Any] = {"lw": 1.0, "marker": marker(run.steps + 1), "ms": 3}
     for k in targeted:
@@ -245,7 +246,8 @@ def plot_clearance(
     format_run_axes(ax, run, "clearance [m]")
     palette.scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
-    low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
+    low = float(np.nanmin(drawn))
+    high = float(np.nanmax(drawn))
     if low <= 0.0:
         ax.set_yscale("linear")
         ax.set_ylim(low - 0.1 * (high - low), high + 0.15 * (high - low) + 1e-12)
@@ -402,13 +404,16 @@ def _merge_close_names(
 
 
 MIN_PLACES = 3  # motions with fewer named places are shown with intermediate postures
-LEGEND_WIDTH, HANDLE_WIDTH = 84, 8  # widths of the legend above the postures and of its symbols [characters]
+# widths of the legend above the postures and of its symbols [characters]
+LEGEND_WIDTH = 84
+HANDLE_WIDTH = 8
 MAX_DETOURS = 2  # maximum number of detours in a title
 
 
 def plot_motion(motion: Motion) -> Figure:
     """Plot a motion in time in one figure; see `pinposture.viz.plot`."""
-    run, time = motion.run, motion.time
+    run = motion.run
+    time = motion.time
     draws: list[Callable[[Motion, Axes], None]] = [plot_error]
     if any(share is not None for share in limit_shares(run)):
         draws.append(plot_joint_rates)
@@ -441,7 +446,8 @@ def plot_places(motion: Motion, ax: Axes) -> None:
     Raises:
         InvalidValue: plain axes for an arm that moves in space.
     """
-    run, panel = motion.run, PosturePanel(motion.arm, ax)
+    run = motion.run
+    panel = PosturePanel(motion.arm, ax)
     color = palette.controller_color(run.controller)
     groups = palette.group_alike(motion, palette.shown_places(motion))
     rows = [group[0].row for group in groups]

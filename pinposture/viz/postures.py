@@ -63,7 +63,8 @@ class PosturePanel:
     """
 
     def __init__(self, arm: Arm, ax: Axes) -> None:
-        self.arm, self.ax = arm, ax
+        self.arm = arm
+        self.ax = ax
         self.spatial = ax.name == "3d"
         if not self.spatial and arm.dimension == 3:
             allowed = 'axes made with projection="3d", for an arm that moves in space'
@@ -121,7 +122,8 @@ class PosturePanel:
         if lines.covered:
             self.line(_join(lines.covered), lw=1.4, label=f"target {known}", **style)
         if lines.rest:
-            label, dashes = f"rest of the {known}", (0, (4, 2))
+            label = f"rest of the {known}"
+            dashes = (0, (4, 2))
             self.line(_join(lines.rest), color=palette.REST, lw=0.9, ls=dashes, zorder=2, label=label)
         if not (lines.covered or lines.rest):
             points = np.where(target.has_target[:, None], target.points, np.nan)
@@ -164,7 +166,8 @@ def _join(lines: tuple[Array, ...]) -> Array:
 
 def _frame_space(ax: Any, points: Array) -> None:
     framing = frame_points(points)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     # An axis without extent still needs room for its ticks.
     half = np.maximum((high - low) / 2.0, 0.2 * framing.radius) * 1.04
     middle = (low + high) / 2.0
@@ -507,7 +510,8 @@ def axis_ends(shown: EllipsoidMotion) -> Array:
 
 def ellipsoid_tracks(shown: EllipsoidMotion, playback: Timeline) -> list[Track]:
     """Return the tracks of ellipsoids, which move, stretch and change colour."""
-    held, times = playback.key_rows, playback.key_times
+    held = playback.key_rows
+    times = playback.key_times
     listed = []
     for p, point in enumerate(shown.points):
         turns = Rotation.from_matrix(shown.frames[:, p].transpose(0, 2, 1)).as_quat()
@@ -533,7 +537,8 @@ def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
     Returns:
         Right-handed frames, and radii.
     """
-    frames, radii = frames.copy(), radii.copy()
+    frames = frames.copy()
+    radii = radii.copy()
     for before, now, lengths in zip(frames[:-1], frames[1:], radii[1:], strict=True):
         renamed = _AXIS_PERMUTATIONS[:, None] @ now  # (24, p, 3, 3)
         best = np.einsum("gpij,pij->gp", renamed, before).argmax(axis=0)

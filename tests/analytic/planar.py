@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 
 def span(u: int, v: int, q: ArrayLike, links: ArrayLike) -> Array:
     """The vector (C, S) from joint u to the end of link v, (2,), (A.2)."""
-    heading, lengths = np.cumsum(q)[u : v + 1], np.asarray(links)[u : v + 1]
+    heading = np.cumsum(q)[u : v + 1]
+    lengths = np.asarray(links)[u : v + 1]
     return np.array([np.sum(lengths * np.cos(heading)), np.sum(lengths * np.sin(heading))])
 
 

@@ -11,34 +11,42 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-EX, ORIGIN, IDENTITY = np.array([1.0, 0.0, 0.0]), np.zeros(3), np.eye(3)
+EX = np.array([1.0, 0.0, 0.0])
+ORIGIN = np.zeros(3)
+IDENTITY = np.eye(3)
 
 
 def ry(a: float) -> Array:
-    c, s = np.cos(a), np.sin(a)
+    c = np.cos(a)
+    s = np.sin(a)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
 def rz(a: float) -> Array:
-    c, s = np.cos(a), np.sin(a)
+    c = np.cos(a)
+    s = np.sin(a)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
 def dry(a: float) -> Array:
     """Derivative of Ry element by element, which is I_y Ry(a + pi/2) of (6.10)."""
-    c, s = np.cos(a), np.sin(a)
+    c = np.cos(a)
+    s = np.sin(a)
     return np.array([[-s, 0, c], [0, 0, 0], [-c, 0, -s]])
 
 
 def drz(a: float) -> Array:
     """Derivative of Rz element by element, which is I_z Rz(a + pi/2)."""
-    c, s = np.cos(a), np.sin(a)
+    c = np.cos(a)
+    s = np.sin(a)
     return np.array([[-s, -c, 0], [c, -s, 0], [0, 0, 0]])
 
 
 def points(q: ArrayLike, l1: float, l2: float, p0: ArrayLike = ORIGIN, E0: ArrayLike = IDENTITY) -> Array:
     """Positions of control points 1..m by (4.1) and (6.1a), (m, 3), in the frame of p0 and E0."""
-    p, E, out = np.asarray(p0), np.asarray(E0), []
+    p = np.asarray(p0)
+    E = np.asarray(E0)
+    out = []
     for q0, q1 in np.reshape(q, (-1, 2)):
         p = p + E @ ry(q0) @ (l1 * IDENTITY + l2 * rz(q1)) @ EX
         E = E @ ry(q0) @ rz(q1)
@@ -48,7 +56,8 @@ def points(q: ArrayLike, l1: float, l2: float, p0: ArrayLike = ORIGIN, E0: Array
 
 def rotations(q: ArrayLike, l1: float, l2: float, p0: ArrayLike = ORIGIN, E0: ArrayLike = IDENTITY) -> Array:
     """Orientations of control points 1..m, (m, 3, 3): (6.1b) with the sign of q0 put right."""
-    E, out = np.asarray(E0), []
+    E = np.asarray(E0)
+    out = []
     for q0, q1 in np.reshape(q, (-1, 2)):
         E = E @ ry(q0) @ rz(q1)
         out.append(E)
@@ -59,11 +68,16 @@ def derivative(
     k: int, u: int, q: ArrayLike, l1: float, l2: float, E0: ArrayLike = IDENTITY
 ) -> tuple[Array, Array]:
     """Derivatives of p_k (3,) and E_k (3, 3) by joint u: the product rule down the chain, (6.7)."""
-    E, dE, dp = np.asarray(E0), np.zeros((3, 3)), np.zeros(3)
+    E = np.asarray(E0)
+    dE = np.zeros((3, 3))
+    dp = np.zeros(3)
     for i, (q0, q1) in enumerate(np.reshape(q, (-1, 2))[:k]):
-        Y, dY = ry(q0), (u == 2 * i) * dry(q0)
-        Z, dZ = rz(q1), (u == 2 * i + 1) * drz(q1)
-        reach, dreach = (l1 * IDENTITY + l2 * Z) @ EX, l2 * dZ @ EX
+        Y = ry(q0)
+        dY = (u == 2 * i) * dry(q0)
+        Z = rz(q1)
+        dZ = (u == 2 * i + 1) * drz(q1)
+        reach = (l1 * IDENTITY + l2 * Z) @ EX
+        dreach = l2 * dZ @ EX
         dp = dp + dE @ Y @ reach + E @ dY @ reach + E @ Y @ dreach
         dE = dE @ Y @ Z + E @ dY @ Z + E @ Y @ dZ
         E = E @ Y @ Z
@@ -111,7 +125,8 @@ def ik(p: ArrayLike, l1: float, l2: float, tolerance: float = 1e-9) -> Array:
     the distance from the torus, as a share of l1 + l2.
     """
     x, y, z = np.asarray(p, dtype=float)
-    rho, solutions = np.hypot(x, z), []
+    rho = np.hypot(x, z)
+    solutions = []
     for r, q0 in ((rho, np.arctan2(-z, x)), (-rho, np.arctan2(z, -x))):
         if abs(np.hypot(r - l1, y) - l2) <= tolerance * (l1 + l2):
             solutions.append((q0, np.arctan2(y, r - l1)))

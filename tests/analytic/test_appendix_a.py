@@ -67,7 +67,8 @@ def test_jacobians_of_planar_arms_are_those_of_the_closed_form(
     normal = np.eye(3)["xyz".index(axis)]
     # Rows: along the straight arm, and where the first joint turns it to.
     directions = np.array([[1.0, 0.0, 0.0], np.cross(normal, [1.0, 0.0, 0.0])]) @ placement.rotation.T
-    ends, flat = np.cumsum([len(lengths) for lengths in links]), np.concatenate(links)
+    ends = np.cumsum([len(lengths) for lengths in links])
+    flat = np.concatenate(links)
     assert arm.dimension == 2
     for seed in range(3):
         q = arm.random(np.random.default_rng(seed))
@@ -88,7 +89,8 @@ def test_rows_of_a_later_point_differ_by_the_section_between(seed: int, dof: int
     rng = np.random.default_rng(seed)
     arm = single(rng.uniform(0.1, 0.5, 8))
     state = arm.at(arm.random(rng))
-    J, joints = in_plane(state), np.vstack([[0.0, 0.0], state.points[:, :2]])
+    J = in_plane(state)
+    joints = np.vstack([[0.0, 0.0], state.points[:, :2]])
     k = int(rng.integers(1, 9 - dof))
     spans = joints[k + dof] - joints[[k] * k + list(range(k, k + dof))]
     difference = (J[k + dof - 1] - J[k - 1])[:, : k + dof]
@@ -102,7 +104,8 @@ def test_neighbours_of_one_joint_modules_conflict_in_every_posture(seed: int, am
     rng = np.random.default_rng(seed)
     arm = single(rng.uniform(0.1, 0.5, 7))
     state = arm.at(amplitude * rng.uniform(-1, 1, 7))
-    J, joints = in_plane(state), np.vstack([[0.0, 0.0], state.points[:, :2]])
+    J = in_plane(state)
+    joints = np.vstack([[0.0, 0.0], state.points[:, :2]])
     assert np.diag(state.manipulability(), 1).max() < ZERO
     for k in range(1, 7):
         C, S = joints[k + 1] - joints[k]
@@ -175,7 +178,8 @@ def test_a_straight_or_folded_section_of_any_length_makes_its_ends_conflict(seed
     state = single(links).at(q)
     J = in_plane(state)
     heading = q.sum()  # of the last link
-    C, S = np.cos(heading), np.sin(heading)
+    C = np.cos(heading)
+    S = np.sin(heading)
     assert state.manipulability()[4, 4 + dof] < ZERO
     np.testing.assert_allclose([-C, -S, C, S] @ np.vstack([J[3], J[3 + dof]]), 0.0, atol=1e-13)
 

@@ -32,7 +32,8 @@ def random_base(rng):
 def test_points_and_rotations_follow_homogeneous_transforms(rng):
     q, (p0, E0) = rng.uniform(-PI, PI, 10), random_base(rng)
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = E0, p0
+    T[:3, :3] = E0
+    T[:3, 3] = p0
     for k in range(5):
         for axis, a, length in (("y", q[2 * k], 0.3), ("z", q[2 * k + 1], 0.2)):
             step = np.eye(4)
@@ -64,10 +65,12 @@ def test_angular_jacobian_columns_are_joint_axes_in_the_world(rng):
 
 
 def test_section_jacobian_is_the_relative_motion_of_two_points(rng):
-    q, h = rng.uniform(-PI, PI, 10), 1e-6
+    q = rng.uniform(-PI, PI, 10)
+    h = 1e-6
 
     def relative(q):  # control point 4 seen from control point 1
-        p, E = ryrz.points(q, 0.3, 0.2), ryrz.rotations(q, 0.3, 0.2)
+        p = ryrz.points(q, 0.3, 0.2)
+        E = ryrz.rotations(q, 0.3, 0.2)
         return E[0].T @ (p[3] - p[0])
 
     expected = np.array([(relative(q + h * d) - relative(q - h * d)) / (2 * h) for d in np.eye(10)]).T
@@ -185,7 +188,9 @@ def test_scan_counts_ends_on_the_torus_and_the_base_of_a_horn_torus_once():
 
 
 def test_planar_jacobian_is_the_finite_difference_of_the_points(rng):
-    q, links, h = rng.uniform(-PI, PI, 6), rng.uniform(0.1, 0.5, 6), 1e-6
+    q = rng.uniform(-PI, PI, 6)
+    links = rng.uniform(0.1, 0.5, 6)
+    h = 1e-6
 
     def positions(q):  # complex numbers, link by link
         return np.cumsum(links * np.exp(1j * np.cumsum(q)))
@@ -225,7 +230,8 @@ def test_two_joint_modules_conflict_exactly_when_the_inner_joint_is_straight(
 ):
     inner = inner if exact is None else exact
     assume(exact is not None or abs(np.sin(inner)) > 1e-2)
-    q, links = [*start, first, inner], links[:6]
+    q = [*start, first, inner]
+    links = links[:6]
     assume_full_rank(4, q, links)
     singular = exact is not None
     assert planar.section_is_singular([inner]) == singular
@@ -319,7 +325,8 @@ def test_best_set_has_the_largest_sum_of_errors_not_the_most_points():
 
 @given(angle, st.floats(0.1, 10.0), st.floats(0.1, 1.0))
 def test_index_of_a_two_link_arm_has_a_closed_form(elbow, scale, ratio):
-    l1, l2 = scale, scale * ratio
+    l1 = scale
+    l2 = scale * ratio
     det = l1 * l2 * abs(np.sin(elbow))
     trace = l1**2 + 2 * l1 * l2 * np.cos(elbow) + 2 * l2**2  # of J J^T
     largest = (trace + np.sqrt(max(trace**2 - 4 * det**2, 0.0))) / 2
@@ -340,7 +347,8 @@ def test_index_matrix_follows_from_gram_determinants(rng):
     for s in range(4):
         for i in range(s + 1, 5):
             # Rows as in the world: turning the frame of a section changes no singular value.
-            p, base = ryrz.points(q, 0.3, 0.2), ryrz.rotations(q, 0.3, 0.2)[s - 1] if s else np.eye(3)
+            p = ryrz.points(q, 0.3, 0.2)
+            base = ryrz.rotations(q, 0.3, 0.2)[s - 1] if s else np.eye(3)
             J = ryrz.jacobian(i - s, q[2 * s : 2 * i], 0.3, 0.2, p[s - 1], base)
             gram = J @ J.T
             expected = np.sqrt(max(np.linalg.det(gram), 0)) / np.linalg.norm(gram, 2) ** 1.5

@@ -17,7 +17,8 @@ GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 def implicit(p: ArrayLike, l1: float, l2: float) -> Array:
     """F of (6.13) put right, at points (..., 3): zero on the torus, negative within its tube."""
     p = np.asarray(p, dtype=float)
-    square, y = np.sum(p * p, axis=-1), p[..., 1]
+    square = np.sum(p * p, axis=-1)
+    y = p[..., 1]
     return np.asarray((square - (l1**2 + l2**2)) ** 2 - 4 * l1**2 * (l2**2 - y**2))
 
 
@@ -38,7 +39,8 @@ def intersections(
     of the segment on the torus counts, too. Neighbouring roots are one if F half-way is zero by that measure.
     On the circles y = +-l2, where F can vanish to fourth order, the place is known to about 1e-3 only.
     """
-    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    a = np.asarray(a, dtype=float)
+    b = np.asarray(b, dtype=float)
     noise = tolerance * (max(a @ a, b @ b) + l1**2 + l2**2) ** 2
 
     def f(t: ArrayLike) -> Array:

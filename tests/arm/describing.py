@@ -61,8 +61,11 @@ def arm_text(joints, tip="0.1 0 0", extra=""):
     return robot(body + links(["tip"]) + fixed("jt", f"l{len(joints)}", "tip", tip) + extra)
 
 
-Y, Z, X = "0 1 0", "0 0 1", "1 0 0"
-LINK, HERE = "0.1 0 0", "0 0 0"
+Y = "0 1 0"
+Z = "0 0 1"
+X = "1 0 0"
+LINK = "0.1 0 0"
+HERE = "0 0 0"
 
 
 def pairs(count):

@@ -24,7 +24,8 @@ from pinposture.arm.configurations import JointLimits, check_joint_positions, pl
 from pinposture.control import controller_named
 from pinposture.errors import InvalidValue, UnknownName, no_warnings
 
-L1, L2 = 0.03, 0.02
+L1 = 0.03
+L2 = 0.02
 SLIDE = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.05)
 SLIDE_10 = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.5)
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
@@ -52,7 +53,8 @@ def test_placements_and_jacobians_equal_the_closed_form(arm: pp.Arm, placed: pp.
     for one in (arm, placed):
         q = one.random(np.random.default_rng(seed))
         state = one.at(q)
-        p0, E0 = one.base_placement.translation, one.base_placement.rotation
+        p0 = one.base_placement.translation
+        E0 = one.base_placement.rotation
         np.testing.assert_allclose(state.points, ryrz.points(q, L1, L2, p0, E0), atol=1e-12)
         np.testing.assert_allclose(state.rotations, ryrz.rotations(q, L1, L2, p0, E0), atol=1e-12)
         for k in (1, 3, 6):
@@ -158,7 +160,8 @@ def test_the_callers_model_is_never_written_to() -> None:
 
 def test_a_model_without_limits_has_none() -> None:
     model = pin.buildSampleModelManipulator()
-    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.finfo(float).max, np.finfo(float).max
+    model.lowerPositionLimit[:] = -np.finfo(float).max
+    model.upperPositionLimit[:] = np.finfo(float).max
     arm = pp.Arm.from_model(model, [model.frames[-1].name])
     assert np.all(np.isinf(arm.limits.lower)) and np.all(np.isinf(arm.limits.upper))
     assert np.all(np.abs(arm.random(np.random.default_rng(0))) <= np.pi)
@@ -177,7 +180,8 @@ def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
         assert pp.Arm.from_dict(scaled.to_dict()).characteristic_length == unit
     # Ten times the size: the same indices.
     ten = [pp.ModuleTemplate("s", (pp.JointSpec("y"), pp.JointSpec("z"), SLIDE_10), (0.2, 0.3, 0.5), 0.1)] * 3
-    large, bigger = pp.Arm.from_modules(ten), q * np.tile([1.0, 1.0, 10.0], 3)
+    large = pp.Arm.from_modules(ten)
+    bigger = q * np.tile([1.0, 1.0, 10.0], 3)
     np.testing.assert_allclose(large.at(bigger).manipulability(), arm.at(q).manipulability(), atol=1e-7)
     for name in ("selection", "projection"):
         goal = pp.Target.from_configuration(arm, arm.random(np.random.default_rng(2)))
@@ -388,7 +392,8 @@ def test_the_jacobian_of_any_frame_is_its_finite_difference(kind: str) -> None:
     else:
         slide = pp.ModuleTemplate("Feed", (SLIDE,), (0.05,), 0.01)
         arm = pp.Arm.from_modules([slide, *[pp.template("RyRz")] * 2], base_placement=PLACEMENT)
-    q, h = arm.random(3), 1e-6
+    q = arm.random(3)
+    h = 1e-6
     bodies = [str(each.name) for each in arm.model.frames if each.type == pin.FrameType.BODY]
     for frame in (*bodies, *arm.control_points):
         expected = np.empty((6, arm.nv))

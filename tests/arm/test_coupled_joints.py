@@ -20,12 +20,16 @@ from pinposture.kernels.arrays import FULL, Rows
 
 def coupled_arm(seed: int) -> pp.Arm:
     """Three sections of crossed hinges and some slides, each coupled by ratios and offsets of its own."""
-    rng, body, before = np.random.default_rng(seed), links(["base"]), "base"
+    rng = np.random.default_rng(seed)
+    body = links(["base"])
+    before = "base"
     for section in range(3):
         for disk in range(int(rng.integers(1, 5))):
             for axis in "yzx" if seed % 3 == 0 else "yz":
-                name, kind = f"s{section}_{disk}_{axis}", "prismatic" if axis == "x" else "revolute"
-                ratio, offset = rng.uniform(0.5, 1.5) * rng.choice([-1, 1]), rng.uniform(-0.1, 0.1)
+                name = f"s{section}_{disk}_{axis}"
+                kind = "prismatic" if axis == "x" else "revolute"
+                ratio = rng.uniform(0.5, 1.5) * rng.choice([-1, 1])
+                offset = rng.uniform(-0.1, 0.1)
                 leader = f'joint="s{section}_0_{axis}" multiplier="{ratio}" offset="{0.1 * offset}"'
                 vector = " ".join(
                     str(value) for value in np.eye(3)["xyz".index(axis)] + rng.normal(0, 0.1, 3)
@@ -43,7 +47,8 @@ def coupled_arm(seed: int) -> pp.Arm:
 @pytest.mark.parametrize("seed", range(12))
 def test_kinematics_are_those_of_pinocchio(seed):
     arm = coupled_arm(seed)
-    data, rng = arm.model.createData(), np.random.default_rng(seed)
+    data = arm.model.createData()
+    rng = np.random.default_rng(seed)
     for _ in range(3):
         q = arm.random(rng)
         pin.computeJointJacobians(arm.model, data, q)
@@ -60,7 +65,8 @@ def test_kinematics_are_those_of_pinocchio(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_jacobians_are_finite_differences(seed):
-    arm, step = coupled_arm(seed), 1e-6
+    arm = coupled_arm(seed)
+    step = 1e-6
     q = arm.random(seed)
     for state in (arm.at(q), arm.at(q).compiled):
         for j, unit in enumerate(np.eye(arm.nv)):
@@ -71,9 +77,11 @@ def test_jacobians_are_finite_differences(seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_joints_are_where_the_description_says(seed):
     """All joints of the description move on their own in a model without couplings."""
-    arm, rng = coupled_arm(seed), np.random.default_rng(seed)
+    arm = coupled_arm(seed)
+    rng = np.random.default_rng(seed)
     free = pin.buildModelFromXML(arm.urdf)
-    data, u = free.createData(), arm.random(rng)
+    data = free.createData()
+    u = arm.random(rng)
     positions = dict(zip(arm.joint_names, arm.positions(u), strict=True))
     for each in arm.couplings:
         positions[each.joint] = each.ratio * positions[each.leader] + each.offset
@@ -87,12 +95,14 @@ def test_limits_hold_for_every_joint_and_some_joint_is_at_its_own(seed):
     arm = coupled_arm(seed)
     free = pin.buildModelFromXML(arm.urdf)
     for edge in (arm.limits.lower, arm.limits.upper):
-        inside, touching = [], dict.fromkeys(arm.joint_names, False)
+        inside = []
+        touching = dict.fromkeys(arm.joint_names, False)
         positions = dict(zip(arm.joint_names, edge, strict=True))
         members = [(name, name, 1.0, 0.0) for name in arm.joint_names] + list(arm.couplings)
         for name, leader, ratio, offset in members:
             at = free.joints[free.getJointId(name)].idx_q
-            low, high = free.lowerPositionLimit[at], free.upperPositionLimit[at]
+            low = free.lowerPositionLimit[at]
+            high = free.upperPositionLimit[at]
             position = ratio * positions[leader] + offset
             inside.append(low - 1e-12 <= position <= high + 1e-12)
             touching[leader] |= min(position - low, high - position) < 1e-12
@@ -169,7 +179,8 @@ def test_joints_that_turn_without_end_can_be_coupled():
     arm = pp.Arm.load(text, couplings={"j3": ("j1", 0.5), "j4": "j2"})
     assert (arm.nq, arm.nv) == (2, 2)
     assert np.all(np.isinf(arm.limits.upper))
-    a, b = arm.at([0.0, 0.0]).points[-1], arm.at([2.0 * np.pi, 0.0]).points[-1]
+    a = arm.at([0.0, 0.0]).points[-1]
+    b = arm.at([2.0 * np.pi, 0.0]).points[-1]
     assert np.linalg.norm(a - b) > 0.1  # after a turn of j1 is j3 half a turn on
 
 
@@ -185,7 +196,8 @@ def test_modules_do_not_cut_through_coupled_joints():
 def test_every_posture_control_matrix_is_that_of_the_dense_jacobian():
     arm = coupled_arm(4)
     state = arm.at(arm.random(1)).compiled
-    known, screws = arm.kinematics.task_constants, state.screws
+    known = arm.kinematics.task_constants
+    screws = state.screws
     rows = Rows(known.every, known.dimensions, known.frames, FULL)
     for j in range(arm.nv):
         values = np.empty((arm.n_modules, 3))
@@ -196,7 +208,8 @@ def test_every_posture_control_matrix_is_that_of_the_dense_jacobian():
 
 @given(st.integers(0, 10_000))
 def test_random_postures_are_reached_within_the_limits_of_all_joints(seed):
-    arm, rng = coupled_arm(seed % 12), np.random.default_rng(seed)
+    arm = coupled_arm(seed % 12)
+    rng = np.random.default_rng(seed)
     start, goal = (arm.random(rng) for _ in range(2))
     target = pp.Target.from_configuration(arm, goal)
     run = pp.track(arm, target, start, limits=pp.Limits(step=0.1), max_steps=500)
@@ -207,9 +220,11 @@ def test_random_postures_are_reached_within_the_limits_of_all_joints(seed):
 
 @pytest.mark.parametrize("method", ["selection", "projection", "switching", "joint"])
 def test_the_other_controllers_take_coupled_arms(method):
-    arm, rng = pp.Arm.from_template("Continuum", 6), np.random.default_rng(0)
+    arm = pp.Arm.from_template("Continuum", 6)
+    rng = np.random.default_rng(0)
     start, goal = (smooth_configuration(arm, rng, 0.15) for _ in range(2))
-    target, limits = pp.Target.from_configuration(arm, goal), pp.Limits(step=0.02)
+    target = pp.Target.from_configuration(arm, goal)
+    limits = pp.Limits(step=0.02)
     run = pp.track(arm, target, start, method, limits=limits, max_steps=300)
     assert np.all(np.isfinite(run.q))
     assert np.abs(np.diff(run.q, axis=0)).max() <= 0.02 * (1.0 + 1e-9)
@@ -236,15 +251,18 @@ def arc_end(y: float, z: float, length: float) -> np.ndarray:
     angle = float(np.hypot(y, z))
     if angle < 1e-9:
         return np.array([length, 0.0, 0.0])
-    radius, across = length / angle, np.cross([0.0, y / angle, z / angle], [1.0, 0.0, 0.0])
+    radius = length / angle
+    across = np.cross([0.0, y / angle, z / angle], [1.0, 0.0, 0.0])
     return radius * (np.sin(angle) * np.array([1.0, 0.0, 0.0]) + (1.0 - np.cos(angle)) * across)
 
 
 def farthest_from_arc(disks: int, bend: float) -> float:
     """Largest distance of the end of a section from that of the arc, in lengths, over all directions."""
-    arm, worst = pp.Arm.from_modules([continuum_section(disks, 0.2)]), 0.0
+    arm = pp.Arm.from_modules([continuum_section(disks, 0.2)])
+    worst = 0.0
     for direction in np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False):
-        y, z = bend * np.cos(direction), bend * np.sin(direction)
+        y = bend * np.cos(direction)
+        z = bend * np.sin(direction)
         end = arm.at(np.array([y, z]) / disks).points[-1]
         worst = max(worst, float(np.linalg.norm(end - arc_end(y, z, 0.2))) / 0.2)
     return worst
@@ -267,7 +285,8 @@ def test_a_section_can_stretch():
     arm = pp.Arm.from_modules([continuum_section(8, 0.2, stretch=0.04)] * 3)
     assert (arm.nv, arm.n_modules) == (9, 3)
     assert arm.slides.tolist() == [False, False, True] * 3
-    straight, long = arm.at(arm.neutral()).points, arm.at(arm.limits.upper * arm.slides).points
+    straight = arm.at(arm.neutral()).points
+    long = arm.at(arm.limits.upper * arm.slides).points
     np.testing.assert_allclose(np.linalg.norm(long - straight, axis=1), [0.04, 0.08, 0.12], atol=1e-12)
 
 

@@ -79,12 +79,14 @@ PIECES = [
 @pytest.mark.parametrize("seed", seeds(5))
 def test_whatever_is_done_to_a_text_it_loads_in_pinocchio_or_is_refused_by_us(seed, capfd):
     """Nothing that we accept is refused by Pinocchio, and nothing raises what is not ours."""
-    rng, accepted = random.Random(seed), 0
+    rng = random.Random(seed)
+    accepted = 0
     whole = modules_to_urdf([template("RyRz"), template("Rz")], "arm")
     for _ in range(300):
         text = whole
         for _ in range(rng.randint(1, 3)):
-            at, length = rng.randrange(len(text)), rng.choice([0, 1, 1, 5, 40])
+            at = rng.randrange(len(text))
+            length = rng.choice([0, 1, 1, 5, 40])
             text = text[:at] + rng.choice(["", *PIECES]) + text[at + length :]
         try:
             read = read_description(text) if text.startswith("<") else None

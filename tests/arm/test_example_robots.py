@@ -81,7 +81,8 @@ def test_every_file_makes_a_sound_arm_or_is_refused(name):
         assert "pass tip= to choose" in str(error) or "has no" in str(error)
         return
     assert arm.chain.module_lengths.min() > 1e-3 * arm.length / arm.nv
-    q, h = arm.random(np.random.default_rng(0)), 1e-6
+    q = arm.random(np.random.default_rng(0))
+    h = 1e-6
     state = arm.at(q)
     for u in range(arm.nv):
         step = h * np.eye(arm.nv)[u]

@@ -37,7 +37,8 @@ def test_circles_below_the_limit_are_followed_and_above_it_are_not(bend: float) 
 
 
 def test_the_closed_form_of_the_limit() -> None:
-    arm, bend = limited_arm(0.4), 0.4
+    arm = limited_arm(0.4)
+    bend = 0.4
     # First hinge: chords of one module length turn by q0. Second hinge: (6.1a) on a circle through the base.
     first = 2.0 * np.sin(bend / 2.0) / 0.05
     second = 2.0 * 0.025 * np.sin(bend) / (2 * 0.025**2 * (1 + np.cos(bend)))
@@ -73,15 +74,20 @@ def test_a_peak_of_torsion_where_the_curve_hardly_bends_is_none() -> None:
 
     Bending (a (s - 0.3), b) in a frame that does not twist has torsion a / b where it is least.
     """
-    a, b, step = 48.0, 1.2, 1e-3
-    frame, place, points = np.eye(3), np.zeros(3), [np.zeros(3)]
+    a = 48.0
+    b = 1.2
+    step = 1e-3
+    frame = np.eye(3)
+    place = np.zeros(3)
+    points = [np.zeros(3)]
     for s in np.arange(0.0, 0.62, step):
         bending = frame @ (0.0, a * (s + step / 2 - 0.3), b)
         turn = Rotation.from_rotvec(step * np.cross(frame[:, 0], bending)).as_matrix()
         place = place + step * (frame[:, 0] + turn @ frame[:, 0]) / 2
         frame = turn @ frame
         points.append(place)
-    curve, arm = pp.Curve.points(points), limited_arm(1.0)
+    curve = pp.Curve.points(points)
+    arm = limited_arm(1.0)
     near = np.linspace(0.295, 0.305, 21)
     peak = np.abs(curve.torsion(near)).max()
     assert peak == pytest.approx(a / b, rel=0.1)

@@ -41,7 +41,8 @@ def odd_arm(seed: int, joints: int = 12) -> pp.Arm:
 
 def by_pinocchio(arm: pp.Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points, rotations, and both Jacobians of all control points, read frame by frame."""
-    model, data = arm.model, arm.model.createData()
+    model = arm.model
+    data = arm.model.createData()
     pin.computeJointJacobians(model, data, q)
     pin.updateFramePlacements(model, data)
     frames = [model.getFrameId(name) for name in arm.control_points]
@@ -77,7 +78,9 @@ def test_the_pass_along_the_chain_gives_what_pinocchio_does(seed):
         compiled = arm.kinematics.jacobians(state.forward)
         np.testing.assert_allclose(compiled, state.jacobians, atol=1e-12 * size)
         lines = state.forward.axes, state.forward.origins
-        chain, known, screws = arm.kinematics, arm.kinematics.task_constants, state.screws.screws
+        chain = arm.kinematics
+        known = arm.kinematics.task_constants
+        screws = state.screws.screws
         along = np.empty_like(screws)
         given = chain.constants, known.joints, known.units, *lines, chain.ends, state.forward.points
         kernels.find_screws(*given, along)
@@ -97,7 +100,8 @@ def test_each_thread_reads_for_itself():
 def test_what_was_read_stays_when_more_is_read():
     arm = pp.Arm.from_template("RyRz", 5)
     state = arm.at(arm.neutral())
-    points, jacobians = state.points.copy(), state.jacobians.copy()
+    points = state.points.copy()
+    jacobians = state.jacobians.copy()
     _ = arm.at(np.full(arm.nq, 0.3)).jacobians
     np.testing.assert_array_equal(state.points, points)
     np.testing.assert_array_equal(state.jacobians, jacobians)
@@ -117,7 +121,8 @@ def test_configurations_add_up_as_pinocchio_does(seed):
 
 def test_long_arms_load_and_agree_with_shorter_ones():
     # The first 60 modules of a long arm are an arm that Pinocchio has memory for.
-    long, short = pp.Arm.from_template("RyRz", 600), pp.Arm.from_template("RyRz", 60)
+    long = pp.Arm.from_template("RyRz", 600)
+    short = pp.Arm.from_template("RyRz", 60)
     q = np.random.default_rng(0).normal(size=long.nv)
     np.testing.assert_array_equal(long.at(q).points[:60], short.at(q[:120]).points)
     points, *_ = by_pinocchio(short, q[:120])

@@ -198,7 +198,8 @@ def test_the_same_name_of_link_and_joint_is_found_as_a_control_point():
 
 def test_a_model_whose_limits_are_crossed_is_refused():
     model = pin.buildModelFromXML(arm_text(pairs(2)))
-    model.lowerPositionLimit[2], model.upperPositionLimit[2] = 1.0, -1.0
+    model.lowerPositionLimit[2] = 1.0
+    model.upperPositionLimit[2] = -1.0
     with pytest.raises(InvalidValue, match=r"limits of joint 'j3' is \(1.0, -1.0\); allowed: lower <= upper"):
         pp.Arm.from_model(model, ["l2", "tip"])
 

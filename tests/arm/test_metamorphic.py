@@ -88,20 +88,23 @@ def test_every_part_of_the_last_link_comes_out_the_same_if_the_tip_is_named(name
 @pytest.mark.parametrize("factor", [1e-3, 1e2])
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_of_any_size_behaves_alike(name, factor):
-    arm, other = load(described(name)), load(scaled(described(name), factor))
+    arm = load(described(name))
+    other = load(scaled(described(name), factor))
     assert other.module_joints == arm.module_joints
     assert other.segmentation == arm.segmentation
     assert (other.dimension, other.n_modules) == (arm.dimension, arm.n_modules)
     assert other.length == pytest.approx(arm.length * factor, rel=1e-12)
     np.testing.assert_allclose(other.chain.module_lengths, arm.chain.module_lengths * factor, rtol=1e-9)
     np.testing.assert_allclose(other.plane, arm.plane, atol=1e-9)
-    turns, slides = np.where(arm.slides, 1.0, factor), np.where(arm.slides, factor, 1.0)
+    turns = np.where(arm.slides, 1.0, factor)
+    slides = np.where(arm.slides, factor, 1.0)
     for limit_, expected in zip(other.limits, arm.limits, strict=True):
         np.testing.assert_allclose(limit_, expected * slides, rtol=1e-12)
     for seed in range(3):
         q, p = (a.random(np.random.default_rng(seed)) for a in (arm, other))
         np.testing.assert_allclose(other.positions(p), arm.positions(q) * slides, rtol=1e-9)
-        state, same = arm.at(q), other.at(p)
+        state = arm.at(q)
+        same = other.at(p)
         np.testing.assert_allclose(same.points, state.points * factor, rtol=1e-9, atol=1e-12 * factor)
         np.testing.assert_allclose(same.jacobians, state.jacobians * turns, rtol=1e-9, atol=1e-12 * factor)
         if not np.any(arm.slides):  # metres and radians in one matrix have no common size
@@ -109,8 +112,10 @@ def test_an_arm_of_any_size_behaves_alike(name, factor):
         assert arm.within_limits(q) and other.within_limits(p)
     far, away = (np.linalg.norm(a.at(a.straight()).points[-1] - a.chain.base) for a in (arm, other))
     assert away == pytest.approx(far * factor, rel=1e-4)
-    curve, larger = pp.Curve.helix(1.0, 1.0, 1.0), pp.Curve.helix(factor, factor, 1.0)
-    fit, fits = arm.can_follow(curve), other.can_follow(larger)
+    curve = pp.Curve.helix(1.0, 1.0, 1.0)
+    larger = pp.Curve.helix(factor, factor, 1.0)
+    fit = arm.can_follow(curve)
+    fits = other.can_follow(larger)
     assert fits.max_curvature * factor == pytest.approx(fit.max_curvature, rel=1e-6)
     assert bool(fits) == bool(fit)
 

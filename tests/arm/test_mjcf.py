@@ -188,7 +188,8 @@ def test_random_trees_move_as_in_mujoco() -> None:
         return " ".join(map(repr, rng.normal(size=count).tolist()))
 
     for _ in range(30):
-        inner, count = f'<site name="tip" pos="{numbers(3)}" quat="{numbers(4)}"/>', itertools.count()
+        inner = f'<site name="tip" pos="{numbers(3)}" quat="{numbers(4)}"/>'
+        count = itertools.count()
         for number in range(rng.integers(2, 5)):
             joints = ""
             for _ in range(rng.integers(0 if number else 1, 4)):
@@ -279,7 +280,8 @@ def equality(content: str) -> str:
 )
 def test_a_linear_equality_couples_two_joints(first: str, second: str) -> None:
     xml = two_joints(first, second, after=equality(POLYNOMIAL.format("0.05 -0.5 0 0 0")))
-    model, arm = mujoco.MjModel.from_xml_string(xml), quiet(xml)
+    model = mujoco.MjModel.from_xml_string(xml)
+    arm = quiet(xml)
     assert arm.joint_names == ("j1",)
     assert arm.couplings[0][:3] == ("j2", "j1", -0.5)
     assert apart(model, arm) < 1e-12
@@ -483,7 +485,8 @@ def test_masses_are_those_of_mujoco() -> None:
             geom=shapes,
         )
     )
-    arm, model = quiet(xml), mujoco.MjModel.from_xml_string(xml)
+    arm = quiet(xml)
+    model = mujoco.MjModel.from_xml_string(xml)
     np.testing.assert_allclose(pin.computeTotalMass(arm.model), model.body_mass.sum(), rtol=1e-12)
     rng = np.random.default_rng(0)
     for _ in range(3):
@@ -542,13 +545,15 @@ def distance_to(shape: object, point: np.ndarray) -> float:
     if isinstance(shape, pp.Sphere):
         return float(np.linalg.norm(point - shape.center) - shape.radius)
     if isinstance(shape, pp.Capsule):
-        start, end = np.array(shape.start), np.array(shape.end)
+        start = np.array(shape.start)
+        end = np.array(shape.end)
         share = np.clip(
             (point - start) @ (end - start) / max((end - start) @ (end - start), 1e-300), 0.0, 1.0
         )
         return float(np.linalg.norm(point - start - share * (end - start)) - shape.radius)
     if isinstance(shape, pp.Cylinder):
-        start, end = np.array(shape.start), np.array(shape.end)
+        start = np.array(shape.start)
+        end = np.array(shape.end)
         axis = (end - start) / np.linalg.norm(end - start)
         along = abs((point - (start + end) / 2.0) @ axis) - np.linalg.norm(end - start) / 2.0
         across = np.linalg.norm(np.cross(axis, point - start)) - shape.radius
@@ -563,7 +568,8 @@ def distance_to(shape: object, point: np.ndarray) -> float:
 def test_shapes_are_where_mujoco_has_them(kind: str) -> None:
     inner = body("b2", joint("j2", 'axis="0 0 1" pos="0.02 0 0" ref="10"'), TIP, geom=SHAPES[kind])
     xml = document(body("b1", joint("j1"), inner))
-    model, arm = mujoco.MjModel.from_xml_string(xml), quiet(xml)
+    model = mujoco.MjModel.from_xml_string(xml)
+    arm = quiet(xml)
     q = arm.configuration([0.3, 0.7])
     data = put_into_mujoco(model, arm, q)
     mujoco.mj_kinematics(model, data)
@@ -610,7 +616,8 @@ def test_meshes_are_where_mujoco_has_them(wedge: Path, kind: str) -> None:
     asset, read = ASSETS[kind]
     file = wedge / "arm.xml"
     file.write_text(MESH.format(asset=asset))
-    model, arm = mujoco.MjModel.from_xml_path(str(file)), quiet(file)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    arm = quiet(file)
     read = read and bytes(model.paths).startswith(b"/")  # early versions of MuJoCo tell no folder
     assert ('filename="meshes/wedge' in (arm.urdf or "")) is read
     q = arm.configuration([0.3, 0.7])

@@ -15,8 +15,11 @@ from sampling import examples
 import pinposture as pp
 from pinposture.arm.segmentation import EndMobility
 
-TURN, SLIDE = "revolute", "prismatic"
-LONG, SHORT, OFFSET = "0.13 0 0", "0.05 0 0", "0 0.02 0.08"
+TURN = "revolute"
+SLIDE = "prismatic"
+LONG = "0.13 0 0"
+SHORT = "0.05 0 0"
+OFFSET = "0 0.02 0.08"
 
 
 def load(joints, tip=LINK):
@@ -99,7 +102,8 @@ def test_the_end_of_every_module_moves_across_its_line_to_the_base(case):
     It is 1 too where parallel axes in a row leave no plane.
     """
     joints, tip, _, dimension = CASES[case]
-    arm, h = load(joints, tip), 1e-6
+    arm = load(joints, tip)
+    h = 1e-6
     needed = np.where(arm.chain.plane_bound, 1, dimension - 1)
     ranks = []
     for seed in range(9):
@@ -128,7 +132,8 @@ def test_control_points_are_apart(case):
 
 def test_long_rows_of_parallel_axes_are_measured_no_more_than_their_square(monkeypatch):
     """Postures are gone through joint by joint, which took a time like the cube of their number."""
-    counts, motions = [], EndMobility._jacobians
+    counts = []
+    motions = EndMobility._jacobians
 
     def counted(mobility, first, stop):
         counts[-1] += stop - first
@@ -170,7 +175,8 @@ def places(arm, first, stop):
     ratios = []
     for seed in range(40):
         amounts = np.random.default_rng(seed).uniform(-1, 1, stop - first)
-        place, lines = stations[stop], []
+        place = stations[stop]
+        lines = []
         for u in range(stop - 1, first - 1, -1):
             turn = rotation(arm.chain.axes[u], amounts[u - first])
             place = stations[u] + turn @ (place - stations[u])

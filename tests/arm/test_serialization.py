@@ -86,16 +86,20 @@ def test_endless_joints_about_any_axis_keep_it(seed):
 def followers(seed: int) -> pin.Model:
     """A model with mimic joints about random axes, with random ratios, as Pinocchio makes them."""
     rng = np.random.default_rng(seed)
-    model, joint = pin.Model(), 0
+    model = pin.Model()
+    joint = 0
     for number in range(8):
-        kind, axis = pin.JointModelRY(), rng.normal(size=3)
+        kind = pin.JointModelRY()
+        axis = rng.normal(size=3)
         if number % 3:
             kind = pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis))
         joint = model.addJoint(joint, kind, pin.SE3.Random(), f"j{number}")
         model.addFrame(pin.Frame(f"end{number}", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
-    model.lowerPositionLimit, model.upperPositionLimit = np.full(8, -1.0), np.full(8, 1.0)
+    model.lowerPositionLimit = np.full(8, -1.0)
+    model.upperPositionLimit = np.full(8, 1.0)
     for follower, leader in ((2, 1), (4, 1), (6, 5)):
-        ratio, offset = rng.uniform(-2.0, 2.0), rng.uniform(-0.5, 0.5)
+        ratio = rng.uniform(-2.0, 2.0)
+        offset = rng.uniform(-0.5, 0.5)
         model = pin.transformJointIntoMimic(model, leader, follower, ratio, offset)
     return model
 

@@ -55,10 +55,12 @@ def frames_apart(model: pin.Model, text: str, q: np.ndarray) -> float:
     """Largest difference of the placements of all bodies and sites, in the model and in its URDF."""
     other = pin.buildModelFromXML(text)
     assert other.nq == model.nq
-    data, written = model.createData(), other.createData()
+    data = model.createData()
+    written = other.createData()
     pin.framesForwardKinematics(model, data, q)
     pin.framesForwardKinematics(other, written, q)
-    kinds, apart = (pin.FrameType.BODY, pin.FrameType.OP_FRAME), []
+    kinds = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+    apart = []
     for index, frame in enumerate(model.frames):
         if frame.type in kinds:
             there = written.oMf[other.getFrameId(frame.name, pin.FrameType.BODY)]
@@ -76,7 +78,8 @@ def frames_apart(model: pin.Model, text: str, q: np.ndarray) -> float:
 )
 def test_a_model_is_written_as_it_is(name: str) -> None:
     model = pin.buildModelFromUrdf(str(ROBOTS / name))
-    text, rng = model_to_urdf(model), np.random.default_rng(0)
+    text = model_to_urdf(model)
+    rng = np.random.default_rng(0)
     for _ in range(5):
         assert frames_apart(model, text, rng.uniform(-2.0, 2.0, model.nq)) < 1e-12
     other = pin.buildModelFromXML(text)
@@ -88,7 +91,8 @@ def test_a_model_is_written_as_it_is(name: str) -> None:
 
 def test_a_model_makes_the_arm_that_its_urdf_makes() -> None:
     file = ROBOTS / "ur_description/urdf/ur5_robot.urdf"
-    arm, same = pp.Arm.load(file), pp.Arm.load(pin.buildModelFromUrdf(str(file)))
+    arm = pp.Arm.load(file)
+    same = pp.Arm.load(pin.buildModelFromUrdf(str(file)))
     q = np.random.default_rng(1).uniform(-1.0, 1.0, arm.nq)
     np.testing.assert_allclose(same.at(q).points, arm.at(q).points, atol=1e-12)
     assert (same.chain.joints, same.segmentation.sizes) == (arm.chain.joints, arm.segmentation.sizes)
@@ -168,7 +172,8 @@ def test_faults_name_the_source_that_was_given(tmp_path: Path) -> None:
     point.write_text(
         '<mujoco><worldbody><body name="b"><joint name="j"/><geom size="1"/></body></worldbody></mujoco>'
     )
-    urdf, macros = model_to_urdf(model), "<robot xmlns:xacro='http://www.ros.org/wiki/xacro'"
+    urdf = model_to_urdf(model)
+    macros = "<robot xmlns:xacro='http://www.ros.org/wiki/xacro'"
     text = urdf.replace("<robot", macros)
     (tmp_path / "point.xacro").write_text(text)
     for source, name in (

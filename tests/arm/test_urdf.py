@@ -49,10 +49,13 @@ def arms(draw):
 
 def tip_by_hand(modules, positions):
     """Placement of the tip: the product of joint motions and links, one after the other."""
-    rotation, point, at = np.eye(3), np.zeros(3), iter(positions)
+    rotation = np.eye(3)
+    point = np.zeros(3)
+    at = iter(positions)
     for module in modules:
         for spec, length in zip(module.joints, module.link_lengths, strict=True):
-            value, axis = next(at), np.array(spec.direction)
+            value = next(at)
+            axis = np.array(spec.direction)
             if spec.type == "prismatic":
                 point = point + rotation @ axis * value
             else:
@@ -97,12 +100,16 @@ def test_every_number_reads_back_as_the_float_it_was(modules):
 def slices(length, radius):
     """Inertia of ball and cylinder by integration over discs across x; exact, for all is polynomial in x."""
     nodes, weights = np.polynomial.legendre.leggauss(12)
-    mass, moment, along, second = 0.0, 0.0, 0.0, 0.0
+    mass = 0.0
+    moment = 0.0
+    along = 0.0
+    second = 0.0
     for low, high, disc in (
         (-radius, radius, lambda x: radius**2 - x**2),
         (0.0, length, lambda x: np.full_like(x, radius**2)),
     ):
-        x, dx = (high + low) / 2 + (high - low) / 2 * nodes, (high - low) / 2 * weights
+        x = (high + low) / 2 + (high - low) / 2 * nodes
+        dx = (high - low) / 2 * weights
         squared = disc(x)  # radius of the disc, squared
         mass += DENSITY * np.sum(dx * math.pi * squared)
         moment += DENSITY * np.sum(dx * math.pi * squared * x)
@@ -143,11 +150,13 @@ def test_each_link_shows_a_ball_at_its_joint_and_a_cylinder_to_the_next(tmp_path
     path.write_text(modules_to_urdf(modules, "arm"))
     model = pin.buildModelFromUrdf(str(path))
     shapes = pin.buildGeomFromUrdf(model, str(path), kind)
-    data, placed = model.createData(), shapes.createData()
+    data = model.createData()
+    placed = shapes.createData()
     pin.updateGeometryPlacements(model, data, shapes, placed, pin.neutral(model))
     found = {}
     for shape, placement in zip(shapes.geometryObjects, placed.oMg, strict=True):
-        name, geometry = type(shape.geometry).__name__, shape.geometry
+        name = type(shape.geometry).__name__
+        geometry = shape.geometry
         start = placement.translation[0]
         if name == "Cylinder":
             np.testing.assert_allclose(placement.rotation[:, 2], [1.0, 0.0, 0.0], atol=1e-15)

@@ -41,7 +41,8 @@ def planar() -> pp.Arm:
 
 def differences(state: pp.ArmState, function: object) -> np.ndarray:
     """Central differences along each joint as columns, (..., nv), per unit of joint motion."""
-    arm, columns = state.arm, []
+    arm = state.arm
+    columns = []
     for u in range(arm.nv):
         e = np.zeros(arm.nv)
         e[u] = H * arm.joint_units[u]
@@ -92,11 +93,14 @@ def test_constraint_rows_are_the_derivative_of_the_projected_gradient(
 @pytest.mark.parametrize("objective", ["manipulability", "joint_limits"])
 def test_the_step_is_newtons_for_an_extremum_under_the_task(kind: str, objective: str) -> None:
     """With multipliers in place of a basis: d(grad h - J^T l) = 0 with l free to change, J dq = dp."""
-    arm, checked = arm_called(kind), 0
+    arm = arm_called(kind)
+    checked = 0
     for seed in range(8):
         state = state_of(arm, seed)
         target = pp.Target.from_points(arm, state_of(arm, seed + 1).points)
-        jacobian, d, n = tip(state), arm.dimension, arm.nv
+        jacobian = tip(state)
+        d = arm.dimension
+        n = arm.nv
         gradient = objective_gradient(objective, state, arm.n_modules - 1)
         multipliers = np.linalg.pinv(jacobian).T @ gradient
 
@@ -124,7 +128,8 @@ def extremum() -> np.ndarray:
     """A configuration of the planar arm with the best manipulability for where its tip is."""
     q = np.array([0.3, 0.9, 0.5, 1.1])
     target = pp.Target.from_points(planar(), planar().at(q).points)
-    climb, settle = PseudoInverse("manipulability", null_gain=2.0), ExtendedJacobian(restore=1.0)
+    climb = PseudoInverse("manipulability", null_gain=2.0)
+    settle = ExtendedJacobian(restore=1.0)
     for method, steps in ((climb, 150), (settle, 8)):
         for _ in range(steps):
             q = planar().integrate(q, method.step(planar().at(q), target).dq)

@@ -39,7 +39,8 @@ def arm_called(name: str) -> pp.Arm:
 
 def differences(state: pp.ArmState, function: Callable[[pp.ArmState], object]) -> np.ndarray:
     """Central differences along each joint, (nv, ...), per unit of joint motion."""
-    arm, rows = state.arm, []
+    arm = state.arm
+    rows = []
     for u in range(arm.nv):
         e = np.zeros(arm.nv)
         e[u] = H * arm.joint_units[u]
@@ -62,7 +63,8 @@ def test_axes_are_those_of_pinocchio(kind: str) -> None:
 @examples(8)
 def test_position_derivatives_of_second_and_third_order(kind: str, seed: int, share: float) -> None:
     arm = arm_called(kind)
-    state, point = state_of(arm, seed, 1.0), int(share * (arm.n_modules - 1))
+    state = state_of(arm, seed, 1.0)
+    point = int(share * (arm.n_modules - 1))
     found = PositionDerivatives(state, point)
     columns = found.columns
     second = differences(state, lambda s: s.task_jacobians[point])  # (nv, d, nv)
@@ -83,7 +85,8 @@ def test_position_derivatives_of_second_and_third_order(kind: str, seed: int, sh
 @examples(8)
 def test_gradient_and_hessian_of_each_objective(kind: str, objective: str, seed: int, share: float) -> None:
     arm = arm_called(kind)
-    state, point = state_of(arm, seed, 0.9), int(share * (arm.n_modules - 1))
+    state = state_of(arm, seed, 0.9)
+    point = int(share * (arm.n_modules - 1))
     gradient = objective_gradient(objective, state, point)
     hessian = objective_hessian(objective, state, point)
     numeric = differences(state, lambda s: objective_value(objective, s, point))
@@ -147,7 +150,8 @@ def test_joints_without_limits_and_joints_off_the_chain_feel_nothing() -> None:
     assert gradient[~endless].all()
     model = pin.Model(pp.Arm.from_template("Rz", 3).model)
     model.addJoint(1, pin.JointModelRZ(), pin.SE3.Identity(), "aside")
-    model.lowerPositionLimit, model.upperPositionLimit = np.full(4, -1.0), np.full(4, 1.0)
+    model.lowerPositionLimit = np.full(4, -1.0)
+    model.upperPositionLimit = np.full(4, 1.0)
     branched = pp.Arm.from_model(model, ["module_01", "module_02", "module_03"])
     state = branched.at(np.full(4, 0.5))
     for objective in OBJECTIVES:

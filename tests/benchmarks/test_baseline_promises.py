@@ -40,7 +40,8 @@ def spatial() -> pp.Arm:
 def test_steps_do_not_depend_on_where_the_base_stands(spatial: pp.Arm, name: str) -> None:
     turned = pp.Arm.from_template("RyRz", 7, base_placement=PLACEMENT)
     for seed in range(4):
-        q, goal = state_of(spatial, seed).q, target_of(spatial, seed)
+        q = state_of(spatial, seed).q
+        goal = target_of(spatial, seed)
         moved = goal.points @ PLACEMENT.rotation.T + PLACEMENT.translation
         here = controller_named(name).step(spatial.at(q), goal)
         there = controller_named(name).step(turned.at(q), pp.Target.from_points(turned, moved))
@@ -61,7 +62,8 @@ def test_steps_do_not_depend_on_where_the_base_stands(spatial: pp.Arm, name: str
 def test_every_step_is_finite_and_within_the_limits(
     name: str, kind: str, amplitude: float, free: str, largest: float | None, seed: int
 ) -> None:
-    arm, rng = arm_called(kind), np.random.default_rng(seed)
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
     m = arm.n_modules
     weights = np.ones(m)
     if m > 1:
@@ -72,7 +74,8 @@ def test_every_step_is_finite_and_within_the_limits(
     if name != "joint" and seed % 3 == 0:
         target = pp.Target.from_points(arm, rng.normal(0.0, 10.0 * arm.length, (m, 3)), weights)
     limits = pp.Limits(step=largest)
-    q, memory = arm.configuration(start), None
+    q = arm.configuration(start)
+    memory = None
     for _ in range(4):
         step = controller_named(name).step(arm.at(q), target, limits, memory)
         memory = step.memory
@@ -89,7 +92,8 @@ def test_every_step_is_finite_and_within_the_limits(
 @pytest.mark.parametrize("name", (*BASELINES, "joint"))
 def test_joints_that_move_no_control_point_stay(name: str) -> None:
     # The joint "aside" hangs on the first one and comes second in the model: columns with a gap.
-    model, link = pin.Model(), pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    model = pin.Model()
+    link = pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
     joints = [(0, "a"), (1, "aside"), (1, "b"), (3, "c"), (4, "d"), (5, "e")]
     for parent, joint in joints:
         turn = pin.JointModelRZ() if joint != "d" else pin.JointModelPX()
@@ -97,7 +101,8 @@ def test_joints_that_move_no_control_point_stay(name: str) -> None:
     for joint in ("b", "c", "e"):
         parent = model.getJointId(joint)
         model.addFrame(pin.Frame(f"end_{joint}", parent, 0, link, pin.FrameType.OP_FRAME))
-    model.lowerPositionLimit, model.upperPositionLimit = np.full(6, -1.0), np.full(6, 1.0)
+    model.lowerPositionLimit = np.full(6, -1.0)
+    model.upperPositionLimit = np.full(6, 1.0)
     arm = pp.Arm.from_model(model, ["end_b", "end_c", "end_e"])
     state, goal = (
         arm.at(arm.configuration(np.full(6, 0.5) * s))

@@ -44,7 +44,8 @@ def spatial() -> pp.Arm:
 def unlimited(arm: pp.Arm) -> pp.Arm:
     """The arm without position limits, so that nothing is clipped."""
     model = pin.Model(arm.model)
-    model.lowerPositionLimit, model.upperPositionLimit = np.full(arm.nq, -np.inf), np.full(arm.nq, np.inf)
+    model.lowerPositionLimit = np.full(arm.nq, -np.inf)
+    model.upperPositionLimit = np.full(arm.nq, np.inf)
     return pp.Arm.from_model(model, arm.control_points)
 
 
@@ -68,7 +69,8 @@ def in_units(state: pp.ArmState, step: pp.Step) -> np.ndarray:
 @examples(15)
 def test_pseudo_inverse_is_the_formula(kind: str, seed: int, objective: str | None) -> None:
     arm = open_arm(kind)
-    state, target = state_of(arm, seed), target_of(arm, seed)
+    state = state_of(arm, seed)
+    target = target_of(arm, seed)
     step = PseudoInverse(objective, gain=0.6, null_gain=0.3).step(state, target, FREE)
     jacobian, errors = stacked(state, target, [arm.n_modules - 1])
     inverse = np.linalg.pinv(jacobian, rcond=1e-10)
@@ -87,7 +89,8 @@ def test_the_null_space_improves_the_objective_while_the_end_effector_stands() -
     for objective, function in (("manipulability", measure), ("joint_limits", minus_barrier)):
         q = state_of(arm, 4, 1.1).q
         target = pp.Target.from_points(arm, arm.at(q).points)  # the end-effector is there already
-        method, before = PseudoInverse(objective, null_gain=0.2), function(arm.at(q))
+        method = PseudoInverse(objective, null_gain=0.2)
+        before = function(arm.at(q))
         for _ in range(60):
             step = method.step(arm.at(q), target, pp.Limits(step=0.01))
             assert function(arm.at(arm.integrate(q, step.dq))) > function(arm.at(q)) - 1e-9
@@ -106,7 +109,8 @@ def minus_barrier(state: pp.ArmState) -> float:
 
 def test_the_end_effector_is_the_last_point_that_has_a_target(spatial: pp.Arm) -> None:
     weights = np.array([0, 1, 0, 1, 1, 0, 0.0])
-    state, target = state_of(spatial, 2), target_of(spatial, 2, weights)
+    state = state_of(spatial, 2)
+    target = target_of(spatial, 2, weights)
     for method in (PseudoInverse(), ExtendedJacobian()):
         step = method.step(state, target, FREE)
         assert step.active == (4,)
@@ -125,7 +129,8 @@ def test_the_end_effector_is_the_last_point_that_has_a_target(spatial: pp.Arm) -
 def test_augmented_is_the_pseudo_inverse_of_everything(kind: str, seed: int, few: bool) -> None:
     arm = open_arm(kind)
     weights = np.arange(arm.n_modules) % 3 == 1 if few else np.ones(arm.n_modules)
-    state, target = state_of(arm, seed), target_of(arm, seed, weights)
+    state = state_of(arm, seed)
+    target = target_of(arm, seed, weights)
     points = [int(k) for k in np.flatnonzero(weights)]
     jacobian, errors = stacked(state, target, points)
     step = AugmentedJacobian("manipulability", gain=0.8, null_gain=0.2).step(state, target, FREE)
@@ -146,7 +151,8 @@ def test_augmented_is_the_pseudo_inverse_of_everything(kind: str, seed: int, few
 @examples(15)
 def test_constraints_come_second(kind: str, seed: int, constraints: int | None) -> None:
     arm = open_arm(kind)
-    state, target = state_of(arm, seed), target_of(arm, seed)
+    state = state_of(arm, seed)
+    target = target_of(arm, seed)
     step = TaskConstraints(constraints, gain=0.7).step(state, target, FREE)
     *others, end = step.active
     assert end == arm.n_modules - 1
@@ -193,7 +199,8 @@ def test_damped_least_squares_minimises_what_it_says(
     seed: int, kind: str, amplitude: float, damping: float
 ) -> None:
     arm = open_arm(kind)
-    state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
+    state = state_of(arm, seed, amplitude)
+    target = target_of(arm, seed)
     step = DampedLeastSquares(damping, gain=0.9).step(state, target, FREE)
     jacobian, errors = stacked(state, target, list(range(arm.n_modules)))
     matrix = np.vstack([jacobian, damping * arm.length * np.eye(arm.nv)])
@@ -216,10 +223,12 @@ def test_levenberg_marquardt_weighs_and_damps_as_it_says(
     arm = open_arm(kind)
     weights = np.random.default_rng(seed).choice([0.0, 0.3, 1.0, 5.0], arm.n_modules)
     weights[-1] = 2.0
-    state, target = state_of(arm, seed, amplitude), target_of(arm, seed, weights)
+    state = state_of(arm, seed, amplitude)
+    target = target_of(arm, seed, weights)
     step = LevenbergMarquardt(bias).step(state, target, FREE)
     jacobian, errors = stacked(state, target, list(range(arm.n_modules)))
-    jacobian, errors = jacobian / arm.length, errors / arm.length
+    jacobian = jacobian / arm.length
+    errors = errors / arm.length
     each = np.sqrt(np.repeat(weights, 3))
     damping = 0.5 * float(np.sum(each**2 * errors**2)) + bias
     matrix = np.vstack([each[:, None] * jacobian, np.sqrt(damping) * np.eye(arm.nv)])

@@ -111,7 +111,8 @@ def test_options_reach_the_library(command, asked):
     ]
     settings = asked[2][-1]["settings"]
     assert (settings.step_limit, settings.formats, settings.width) == (0.05, ("pdf", "svg"), 88.0)
-    selection, projection = settings.methods["selection"], settings.methods["projection"]
+    selection = settings.methods["selection"]
+    projection = settings.methods["projection"]
     assert (selection.gain, selection.null_gain) == (projection.gain, projection.null_gain) == (0.5, 0.1)
     assert (selection.absolute, selection.relative, projection.threshold) == (0.01, 0.01, 0.3)
     assert settings.methods["switching"].selection == selection

@@ -108,7 +108,8 @@ def test_points_and_index_have_axes_of_their_own(selection):
 
 def test_steps_of_a_method_are_red_dots_on_the_step_axis(selection):
     methods = ["selection"] * 3 + ["projection"] * 4 + ["selection"] * 5
-    run, ax = marked(selection, methods), panel()
+    run = marked(selection, methods)
+    ax = panel()
     plot_point_count(run, ax)
     mark_projection(run, ax)
     dots = ax.get_lines()[-1]
@@ -158,7 +159,8 @@ def test_rows_share_a_scale_that_holds_all_their_values(selection):
     assert exact.posture_error[-1] < 1e-4 < selection.posture_error.min()
     figure = draw_errors({"Selection": selection, "LM": exact}, "Title")
     found = heads(figure)
-    first, second = found["(b) Selection: posture error"], found["(e) LM: posture error"]
+    first = found["(b) Selection: posture error"]
+    second = found["(e) LM: posture error"]
     assert first.get_yscale() == second.get_yscale() == "log"
     assert first.get_ylim() == second.get_ylim()
     low, high = first.get_ylim()

@@ -157,7 +157,8 @@ def test_meshes_are_looked_for_in_the_folders_that_are_given(command, arm_file, 
     mesh = '<geometry><mesh filename="package://snake_description/bar.stl"/></geometry>'
     text = arm_file.read_text()
     at = text.index("<collision>")
-    begin, end = text.index("<geometry>", at), text.index("</geometry>", at) + len("</geometry>")
+    begin = text.index("<geometry>", at)
+    end = text.index("</geometry>", at) + len("</geometry>")
     file.write_text(text[:begin] + mesh + text[end:])
     without = command("inspect", file, "--self-collision", "--json")
     assert "snake_description/bar.stl: not found" in without.err

@@ -187,7 +187,8 @@ def edited(folder, *options):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen([*command, *options], **pipes, cwd=folder)
     try:
-        url, notes = process.stdout.readline().strip(), ""
+        url = process.stdout.readline().strip()
+        notes = ""
         while "Ctrl-C" not in notes:
             notes += process.stderr.readline()
         yield process, url, notes

@@ -299,7 +299,8 @@ def test_a_full_disk_costs_the_files_but_not_the_summary(
     (tmp_path / "task.toml").write_text(TASK)
     places = {"ARM": str(arm_file), "RUN": str(run_directory), "TASK": str(tmp_path / "task.toml")}
     words = [places.get(word, word) for word in line.split()]
-    out, replace = tmp_path / "out", Path.replace
+    out = tmp_path / "out"
+    replace = Path.replace
     alone = command(*words, *options)
     assert alone.code in (0, 1)
 
@@ -316,7 +317,8 @@ def test_a_full_disk_costs_the_files_but_not_the_summary(
     assert [each for each in result.err.splitlines() if "note: " not in each] == [*notes, error]
     assert sorted(path.name for path in out.rglob("*") if path.name != "status.json") == sorted(wrote)
     if options:
-        told, expected = json.loads(result.out), json.loads(alone.out)
+        told = json.loads(result.out)
+        expected = json.loads(alone.out)
         files = told.pop("files", None) or []
         assert [*(files.values() if isinstance(files, dict) else files)] == [
             str(out / name) for name in wrote

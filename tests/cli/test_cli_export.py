@@ -180,7 +180,9 @@ def test_a_run_is_not_overwritten_with_its_own_export(command, run_directory, tm
 
 def test_goals_and_bags_are_written_by_their_format(command, timed_run, tmp_path) -> None:
     pytest.importorskip("rosbags")
-    goal, bag, folder = tmp_path / "goal.json", tmp_path / "motion.mcap", tmp_path / "bag"
+    goal = tmp_path / "goal.json"
+    bag = tmp_path / "motion.mcap"
+    folder = tmp_path / "bag"
     form = ("--format", "follow-joint-trajectory")
     assert command("export", timed_run, *form, "-o", goal).code == 0
     assert json.loads(goal.read_text()).keys() == {"trajectory", "goal_time_tolerance"}

@@ -68,7 +68,8 @@ def test_the_templates_in_json_can_be_built(command, options):
 
 
 def test_a_link_is_followed_and_stays_a_link(command, tmp_path):
-    real, link = tmp_path / "real.urdf", tmp_path / "link.urdf"
+    real = tmp_path / "real.urdf"
+    link = tmp_path / "link.urdf"
     real.write_text("old")
     link.symlink_to(real)
     assert command("generate", "Rz", "-n", 2, "-o", link).code == 0

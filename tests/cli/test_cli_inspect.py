@@ -150,7 +150,8 @@ def test_what_loading_warns_of_is_told_in_the_table_in_the_json_and_in_one_line_
         arm = pp.Arm.load(text)
     assert [str(warning.message) for warning in warned] == list(arm.warnings)
     assert len(arm.warnings) == 2
-    words, data = command("inspect", "-", input=text), command("inspect", "-", "--json", input=text)
+    words = command("inspect", "-", input=text)
+    data = command("inspect", "-", "--json", input=text)
     assert json.loads(data.out)["warnings"] == list(arm.warnings)
     assert f"note        {arm.warnings[0]}\n" in "\n".join(map(str.rstrip, words.out.splitlines())) + "\n"
     assert words.err == data.err == "".join(f"note: {warning}\n" for warning in arm.warnings)
@@ -175,7 +176,8 @@ def test_a_picture_is_left_under_whatever_name(command, arm_file, tmp_path, as_j
 
 
 def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch):
-    seen, real = [], pinposture.viz.plot_arm
+    seen = []
+    real = pinposture.viz.plot_arm
 
     def plot_arm(arm, ellipsoids, scene):
         seen.append((arm.n_modules, ellipsoids, scene and list(scene.obstacles)))

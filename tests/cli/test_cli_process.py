@@ -206,7 +206,8 @@ def test_the_command_line_itself_loads_nothing_heavy():
 @pytest.mark.process
 def test_what_is_done_is_logged_if_asked_for(arm_file):
     arguments = ("track", arm_file, "--curve", "helix", "--steps", 3, "--json")
-    quiet, told = process(*arguments), process("--verbose", *arguments)
+    quiet = process(*arguments)
+    told = process("--verbose", *arguments)
     assert (quiet.stdout, quiet.stderr) == (told.stdout, "")
     assert "pinposture.control.planner.plan: " in told.stderr
 

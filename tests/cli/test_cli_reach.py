@@ -64,7 +64,8 @@ def test_with_a_start_it_keeps_pictures_postures_and_the_run(command, arm_file, 
     kept = {each.name for each in out.iterdir()}
     assert kept == {"postures.png", "posture_1.json", "posture_2.json", "run.npz", "run.png", "run.html"}
     assert all(f"wrote {out / name}" in result.err for name in kept)
-    run, best = pp.load(out / "run.npz"), json.loads((out / "posture_1.json").read_text())
+    run = pp.load(out / "run.npz")
+    best = json.loads((out / "posture_1.json").read_text())
     np.testing.assert_allclose(tip(arm_file, best).translation, GOAL, atol=1e-6)
     np.testing.assert_allclose(tip(arm_file, run.q[-1]).translation, GOAL, atol=1e-5)
     again = command("reach", arm_file, "--to", "0.1,0.05,0.2", "--start", out / "posture_1.json", "--json")

@@ -138,7 +138,8 @@ def test_what_a_killed_run_leaves_and_the_next_one_says(
     killed: dict[tuple[str, str, bool], Path], command, file: str, moment: str, before: bool
 ) -> None:
     folder = killed[file, moment, before]
-    out, begun = folder / "out", (file, moment == "after") != ("status.json", False)
+    out = folder / "out"
+    begun = (file, moment == "after") != ("status.json", False)
     names = check(out)
     drafts = [path.name for path in out.iterdir() if path.name.startswith(".")]
     assert len(drafts) == (moment != "after")
@@ -187,7 +188,8 @@ def test_killed_at_no_special_moment(tmp_path: Path, later: float) -> None:
 def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path: Path) -> None:
     import pty
 
-    folder, text = make(tmp_path / "task"), TASK
+    folder = make(tmp_path / "task")
+    text = TASK
     for old, new in (("modules = 4", "modules = 30"), ("0.2", "1.5"), ("50 ms", "1 ms"), ("1 s", "400 s")):
         text = text.replace(old, new, 1)
     (folder / "task.toml").write_text(text.replace("10 cm", "50 cm"))

@@ -19,7 +19,8 @@ BALL = Sphere((0.2, 0.1, 0.0), 0.04)
 FLOOR = HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0))
 ABOVE = "0,0.9,0,0.3,0,0.1,0,-0.5,0,-0.5,0,-0.5"
 """Joint positions at which the arm passes the ball on the far side; the straight way to the axis hits it."""
-MARGIN, RADIUS = 0.006, 0.004
+MARGIN = 0.006
+RADIUS = 0.004
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -56,7 +57,8 @@ def passed(command, arm_file, scene_file, tmp_path_factory):
 def to_ball(points):
     """Distance of the ball from the surface of each capsule along the links, (..., modules)."""
     ends = np.concatenate([np.zeros_like(points[..., :1, :]), points], axis=-2)
-    first, last = ends[..., :-1, :], ends[..., 1:, :]
+    first = ends[..., :-1, :]
+    last = ends[..., 1:, :]
     middles = (first + last) / 2  # where the elbow of a straight arm is; of a bent one nearly
     shares = np.linspace(0.0, 1.0, 50)[:, None]
     places = middles[..., None, :] + (last - first)[..., None, :] * (shares - 0.5)

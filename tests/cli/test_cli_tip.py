@@ -47,7 +47,8 @@ def test_the_tip_comes_where_it_is_asked_while_a_region_takes_its_shape(track):
 
 
 def test_the_tip_takes_the_pose_that_is_asked(track):
-    place, angles = np.array([0.2, 0.06, -0.08]), (0.3, 0.5, 0.4)
+    place = np.array([0.2, 0.06, -0.08])
+    angles = (0.3, 0.5, 0.4)
     text = ",".join(map(str, (*place, *angles)))
     tip, run = track("--region", "1-1", "--tip-pose", text)
     state = run.arm.at(run.q[-1])

@@ -75,7 +75,8 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
     assert facts["point errors"].endswith(f"; largest {length_text(largest)}")
     assert summary["largest_error"] == pytest.approx(largest)
     assert not {"speed", "acceleration", "jerk"} & set(facts)  # without a duration of steps
-    first, last = summary["first_active_points"], summary["last_active_points"]
+    first = summary["first_active_points"]
+    last = summary["last_active_points"]
     assert facts["active points"] == f"{first} at the first step, {last} at the last, of 6"
     assert all(line == line.rstrip() for line in result.out.splitlines())
     # What it says besides the result goes to stderr, and no progress bar when that is no terminal.

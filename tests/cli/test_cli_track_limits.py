@@ -41,7 +41,8 @@ def test_the_summary_has_what_the_motion_takes_of_each_limit(command, arm_file, 
     out = command("track", arm_file, "--curve", "helix", *asked).out
     facts = {line[:15].strip(): line[15:].strip() for line in out.splitlines()}
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
-    moved, rates = np.pad(np.diff(run.q, axis=0), ((2, 2), (0, 0))), {}
+    moved = np.pad(np.diff(run.q, axis=0), ((2, 2), (0, 0)))
+    rates = {}
     for order, (kind, most) in enumerate({"speed": 0.1 / 0.05, "acceleration": 5.0, "jerk": 30.0}.items()):
         rates[kind] = np.abs(np.diff(moved, order, axis=0)).max() / 0.05 ** (order + 1) / most
         assert facts[kind].startswith(f"at most {100.0 * rates[kind]:.4g} % of the limit")
@@ -63,7 +64,8 @@ def test_with_a_duration_alone_joints_keep_their_own_speed(track):
 
 def test_a_margin_keeps_joints_away_from_their_limits(track):
     margin = np.pi - 0.3  # on either side 0.3 rad are left
-    free, kept = track(), track("--position-margin", margin)
+    free = track()
+    kept = track("--position-margin", margin)
     assert np.abs(free.q[-1]).max() > 0.3
     assert np.abs(kept.q[-1]).max() == pytest.approx(0.3)
     assert kept.limits.position_margin == margin

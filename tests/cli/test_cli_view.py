@@ -99,7 +99,8 @@ def test_the_viewer_is_closed_after_an_error_too(command, run_directory, asked, 
 
 
 def test_a_file_is_written_instead_of_showing(command, run_directory, asked, tmp_path):
-    html, png = tmp_path / "a.html", tmp_path / "sub" / "plot.PNG"
+    html = tmp_path / "a.html"
+    png = tmp_path / "sub" / "plot.PNG"
     assert command("view", run_directory, "-o", html) == (0, "", f"wrote {html}\n")
     assert command("view", run_directory, "--output", png) == (0, "", f"wrote {png}\n")
     assert "<html" in html.read_text(encoding="utf-8").lower()

@@ -65,7 +65,8 @@ def test_joints_that_were_exported_as_motion_npz_are_no_motion(tmp_path):
 
 def test_the_command_writes_pictures_of_a_motion(command, both, tmp_path):
     touch(both / "motion.npz", 4000)
-    html, png = tmp_path / "a.html", tmp_path / "a.png"
+    html = tmp_path / "a.html"
+    png = tmp_path / "a.png"
     chosen = "taken: motion.npz, which is newer than run.npz\n"
     assert command("view", both, "-o", html, "--ellipsoids", "2,5") == (0, "", f"{chosen}wrote {html}\n")
     assert command("view", both, "-o", png) == (0, "", f"{chosen}wrote {png}\n")

@@ -41,7 +41,8 @@ def modelled():
     model.addFrame(
         pin.Frame("tip", parent, pin.SE3(np.eye(3), np.array([0.2, 0, 0])), pin.FrameType.OP_FRAME)
     )
-    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -2.0, 2.0
+    model.lowerPositionLimit[:] = -2.0
+    model.upperPositionLimit[:] = 2.0
     return pp.Arm.from_model(model, ["tip"], base_placement=PLACED)
 
 
@@ -57,9 +58,15 @@ def described(collisions, length=0.2, base="", slides=()):
     body = f'<link name="l0">{base}</link>'
     for k, collision in enumerate(collisions, 1):
         body += f'<link name="l{k}">{collision}</link>'
-        kind, axis, lower, upper = "revolute", "0 1 0" if k % 2 else "0 0 1", -3, 3
+        kind = "revolute"
+        axis = "0 1 0" if k % 2 else "0 0 1"
+        lower = -3
+        upper = 3
         if k in slides:
-            kind, axis, lower, upper = "prismatic", "1 0 0", 0, 0.2
+            kind = "prismatic"
+            axis = "1 0 0"
+            lower = 0
+            upper = 0.2
         body += (
             f'<joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/><child link="l{k}"/>'
             f'<origin xyz="{length * (k > 1)} 0 0"/><axis xyz="{axis}"/>'
@@ -92,7 +99,8 @@ ARMS = {
 
 def around(arm, rng):
     """One obstacle of each kind, that a random posture may or may not touch."""
-    base, length = arm.chain.base, arm.length
+    base = arm.chain.base
+    length = arm.length
 
     def place():
         return base + rng.normal(size=3) * 0.5 * length

@@ -18,10 +18,13 @@ def hull_distance(one, other):
     weight = 1e4 * max(np.abs(one).max(), np.abs(other).max(), 1e-3)
     # Weights of the corners that are not negative and add up to 1, for each hull.
     system = np.zeros((5, len(one) + len(other)))
-    system[:3, : len(one)], system[:3, len(one) :] = one.T, -other.T
-    system[3, : len(one)], system[4, len(one) :] = weight, weight
+    system[:3, : len(one)] = one.T
+    system[:3, len(one) :] = -other.T
+    system[3, : len(one)] = weight
+    system[4, len(one) :] = weight
     shares = nnls(system, np.array([0, 0, 0, weight, weight]))[0]
-    first, second = shares[: len(one)], shares[len(one) :]
+    first = shares[: len(one)]
+    second = shares[len(one) :]
     return np.linalg.norm(one.T @ (first / first.sum()) - other.T @ (second / second.sum()))
 
 
@@ -57,7 +60,8 @@ def point_distance(point, shape):
     if isinstance(shape, (Sphere, Capsule)):
         return hull_free(point, corners(shape)) - shape.radius
     if isinstance(shape, Cylinder):
-        start, end = np.array(shape.start), np.array(shape.end)
+        start = np.array(shape.start)
+        end = np.array(shape.end)
         axis = (end - start) / np.linalg.norm(end - start)
         along = (point - start) @ axis
         across = np.linalg.norm(point - start - along * axis)

@@ -18,11 +18,13 @@ def project(point, shape):
         height = (point - np.array(shape.point)) @ np.array(shape.normal)
         return point - max(height, 0.0) * np.array(shape.normal)
     if isinstance(shape, Box):
-        turn, center = np.array(shape.rotation), np.array(shape.center)
+        turn = np.array(shape.rotation)
+        center = np.array(shape.center)
         half = np.array(shape.size) / 2
         return center + turn @ np.clip(turn.T @ (point - center), -half, half)
     if isinstance(shape, Cylinder):
-        start, end = np.array(shape.start), np.array(shape.end)
+        start = np.array(shape.start)
+        end = np.array(shape.end)
         length = np.linalg.norm(end - start)
         axis = (end - start) / length
         along = (point - start) @ axis
@@ -42,7 +44,8 @@ def separation(one, other, rounds=4000):
     """Distance of two convex solids: projections to and fro meet the nearest points; 0 where they overlap."""
     point = np.zeros(3)
     for _ in range(rounds):
-        there, before = project(point, one), point
+        there = project(point, one)
+        before = point
         point = project(there, other)
         if np.abs(point - before).max() < 1e-11:
             break

@@ -36,8 +36,10 @@ def depth(name: str, p: np.ndarray) -> float:
         return float((np.array([0.5, 0.25, 0.15]) - np.abs(TURN.T @ (p - (0, 0.1, 0)))).min())
     if name == "cube":
         return float((0.4 - np.abs(p)).min())
-    a, b = np.array(solid.start), np.array(solid.end)
-    along, length = float((p - a) @ (b - a)) / np.linalg.norm(b - a), float(np.linalg.norm(b - a))
+    a = np.array(solid.start)
+    b = np.array(solid.end)
+    along = float((p - a) @ (b - a)) / np.linalg.norm(b - a)
+    length = float(np.linalg.norm(b - a))
     if name == "capsule":
         return 0.3 - float(np.linalg.norm(p - a - np.clip(along, 0, length) * (b - a) / length))
     return min(0.4 - float(np.linalg.norm(p - a - along * (b - a) / length)), along, length - along)

@@ -80,7 +80,8 @@ class Elbow(MeshShape):
         faces = [(0, 1, 2), (0, 2, 3)]
         for first in range(0, 4 * (SIDES - 1), 4):
             for k in range(4):
-                a, b = first + k, first + (k + 1) % 4
+                a = first + k
+                b = first + (k + 1) % 4
                 faces += [(a, a + 4, b), (b, a + 4, b + 4)]
         last = 4 * (SIDES - 1)
         faces += [(last, last + 2, last + 1), (last, last + 3, last + 2)]
@@ -108,7 +109,8 @@ def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def distances(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
     """Signed distances of points from an obstacle."""
-    probe, others = solid(pp.Sphere((0.0, 0.0, 0.0), 1e-6)), solids(obstacle)
+    probe = solid(pp.Sphere((0.0, 0.0, 0.0), 1e-6))
+    others = solids(obstacle)
     pairs = PairDistances([probe], [0], others, [(0, 1 + k) for k in range(len(others))])
     places = (Placements(np.eye(3)[None, None], point[None, None]) for point in np.array(points))
     return np.array([pairs.minimum(place)[0] for place in places]) + 1e-6

@@ -41,11 +41,14 @@ def hits(walls, points, directions, reach):
     """Whether rays of that length hit a box, by the slab method."""
     hit = np.zeros(len(points), dtype=bool)
     for box in walls.values():
-        turn, half = np.array(box.rotation), np.array(box.size) / 2
-        origin, along = (points - box.center) @ turn, directions @ turn
+        turn = np.array(box.rotation)
+        half = np.array(box.size) / 2
+        origin = (points - box.center) @ turn
+        along = directions @ turn
         with np.errstate(divide="ignore"):
             sides = np.sort(np.stack([(-half - origin) / along, (half - origin) / along]), axis=0)
-        first, last = sides[0].max(axis=1), sides[1].min(axis=1)
+        first = sides[0].max(axis=1)
+        last = sides[1].min(axis=1)
         hit |= (first <= last) & (last >= 0.0) & (first <= reach)
     return hit
 

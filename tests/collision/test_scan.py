@@ -52,7 +52,9 @@ def test_a_scan_holds_what_it_was_given_and_no_more_than_that(cloud):
 
 def test_points_that_are_not_finite_are_left_out_with_their_triangles_and_colors(cloud):
     points = cloud.copy()
-    points[4, 1], points[7, 0], points[19] = np.nan, np.inf, -np.inf
+    points[4, 1] = np.nan
+    points[7, 0] = np.inf
+    points[19] = -np.inf
     colors = np.arange(60, dtype=np.uint8).reshape(20, 3)
     scan = Scan(points, FACES, colors)
     assert scan.dropped == 3 and len(scan.points) == 17

@@ -83,7 +83,9 @@ def check_where(arm, state, near, scan, radius=None):
 
 
 def test_the_nearest_of_all_points_is_found(arm):
-    rng, apart, inside = np.random.default_rng(0), 0, 0
+    rng = np.random.default_rng(0)
+    apart = 0
+    inside = 0
     for spread in (0.5, 1.0, 3.0):
         scan = cloud(arm, rng, spread=spread)
         model = model_of(arm, scan)
@@ -97,12 +99,14 @@ def test_the_nearest_of_all_points_is_found(arm):
                 else:
                     assert found < 0.0
             check_where(arm, state, near, scan)
-            apart, inside = apart + (distance > 0.0), inside + (distance < 0.0)
+            apart = apart + (distance > 0.0)
+            inside = inside + (distance < 0.0)
     assert apart >= 2
 
 
 def test_the_nearest_of_all_triangles_is_found(arm):
-    rng, apart = np.random.default_rng(1), 0
+    rng = np.random.default_rng(1)
+    apart = 0
     # Capsules stand in for what has cylinders: of these more below.
     kinds = {body.shape.type for body, _ in local_bodies(arm, arm.neutral())}
     radius = 0.01 if "cylinder" in kinds else None
@@ -140,7 +144,9 @@ def test_where_a_distance_is_asked_for_bounds_do_not_hide_any(arm):
 
 @pytest.mark.parametrize("shape", ['<box size="0.3 0.2 0.1"/>', '<cylinder radius="0.07" length="0.3"/>'])
 def test_triangles_in_and_around_a_body_that_is_not_round(shape):
-    arm, rng, sides = single(shape, xyz="0.1 0.05 0", rpy="0.3 0.2 0.1"), np.random.default_rng(2), [0, 0]
+    arm = single(shape, xyz="0.1 0.05 0", rpy="0.3 0.2 0.1")
+    rng = np.random.default_rng(2)
+    sides = [0, 0]
     share = np.array([(u, v) for u in np.linspace(0, 1, 33) for v in np.linspace(0, 1, 33) if u + v <= 1])
     (body, place) = next((b, p) for b, p in local_bodies(arm, arm.neutral()))
     for _ in range(20):
@@ -163,7 +169,8 @@ def test_triangles_in_and_around_a_body_that_is_not_round(shape):
 def test_points_all_around_a_hull_that_are_almost_equally_far(tmp_path):
     corners = np.array([[0, 0, 0], [0.3, 0, 0], [0.2, 0.12, 0], [0.1, 0.02, 0.1], [0.24, 0, -0.08]])
     trimesh.Trimesh(corners).convex_hull.export(tmp_path / "wedge.stl")
-    arm, rng = single(f'<mesh filename="{tmp_path / "wedge.stl"}"/>', xyz="0.2 0 0"), np.random.default_rng(8)
+    arm = single(f'<mesh filename="{tmp_path / "wedge.stl"}"/>', xyz="0.2 0 0")
+    rng = np.random.default_rng(8)
     (body, place) = local_bodies(arm, arm.neutral())[0]
     for distance in (1e-3, 0.01, 0.1):
         ways = rng.normal(size=(200, 3))
@@ -215,7 +222,9 @@ def distance_by_faces(start, end, triangle):
 @examples(60)
 @given(places, places, st.lists(places, min_size=3, max_size=3), st.floats(0.01, 0.3))
 def test_a_capsule_is_as_far_from_a_triangle_as_any_two_of_their_points(start, end, corners, radius):
-    corners, start, end = np.array(corners), np.array(start), np.array(end)
+    corners = np.array(corners)
+    start = np.array(start)
+    end = np.array(end)
     ball = np.linalg.norm(end - start) < 1e-3
     body = Sphere(start, radius) if ball else Capsule(start, end, radius)
     end = start if ball else end
@@ -245,10 +254,13 @@ def test_the_normal_is_the_derivative_of_the_distance(seed, ball, surface):
         shape = Sphere(start + shift, 0.05) if ball else Capsule(start + shift, end + shift, 0.05)
         return contact(shape, scan)
 
-    here, small = at(np.zeros(3)), 1e-6
+    here = at(np.zeros(3))
+    small = 1e-6
     for direction in rng.normal(size=(3, 3)):
-        ahead, behind = at(small * direction).minimum, at(-small * direction).minimum
-        slope, expected = (ahead - behind) / (2.0 * small), here.normals[0] @ direction
+        ahead = at(small * direction).minimum
+        behind = at(-small * direction).minimum
+        slope = (ahead - behind) / (2.0 * small)
+        expected = here.normals[0] @ direction
         bend = abs(ahead + behind - 2.0 * here.minimum) / small
         assert slope == pytest.approx(expected, abs=1e-4 + bend)
 
@@ -259,7 +271,8 @@ def test_capsules_are_as_far_from_surfaces_as_coal_says(seed, count, size):
     """Of capsules of any length, among triangles of any size; the whole surface is one object for coal."""
     rng = np.random.default_rng(seed)
     corners = rng.normal(size=(count, 1, 3)) + size * rng.normal(size=(count, 3, 3))
-    surface, nowhere = coal.BVHModelOBBRSS(), coal.Transform3s(np.eye(3), np.zeros(3))
+    surface = coal.BVHModelOBBRSS()
+    nowhere = coal.Transform3s(np.eye(3), np.zeros(3))
     surface.beginModel(count, 3 * count)
     surface.addVertices(corners.reshape(-1, 3))
     surface.addTriangles(np.arange(3 * count).reshape(-1, 3))
@@ -268,7 +281,8 @@ def test_capsules_are_as_far_from_surfaces_as_coal_says(seed, count, size):
     for length in (0.01, 0.3, 3.0):
         start = rng.normal(size=3)
         body = solid(Capsule(start, start + length * rng.normal(size=3), 0.01))
-        pose, request = coal.Transform3s(body.rotation, body.position), coal.DistanceRequest()
+        pose = coal.Transform3s(body.rotation, body.position)
+        request = coal.DistanceRequest()
         request.gjk_tolerance = 1e-9
         expected = coal.distance(body.geometry, pose, surface, nowhere, request, coal.DistanceResult())
         found = contact(Capsule(body.start, body.end, 0.01), scan).minimum
@@ -283,14 +297,16 @@ def test_the_derivatives_are_those_of_the_distances(arm):
     kinds = {body.shape.type for body, _ in local_bodies(arm, arm.neutral())}
     radius = 0.01 if kinds - {"capsule", "sphere"} else None
     for scan in (cloud(arm, rng, spread=1.0), shards(arm, rng)):
-        model, checked = model_of(arm, scan, radius), 0
+        model = model_of(arm, scan, radius)
+        checked = 0
         state = arm.at(arm.random(rng))
         near = model.nearest(state, np.inf)
         for column in range(arm.nv):
             dq = np.zeros(arm.nv)
             dq[column] = 1e-6
             ahead, behind = (arm.at(pin.integrate(arm.model, state.q, sign * dq)) for sign in (1, -1))
-            ahead, behind = model.minimum(ahead.q).distance, model.minimum(behind.q).distance
+            ahead = model.minimum(ahead.q).distance
+            behind = model.minimum(behind.q).distance
             bend = abs(ahead + behind - 2.0 * near.minimum) / 1e-6
             if bend < 1e-3:
                 slope = (ahead - behind) / 2e-6
@@ -310,8 +326,10 @@ def ring(inner=0.2, outer=0.4, height=0.3, count=24):
     faces = []
     for k in range(count):
         for j in range(4):
-            a, b = 4 * k + j, 4 * k + (j + 1) % 4
-            c, d = 4 * ((k + 1) % count) + j, 4 * ((k + 1) % count) + (j + 1) % 4
+            a = 4 * k + j
+            b = 4 * k + (j + 1) % 4
+            c = 4 * ((k + 1) % count) + j
+            d = 4 * ((k + 1) % count) + (j + 1) % 4
             faces += [(a, c, b), (b, c, d)]
     return points, np.array(faces)
 
@@ -336,7 +354,8 @@ def test_a_closed_mesh_is_solid_and_keeps_its_hollow(point):
 
 def cubes(filled, rng):
     """The faces between unit cubes that are filled and empty ones, as triangles that face either way."""
-    points, faces = [], []
+    points = []
+    faces = []
     for cube in np.argwhere(filled):
         for axis, side in np.ndindex(3, 2):
             beyond = cube + (2 * side - 1) * np.eye(3, dtype=int)[axis]
@@ -376,7 +395,9 @@ def test_what_is_inside_is_told_also_above_edges_and_corners(seed):
 
 def test_a_body_inside_of_a_closed_mesh_is_never_clear_of_it():
     points, faces = ring()
-    mesh, rng, found = Mesh(points, faces=faces), np.random.default_rng(0), 0
+    mesh = Mesh(points, faces=faces)
+    rng = np.random.default_rng(0)
+    found = 0
     for _ in range(200):
         start = rng.uniform(-0.4, 0.4, 3)
         end = start + rng.normal(size=3) * 0.03
@@ -415,9 +436,11 @@ def test_meshes_that_are_convex_are_told_from_others():
 
 
 def test_a_fine_surface_and_its_two_triangles_are_equally_far():
-    arm, rng = spatial(5), np.random.default_rng(3)
+    arm = spatial(5)
+    rng = np.random.default_rng(3)
     corner = arm.chain.base - [0.4, 0.4, 0.2]
-    u, v = np.array([0.9, 0.1, 0.2]), np.array([0, 0.8, 0.1])
+    u = np.array([0.9, 0.1, 0.2])
+    v = np.array([0, 0.8, 0.1])
     grid = np.linspace(0, 1, 41)
     points = np.array([corner + x * u + y * v for x in grid for y in grid])
     at = np.arange(41 * 41).reshape(41, 41)
@@ -438,12 +461,14 @@ def test_a_fine_surface_and_its_two_triangles_are_equally_far():
 
 
 def test_many_points_are_told_as_few_are():
-    arm, rng = spatial(10), np.random.default_rng(4)
+    arm = spatial(10)
+    rng = np.random.default_rng(4)
     scan = cloud(arm, rng, 20_000, 1.0)
     for radius in (0.0, 0.02):
         model = model_of(arm, Scan(scan.points, point_radius=radius), 0.01)
         for _ in range(5):
-            q, least = arm.random(rng), np.inf
+            q = arm.random(rng)
+            least = np.inf
             for body, place in local_bodies(arm, q, 0.01):
                 start, end = (place.act(np.array(each)) for each in (body.shape.start, body.shape.end))
                 along = np.clip((scan.points - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
@@ -454,9 +479,11 @@ def test_many_points_are_told_as_few_are():
 
 @pytest.mark.parametrize("count", [1, 2, 5, 16, 17, 63, 64, 65, 129, 1000])
 def test_scans_of_any_number_of_points(count):
-    arm, rng = spatial(2), np.random.default_rng(count)
+    arm = spatial(2)
+    rng = np.random.default_rng(count)
     points = arm.chain.base + [0.15, 0, 0] + rng.normal(size=(count, 3)) * 0.03
-    scan, q = Scan(points), arm.random(rng)
+    scan = Scan(points)
+    q = arm.random(rng)
     assert model_of(arm, scan).minimum(q).distance == pytest.approx(brute_force(arm, q, scan)[0], abs=1e-9)
 
 
@@ -481,14 +508,17 @@ def test_a_scan_is_where_its_pose_says():
     points, faces = ring()
     mesh = Mesh(points, (0.5, 0.1, 0.2), (0.1, 0.2, 0.3), faces)
     for obstacle in (cloud(arm, rng, 500), shards(arm, rng, 100), mesh):
-        turn, tree = move.rotation @ np.array(obstacle.rotation), obstacle.tree
+        turn = move.rotation @ np.array(obstacle.rotation)
+        tree = obstacle.tree
         there = obstacle.placed(move.rotation @ obstacle.center + move.translation, turn)
         assert there.tree is tree and obstacle.center != there.center
-        one, other = model_of(arm, obstacle), model_of(moved, there)
+        one = model_of(arm, obstacle)
+        other = model_of(moved, there)
         for _ in range(5):
             q = arm.random(rng)
             assert one.minimum(q).distance == pytest.approx(other.minimum(q).distance, abs=1e-9)
-            first, second = one.nearest(arm.at(q), 0.1), other.nearest(moved.at(q), 0.1)
+            first = one.nearest(arm.at(q), 0.1)
+            second = other.nearest(moved.at(q), 0.1)
             np.testing.assert_allclose(first.jacobian, second.jacobian, atol=1e-9)
 
 
@@ -503,7 +533,8 @@ def test_what_the_arm_stands_on_is_left_out_where_it_stands():
 
 
 def test_several_surfaces_are_as_near_as_the_nearest():
-    arm, rng = spatial(6), np.random.default_rng(9)
+    arm = spatial(6)
+    rng = np.random.default_rng(9)
     points, faces = ring()
     parts = {
         "cloud": cloud(arm, rng, 3000, 1.0),
@@ -513,7 +544,8 @@ def test_several_surfaces_are_as_near_as_the_nearest():
         "again": Mesh(0.4 * points, arm.chain.base + [0.2, 0.4, 0.1], (0.0, 0.2, 0.1), faces),
     }
     together = CollisionModel(arm, Scene(parts, self_collision=False, margin=0.0))
-    alone, nearest = {name: model_of(arm, each) for name, each in parts.items()}, set()
+    alone = {name: model_of(arm, each) for name, each in parts.items()}
+    nearest = set()
     for _ in range(40):
         q = arm.random(rng)
         each = {name: model.minimum(q).distance for name, model in alone.items()}
@@ -525,7 +557,8 @@ def test_several_surfaces_are_as_near_as_the_nearest():
 
 
 def test_threads_may_share_one_and_processes_make_their_own():
-    arm, rng = spatial(8), np.random.default_rng(7)
+    arm = spatial(8)
+    rng = np.random.default_rng(7)
     scene = Scene(
         {"cloud": cloud(arm, rng, 5000, 1.0), "rest": shards(arm, rng)}, self_collision=False, margin=0.0
     )

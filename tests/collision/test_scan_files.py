@@ -102,7 +102,8 @@ def test_surfaces(tmp_path, suffix):
 
 
 def test_parts_of_a_scene_are_where_the_scene_has_them(tmp_path):
-    scene, move = trimesh.Scene(), trimesh.transformations.translation_matrix([1, 2, 3])
+    scene = trimesh.Scene()
+    move = trimesh.transformations.translation_matrix([1, 2, 3])
     colored = box().copy()
     colored.visual.vertex_colors = np.tile([10, 20, 30, 255], (8, 1)).astype(np.uint8)
     scene.add_geometry(box())

@@ -21,14 +21,16 @@ def tube(axis, radius, rings=200, sides=32):
     along = np.gradient(middle, axis=0)
     along /= np.linalg.norm(along, axis=1)[:, None]
     angles = 2.0 * np.pi * np.arange(sides) / sides
-    side, points = np.cross(along[0], np.eye(3)[np.argmin(np.abs(along[0]))]), []
+    side = np.cross(along[0], np.eye(3)[np.argmin(np.abs(along[0]))])
+    points = []
     for place, way in zip(middle, along, strict=True):
         side = side - way * (side @ way)
         side /= np.linalg.norm(side)
         other = np.cross(way, side)
         points.append(place + radius * (np.outer(np.cos(angles), side) + np.outer(np.sin(angles), other)))
     ring, corner = (each.ravel() for each in np.indices((rings - 1, sides)))
-    a, b = ring * sides + corner, ring * sides + (corner + 1) % sides
+    a = ring * sides + corner
+    b = ring * sides + (corner + 1) % sides
     return np.vstack(points), np.vstack(
         [np.stack([a, b, a + sides], 1), np.stack([b, b + sides, a + sides], 1)]
     )
@@ -49,12 +51,14 @@ SEEN = 0.05
 
 def least_clearance(arm, q, tree, between=2):
     """Of an arm of capsules from points, on a run and between its steps, by points on the axes."""
-    least, shares = np.inf, np.linspace(0, 1, 25)[:, None]
+    least = np.inf
+    shares = np.linspace(0, 1, 25)[:, None]
     parts = np.arange(between) / between
     rows = [a + part * (b - a) for a, b in pairwise(q) for part in parts]
     bodies = [body for body in bodies_of(arm) if body.joint]
     ends = [np.array([body.shape.start, body.shape.end]) for body in bodies]
-    radii, data = np.array([body.shape.radius for body in bodies]), arm.model.createData()
+    radii = np.array([body.shape.radius for body in bodies])
+    data = arm.model.createData()
     for row in [*rows, q[-1]]:
         pin.forwardKinematics(arm.model, data, row)
         places = [data.oMi[body.joint] for body in bodies]
@@ -108,7 +112,9 @@ def test_an_arm_in_a_pipe_that_is_aside_keeps_off_the_wall(crawl):
     shift = np.array([0.0, 0.0, 0.006])
     limits = pp.Limits(dt=0.2, acceleration=2.0)
     beyond = points[:, 0] > points[:, 0].min() + 0.2  # the arm is clear where it starts
-    points, faces, margin = points + shift, faces[beyond[faces].all(axis=1)], 0.0085
+    points = points + shift
+    faces = faces[beyond[faces].all(axis=1)]
+    margin = 0.0085
     freely = pp.perform(reference, "geodesic", limits).run.q
     for scan, seen in (
         (pp.Scan(points[beyond]), points[beyond]),
@@ -138,14 +144,17 @@ def machine(rng):
 
 @pytest.mark.parametrize("seed", seeds(5))
 def test_a_run_past_a_scanned_machine_keeps_the_margin(seed):
-    arm, rng = pp.Arm.from_template("RyRz", 10, (0.04, 0.04)), np.random.default_rng(seed)
+    arm = pp.Arm.from_template("RyRz", 10, (0.04, 0.04))
+    rng = np.random.default_rng(seed)
     points = machine(rng)
-    scene, tree = pp.Scene({"machine": pp.Scan(points)}, margin=0.01), cKDTree(points)
+    scene = pp.Scene({"machine": pp.Scan(points)}, margin=0.01)
+    tree = cKDTree(points)
     model = pp.CollisionModel(arm, scene)
     # From below the arm of the machine to before it: bent upwards, or sideways, about so much in all.
     start, goal = (np.tile(bend, 10) / 10 for bend in rng.normal([(0.0, -0.3), (-3.0, 0.0)], 0.1))
     assert min(model.minimum(q).distance for q in (start, goal)) > 0.012
-    target, limits = pp.Target.from_configuration(arm, goal), pp.Limits(step=0.1)
+    target = pp.Target.from_configuration(arm, goal)
+    limits = pp.Limits(step=0.1)
     run = pp.track(arm, target, start, scene=scene, limits=limits)
     assert run.status == "converged"
     assert least_clearance(arm, run.q, tree) >= 0.01 - 1e-6

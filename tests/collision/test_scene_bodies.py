@@ -40,7 +40,8 @@ def test_a_template_arm_is_a_chain_of_capsules_with_a_flat_end():
 
 
 def test_the_chain_of_capsules_is_as_far_from_things_as_the_balls_and_tubes():
-    arm, rng = spatial(4), np.random.default_rng(0)
+    arm = spatial(4)
+    rng = np.random.default_rng(0)
     q = arm.random(rng)
     data = arm.model.createData()
     pin.framesForwardKinematics(arm.model, data, q)
@@ -84,7 +85,8 @@ def test_stand_ins_run_from_joint_to_joint_and_to_the_tip(make):
     bodies = bodies_of(arm, 0.02)
     assert all(isinstance(body.shape, Capsule) and body.shape.radius == 0.02 for body in bodies)
     assert [body.name for body in bodies] == list(arm.chain.joints)
-    q, before = arm.random(np.random.default_rng(1)), arm.chain.base
+    q = arm.random(np.random.default_rng(1))
+    before = arm.chain.base
     for body in bodies:
         np.testing.assert_allclose(in_world(arm, body, q, body.shape.start), before, atol=1e-9)
         before = in_world(arm, body, q, body.shape.end)
@@ -217,7 +219,8 @@ def test_a_robot_with_meshes_of_its_own():
         )
     assert {type(body.shape) for body in bodies_of(arm)} >= {Mesh}
     assert clearance.minimum(arm.straight()).distance > 0.0
-    q, h = arm.configuration(np.linspace(-1.0, 1.0, 6)), 1e-6
+    q = arm.configuration(np.linspace(-1.0, 1.0, 6))
+    h = 1e-6
     near = clearance.nearest(arm.at(q), np.inf)
     for u in range(arm.nv):
         step = h * np.eye(arm.nv)[u]

@@ -28,7 +28,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*overlapping in every posture")
 @pytest.mark.parametrize("name", ARMS)
 def test_nothing_near_is_missed(name):
     """Against all pairs: with an infinite distance no bound is ever good enough to leave one out."""
-    rng, arm = np.random.default_rng(7), ARMS[name]()
+    rng = np.random.default_rng(7)
+    arm = ARMS[name]()
     for _ in range(4):
         clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
         for _ in range(5):
@@ -55,12 +56,16 @@ def test_distances_are_those_of_coal_and_never_larger(seed):
     rng = np.random.default_rng(seed)
     arm = ARMS[sorted(ARMS)[seed % len(ARMS)]]()
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
-    q, distances, narrow = arm.random(rng), clearance._distances, Narrow()
+    q = arm.random(rng)
+    distances = clearance._distances
+    narrow = Narrow()
     placements = clearance._kinematics.place(q)
-    near, poses = distances.near(placements, np.inf), distances._pose_bodies(placements, 0)
+    near = distances.near(placements, np.inf)
+    poses = distances._pose_bodies(placements, 0)
     assert sorted(near.pairs) == list(range(len(clearance.pairs)))
     for pair, distance in zip(near.pairs, near.distances, strict=True):
-        first, second = distances.first[pair], distances.second[pair]
+        first = distances.first[pair]
+        second = distances.second[pair]
         by_coal = narrow.distance(distances._posed(int(pair), poses, first, second))
         assert distance <= by_coal + 2e-4 * (by_coal < 0.0) + 2e-6
         if by_coal > 0.0:
@@ -71,9 +76,11 @@ def test_distances_are_those_of_coal_and_never_larger(seed):
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.01, 0.1, 0.5]))
 @examples(8)
 def test_the_minimum_between_is_that_of_dense_samples(name, seed, size):
-    arm, rng = ARMS[name](), np.random.default_rng(seed)
+    arm = ARMS[name]()
+    rng = np.random.default_rng(seed)
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
-    q, dq = arm.checked(arm.random(rng)), size * rng.normal(size=arm.nv) * arm.joint_units
+    q = arm.checked(arm.random(rng))
+    dq = size * rng.normal(size=arm.nv) * arm.joint_units
     dense = clearance.minimum_along(q, np.linspace(0.0, 1.0, 300)[:, None] * dq).distance
     found = clearance.minimum_between(q, dq)
     assert found.distance <= dense + MOTION_TOLERANCE * arm.length
@@ -87,12 +94,14 @@ def test_the_minimum_between_is_that_of_dense_samples(name, seed, size):
 
 
 def test_the_minimum_between_sees_obstacles_move():
-    arm, speed = spatial(), np.array([0.0, 0.0, -0.5])
+    arm = spatial()
+    speed = np.array([0.0, 0.0, -0.5])
     above = tuple(arm.at(arm.neutral()).points[3] + [0.0, 0.0, 1.0])
     scene = Scene({"ball": Sphere(above, 0.05)}, self_collision=False).moved(
         {"ball": (0.0, 0.0, 0.0)}, velocities={"ball": speed}
     )
-    model, still = CollisionModel(arm, scene), np.zeros((3, arm.nv))
+    model = CollisionModel(arm, scene)
+    still = np.zeros((3, arm.nv))
     times = np.array([0.0, 1.0, 4.0])  # after two seconds the ball falls through the arm
     assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=times).distance < 0.0
     assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=0.25 * times).distance > 0.3
@@ -119,7 +128,8 @@ def test_a_step_over_a_thin_thing_is_seen_between_its_ends():
     arm = spatial(4)
     pole = arm.at(arm.configuration([0.0, 0.3] + [0.0] * 6)).points[-1]
     clearance = CollisionModel(arm, Scene({"pole": Sphere(pole, 0.005)}, self_collision=False))
-    q, dq = arm.neutral(), np.array([0.0, 0.6] + [0.0] * 6)
+    q = arm.neutral()
+    dq = np.array([0.0, 0.6] + [0.0] * 6)
     assert clearance.minimum(q).distance > 0.05 and clearance.minimum(q + dq).distance > 0.05
     assert clearance.minimum_between(q, dq).distance < 0.0
 
@@ -197,7 +207,8 @@ def test_what_the_arm_is_mounted_on_is_no_obstacle_to_its_first_body():
     arm = pp.Arm.from_template(
         "RyRz", 4, base_placement=pin.SE3(pin.rpy.rpyToMatrix(0, -np.pi / 2, 0), np.zeros(3))
     )
-    floor, far = HalfSpace((0, 0, 0), (0, 0, 1)), Sphere((0.1, 0.1, 0.1), 0.01)
+    floor = HalfSpace((0, 0, 0), (0, 0, 1))
+    far = Sphere((0.1, 0.1, 0.1), 0.01)
     clearance = CollisionModel(arm, Scene({"floor": floor, "ball": far}, self_collision=False))
     assert [(each.first, each.second) for each in clearance.excluded_pairs] == [("m01_l1", "floor")]
     assert clearance.excluded_pairs[0].reason == "the arm is mounted on it"
@@ -222,7 +233,8 @@ def test_the_nearest_is_exact_where_nothing_is_near():
 
 
 def test_clearances_are_remembered_as_long_as_the_arm_lives():
-    arm, scene = spatial(), Scene({"o": Sphere((1, 1, 1), 0.1)}, self_collision=False)
+    arm = spatial()
+    scene = Scene({"o": Sphere((1, 1, 1), 0.1)}, self_collision=False)
     clearance = CollisionModel(arm, scene)
     assert (
         CollisionModel(arm, scene)
@@ -249,7 +261,8 @@ def test_many_scenes_around_one_arm_are_not_all_kept():
 
 
 def test_threads_do_not_disturb_each_other():
-    arm, rng = spatial(8), np.random.default_rng(0)
+    arm = spatial(8)
+    rng = np.random.default_rng(0)
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
     starts = [arm.random(rng) for _ in range(4)]
     alone = [(clearance.minimum(q), clearance.nearest(arm.at(q), 0.1)) for q in starts]
@@ -270,7 +283,8 @@ def test_threads_do_not_disturb_each_other():
 
 
 def test_results_stay_as_they_are_when_the_arm_moves_on():
-    arm, rng = spatial(), np.random.default_rng(0)
+    arm = spatial()
+    rng = np.random.default_rng(0)
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=False))
     near = clearance.nearest(arm.at(arm.random(rng)), np.inf)
     before = [np.copy(each) for each in (near.distances, near.jacobian, near.points, near.normals)]

@@ -35,7 +35,8 @@ def obstacles(rng):
     def up(place):
         return (place - [0.5, 0, 0]) / np.linalg.norm(place - [0.5, 0, 0])
 
-    far, wall = somewhere(), somewhere(0.4)
+    far = somewhere()
+    wall = somewhere(0.4)
     return {
         "sphere": Sphere(somewhere(), 0.1),
         "capsule": Capsule(far, far + 0.5 * up(far) + 0.1 * rng.normal(size=3), 0.1),
@@ -47,7 +48,9 @@ def obstacles(rng):
 
 @pytest.mark.parametrize("shape", BODIES)
 def test_distances_are_those_of_projections_to_and_fro(shape):
-    rng, body, compared = np.random.default_rng(0), BODIES[shape], 0
+    rng = np.random.default_rng(0)
+    body = BODIES[shape]
+    compared = 0
     arm = single(shape, rpy="0 1.5707963267948966 0")
     state = arm.at(arm.neutral())
     for _ in range(5):
@@ -87,7 +90,8 @@ def test_depths_of_solids_that_overlap(shape, obstacle, depth):
 
 
 def test_a_mesh_is_its_convex_hull_and_may_be_turned():
-    arm, turn = single('<capsule radius="0.05" length="0.3"/>'), (0.4, -0.7, 2.0)
+    arm = single('<capsule radius="0.05" length="0.3"/>')
+    turn = (0.4, -0.7, 2.0)
     inside = np.random.default_rng(0).uniform(-0.05, 0.05, (20, 3))
     for center in ((0.9, 0.2, 0.3), (0.55, 0.1, 0.0)):
         mesh = Mesh(np.vstack([inside, CORNERS]), center, turn)
@@ -144,7 +148,8 @@ def rods(rng):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_closed_forms_agree_with_coal_and_are_never_larger(kind):
-    rng, apart = np.random.default_rng(1), 0
+    rng = np.random.default_rng(1)
+    apart = 0
     for _ in range(150):
         other = KINDS[kind](rng)
         for rod in rods(rng):
@@ -168,7 +173,8 @@ def test_depths_are_the_lengths_of_shortest_translations(kind):
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     deep = 0
     for _ in range(200):
-        other, rod = KINDS[kind](rng), rods(rng)[0]
+        other = KINDS[kind](rng)
+        rod = rods(rng)[0]
         distance, _, normal = contact(rod, other)
         if distance >= -0.03:  # the axes are apart
             continue
@@ -191,7 +197,8 @@ def support(shape, n):
     if isinstance(shape, Box):
         turned = n @ np.array(shape.rotation)
         return n @ np.array(shape.center) + np.abs(turned) @ (np.array(shape.size) / 2.0)
-    start, end = np.array(shape.start), np.array(shape.end)
+    start = np.array(shape.start)
+    end = np.array(shape.end)
     axis = (end - start) / np.linalg.norm(end - start)
     across = np.linalg.norm(n - (n @ axis)[:, None] * axis, axis=1)
     return np.maximum(n @ start, n @ end) + shape.radius * across
@@ -241,7 +248,9 @@ def test_where_coal_cannot_tell_the_bound_serves(monkeypatch):
 def test_what_coal_cannot_tell_at_once_it_is_asked_less_exactly(monkeypatch):
     arm = single('<cylinder radius="0.05" length="0.3"/>')
     clearance = CollisionModel(arm, Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))}, self_collision=False))
-    true, ask, answers = clearance.minimum(arm.neutral()), coal.distance, []
+    true = clearance.minimum(arm.neutral())
+    ask = coal.distance
+    answers = []
 
     def stubborn(*arguments):
         answers.append(1.7976931348623157e308 if len(answers) % 2 == 0 else ask(*arguments))

@@ -155,7 +155,8 @@ def test_a_mesh_keeps_the_corners_of_its_hull_alone():
     mesh = Mesh(np.vstack([rng.uniform(0.1, 0.9, (50, 3)), cube, cube]))
     np.testing.assert_array_equal(np.sort(np.array(mesh.vertices), axis=0), np.sort(cube, axis=0))
     assert mesh == Mesh(cube[::-1])
-    points, faces = mesh.vertices, mesh.faces
+    points = mesh.vertices
+    faces = mesh.faces
     a, b, c = (points[faces[:, k]] for k in range(3))
     assert np.einsum("ti,ti->", np.cross(b - a, c - a), a - 0.5) > 0.0
     # The volume under its triangles is that of the cube only if all are seen from outside.

@@ -23,13 +23,18 @@ def distances(clearance, arm, q):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_rows_are_the_derivatives_of_the_distances(name):
-    rng, arm, h, compared = np.random.default_rng(3), ARMS[name](), 1e-6, 0
+    rng = np.random.default_rng(3)
+    arm = ARMS[name]()
+    h = 1e-6
+    compared = 0
     for _ in range(3):
         clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
         q = arm.random(rng)
         near = clearance.nearest(arm.at(q), np.inf)
         first = [near.pairs.index(pair) for pair in dict.fromkeys(near.pairs)]
-        rows, pairs, values = near.jacobian[first], [near.pairs[k] for k in first], near.distances[first]
+        rows = near.jacobian[first]
+        pairs = [near.pairs[k] for k in first]
+        values = near.distances[first]
         slopes = np.zeros((len(pairs), arm.nv))
         for u in range(arm.nv):
             ahead, behind = (
@@ -46,7 +51,8 @@ def test_rows_are_the_derivatives_of_the_distances(name):
 
 @pytest.mark.parametrize("name", ["spatial", "described", "planar"])
 def test_following_the_rows_leads_out_of_an_obstacle(name):
-    rng, arm = np.random.default_rng(5), ARMS[name]()
+    rng = np.random.default_rng(5)
+    arm = ARMS[name]()
     for kind in range(3):
         q = arm.random(rng) if name != "planar" else arm.configuration(rng.uniform(-0.3, 0.3, arm.nv))
         point = arm.at(q).points[-1]
@@ -140,14 +146,18 @@ def rates_of(found, own, arm, q):
 
 
 def test_contacts_along_a_path_are_the_nearest_pairs_at_each_place():
-    rng, arm, within = np.random.default_rng(4), spatial(), 0.2
+    rng = np.random.default_rng(4)
+    arm = spatial()
+    within = 0.2
     obstacles = {
         "ball": Sphere((0.3, 0.2, 0.1), 0.05),
         "rod": Capsule((0.1, -0.3, 0.0), (0.4, -0.2, 0.2), 0.03),
         "box": Box((0.0, 0.3, -0.3), (0.1, 0.2, 0.1)),
     }
     clearance = CollisionModel(arm, Scene(obstacles, self_collision=True, arm_radius=0.01))
-    q, offsets, compared = arm.random(rng), 0.3 * rng.normal(size=(20, arm.nv)), 0
+    q = arm.random(rng)
+    offsets = 0.3 * rng.normal(size=(20, arm.nv))
+    compared = 0
     found = clearance.contacts_along(q, offsets, within)
     for k, offset in enumerate(offsets):
         near = clearance.nearest(arm.at(arm.integrate(q, offset)), within)
@@ -164,9 +174,12 @@ def test_contacts_along_a_path_are_the_nearest_pairs_at_each_place():
 
 @pytest.mark.parametrize("name", ARMS)
 def test_contacts_along_a_path_miss_no_pair(name):
-    rng, arm, within = np.random.default_rng(6), ARMS[name](), 0.3
+    rng = np.random.default_rng(6)
+    arm = ARMS[name]()
+    within = 0.3
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
-    q, offsets = arm.random(rng), 0.3 * rng.normal(size=(10, arm.nv))
+    q = arm.random(rng)
+    offsets = 0.3 * rng.normal(size=(10, arm.nv))
     found = clearance.contacts_along(q, offsets, within)
     for k, offset in enumerate(offsets):
         near = clearance.nearest(arm.at(arm.integrate(q, offset)), within)
@@ -175,7 +188,8 @@ def test_contacts_along_a_path_miss_no_pair(name):
         assert np.all(own[: len(near.distances)] <= near.distances + 1e-9)
 
 
-SPACE, PLANE = np.eye(3), np.eye(3)[:2]
+SPACE = np.eye(3)
+PLANE = np.eye(3)[:2]
 
 
 @pytest.mark.parametrize(

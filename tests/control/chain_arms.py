@@ -48,5 +48,6 @@ def branched() -> pp.Arm:
 
 def state_of(arm: pp.Arm, seed: int, amplitude: float) -> pp.ArmState:
     drawn = amplitude * np.random.default_rng(seed).uniform(-1, 1, arm.nv)
-    low, high = np.maximum(arm.limits.lower, -9.0), np.minimum(arm.limits.upper, 9.0)
+    low = np.maximum(arm.limits.lower, -9.0)
+    high = np.minimum(arm.limits.upper, 9.0)
     return arm.at(arm.configuration(np.clip(drawn, low, high)))

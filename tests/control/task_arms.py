@@ -81,7 +81,8 @@ def random_rotation(rng: np.random.Generator, angle: float) -> np.ndarray:
 
 def gauss_newton(task: object, state: pp.ArmState, steps: int) -> tuple[pp.ArmState, list[float]]:
     """Plain Gauss-Newton on one task: where it ends, and the size of the error on the way."""
-    arm, target = state.arm, target_of(state.arm)
+    arm = state.arm
+    target = target_of(state.arm)
     sizes = []
     for _ in range(steps):
         jacobian, error = task.rows(state, target)

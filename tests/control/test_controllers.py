@@ -59,7 +59,8 @@ def test_selection_moves_its_points_straight_to_their_targets(
     spatial: pp.Arm, planar: pp.Arm, seed: int, amplitude: float, kind: str
 ) -> None:
     arm = spatial if kind == "spatial" else planar
-    state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
+    state = state_of(arm, seed, amplitude)
+    target = target_of(arm, seed)
     method = pp.Selection(gain=0.7, null_gain=0.3)
     step = method.step(state, target, pp.Limits(step=1e6))
     if not step.active:
@@ -78,7 +79,8 @@ def test_selection_moves_its_points_straight_to_their_targets(
 @given(st.integers(0, 10**6), st.sampled_from(["spatial", "planar"]))
 def test_each_point_has_a_gain_of_its_own(spatial: pp.Arm, planar: pp.Arm, seed: int, kind: str) -> None:
     arm = spatial if kind == "spatial" else planar
-    state, target = state_of(arm, seed, 1.0), target_of(arm, seed)
+    state = state_of(arm, seed, 1.0)
+    target = target_of(arm, seed)
     gains = np.random.default_rng(seed).uniform(0.1, 1.0, arm.n_modules)
     errors = gains[:, None] * task_errors(state, target)
     step = pp.Selection(gain=gains).step(state, target, pp.Limits(step=1e6))
@@ -97,7 +99,8 @@ def test_an_objective_is_followed_as_far_as_the_points_leave_room(
     spatial: pp.Arm, planar: pp.Arm, seed: int, kind: str
 ) -> None:
     arm = spatial if kind == "spatial" else planar
-    state, target = state_of(arm, seed, 0.8), target_of(arm, seed)
+    state = state_of(arm, seed, 0.8)
+    target = target_of(arm, seed)
     wish = 0.05 * np.random.default_rng(seed).normal(size=arm.nv)
     seen = []
 
@@ -111,10 +114,8 @@ def test_an_objective_is_followed_as_far_as_the_points_leave_room(
         if not step.active or step.diagnostics.clipped.any():
             continue
         if isinstance(method, pp.Selection):
-            matrix, asked = (
-                active_jacobian(state, step),
-                task_errors(state, target)[list(step.active)].ravel(),
-            )
+            matrix = active_jacobian(state, step)
+            asked = task_errors(state, target)[list(step.active)].ravel()
         else:
             given_errors = task_errors(state, target)
             matrix, asked, *_ = method.posture_control_matrix(state, given_errors, target.has_target)
@@ -125,7 +126,8 @@ def test_an_objective_is_followed_as_far_as_the_points_leave_room(
 
 @given(st.integers(0, 10**6))
 def test_the_null_space_term_descends_and_leaves_the_active_points_alone(spatial: pp.Arm, seed: int) -> None:
-    state, target = state_of(spatial, seed, 0.7), target_of(spatial, seed)
+    state = state_of(spatial, seed, 0.7)
+    target = target_of(spatial, seed)
     without = pp.Selection(null_gain=0.0).step(state, target, FREE)
     with_it = pp.Selection(null_gain=0.5).step(state, target, FREE)
     if without.diagnostics.clipped.any() or with_it.diagnostics.clipped.any():
@@ -147,7 +149,8 @@ def test_projection_has_full_row_rank_everywhere(
     spatial: pp.Arm, planar: pp.Arm, seed: int, amplitude: float
 ) -> None:
     for arm in (spatial, planar):
-        state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
+        state = state_of(arm, seed, amplitude)
+        target = target_of(arm, seed)
         for coupling in ("full", "local"):
             method = pp.Projection(coupling=coupling)
             matrix, velocity, active, _ = method.posture_control_matrix(
@@ -163,7 +166,8 @@ def test_projection_has_full_row_rank_everywhere(
 def test_projection_moves_each_point_as_asked_within_its_manipulability_space(
     spatial: pp.Arm, seed: int
 ) -> None:
-    state, target = state_of(spatial, seed, 0.8), target_of(spatial, seed)
+    state = state_of(spatial, seed, 0.8)
+    target = target_of(spatial, seed)
     projection = pp.Projection(coupling="full", gain=0.3, null_gain=0.0)
     step = projection.step(state, target, pp.Limits(step=1e6))
     if step.diagnostics.clipped.any():
@@ -179,7 +183,8 @@ def test_projection_moves_each_point_as_asked_within_its_manipulability_space(
 
 
 def test_local_coupling_is_block_diagonal_and_full_is_block_triangular(spatial: pp.Arm) -> None:
-    state, target = state_of(spatial, 3, 0.8), target_of(spatial, 3)
+    state = state_of(spatial, 3, 0.8)
+    target = target_of(spatial, 3)
     errors = task_errors(state, target)
     full = pp.Projection(coupling="full").posture_control_matrix(state, errors, target.has_target)[0]
     local = pp.Projection(coupling="local").posture_control_matrix(state, errors, target.has_target)[0]
@@ -218,7 +223,8 @@ def test_every_posture_control_matrix_of_long_runs_has_full_row_rank(name: str) 
 def test_singular_values_and_steps_do_not_depend_on_the_frame(spatial: pp.Arm) -> None:
     turned = pp.Arm.from_template("RyRz", 8, base_placement=PLACEMENT)
     for seed in seeds(10):
-        q, goal = state_of(spatial, seed, 0.8).q, target_of(spatial, seed)
+        q = state_of(spatial, seed, 0.8).q
+        goal = target_of(spatial, seed)
         moved = goal.points @ PLACEMENT.rotation.T + PLACEMENT.translation
         for name in THESIS:
             here = controller_named(name).step(spatial.at(q), goal)
@@ -280,7 +286,8 @@ def test_free_control_points_are_not_used(spatial: pp.Arm) -> None:
 def test_each_score_takes_the_best_of_its_own_sets(planar: pp.Arm) -> None:
     taken = set()
     for seed in range(20):
-        state, target = state_of(planar, seed, 1.0), target_of(planar, seed)
+        state = state_of(planar, seed, 1.0)
+        target = target_of(planar, seed)
         indices = state.manipulability()
         distances = np.linalg.norm(task_errors(state, target), axis=1)
         clear = indices[0, 1:] > 0.01
@@ -318,7 +325,8 @@ def test_sections_are_for_planar_arms_of_single_joints_and_unbroken_regions(
 
 
 def test_selection_says_that_no_section_is_stable(planar: pp.Arm) -> None:
-    state, target = state_of(planar, 0, 0.3), target_of(planar, 0)
+    state = state_of(planar, 0, 0.3)
+    target = target_of(planar, 0)
     step = pp.Selection(relative=0.99).step(state, target)
     assert step.active == ()
     assert "no section of 2 or 3 modules" in step.diagnostics.reason

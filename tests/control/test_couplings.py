@@ -53,7 +53,8 @@ def test_every_coupling_has_full_row_rank_also_with_free_points(
     spatial: pp.Arm, planar: pp.Arm, seed: int, amplitude: float, kind: str, free: list[int]
 ) -> None:
     arm = spatial if kind == "spatial" else planar
-    state, target = arm.at(random_posture(arm, seed, amplitude)), goal(arm, seed, free)
+    state = arm.at(random_posture(arm, seed, amplitude))
+    target = goal(arm, seed, free)
     for coupling in COUPLINGS:
         method = pp.Projection(coupling=coupling)
         matrix, velocity, active, _ = method.posture_control_matrix(
@@ -67,11 +68,13 @@ def test_every_coupling_has_full_row_rank_also_with_free_points(
 @pytest.mark.parametrize("free", [[], [2, 3], [0, 5], [0, 1, 6]])
 def test_relative_coupling_covers_the_errors_between_neighbours(spatial: pp.Arm, free: list[int]) -> None:
     """By finite differences: the motion between neighbours, in the directions that the module has."""
-    state, target = spatial.at(random_posture(spatial, 5, 0.7)), goal(spatial, 5, free)
+    state = spatial.at(random_posture(spatial, 5, 0.7))
+    target = goal(spatial, 5, free)
     step = pp.Projection(coupling="relative", gain=0.4, null_gain=0.0).step(state, target, FREE)
     h = 1e-6
     ahead, behind = (spatial.at(state.q + sign * h * step.dq).points for sign in (1.0, -1.0))
-    motion, errors = (ahead - behind) / (2.0 * h), target.points - state.points
+    motion = (ahead - behind) / (2.0 * h)
+    errors = target.points - state.points
     previous = -1
     for k in np.flatnonzero(target.has_target):
         section = state.jacobians[k][:, 2 * (previous + 1) : 2 * k + 2]

@@ -54,7 +54,8 @@ def edges_of(arm: pp.Arm, margin: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def middle_of(arm: pp.Arm) -> np.ndarray:
-    lower, upper = np.maximum(arm.limits.lower, -1.0), np.minimum(arm.limits.upper, 1.0)
+    lower = np.maximum(arm.limits.lower, -1.0)
+    upper = np.minimum(arm.limits.upper, 1.0)
     return (lower + upper) / 2.0
 
 
@@ -85,14 +86,17 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
     margin: float,
     seed: int,
 ) -> None:
-    arm, rng, dt = arm_called(kind), np.random.default_rng(seed), 0.02
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
+    dt = 0.02
     largest = acceleration * (rng.uniform(0.2, 1.0, arm.nv) if per_joint else np.ones(arm.nv))
     limits = pp.Limits(
         step=step, dt=dt, position_margin=margin, acceleration=largest if per_joint else acceleration
     )
     lower, upper = edges_of(arm, margin)
     speed = arm.limits.velocity * dt if step is None else np.minimum(step, arm.limits.velocity * dt)
-    q, previous = arm.configuration(middle_of(arm)), None
+    q = arm.configuration(middle_of(arm))
+    previous = None
     for k in range(120):
         state = arm.at(q)
         box = limits.box(state, previous)
@@ -103,7 +107,8 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
         assert np.all(np.abs(dq) <= speed + ALLOWED)
         before = np.zeros(arm.nv) if previous is None else previous
         assert np.all(np.abs(dq - before) <= largest * dt**2 + ALLOWED)
-        q, previous = arm.integrate(q, dq), dq
+        q = arm.integrate(q, dq)
+        previous = dq
         positions = arm.positions(q)
         assert np.all(positions >= lower - ALLOWED)
         assert np.all(positions <= upper + ALLOWED)
@@ -112,7 +117,9 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
 @pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_a_joint_that_always_takes_the_edge_stops_exactly_at_its_limit() -> None:
     limits = pp.Limits(step=0.07, velocity=9.0, dt=0.02, acceleration=20.0)  # dq changes by at most 0.008
-    q, previous, steps = limited().configuration(np.full(8, -0.75)), None, []
+    q = limited().configuration(np.full(8, -0.75))
+    previous = None
+    steps = []
     while previous is None or np.abs(previous).max() > 1e-12:
         previous = limits.box(limited().at(q), previous).upper
         q = limited().integrate(q, previous)
@@ -131,14 +138,17 @@ def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
         assert len(box.violated_constraints) == 2
         assert "joint 'turn' is at 0.5, outside -2.9 to 0.1 rad" in box.violated_constraints[0]
         assert "joint 'slide' is at 0.1, outside 0.2 to 0.7 m" in box.violated_constraints[1]
-        here, previous, outside = q, None, [0.4]
+        here = q
+        previous = None
+        outside = [0.4]
         while not arm.within_limits(here):
             step = limits.apply(arm.at(here), np.array([1.0, 0.0, -1.0, 0.0]), previous)
             assert np.all(np.abs(step.dq) <= 0.05 + ALLOWED)
             if limits.acceleration is not None:
                 before = np.zeros(4) if previous is None else previous
                 assert np.all(np.abs(step.dq - before) <= 10.0 * 0.02**2 + ALLOWED)
-            here, previous = arm.integrate(here, step.dq), step.dq
+            here = arm.integrate(here, step.dq)
+            previous = step.dq
             outside.append(arm.positions(here)[0] - 0.1)
             assert len(outside) < 40
         assert np.all(np.diff(outside) < 0.0)
@@ -157,8 +167,11 @@ def test_a_margin_that_the_start_does_not_keep_is_named() -> None:
 
 def test_a_joint_that_is_too_fast_brakes_as_hard_as_it_may_and_is_named() -> None:
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=1.0)  # dq changes by at most 0.01
-    state, fast = limited().at(np.full(8, 0.28)), np.zeros(8)
-    fast[2], fast[3], fast[4] = 0.05, -0.05, 0.02
+    state = limited().at(np.full(8, 0.28))
+    fast = np.zeros(8)
+    fast[2] = 0.05
+    fast[3] = -0.05
+    fast[4] = 0.02
     box = limits.box(state, fast)
     assert len(box.violated_constraints) == 1
     assert "position limit: joint 'm02_j1_y' at " in box.violated_constraints[0]
@@ -170,7 +183,8 @@ def test_a_joint_that_is_too_fast_brakes_as_hard_as_it_may_and_is_named() -> Non
 def test_a_joint_faster_than_its_bound_takes_the_bound_and_is_named() -> None:
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=1.0)
     fast = np.zeros(8)
-    fast[1], fast[6] = -0.3, 0.105
+    fast[1] = -0.3
+    fast[6] = 0.105
     box = limits.box(limited().at(np.r_[np.zeros(6), -0.6, 0.0]), fast)
     assert len(box.violated_constraints) == 1
     assert "acceleration limit: braking leaves joint 'm01_j2_z' a step" in box.violated_constraints[0]
@@ -182,11 +196,14 @@ def test_a_joint_faster_than_its_bound_takes_the_bound_and_is_named() -> None:
 @given(st.integers(0, 10**6), st.sampled_from(sorted(ARMS)))
 @examples(40)
 def test_from_any_state_the_box_holds_the_bound_and_full_braking_at_least(seed: int, kind: str) -> None:
-    arm, rng = arm_called(kind), np.random.default_rng(seed)
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=rng.uniform(0.5, 5.0, arm.nv))
     state = arm.at(arm.configuration(rng.normal(0.0, 2.0, arm.nv)))
-    previous, positions = rng.normal(0.0, 0.1, arm.nv), arm.positions(state.q)
-    box, brake = limits.box(state, previous), limits.acceleration * 0.01
+    previous = rng.normal(0.0, 0.1, arm.nv)
+    positions = arm.positions(state.q)
+    box = limits.box(state, previous)
+    brake = limits.acceleration * 0.01
     assert np.all(box.lower <= box.upper)
     bound = np.minimum(0.1, 0.1 * arm.limits.velocity)
     assert np.all(np.abs([box.lower, box.upper]) <= bound)
@@ -194,7 +211,8 @@ def test_from_any_state_the_box_holds_the_bound_and_full_braking_at_least(seed: 
     for edge in (box.lower, box.upper):
         assert np.all(np.abs(edge - previous)[slower] <= brake[slower] + ALLOWED)
     # Who is outside and does not move outwards is not led farther out.
-    below, above = positions < arm.limits.lower, positions > arm.limits.upper
+    below = positions < arm.limits.lower
+    above = positions > arm.limits.upper
     assert np.all(box.upper[above & (previous <= 0.0)] <= 0.0)
     assert np.all(box.lower[below & (previous >= 0.0)] >= 0.0)
     named = " ".join(box.violated_constraints)
@@ -204,13 +222,16 @@ def test_from_any_state_the_box_holds_the_bound_and_full_braking_at_least(seed: 
 
 
 def test_joints_off_the_chain_are_left_alone() -> None:
-    model, link = pin.Model(), pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    model = pin.Model()
+    link = pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
     for parent, joint in ((0, "a"), (1, "aside"), (1, "b")):
         model.addJoint(parent, pin.JointModelRZ(), link, joint)
     model.addFrame(pin.Frame("end", 3, 0, link, pin.FrameType.OP_FRAME))
-    model.lowerPositionLimit, model.upperPositionLimit = np.full(3, -1.0), np.full(3, 1.0)
+    model.lowerPositionLimit = np.full(3, -1.0)
+    model.upperPositionLimit = np.full(3, 1.0)
     arm = pp.Arm.from_model(model, ["end"])
-    state, limits = arm.at([0.0, 2.0, 0.0]), pp.Limits(step=0.1, dt=0.1, acceleration=5.0)
+    state = arm.at([0.0, 2.0, 0.0])
+    limits = pp.Limits(step=0.1, dt=0.1, acceleration=5.0)
     box = limits.box(state)
     assert box.violated_constraints == ()
     np.testing.assert_allclose([box.lower, box.upper], [[-0.05] * 3, [0.05] * 3])
@@ -226,11 +247,13 @@ def test_joints_off_the_chain_are_left_alone() -> None:
 def test_without_an_acceleration_limit_steps_are_scaled_and_cut(
     seed: int, kind: str, step: float | None
 ) -> None:
-    arm, rng = arm_called(kind), np.random.default_rng(seed)
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
     limits = pp.Limits(step=step, dt=0.04, position_margin=0.005)
     state = arm.at(arm.configuration(rng.normal(0.0, 1.0, arm.nv)))
     asked = rng.normal(0.0, rng.choice([0.01, 0.1, 10.0]), arm.nv)
-    limited, box = limits.apply(state, asked, rng.normal(size=arm.nv)), limits.box(state)
+    limited = limits.apply(state, asked, rng.normal(size=arm.nv))
+    box = limits.box(state)
     bounds = [min(np.inf if step is None else step, v * 0.04) for v in arm.limits.velocity]
     scale = min([1.0, *(b / abs(d) for b, d in zip(bounds, asked, strict=True) if d)])
     assert limited.scale == pytest.approx(scale, rel=1e-12)

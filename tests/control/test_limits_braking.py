@@ -45,7 +45,8 @@ def test_farthest_uses_up_the_room_to_the_last_bit(room: float, brake: float) ->
     steps = np.arange(step, 0.0, -brake)
     assert steps.sum() == pytest.approx(room, rel=1e-9)
     # Taken again and again, it is full braking, and comes to rest at the place.
-    again, left = step, room - step
+    again = step
+    left = room - step
     for expected in steps[1:]:
         again = float(farthest(np.array([left]), np.array([brake]))[0])
         assert again == pytest.approx(expected, abs=1e-9 * (1.0 + room))
@@ -87,7 +88,8 @@ def test_the_box_is_the_viability_kernel(low: int, high: int, bound: int, brake:
     viable = viable_states(low, high, bound, brake)
     for x, p in product(range(low, high + 1), range(-bound, bound + 1)):
         box = limits.box(arm.at([x * UNIT]), np.array([p * UNIT]))
-        lower, upper = box.lower[0] / UNIT, box.upper[0] / UNIT
+        lower = box.lower[0] / UNIT
+        upper = box.upper[0] / UNIT
         assert lower <= upper
         if (x, p) in viable:
             allowed = steps_from(x, p, bound, brake, viable)

@@ -48,11 +48,16 @@ def test_every_controller_keeps_an_acceleration_limit(name: str, kind: str) -> N
     if name == "joint" and kind != "known":
         kind = "known"
     for seed, (arm_kind, acceleration) in enumerate(zip(ARMS, (2.0, 8.0, 0.5), strict=True)):
-        arm, dt = arm_called(arm_kind), 0.05
+        arm = arm_called(arm_kind)
+        dt = 0.05
         limits = pp.Limits(step=0.1, dt=dt, velocity=1.5, acceleration=acceleration, position_margin=1e-3)
         q = np.clip(arm.positions(posture(arm, seed)), arm.limits.lower + 1e-3, arm.limits.upper - 1e-3)
-        q, memory, before, moved = arm.configuration(q), None, np.zeros(arm.nv), 0
-        target, controller = target_of(arm, seed, kind), controller_named(name)
+        q = arm.configuration(q)
+        memory = None
+        before = np.zeros(arm.nv)
+        moved = 0
+        target = target_of(arm, seed, kind)
+        controller = controller_named(name)
         for _ in range(50):
             state = arm.at(q)
             assert limits.box(state, before).violated_constraints == ()
@@ -60,8 +65,11 @@ def test_every_controller_keeps_an_acceleration_limit(name: str, kind: str) -> N
             assert np.all(np.abs(step.dq) <= 1.5 * dt + ALLOWED)
             assert np.all(np.abs(step.dq - before) <= acceleration * dt**2 + ALLOWED)
             np.testing.assert_array_equal(step.memory.dq, step.dq)
-            q, memory, before = arm.integrate(q, step.dq), step.memory, step.dq
-            positions, moved = arm.positions(q), moved + bool(step.dq.any())
+            q = arm.integrate(q, step.dq)
+            memory = step.memory
+            before = step.dq
+            positions = arm.positions(q)
+            moved = moved + bool(step.dq.any())
             assert np.all(positions >= arm.limits.lower + 1e-3 - ALLOWED)
             assert np.all(positions <= arm.limits.upper - 1e-3 + ALLOWED)
         assert moved > 10
@@ -73,13 +81,16 @@ def test_who_has_nowhere_to_go_brakes_first(name: str) -> None:
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=3.0)  # dq changes by at most 0.03
     speed = np.linspace(-0.1, 0.1, 10)
     nowhere = pp.Target(arm.at(arm.straight()).points, np.zeros(5))
-    q, memory, left = arm.straight(), Memory(speed), [np.abs(speed).max()]
+    q = arm.straight()
+    memory = Memory(speed)
+    left = [np.abs(speed).max()]
     for _ in range(4):
         step = controller_named(name).step(arm.at(q), nowhere, limits, memory)
         assert step.diagnostics.reason
         expected = np.sign(memory.dq) * np.maximum(np.abs(memory.dq) - 0.03, 0.0)
         np.testing.assert_allclose(step.dq, expected, atol=1e-15)
-        q, memory = arm.integrate(q, step.dq), step.memory
+        q = arm.integrate(q, step.dq)
+        memory = step.memory
         left.append(np.abs(step.dq).max())
     np.testing.assert_allclose(left, [0.1, 0.07, 0.04, 0.01, 0.0], atol=1e-12)
     assert not step.dq.any()
@@ -90,7 +101,8 @@ def test_who_has_nowhere_to_go_brakes_first(name: str) -> None:
 @pytest.mark.parametrize("known", [True, False])
 def test_switching_keeps_it_where_projection_cannot_move(known: bool) -> None:
     """Then the joints go by themselves along a known way, or Selection keeps control where none is known."""
-    arm, limits = pp.Arm.from_template("Rz", 3), pp.Limits(step=0.02, dt=0.1, acceleration=0.3)
+    arm = pp.Arm.from_template("Rz", 3)
+    limits = pp.Limits(step=0.02, dt=0.1, acceleration=0.3)
     folded = np.array([0.0, 2.5, -2.6])
     target = pp.Target.from_configuration(arm, folded + [0.3, 0.1, -0.2]).region(2, 2)
     method = pp.Switching(

@@ -35,7 +35,8 @@ def case(name: str, modules: int, seed: int) -> tuple[pp.Arm, pp.ArmState, pp.Ta
 @pytest.mark.parametrize(("name", "modules"), [("RyRz", 6), ("Rz", 9), ("Continuum", 3), ("on a slide", 5)])
 def test_joint_speeds_are_descended(name: str, modules: int) -> None:
     arm, state, target = case(name, modules, 0)
-    objective, errors = JointSpeeds(), (target.points - state.points) @ arm.plane.T
+    objective = JointSpeeds()
+    errors = (target.points - state.points) @ arm.plane.T
 
     def half_square(q: np.ndarray) -> float:
         jacobian = (arm.plane @ arm.at(q).jacobians * arm.joint_units).reshape(-1, arm.nv)
@@ -133,7 +134,8 @@ def test_projection_by_sections_moves_the_ends_of_the_best_chain() -> None:
 
 def test_projection_by_sections_moves_a_straight_arm_and_a_region() -> None:
     arm = template_arm("Rz", 11)
-    state, target = arm.at(arm.straight()), case("Rz", 11, 3)[2]
+    state = arm.at(arm.straight())
+    target = case("Rz", 11, 3)[2]
     step = Projection(strides=(2, 3)).step(state, target)
     assert len(step.active) == 5
     assert np.abs(step.dq).max() > 0.0

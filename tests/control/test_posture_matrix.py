@@ -23,10 +23,13 @@ kinds = st.sampled_from(sorted(ARMS))
 
 def exact_step(matrix: np.ndarray, values: np.ndarray, secondary: np.ndarray) -> np.ndarray:
     """J^+ dr + (I - J^+ J) g by Gram-Schmidt, twice over, in extended precision."""
-    J, g = matrix.astype(np.longdouble), secondary.astype(np.longdouble)
+    J = matrix.astype(np.longdouble)
+    g = secondary.astype(np.longdouble)
     rows = len(J)
-    Q, R = np.zeros(J.shape, np.longdouble), np.zeros((rows, rows), np.longdouble)
-    y, rest = np.zeros(rows, np.longdouble), values - J @ g
+    Q = np.zeros(J.shape, np.longdouble)
+    R = np.zeros((rows, rows), np.longdouble)
+    y = np.zeros(rows, np.longdouble)
+    rest = values - J @ g
     for i in range(rows):
         row = J[i].copy()
         for _ in range(2):
@@ -41,7 +44,8 @@ def exact_step(matrix: np.ndarray, values: np.ndarray, secondary: np.ndarray) ->
 
 def of_points(state: pp.ArmState, points: np.ndarray) -> tuple[PostureMatrix, np.ndarray]:
     """Posture control matrix of some control points, by passes and dense."""
-    known, p = state.arm.kinematics.task_constants, len(points)
+    known = state.arm.kinematics.task_constants
+    p = len(points)
     rows = Rows(points.astype(np.int64), known.dimensions[:p], known.frames[:p], FULL)
     return PostureMatrix(state.screws, rows), state.task_jacobians[points].reshape(-1, state.arm.nv)
 
@@ -53,10 +57,12 @@ def test_the_step_is_as_accurate_as_the_matrix_allows(m: int, amplitude: float, 
     arm = pp.Arm.from_template("RyRz", m)
     phase = np.random.default_rng(m).uniform(0, 6, (2, 1))
     smooth = amplitude * np.sin(np.pi * np.linspace(0, 3, m) + phase).T
-    rng, state = np.random.default_rng(0), arm.at(arm.configuration(smooth.ravel()))
+    rng = np.random.default_rng(0)
+    state = arm.at(arm.configuration(smooth.ravel()))
     points = np.arange(every - 1, m, every)
     matrix, dense = of_points(state, points)
-    values, secondary = rng.normal(size=(len(points), 3)), rng.normal(size=arm.nv)
+    values = rng.normal(size=(len(points), 3))
+    secondary = rng.normal(size=arm.nv)
     expected = exact_step(dense, values.ravel(), secondary)
     error = np.abs(matrix.step(arm, values, secondary) - expected).max() / np.abs(expected).max()
     sigma = np.linalg.svd(dense, compute_uv=False)
@@ -71,12 +77,15 @@ def test_the_step_is_as_accurate_as_the_matrix_allows(m: int, amplitude: float, 
 def test_projection_moves_as_its_dense_matrix_says(
     kind: str, seed: int, amplitude: float, kappa: float
 ) -> None:
-    arm, rng = arm_called(kind), np.random.default_rng(seed)
-    state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, amplitude)
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
+    state = state_of(arm, seed, amplitude)
+    goal = state_of(arm, seed + 1, amplitude)
     weights = (rng.random(arm.n_modules) < 0.7).astype(float)
     weights[-1] = 1.0
     target = pp.Target.from_points(arm, goal.points, weights)
-    secondary, errors = rng.normal(size=arm.nv), aligned_errors(state, target, target.has_target)
+    secondary = rng.normal(size=arm.nv)
+    errors = aligned_errors(state, target, target.has_target)
     for coupling in COUPLINGS:
         method = pp.Projection(threshold=kappa, coupling=coupling, gain=0.7)
         step = method.step_with(secondary, state, target, pp.Limits(step=1e9))
@@ -104,14 +113,18 @@ def test_spaces_of_modules_are_those_of_the_singular_values(
     kind: str, seed: int, amplitude: float, kappa: float
 ) -> None:
     """By their projectors: singular vectors of equal singular values are any of their plane."""
-    arm, rng = arm_called(kind), np.random.default_rng(seed)
-    state, eligible = state_of(arm, seed, amplitude), rng.random(arm.n_modules) < 0.7
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
+    state = state_of(arm, seed, amplitude)
+    eligible = rng.random(arm.n_modules) < 0.7
     eligible[0] = True
     method = pp.Projection(threshold=kappa, coupling="local")
     matrix, velocity, active, smallest = method.posture_control_matrix(
         state, rng.normal(size=(arm.n_modules, arm.dimension)), eligible
     )
-    ends, row, ratios = np.flatnonzero(eligible), 0, [1.0]
+    ends = np.flatnonzero(eligible)
+    row = 0
+    ratios = [1.0]
     for start, end in zip([-1, *ends[:-1]], ends, strict=True):
         columns = arm.columns[arm.module_starts[start + 1] : arm.kinematics.ends[end]]
         own = state.task_jacobians[end][:, columns]
@@ -135,7 +148,8 @@ def test_spaces_of_modules_are_those_of_the_singular_values(
 @examples(40)
 def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, amplitude: float) -> None:
     arm = arm_called(kind)
-    state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, 1.0)
+    state = state_of(arm, seed, amplitude)
+    goal = state_of(arm, seed + 1, 1.0)
     target = pp.Target.from_points(arm, goal.points, np.arange(arm.n_modules) % 3 > 0)
     errors = aligned_errors(state, target, target.has_target)
     found = descent(arm, state.screws, errors, np.linalg.norm(errors, axis=1))
@@ -147,7 +161,9 @@ def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, ampli
 
 def chosen_from(state: pp.ArmState, points: np.ndarray, least: float) -> np.ndarray:
     """Which of the control points `well_conditioned` chooses."""
-    known, p, kept = state.arm.kinematics.task_constants, len(points), np.empty(len(points), dtype=bool)
+    known = state.arm.kinematics.task_constants
+    p = len(points)
+    kept = np.empty(len(points), dtype=bool)
     rows = Rows(points, known.dimensions[:p], known.frames[:p], FULL)
     kernels.well_conditioned(state.screws, rows, least, kept)
     return kept
@@ -164,8 +180,10 @@ def test_points_are_chosen_if_their_singular_values_admit_it(
     kind: str, seed: int, amplitude: float, exponent: float
 ) -> None:
     """Not below the bound, all if possible, and nearly as many as any choice of points has."""
-    arm, rng = arm_called(kind), np.random.default_rng(seed)
-    state, least = state_of(arm, seed, amplitude), 10.0**exponent
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
+    state = state_of(arm, seed, amplitude)
+    least = 10.0**exponent
     points = np.sort(rng.choice(arm.n_modules, size=min(6, arm.n_modules), replace=False)).astype(np.int64)
     kept = chosen_from(state, points, least)
     rounding = 1e-7 * arm.length
@@ -183,9 +201,11 @@ def test_few_points_are_dropped_on_long_arms() -> None:
     for seed in range(3):
         arm = pp.Arm.from_template("RyRz", 120)
         wave = 0.1 * np.sin(np.linspace(0, 9, 120) + np.random.default_rng(seed).uniform(0, 6, (2, 1)))
-        state, points = arm.at(arm.configuration(wave.T.ravel())), np.arange(1, 120, 2)
+        state = arm.at(arm.configuration(wave.T.ravel()))
+        points = np.arange(1, 120, 2)
         least = 4.0 * smallest_of(state, points)
-        kept, by_blame = chosen_from(state, points, least), points
+        kept = chosen_from(state, points, least)
+        by_blame = points
         while smallest_of(state, by_blame) <= least:
             dense = state.task_jacobians[by_blame].reshape(-1, arm.nv)
             last = np.linalg.svd(dense, full_matrices=False)[0][:, -1]
@@ -196,7 +216,8 @@ def test_few_points_are_dropped_on_long_arms() -> None:
 
 
 def test_joints_off_the_chain_stay_where_they_are() -> None:
-    arm, plain = branched(), pp.Arm.from_template("RyRz", 4)
+    arm = branched()
+    plain = pp.Arm.from_template("RyRz", 4)
     q = np.random.default_rng(0).uniform(-1, 1, 8)
     on_chain = arm.columns
     assert len(on_chain) == 8 == arm.nv - 1
@@ -205,7 +226,8 @@ def test_joints_off_the_chain_stay_where_they_are() -> None:
     target = pp.Target.from_points(arm, plain.at(np.full(8, 0.4)).points)
     for name in ("selection", "projection"):
         method = pp.control.controller_named(name)
-        one, other = method.step(arm.at(wide), target), method.step(plain.at(q), target)
+        one = method.step(arm.at(wide), target)
+        other = method.step(plain.at(q), target)
         assert one.active == other.active
         np.testing.assert_allclose(one.dq[on_chain], other.dq, atol=1e-12)
         assert np.delete(one.dq, on_chain) == 0.0

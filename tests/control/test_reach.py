@@ -14,7 +14,8 @@ from sampling import examples
 
 import pinposture as pp
 
-MARGIN, RADIUS = 0.01, 0.008
+MARGIN = 0.01
+RADIUS = 0.008
 
 
 @pytest.fixture(scope="module")

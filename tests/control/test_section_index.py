@@ -60,7 +60,8 @@ def test_sections_of_an_arm_are_compared_with_their_own_links() -> None:
     turned = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
     for arm in (pp.Arm.from_modules(modules), pp.Arm.from_modules(modules, base_placement=turned)):
         q = arm.random(np.random.default_rng(0))
-        raw, found = arm.at(q).manipulability(), section_indices(arm.at(q), (2, 3))
+        raw = arm.at(q).manipulability()
+        found = section_indices(arm.at(q), (2, 3))
         for stride in range(1, 7):
             for start in range(7 - stride):
                 best = best_index(tuple(lengths[start : start + stride])) if stride in (2, 3) else 1.0
@@ -81,7 +82,8 @@ def test_joints_of_one_module_count_as_links_and_others_stay_as_they_are() -> No
     rng = np.random.default_rng(3)
     doubled = pp.Arm.from_template("RzRz", 4)
     state = doubled.at(doubled.random(rng))
-    found, raw = section_indices(state, (1, 2)), state.manipulability()
+    found = section_indices(state, (1, 2))
+    raw = state.manipulability()
     np.testing.assert_allclose(np.diag(found, 1), np.diag(raw, 1) / best_index((1.0, 1.0)), rtol=1e-9)
     np.testing.assert_array_equal(np.diag(found, 2), np.diag(raw, 2))  # sections of four joints
     slide = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.1)

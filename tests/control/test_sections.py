@@ -20,7 +20,8 @@ STRIDES = [(2, 3), (2,), (3,), (1, 2), (2, 3, 5)]
 
 def scored(tree: SectionTree, branch: tuple[int, ...], score: str) -> tuple[float, tuple[int, ...]]:
     """Algorithm 2 and (4.8) as they are written down: the score of a branch, and its points (0-based)."""
-    points, kept = [], []
+    points = []
+    kept = []
     if branch[0] > 0 and tree.usable[branch[0] - 1]:
         points.append(branch[0] - 1)
     for start, end in pairwise(branch):

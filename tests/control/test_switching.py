@@ -183,7 +183,8 @@ def test_bad_parameters_are_named(parameters: dict, message: str) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_selection_takes_up_again_as_soon_as_it_can(long: pp.Arm, seed: int) -> None:
     """Section 4.6.2: what it is given control for is a step that does lower the posture error."""
-    start, goal = long.straight() if seed % 2 else posture(long, seed, 0.9), posture(long, 50 + seed, 0.9)
+    start = long.straight() if seed % 2 else posture(long, seed, 0.9)
+    goal = posture(long, 50 + seed, 0.9)
     target = pp.Target.from_configuration(long, goal)
     after, soon = (
         pp.track(long, target, start, pp.Switching(hand_back=when), max_steps=400)
@@ -191,7 +192,8 @@ def test_selection_takes_up_again_as_soon_as_it_can(long: pp.Arm, seed: int) -> 
     )
     assert after.converged and soon.converged
     assert np.mean(soon.method == "selection") >= np.mean(after.method == "selection")
-    error, resumed = soon.posture_error, [k for k, why in enumerate(soon.switched) if "again" in why]
+    error = soon.posture_error
+    resumed = [k for k, why in enumerate(soon.switched) if "again" in why]
     assert resumed
     for k in resumed:
         assert soon.method[k] == "selection"

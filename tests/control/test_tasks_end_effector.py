@@ -73,7 +73,8 @@ def test_the_gradient_of_the_squared_error_is_exact_for_the_axis_alone(
     name: str, seed: int | None, angle: float
 ) -> None:
     state = state_of(name, seed)
-    target, task = target_of(state.arm), made("axis", state, angle)
+    target = target_of(state.arm)
+    task = made("axis", state, angle)
     jacobian, error = task.rows(state, target)
     assert len(error) == state.arm.dimension + min(TURNS[name], 2)
     found = derivative(state, lambda at: 0.5 * np.sum(task.rows(at, target).error ** 2))
@@ -112,7 +113,8 @@ def test_an_orientation_out_of_reach_asks_for_the_nearest_one(name: str, seed: i
 
 def test_what_leaves_the_plane_does_not_change_what_is_asked_within_it() -> None:
     state = state_of("planar", 3)
-    target, normal = target_of(state.arm), state.arm.base_placement.rotation[:, 2]
+    target = target_of(state.arm)
+    normal = state.arm.base_placement.rotation[:, 2]
     within = pin.SE3(np.asarray(pin.exp3(0.8 * normal)) @ state.rotations[-1], state.points[-1] + 0.1)
     off = pin.SE3(
         np.asarray(pin.exp3(0.3 * state.arm.plane[0])) @ within.rotation, within.translation + normal
@@ -143,7 +145,8 @@ HALF_TURNS = [
 @pytest.mark.parametrize("name", ARMS)
 def test_half_a_turn_is_finite_bounded_and_not_left_to_rounding(name: str, axis: tuple[float, ...]) -> None:
     state = state_of(name, 2)
-    target, rng = target_of(state.arm), np.random.default_rng(1)
+    target = target_of(state.arm)
+    rng = np.random.default_rng(1)
     about = np.array(axis) / np.linalg.norm(axis)
     half = 2.0 * np.outer(about, about) - np.eye(3)
     base = EndEffector(pose=pin.SE3(half @ state.rotations[-1], state.points[-1]), length=1.0)

@@ -18,7 +18,8 @@ from pinposture.control import ControlTask, JointPosture
 @pytest.mark.parametrize("length", [None, 0.4])
 def test_rows_equal_the_derivative_of_the_error(name: str, seed: int | None, length: float | None) -> None:
     state = state_of(name, seed)
-    arm, target = state.arm, target_of(state.arm)
+    arm = state.arm
+    target = target_of(state.arm)
     task = JointPosture(arm.random(np.random.default_rng(77)), length=length)
     jacobian, error = task.rows(state, target)
     assert error.shape == (arm.nv,)
@@ -44,8 +45,10 @@ def test_one_plain_step_arrives() -> None:
 @examples(40)
 def test_continuous_joints_go_the_shorter_way_round(now: float, then: float) -> None:
     arm = arm_called("mixed")
-    positions, wanted = np.zeros(9), np.zeros(9)
-    positions[4], wanted[4] = now, then
+    positions = np.zeros(9)
+    wanted = np.zeros(9)
+    positions[4] = now
+    wanted[4] = then
     task = JointPosture(arm.configuration(wanted), length=1.0)
     jacobian, error = task.rows(arm.at(arm.configuration(positions)), target_of(arm))
     shorter = (then - now + np.pi) % (2.0 * np.pi) - np.pi
@@ -56,7 +59,8 @@ def test_continuous_joints_go_the_shorter_way_round(now: float, then: float) -> 
 
 def test_some_joints_only() -> None:
     state = state_of("mixed", 2)
-    arm, target = state.arm, target_of(state.arm)
+    arm = state.arm
+    target = target_of(state.arm)
     q = arm.random(np.random.default_rng(3))
     everything = JointPosture(q).rows(state, target)
     chosen = (arm.chain.joints[7], arm.chain.joints[0])
@@ -70,7 +74,8 @@ def test_some_joints_only() -> None:
 def test_joints_off_the_chain_are_left_alone_by_every_task() -> None:
     model = pin.buildSampleModelManipulator()
     arm = pp.Arm.from_model(model, ["elbow_body", "wrist1_body"])
-    state, target = arm.at(arm.random(np.random.default_rng(0))), target_of(arm)
+    state = arm.at(arm.random(np.random.default_rng(0)))
+    target = target_of(arm)
     off = np.setdiff1d(np.arange(arm.nv), arm.columns)
     assert len(off) > 0
     tasks: list[ControlTask] = [

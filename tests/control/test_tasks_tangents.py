@@ -31,7 +31,9 @@ ROBOTS = (
     "ur_description/urdf/ur5_robot.urdf",
     "kinova_description/robots/kinova.urdf",
 )
-TWO, ONE, NONE = ("spatial", "mixed"), ("planar", "scara"), ("gantry",)
+TWO = ("spatial", "mixed")
+ONE = ("planar", "scara")
+NONE = ("gantry",)
 
 
 def directions_near(state: pp.ArmState, angle: float, seed: int = 0) -> np.ndarray:
@@ -48,12 +50,15 @@ def directions_near(state: pp.ArmState, angle: float, seed: int = 0) -> np.ndarr
 def test_rows_are_the_motion_of_the_links_in_space(name: str, seed: int | None, angle: float) -> None:
     """The basis of the rows is free: their products are compared, and the way that they show in space."""
     state = state_of(name, seed)
-    arm, wanted, lever = state.arm, directions_near(state, angle), 0.2
+    arm = state.arm
+    wanted = directions_near(state, angle)
+    lever = 0.2
     jacobian, error = Tangents(wanted, length=lever).rows(state, target_of(arm))
     motion = lever * derivative(state, lambda at: at.rotations[:, :, 0])
     assert jacobian.shape == (2 * arm.n_modules, arm.nv)
     for k in range(arm.n_modules):
-        rows, apart = jacobian[2 * k : 2 * k + 2], error[2 * k : 2 * k + 2]
+        rows = jacobian[2 * k : 2 * k + 2]
+        apart = error[2 * k : 2 * k + 2]
         np.testing.assert_allclose(rows.T @ rows, motion[k].T @ motion[k], atol=1e-9)
         assert np.linalg.norm(apart) == pytest.approx(lever * angle, abs=1e-8)
         if 0.0 < angle < 3.0:
@@ -67,7 +72,8 @@ def test_rows_are_the_motion_of_the_links_in_space(name: str, seed: int | None, 
 @pytest.mark.parametrize("angle", [1e-4, 0.9, 2.9])
 def test_the_gradient_of_the_squared_error_is_exact(name: str, seed: int | None, angle: float) -> None:
     state = state_of(name, seed)
-    task, target = Tangents(directions_near(state, angle), length=0.2), target_of(state.arm)
+    task = Tangents(directions_near(state, angle), length=0.2)
+    target = target_of(state.arm)
     jacobian, error = task.rows(state, target)
     found = derivative(state, lambda at: 0.5 * np.sum(task.rows(at, target).error ** 2))
     np.testing.assert_allclose(-error @ jacobian, found, atol=1e-8)
@@ -77,8 +83,10 @@ def test_the_gradient_of_the_squared_error_is_exact(name: str, seed: int | None,
 @pytest.mark.parametrize("seed", [None, 0, 1])
 def test_where_links_turn_about_one_axis_there_is_one_row(name: str, seed: int | None) -> None:
     state = state_of(name, seed)
-    arm, target = state.arm, target_of(state.arm)
-    axis, links = arm.base_placement.rotation[:, 2], state.rotations[:, :, 0]
+    arm = state.arm
+    target = target_of(state.arm)
+    axis = arm.base_placement.rotation[:, 2]
+    links = state.rotations[:, :, 0]
     for angle in (0.0, 0.4, -2.0, 3.1):
         turned = links @ np.asarray(pin.exp3(angle * axis)).T
         jacobian, error = Tangents(turned, length=0.3).rows(state, target)
@@ -96,7 +104,8 @@ def test_where_links_turn_about_one_axis_there_is_one_row(name: str, seed: int |
 @pytest.mark.parametrize("seed", [None, 0, 1])
 def test_links_that_do_not_lie_across_the_axis_count_by_how_far_a_turn_moves_them(seed: int | None) -> None:
     state = state_of("tilted", seed)
-    target, axis = target_of(state.arm), state.arm.chain.axes[0]
+    target = target_of(state.arm)
+    axis = state.arm.chain.axes[0]
     for angle in (0.4, -2.0, 3.1):
         wanted = state.rotations[:, :, 0] @ np.asarray(pin.exp3(angle * axis)).T
         jacobian, error = Tangents(wanted, length=0.3).rows(state, target)
@@ -115,12 +124,14 @@ def test_links_that_point_straight_down_are_no_exception(noise: float) -> None:
     jacobian, error = Tangents([(1, 0, -1)] * 3, length=1.0).rows(state, target_of(arm))
     np.testing.assert_allclose(np.linalg.norm(error.reshape(3, 2), axis=1), np.pi / 4, atol=1e-6)
     for k in range(3):
-        rows, motion = jacobian[2 * k : 2 * k + 2], derivative(state, lambda at: at.rotations[:, :, 0])[k]
+        rows = jacobian[2 * k : 2 * k + 2]
+        motion = derivative(state, lambda at: at.rotations[:, :, 0])[k]
         np.testing.assert_allclose(rows.T @ rows, motion.T @ motion, atol=1e-8)
 
 
 def test_an_arm_that_only_slides_has_no_rows_and_a_wrist_has_two_where_it_turns() -> None:
-    gantry, wrist = state_of("gantry", 0), state_of("wrist", 0)
+    gantry = state_of("gantry", 0)
+    wrist = state_of("wrist", 0)
     found = Tangents((1, 2, 3)).rows(gantry, target_of(gantry.arm))
     assert (found.jacobian.shape, found.error.shape) == ((0, 3), (0,))
     rows = [len(Tangents((1, 2, 3), k).rows(wrist, target_of(wrist.arm)).error) for k in range(4)]
@@ -139,7 +150,8 @@ def test_rows_are_finite_and_opposite_links_turn_one_way(
     name: str, seed: int, kind: str, noise: float
 ) -> None:
     state = state_of(name, seed if seed % 3 else None)
-    arm, target = state.arm, target_of(state.arm)
+    arm = state.arm
+    target = target_of(state.arm)
     links = link_directions(state, np.arange(arm.n_modules))
     sign = -1.0 if kind.startswith("-") else 1.0
     fixed = {"opposite": -links, "along": links}
@@ -168,7 +180,8 @@ def test_opposite_links_are_turned_round() -> None:
 def test_plain_steps_converge_quadratically(name: str) -> None:
     for seed in range(3):
         state = state_of(name, seed + 20)
-        arm, rng = state.arm, np.random.default_rng(seed)
+        arm = state.arm
+        rng = np.random.default_rng(seed)
         goal = arm.at(arm.integrate(state.q, 0.05 * rng.uniform(-1, 1, arm.nv) * arm.joint_units))
         task = Tangents(goal.rotations[:, :, 0])
         rows = task.rows(state, target_of(arm)).jacobian * arm.joint_units
@@ -222,7 +235,8 @@ def test_links_of_a_file_come_from_the_joint_before_the_control_point(name: str)
     for seed in range(3):
         state = arm.at(arm.random(np.random.default_rng(seed)))
         pin.forwardKinematics(arm.model, data, state.q)
-        links, checked = link_directions(state, np.arange(arm.n_modules)), 0
+        links = link_directions(state, np.arange(arm.n_modules))
+        checked = 0
         for k, joints in enumerate(arm.module_joints):
             span = state.points[k] - data.oMi[arm.model.getJointId(joints[-1])].translation
             if np.linalg.norm(span) > 1e-3:

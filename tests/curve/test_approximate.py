@@ -40,7 +40,8 @@ def least_squares(
 
 def apart(one: Curve, other: Curve, samples: int = 3000) -> float:
     """The largest distance between two curves, each point of one to all of many points of the other."""
-    a, b = one.resample(samples), other.resample(samples)
+    a = one.resample(samples)
+    b = other.resample(samples)
     gaps = np.linalg.norm(a[:, None] - b[None], axis=2)
     return float(max(gaps.min(axis=0).max(), gaps.min(axis=1).max()))
 
@@ -123,7 +124,8 @@ def test_it_moves_with_the_curve_and_meets_its_ends(
     seed: int, degree: int, more: int, turn: tuple[float, float, float]
 ) -> None:
     points = np.cumsum(np.random.default_rng(seed).normal((0.3, 0, 0), 0.2, (9, 3)), axis=0)
-    curve, count = Curve.points(points), degree + more
+    curve = Curve.points(points)
+    count = degree + more
     rotation = Rotation.from_rotvec(turn).as_matrix()
     try:
         found = curve.controlled(count, degree)

@@ -152,7 +152,9 @@ def test_a_cusp_anywhere_is_found_and_placed(cusp, seed):
     # The derivative (u - cusp) (a + b u) vanishes at the cusp; integrated, and in Bernstein form.
     rng = np.random.default_rng(seed)
     a, b, start = rng.normal(size=(3, 3))
-    linear, square, cubic = -cusp * a, (a - cusp * b) / 2, b / 3
+    linear = -cusp * a
+    square = (a - cusp * b) / 2
+    cubic = b / 3
     points = start + np.array([0 * a, linear / 3, (2 * linear + square) / 3, linear + square + cubic])
     place = start + linear * cusp + square * cusp**2 + cubic * cusp**3
     with pytest.raises(CurveError) as caught:

@@ -37,7 +37,8 @@ def test_helix_has_the_curvature_torsion_and_length_of_a_helix(radius, pitch, tu
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, 1), (0, 0, -2), (1, 2, 3)])
 def test_helix_turns_about_its_axis_from_the_documented_phase(axis):
-    center, turns = np.array([0.3, -0.1, 0.2]), 1.5
+    center = np.array([0.3, -0.1, 0.2])
+    turns = 1.5
     along = np.array(axis) / np.linalg.norm(axis)
     towards = np.array([1.0, 0, 0]) if along[0] == along[1] == 0 else np.array([0, 0, 1.0])
     zero = towards - (towards @ along) * along
@@ -100,7 +101,9 @@ def test_torsion_is_finite_where_the_curvature_vanishes_in_space():
     assert np.isfinite(curve.torsion(np.linspace(0, curve.length, 10_001))).all()
     assert curve.torsion(inflection) == 0
     # Torsion at t = 0.5 from the derivatives by hand.
-    d1, d2, d3 = np.array([1, 0.75, 0.5]), np.array([0, 3, 3]), np.array([0, 6, 12])
+    d1 = np.array([1, 0.75, 0.5])
+    d2 = np.array([0, 3, 3])
+    d3 = np.array([0, 6, 12])
     cross = np.cross(d1, d2)
     s = curve.nearest([0.5, 0.125, 0.0625]).parameter
     assert curve.torsion(s) == pytest.approx(cross @ d3 / (cross @ cross), rel=1e-6)

@@ -24,7 +24,8 @@ POINTS = [[0, 0, 0], [0.1, 0.2, 0], [0.3, 0.2, 0.1], [0.4, 0, 1 / 3], [0.5, 0.1,
     ids=["spline", "through", "line", "helix", "points", "trimmed"],
 )
 def test_saved_curve_comes_back_equal_to_the_last_bit(make, tmp_path):
-    curve, path = make(), tmp_path / "curve.json"
+    curve = make()
+    path = tmp_path / "curve.json"
     curve.save(path)
     again = Curve.load(str(path))
     assert again == curve
@@ -34,7 +35,8 @@ def test_saved_curve_comes_back_equal_to_the_last_bit(make, tmp_path):
 
 @pytest.mark.parametrize("name", ["curve.csv", "curve.json"])
 def test_a_file_in_millimetres_is_loaded_with_a_scale(name, tmp_path):
-    path, thousand = tmp_path / name, (1000 * np.array(POINTS)).tolist()
+    path = tmp_path / name
+    thousand = (1000 * np.array(POINTS)).tolist()
     rows = "\n".join(",".join(map(str, row)) for row in thousand)
     path.write_text(rows if path.suffix == ".csv" else json.dumps(thousand))
     curve = Curve.load(path, scale=0.001)
@@ -119,7 +121,8 @@ def test_tables_are_read_with_any_separator_and_headings(text, suffix, tmp_path)
     ],
 )
 def test_the_header_of_a_table_gives_the_unit(header, per_metre, tmp_path):
-    path, points = tmp_path / "curve.csv", [[0, 0, 0], [3, 2, 0], [7, 2, -1]]
+    path = tmp_path / "curve.csv"
+    points = [[0, 0, 0], [3, 2, 0], [7, 2, -1]]
     separator = next(each for each in ";, " if each in header)
     path.write_text("\n".join([header, *(separator.join(map(str, row)) for row in points)]))
     assert Curve.load(path) == Curve.points(np.array(points) / per_metre)

@@ -135,7 +135,8 @@ def test_points_given_can_be_changed_afterwards():
     curve = Curve.spline(points)
     points[:] = 0
     np.testing.assert_array_equal(curve.end, [2, 1, 0])
-    knots, coefficients = curve.knots.copy(), curve.coefficients.copy()
+    knots = curve.knots.copy()
+    coefficients = curve.coefficients.copy()
     raw = Curve(knots, coefficients, 3)
     coefficients[:] = 0
     assert raw == curve

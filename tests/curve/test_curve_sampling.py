@@ -90,7 +90,8 @@ def test_one_place_is_that_among_many() -> None:
 @given(st.integers(0, 10**6), st.integers(1, 5))
 def test_a_moved_curve_is_as_if_made_anew(seed: int, degree: int) -> None:
     """A motion keeps the measured length; making the curve of the moved coefficients measures it again."""
-    curve, rng = random_curve(seed, degree), np.random.default_rng(seed)
+    curve = random_curve(seed, degree)
+    rng = np.random.default_rng(seed)
     moved = curve.moved(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3))
     made = pickle.loads(pickle.dumps(moved))
     assert made == moved

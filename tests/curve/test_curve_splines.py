@@ -33,7 +33,8 @@ def de_boor(points, knots, degree, u):
         if k == 0:
             last = u == knots[-1] and knots[i] < knots[i + 1] == u
             return float(knots[i] <= u < knots[i + 1] or last)
-        left, right = knots[i + k] - knots[i], knots[i + k + 1] - knots[i + 1]
+        left = knots[i + k] - knots[i]
+        right = knots[i + k + 1] - knots[i + 1]
         return (left and (u - knots[i]) / left * basis(i, k - 1)) + (
             right and (knots[i + k + 1] - u) / right * basis(i + 1, k - 1)
         )
@@ -127,7 +128,8 @@ def test_tangent_and_curvature_are_derivatives_by_arc_length(make):
 
 def test_torsion_is_the_turning_of_the_binormal():
     curve = Curve.spline(POINTS, 5, through=True)
-    s, h = np.linspace(0.05, 0.95, 40) * curve.length, 1e-5 * curve.length
+    s = np.linspace(0.05, 0.95, 40) * curve.length
+    h = 1e-5 * curve.length
 
     def frame(s):
         tangent = curve.tangent(s)

@@ -37,7 +37,8 @@ def resolve(words: list[str], program: typer.Typer) -> tuple[Any, list[str]]:
     command: Any = typer.main.get_command(program)
     while words and hasattr(command, "commands"):
         assert words[0] in command.commands, f"no verb {words[0]!r}"
-        command, words = command.commands[words[0]], words[1:]
+        command = command.commands[words[0]]
+        words = words[1:]
     return command, words
 
 

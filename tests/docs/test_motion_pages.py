@@ -65,7 +65,8 @@ def test_keyframes_in_python(capsys: pytest.CaptureFixture) -> None:
 def test_tasks_are_saved_as_shown(in_a_folder: Path) -> None:
     _, _, edited, described = snippets("tasks.md", "python")
     (in_a_folder / "examples").symlink_to(DOCS.parent / "examples")
-    higher, before = run(edited)["task"], pp.Task.load("examples/tasks/keyframes.toml")
+    higher = run(edited)["task"]
+    before = pp.Task.load("examples/tasks/keyframes.toml")
     again = pp.Task.load("higher.toml")
     assert (again.continuity, before.continuity) == ("acceleration", "velocity")
     risen = again.motion[-1].curve.at(0.1) - before.motion[-1].curve.at(0.1)

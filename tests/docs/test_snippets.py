@@ -44,7 +44,9 @@ def fenced(page: Path, language: str) -> list[str]:
 @pytest.fixture(autouse=True)
 def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    original, foxglove = viz.view, {"viewer": "foxglove", "url": "ws://127.0.0.1:0"}  # any free port
+    # any free port
+    original = viz.view
+    foxglove = {"viewer": "foxglove", "url": "ws://127.0.0.1:0"}
 
     def view(*shown: Any, viewer: str = "") -> viz.Viewer | None:
         return original(*shown, **foxglove) if viewer else None

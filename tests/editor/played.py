@@ -83,7 +83,8 @@ def live_of(session: Session) -> Live:
 
 def by_hand(arm: pp.Arm, q: np.ndarray, off: np.ndarray, dt: float = 0.1) -> Motion:
     """A motion through configurations (N, nq), whose points miss their targets by `off`, (N, m, 3)."""
-    rows, m = len(q), arm.n_modules
+    rows = len(q)
+    m = arm.n_modules
     points = np.array([arm.at(row).points for row in q])
     target = pp.Target(points[-1], np.ones(m))
     steps = rows - 1

@@ -27,7 +27,8 @@ def signed_distance(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
     if isinstance(obstacle, pp.Scan):
         there = obstacle.points @ np.array(obstacle.rotation).T + obstacle.center
         return np.linalg.norm(points[:, None] - there, axis=2).min(axis=1)
-    start, way = np.array(obstacle.start), np.subtract(obstacle.end, obstacle.start)
+    start = np.array(obstacle.start)
+    way = np.subtract(obstacle.end, obstacle.start)
     length = np.linalg.norm(way)
     along = (points - start) @ way / length
     off = np.linalg.norm(points - start - np.outer(along, way / length), axis=1)

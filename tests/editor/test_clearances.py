@@ -93,7 +93,8 @@ def test_what_cannot_be_told_ends_no_thread():
 def test_a_dragged_obstacle_reaches_solver_and_clearance_before_the_drag_ends():
     session = Session(task(scene=beside(0.3)))
     solver = Solver(session.problem, session.arm.straight())
-    surroundings, asked = Surroundings(lambda request, key="": request(session)), [session.number]
+    surroundings = Surroundings(lambda request, key="": request(session))
+    asked = [session.number]
     solver.start()
 
     def turn() -> None:  # what the loop does

@@ -74,9 +74,11 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
     def hand(seed: int) -> None:
         chance = random.Random(seed)
         for _ in range(150):
-            k, name = chance.randrange(9), chance.choice(["sphere_1", "box_1", "x"])
+            k = chance.randrange(9)
+            name = chance.choice(["sphere_1", "box_1", "x"])
             place = L * np.array([chance.uniform(-0.2, 1.4), *(chance.uniform(-0.5, 0.5) for _ in range(2))])
-            final, key = chance.random() < 0.3, chance.choice(["center", "radius", "start", "size"])
+            final = chance.random() < 0.3
+            key = chance.choice(["center", "radius", "start", "size"])
             value = chance.choice([tuple(map(float, place)), 0.02, -1.0, np.nan])
             file = chance.choice([path, other])
             requests: list[Callable[[Session], object]] = [
@@ -127,7 +129,8 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
 
 
 def test_laps_and_limits_are_typed_and_undone(editor: Editor) -> None:
-    session, before = editor.session, editor.session.task
+    session = editor.session
+    before = editor.session.task
     with visiting(editor.url) as client:
         client.set("Laps", 3)
         until(lambda: session.task.repeat == 3)
@@ -165,7 +168,8 @@ def test_more_requests_than_can_be_done_are_dropped_and_that_is_told(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(editor_module, "MAX_REQUESTS", 10)
-    editor, done = Editor(Task.load(path), path, port=PORT), []
+    editor = Editor(Task.load(path), path, port=PORT)
+    done = []
     for k in range(50):
         editor.post(lambda _, k=k: done.append(k))  # type: ignore[misc]
     editor.post(lambda _: done.append(-1), "key")
@@ -206,7 +210,8 @@ class Loose:
     name = "loose"
 
     def __init__(self) -> None:
-        self.own, self.asked = Geodesic(), 0
+        self.own = Geodesic()
+        self.asked = 0
 
     def step(self, *given: object, **named: object) -> object:
         self.asked += 1
@@ -236,7 +241,8 @@ def test_a_controller_that_fails_brings_the_arm_to_rest_within_its_limits() -> N
 
 
 def test_an_arm_that_cannot_be_moved_is_seen_and_the_reason_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    other, made = pp.Arm.from_template("Rz", 3), solver._tracker
+    other = pp.Arm.from_template("Rz", 3)
+    made = solver._tracker
 
     def refuse(asked: Problem, *given: object) -> object:
         if asked.scene is not None and asked.scene.obstacles:

@@ -66,7 +66,8 @@ def test_any_edits_leave_a_task_that_can_be_scheduled_and_the_one_before_as_it_w
 ) -> None:
     now = task()
     for edit in listed:
-        kept, motion = values_of(now), copy.copy(now.motion)
+        kept = values_of(now)
+        motion = copy.copy(now.motion)
         after = done(edit, now)
         assert values_of(now) == kept
         assert now.motion == motion
@@ -102,9 +103,11 @@ def test_a_dragged_keyframe_comes_near_the_time_that_was_asked_and_no_other_move
     index: int, time: float
 ) -> None:
     before = task()
-    frames, old = list(edits.keyframes_of(before)), edits.times_of(before)
+    frames = list(edits.keyframes_of(before))
+    old = edits.times_of(before)
     after = edits.dragged(index, time)(before)
-    to, new = edits.place_at(before, index, time), edits.times_of(after)
+    to = edits.place_at(before, index, time)
+    new = edits.times_of(after)
     assert new == sorted(new)
     assert np.allclose(np.delete(new, to), np.delete(old, index), atol=1e-8)
     frames.insert(to, frames.pop(index))
@@ -121,7 +124,8 @@ def test_a_dragged_keyframe_comes_near_the_time_that_was_asked_and_no_other_move
 def test_where_a_keyframe_cannot_be_dragged_to() -> None:
     with pytest.raises(InvalidValue, match=r"time of keyframe 1 is 1\.0; allowed: 0 s, the start"):
         edits.dragged(0, 1.0)(task())
-    straight, bent = Keyframe(straight_line()), Keyframe(bent_spline(), trim=True)
+    straight = Keyframe(straight_line())
+    bent = Keyframe(bent_spline(), trim=True)
     crowded = task(straight, replace(bent, time=0.08), replace(bent, time=1.0, hold=0.5))
     with pytest.raises(InvalidValue, match=r"time of keyframe 3 .*a place with 0\.6 s between other"):
         edits.dragged(2, 0.05)(crowded)
@@ -135,7 +139,8 @@ def test_keyframes_of_all_laps_are_where_the_reference_has_them(count: int, dura
     single = task(*frames)
     tour = edits.with_keyframe(0, duration=duration)(edits.repeated(3)(single))
     reference = tour.reference()
-    passes, marks = edits.passes_of(tour), reference.marks
+    passes = edits.passes_of(tour)
+    marks = reference.marks
     assert [each.time for each in passes] == pytest.approx([reference.interval * mark.row for mark in marks])
     names = [frame.name or f"keyframe {index + 1}" for index, frame in enumerate(frames)]
     assert [f"{names[each.keyframe]}, lap {each.lap + 1}" for each in passes] == [mark.name for mark in marks]
@@ -306,7 +311,8 @@ def test_controllers_and_limits_are_checked() -> None:
 
 
 def test_obstacles_are_put_renamed_replaced_and_taken_away() -> None:
-    one, two = pp.Sphere((1, 1, 1), 0.1), pp.Sphere((2, 1, 1), 0.1)
+    one = pp.Sphere((1, 1, 1), 0.1)
+    two = pp.Sphere((2, 1, 1), 0.1)
     both = edits.with_obstacle("b", two)(edits.with_obstacle("a", one)(task()))
     assert dict(both.scene.obstacles) == {"a": one, "b": two}
     renamed = edits.with_obstacle("c", two, instead="a")(both)

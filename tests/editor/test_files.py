@@ -169,7 +169,8 @@ def test_another_file_is_not_written_over(desk: Desk, path: Path) -> None:
 
 def test_a_session_of_a_relative_path_saves_that_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(path.parent)
-    session, files = Session(Task.load(path), Path(path.name)), Files(lambda _: None, path)
+    session = Session(Task.load(path), Path(path.name))
+    files = Files(lambda _: None, path)
     session.edit(edits.with_keyframe(0, name="mine"), "renamed")
     files.save(session)
     files.close()
@@ -209,7 +210,8 @@ def test_a_leader_that_was_left_is_no_task_to_edit(path: Path) -> None:
 
 
 def test_two_editors_of_one_file_are_told_of(path: Path) -> None:
-    one, other = Desk(path), Desk(path)
+    one = Desk(path)
+    other = Desk(path)
     one.rename("one")
     until(autosave_path(path).exists)
     other.rename("other")
@@ -238,7 +240,8 @@ def test_what_cannot_be_kept_is_told_and_tried_again(desk: Desk, path: Path) -> 
 
 def test_an_arm_that_is_kept_beside_the_task_goes_with_it(path: Path) -> None:
     arm = of_no_template()
-    saved, kept = Autosave(), autosave_path(path)
+    saved = Autosave()
+    kept = autosave_path(path)
     saved.keep(task(arm=arm), path)
     saved.finish()
     assert {each.name for each in path.parent.iterdir()} == {
@@ -285,7 +288,8 @@ LINKED_OUTSIDE = ("way/x.toml", "way/sub/x.toml", "link.toml", "to nothing.toml"
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder, with links out of it and inside it."""
-    made, other = tmp_path / "desk", tmp_path / "other"
+    made = tmp_path / "desk"
+    other = tmp_path / "other"
     for each in (made / "sub", other):
         each.mkdir(parents=True)
     task().save(other / "foreign.toml")
@@ -326,7 +330,8 @@ def test_names_that_no_file_can_have_are_refused(name: str, folder: Path) -> Non
 
 
 def test_an_autosave_is_not_written_through_a_link(folder: Path) -> None:
-    path, prey = task().save(folder / "own.toml"), folder.parent / "prey"
+    path = task().save(folder / "own.toml")
+    prey = folder.parent / "prey"
     prey.write_text("of somebody else")
     autosave_path(path).symlink_to(prey)
     saved = Autosave()
@@ -338,7 +343,8 @@ def test_an_autosave_is_not_written_through_a_link(folder: Path) -> None:
 
 
 def test_an_arm_is_not_written_through_a_link(folder: Path) -> None:
-    path, prey = task().save(folder / "own.toml"), folder.parent / "prey.urdf"
+    path = task().save(folder / "own.toml")
+    prey = folder.parent / "prey.urdf"
     made = Desk(path)
     made.session.replace(task(arm=of_no_template()), path, saved=False)
     (folder / "own.urdf").symlink_to(prey)

@@ -22,7 +22,9 @@ def tasks() -> list[Task]:
 
 @given(steps)
 def test_it_is_a_list_of_states_and_a_place_in_it(tasks: list[Task], listed: list[str | int]) -> None:
-    history, states, at = History(tasks[0], 3), [(tasks[0], "", 3, 3)], 0
+    history = History(tasks[0], 3)
+    states = [(tasks[0], "", 3, 3)]
+    at = 0
     for number, step in enumerate(listed):
         if isinstance(step, int):
             states[at + 1 :] = [(tasks[step], f"what {number}", number, number + 1)]

@@ -162,7 +162,8 @@ def test_no_name_becomes_markup_of_the_page(hostile: Editor) -> None:
         client.set("Task file", f"{HOSTILE}.toml")
         client.set("Open this file", True)
         said(f"{HOSTILE}.toml: no such file")
-        sent, markdown = client.shown(*SENT), client.shown("_markdown")
+        sent = client.shown(*SENT)
+        markdown = client.shown("_markdown")
     names = set().union(*(Elements(each).names for each in sent))
     assert names <= {"div", "b", "br", "span", "style"}
     assert markdown

@@ -39,13 +39,15 @@ def rng():
 
 def continuous():
     """An arm with a joint that turns round and round, and one that slides."""
-    model, parent = pin.Model(), 0
+    model = pin.Model()
+    parent = 0
     for k, joint in enumerate((pin.JointModelRUBY(), pin.JointModelPX(), pin.JointModelRY())):
         parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([0.2 * (k > 0), 0, 0])), f"j{k}")
     model.addFrame(
         pin.Frame("tip", parent, pin.SE3(np.eye(3), np.array([0.2, 0, 0])), pin.FrameType.OP_FRAME)
     )
-    model.lowerPositionLimit[2:], model.upperPositionLimit[2:] = -2.0, 2.0
+    model.lowerPositionLimit[2:] = -2.0
+    model.upperPositionLimit[2:] = 2.0
     return pp.Arm.from_model(model, ["tip"])
 
 

@@ -75,7 +75,8 @@ def test_a_method_waits_for_the_arm() -> None:
 
 
 def test_rows_say_number_name_and_time() -> None:
-    frames, times = edits.keyframes_of(task()), [0.0, 1.0, 3.125, 12.5]
+    frames = edits.keyframes_of(task())
+    times = [0.0, 1.0, 3.125, 12.5]
     rows = [tab.row_label(frames, times, index) for index in range(4)]
     assert rows[0].split() == ["1", "straight", "·", "0", "s"]
     assert rows[1].split() == ["2", "·", "1", "s"]
@@ -104,7 +105,8 @@ class Field:
     """A field as the page has it, typed into by `type`."""
 
     def __init__(self, value: object) -> None:
-        self.value, self.disabled = value, False
+        self.value = value
+        self.disabled = False
 
     def on_update(self, call: object) -> None:
         self.call = call
@@ -117,7 +119,8 @@ class Field:
 
 
 def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatch) -> None:
-    now, told = [100.0], []
+    now = [100.0]
+    told = []
     monkeypatch.setattr(parts.time, "monotonic", lambda: now[0])
     control = Field(3.0)
     field = parts.Typed(control, lambda value, over: told.append(value))

@@ -89,7 +89,8 @@ def test_an_obstacle_around_the_base_is_refused_and_changes_nothing(session, fin
 
 def test_what_was_proposed_is_gone_when_its_end_is_refused(session):
     add_obstacle("sphere", session.arm.at(session.arm.straight()).points, session)
-    before, number = session.task, session.number
+    before = session.task
+    number = session.number
     change_obstacle("sphere_1", partial(_shift, np.array([0.0, 0.1, 0.0])), "moved", False, session)
     edit_obstacle("sphere_1", "radius", -1.0, True, session)
     assert session.shown is before
@@ -99,11 +100,13 @@ def test_what_was_proposed_is_gone_when_its_end_is_refused(session):
 
 @pytest.mark.parametrize("kind", new_obstacle_kinds())
 def test_a_dragged_obstacle_has_the_velocity_of_the_hand_and_a_resized_one_has_none(kind, monkeypatch):
-    session, clock = session_of(pp.Arm.from_template("RyRz", modules=6)), [100.0]
+    session = session_of(pp.Arm.from_template("RyRz", modules=6))
+    clock = [100.0]
     for module in ("obstacles", "session"):
         monkeypatch.setattr(f"pinposture.editor.{module}.time", SimpleNamespace(monotonic=lambda: clock[0]))
     add_obstacle(kind, session.arm.at(session.arm.straight()).points, session)
-    name, hand = f"{kind}_1", np.array([0.0, 0.0, -0.2])
+    name = f"{kind}_1"
+    hand = np.array([0.0, 0.0, -0.2])
     for step in range(12):
         clock[0] += 0.05
         change_obstacle(name, partial(_shift, hand * 0.05 * step), "moved it", False, session)

@@ -36,7 +36,8 @@ turns = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(random_state=
 
 @st.composite
 def obstacles(draw: st.DrawFn) -> Obstacle:
-    center, turn = np.array(draw(vectors)), draw(turns)
+    center = np.array(draw(vectors))
+    turn = draw(turns)
     kind = draw(st.sampled_from(["sphere", "box", "cylinder", "capsule", "half_space", "mesh", "scan"]))
     if kind == "sphere":
         return pp.Sphere(center, draw(sizes))

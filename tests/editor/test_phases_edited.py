@@ -167,7 +167,8 @@ def test_a_phase_that_cannot_be_planned_changes_nothing(file: Path) -> None:
     posted: list[object] = []
     session = Session(pp.Task.load(file), file)
     session.take_up(editable(session.whole, 0), 0)
-    planner, before = PhasePlanner(lambda request, key="": posted.append(request)), session.task
+    planner = PhasePlanner(lambda request, key="": posted.append(request))
+    before = session.task
     planner.change({"depth": 5.0}, "depth 5000 mm", session)
     while not posted:
         time.sleep(0.01)

@@ -26,7 +26,8 @@ def endless() -> pp.Arm:
 
 def begun(task: Task | None = None) -> tuple[Session, Playback, Clock]:
     """A session whose motion is there, as soon as it is asked for."""
-    session, clock = Session(task or short()), Clock()
+    session = Session(task or short())
+    clock = Clock()
     session.playback = Playback(clock)
     session.playback.rehearsal.ask(session.task)
     done(session.playback.rehearsal, session.task)
@@ -61,7 +62,8 @@ def test_it_goes_by_the_clock_however_often_it_is_looked_at(speed: float) -> Non
 
 
 def test_the_clock_only_counts_from_when_the_motion_is_there() -> None:
-    session, clock = Session(short()), Clock()
+    session = Session(short())
+    clock = Clock()
     playback = session.playback = Playback(clock)
     playback.play(session.task)
     assert playback.waiting
@@ -256,7 +258,8 @@ def test_joints_at_their_speed_limit_are_seen(endless: pp.Arm) -> None:
     angles = (0.0, 0.2, 0.3)  # the limit is 2 rad/s, and a cycle 0.1 s
     q = np.array([endless.configuration([angle, 0.0, 0.0, 0.0]) for angle in angles])
     motion = by_hand(endless, q, np.zeros((3, endless.n_modules, 3)))
-    session, playback = Session(short()), Playback(Clock())
+    session = Session(short())
+    playback = Playback(Clock())
     live = live_of(session)._replace(arm=endless)
     playback.motion = motion
     for at, first in ((0.05, True), (0.15, False)):

@@ -54,7 +54,8 @@ def sampled(session: Session, q: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("obstacle", [None, BALL, SCAN])
 def test_the_tip_comes_to_where_it_was_dragged_clear_of_the_scene(obstacle: Obstacle | None) -> None:
     session = opened() if obstacle is None else opened(obstacle)
-    before, start = session.task, session.arm.straight()
+    before = session.task
+    start = session.arm.straight()
     for share in (0.5, 1.0):
         drag_tip(PLACE * share + (1 - share) * L * np.array([1.0, 0, 0]), start, False, session)
         assert session.task is before
@@ -109,7 +110,8 @@ def with_taught(arm: pp.Arm | None = None) -> Session:
 
 def test_a_taught_keyframe_is_taken_and_has_no_points_to_change() -> None:
     session = with_taught()
-    live, before = judged(session), session.task
+    live = judged(session)
+    before = session.task
     assert live.verdict.mark == "fine"
     assert session.arm.positions(live.verdict.target.q) == pytest.approx(JOINTS)  # type: ignore[union-attr]
     assert len(session.shape.points) == 0
@@ -157,7 +159,8 @@ def test_the_tip_of_a_taught_keyframe_is_dragged_and_it_stays_taught() -> None:
 
 def test_a_posture_is_taught_to_a_keyframe_and_added_as_one() -> None:
     session = Session(task(), selected=1)
-    before, q = session.task, session.arm.configuration(JOINTS)
+    before = session.task
+    q = session.arm.configuration(JOINTS)
     add_taught(q, session)
     assert (session.selected, len(session.task.motion)) == (2, 5)
     assert session.keyframe.joints == pytest.approx(JOINTS, abs=1e-6)

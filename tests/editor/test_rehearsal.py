@@ -20,7 +20,8 @@ class Gate:
     """Holds motions up, each until it is let go, and knows which of them came to their end."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.begun, self.open = threading.Semaphore(0), threading.Semaphore(0)
+        self.begun = threading.Semaphore(0)
+        self.open = threading.Semaphore(0)
         self.finished: list[str] = []
         moved()  # computed before `perform` is replaced
 
@@ -36,7 +37,8 @@ class Gate:
 
 
 def test_the_motion_is_that_of_the_task() -> None:
-    rehearsal, task = Rehearsal(), short()
+    rehearsal = Rehearsal()
+    task = short()
     rehearsal.ask(task)
     motion = done(rehearsal, task).motion
     assert motion is not None
@@ -46,7 +48,9 @@ def test_the_motion_is_that_of_the_task() -> None:
 
 
 def test_asking_returns_while_the_motion_is_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    gate, rehearsal, task = Gate(monkeypatch), Rehearsal(), short()
+    gate = Gate(monkeypatch)
+    rehearsal = Rehearsal()
+    task = short()
     rehearsal.ask(task)
     assert gate.begun.acquire(timeout=30.0)
     assert rehearsal.working
@@ -58,7 +62,9 @@ def test_asking_returns_while_the_motion_is_worked_out(monkeypatch: pytest.Monke
 
 
 def test_a_motion_that_is_known_is_not_worked_out_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    gate, rehearsal, task = Gate(monkeypatch), Rehearsal(), short()
+    gate = Gate(monkeypatch)
+    rehearsal = Rehearsal()
+    task = short()
     gate.open.release(5)
     for _ in range(3):
         rehearsal.ask(task)
@@ -68,7 +74,8 @@ def test_a_motion_that_is_known_is_not_worked_out_again(monkeypatch: pytest.Monk
 
 
 def test_only_the_task_that_was_asked_for_last_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    gate, rehearsal = Gate(monkeypatch), Rehearsal()
+    gate = Gate(monkeypatch)
+    rehearsal = Rehearsal()
     first, second, third = (short(name=name) for name in ("first", "second", "third"))
     rehearsal.ask(first)
     assert gate.begun.acquire(timeout=30.0)
@@ -82,7 +89,9 @@ def test_only_the_task_that_was_asked_for_last_counts(monkeypatch: pytest.Monkey
 
 
 def test_what_is_cancelled_leaves_nothing_and_can_be_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    gate, rehearsal, task = Gate(monkeypatch), Rehearsal(), short()
+    gate = Gate(monkeypatch)
+    rehearsal = Rehearsal()
+    task = short()
     rehearsal.ask(task)
     assert gate.begun.acquire(timeout=30.0)
     rehearsal.cancel()
@@ -95,7 +104,8 @@ def test_what_is_cancelled_leaves_nothing_and_can_be_asked_for_again(monkeypatch
 
 
 def test_no_thread_is_left_after_closing(monkeypatch: pytest.MonkeyPatch) -> None:
-    gate, rehearsal = Gate(monkeypatch), Rehearsal()
+    gate = Gate(monkeypatch)
+    rehearsal = Rehearsal()
     rehearsal.ask(short())
     assert gate.begun.acquire(timeout=30.0)
     gate.open.release()
@@ -121,7 +131,8 @@ def test_a_fault_is_told_and_not_waited_for_in_vain(monkeypatch: pytest.MonkeyPa
         raise RuntimeError("lost a screw")
 
     monkeypatch.setattr(Task, "perform", fail)
-    rehearsal, task = Rehearsal(), short()
+    rehearsal = Rehearsal()
+    task = short()
     rehearsal.ask(task)
     found = done(rehearsal, task)
     assert found.motion is None

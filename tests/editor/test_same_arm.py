@@ -67,11 +67,13 @@ class Bench:
 
 def assert_same(bench: Bench, folder: Path, *keyframes: int) -> None:
     """The arm at keyframes: of the moment, opened again, played, and as the command line runs the file."""
-    path, out = folder / "saved.toml", folder / "out"
+    path = folder / "saved.toml"
+    out = folder / "out"
     edited = bench.session.task
     edited.save(path)
     loaded = Task.load(path)
-    opened, played = Bench(loaded, path), edited.perform()
+    opened = Bench(loaded, path)
+    played = edited.perform()
     ended = CliRunner().invoke(app, ["run", str(path), "-o", str(out)])
     assert ended.exit_code == 0, ended.output
     ran = pp.load(out / "motion.npz", Motion)

@@ -108,7 +108,8 @@ def test_what_is_sent_replaces_no_other_file(desk, cloud):
 
 
 def test_what_is_sent_is_not_written_through_a_link(desk, cloud, tmp_path):
-    folder, prey = desk.session.path.parent, tmp_path / "prey.xyz"
+    folder = desk.session.path.parent
+    prey = tmp_path / "prey.xyz"
     (folder / "room.xyz").symlink_to(prey)
     desk.shelf.upload("room.xyz", cloud.read_bytes(), folder, 1.0, avoided=False)
     assert desk.until(lambda: desk.session.task.scans == (folder / "room_2.xyz",))

@@ -235,7 +235,8 @@ def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
     _, post = desk
     module = pp.arm.template("RyRz").with_lengths([length / 12] * 2)
     arm = pp.Arm.from_modules([module] * 6)
-    center, radius = np.array([0.41287, 0.20731, -0.11929]) * length, 0.031247 * length
+    center = np.array([0.41287, 0.20731, -0.11929]) * length
+    radius = 0.031247 * length
     session = Session(task(arm=arm, scene=pp.Scene({"ball": pp.Sphere(center, radius)})))
     tab = SceneTab(server, arm, ScanShelf(post), post)
     select_obstacle("ball", session)
@@ -332,11 +333,13 @@ def test_scans_are_drawn_as_points_or_as_a_surface(arm, live, server, desk, tmp_
     session, post = desk
     requests: list = []
     shelf = ScanShelf(lambda request, key="": requests.append(request))
-    points, mesh = tmp_path / "points.npy", tmp_path / "surface.obj"
+    points = tmp_path / "points.npy"
+    mesh = tmp_path / "surface.obj"
     np.save(points, np.random.default_rng(0).uniform(1, 2, (50, 3)))
     mesh.write_text("v 1 0 1\nv 2 0 1\nv 1 1 1\nf 1 2 3\n")
     session.edit(lambda t: t.edited(scans=(points, mesh)), "opened")
-    drawing, controls = Scans(server, arm, shelf), ScanControls(server, shelf, post)
+    drawing = Scans(server, arm, shelf)
+    controls = ScanControls(server, shelf, post)
     end = time.monotonic() + 20.0
     while len(drawing._drawn) < 2 and time.monotonic() < end:
         drawing.show(session, live)

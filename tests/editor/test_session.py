@@ -56,7 +56,8 @@ def test_a_shape_counts_once_the_arm_is_seen_to_take_it() -> None:
 
 def test_a_shape_that_the_arm_cannot_take_changes_nothing() -> None:
     session = opened()
-    before, number = session.task, session.number
+    before = session.task
+    number = session.number
     half = L * np.array([(0, 0, 0), (0.1, 0, 0), (0.3, 0, 0), (0.5, 0, 0)])
     session.reshape(lambda arm, shape: Shape(half), "halved it")
     live = looked_at(session)
@@ -128,7 +129,8 @@ def test_a_curve_of_another_kind_says_what_became_of_it() -> None:
 
 def test_an_edit_that_is_refused_changes_nothing_and_says_why() -> None:
     session = opened()
-    before, number = session.task, session.number
+    before = session.task
+    number = session.number
     assert not session.edit(edits.retimed(1, -1.0), "no")
     assert session.task is before
     assert session.number == number
@@ -223,7 +225,8 @@ def test_a_new_control_point_that_cannot_be_is_selected_no_more() -> None:
 
 def test_a_keyframe_that_is_gone_is_not_changed() -> None:
     session = opened()
-    shape, before = session.shape, session.task
+    shape = session.shape
+    before = session.task
     for edit in (
         edits.with_keyframe(4, name="x"),
         reshaped(4, lambda arm, shape: shape, shape),

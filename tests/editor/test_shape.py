@@ -98,7 +98,8 @@ def test_a_moved_point_is_where_it_was_put_and_the_others_stay_but_for_the_last(
     after = shape.moved(arm, index, wanted)
     assert np.array_equal(after.points[index], np.round(wanted, 9))
     assert np.array_equal(np.delete(after.points, index, axis=0)[:-1], rest[:-1])
-    ahead, moved = shape.points[-1] - after.points[-2], after.points[-1] - shape.points[-1]
+    ahead = shape.points[-1] - after.points[-2]
+    moved = after.points[-1] - shape.points[-1]
     assert np.allclose(np.cross(ahead, moved), 0.0, atol=1e-9)  # straight ahead, if at all
     assert ahead @ moved >= 0.0
 
@@ -130,7 +131,8 @@ def test_inserted_points_keep_the_curve_and_deleting_them_brings_back_the_old_on
             assert "too close" in str(error)
             assume(False)
         index = min(after, len(before.points) - 2) + 1
-        new, ends = shape.points[index], before.points[index - 1 : index + 1]
+        new = shape.points[index]
+        ends = before.points[index - 1 : index + 1]
         assert np.linalg.norm(ends - new, axis=1).sum() == pytest.approx(np.linalg.norm(ends[1] - ends[0]))
         along = np.linspace(0.0, before.curve.length, 201)
         assert np.allclose(shape.curve.at(along), before.curve.at(along), atol=1e-11)
@@ -170,7 +172,9 @@ def test_points_are_inserted_as_long_as_the_arm_can_use_them(arm: pp.Arm) -> Non
 @given(st.integers(1, 3), st.tuples(coordinates, coordinates, coordinates))
 def test_points_of_a_planar_arm_stay_in_its_plane(index: int, place: tuple[float, float, float]) -> None:
     arm = planar()
-    base, axis = arm.chain.base, AWAY.rotation[:, 2]  # about which all of its joints turn
+    # about which all of its joints turn
+    base = arm.chain.base
+    axis = AWAY.rotation[:, 2]
     shape = Shape.of(arm, Keyframe(pp.Curve.line((0, 0, 0), (arm.length, 0, 0))))
     wanted = base + np.array(place)
     try:
@@ -222,7 +226,8 @@ def test_several_points_are_deleted(arm: pp.Arm) -> None:
     more = shape.duplicated(arm, 1, 3)
     assert np.array_equal(more.removed(arm, 2, 5).points, shape.points)
     finer = shape.inserted(arm, 3).inserted(arm, 1)
-    fewer, along = finer.removed(arm, 5, 2), np.linspace(0.0, shape.curve.length, 101)
+    fewer = finer.removed(arm, 5, 2)
+    along = np.linspace(0.0, shape.curve.length, 101)
     assert len(fewer.points) == 5
     assert np.allclose(fewer.curve.at(along), shape.curve.at(along))
     with pytest.raises(CurveError, match="point 2: cannot be deleted: a curve of degree 3 needs 4"):
@@ -281,9 +286,11 @@ def test_control_points_of_a_spline_are_its_own(arm: pp.Arm) -> None:
 def test_another_kind_of_curve_is_controlled_within_what_it_says(
     where: str, make: Callable[[], pp.Curve]
 ) -> None:
-    arm, curve = ARMS[where](), make()
+    arm = ARMS[where]()
+    curve = make()
     keyframe = Keyframe(curve, trim=True)
-    shape, laid = Shape.of(arm, keyframe), place_curve(arm, curve, "align", 0.0)[0]
+    shape = Shape.of(arm, keyframe)
+    laid = place_curve(arm, curve, "align", 0.0)[0]
     places = laid.at(np.linspace(0.0, min(laid.length, arm.length), 1001))
     fine = shape.curve.at(np.linspace(0.0, shape.curve.length, 40_001))
     apart = max(float(np.linalg.norm(fine - place, axis=1).min()) for place in places)
@@ -311,7 +318,8 @@ def test_a_curve_that_passes_the_base_begins_there(arm: pp.Arm) -> None:
 @pytest.mark.parametrize("modules", [4, 8, 20])
 @pytest.mark.filterwarnings("ignore:the arm does not follow the curve")
 def test_a_curve_that_is_lengthened_is_nearly_always_long_enough_where_it_bends(modules: int) -> None:
-    arm, rng = pp.Arm.from_template("RyRz", modules=modules), np.random.default_rng(modules)
+    arm = pp.Arm.from_template("RyRz", modules=modules)
+    rng = np.random.default_rng(modules)
     tried = short_of = 0
     for _ in range(100):
         points = np.cumsum([(0, 0, 0), (1, 0, 0), *rng.normal((0.5, 0, 0), 0.45, (4, 3))], axis=0)

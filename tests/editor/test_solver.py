@@ -305,8 +305,11 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     for module in ("obstacles", "session", "solver"):
         monkeypatch.setattr(f"pinposture.editor.{module}.time", SimpleNamespace(monotonic=lambda: clock[0]))
     monkeypatch.setattr("pinposture.editor.solver.CONTROLLER_DEADLINE", float("inf"))  # not by the clock
-    arm, margin, speed = six_modules(), 0.005, 0.2
-    middle, start = arm.at(arm.straight()).points[3], np.array([0.0, 0.0, 0.3 * L])
+    arm = six_modules()
+    margin = 0.005
+    speed = 0.2
+    middle = arm.at(arm.straight()).points[3]
+    start = np.array([0.0, 0.0, 0.3 * L])
     ball = pp.Sphere(tuple(middle + start), 0.06 * L)
     keyframes = (to_bent(), Keyframe(straight_line()))
     limits = pp.Limits(step=None, dt=STEP_TIME, velocity=2.0, acceleration=20.0)
@@ -314,7 +317,9 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     session = Session(pp.Task(arm=arm, motion=keyframes, limits=limits, scene=scene))
     solver = Solver(session.problem, arm.straight())
     solver._take(session.problem, new=True)
-    tracker, least, touched = solver._tracker, np.inf, np.inf
+    tracker = solver._tracker
+    least = np.inf
+    touched = np.inf
     for cycle in range(round(0.6 * L / speed / STEP_TIME)):
         clock[0] += STEP_TIME
         shift = -speed * cycle * STEP_TIME * np.array([0.0, 0.0, 1.0])

@@ -60,7 +60,8 @@ def test_a_shape_that_is_taken_is_green() -> None:
 
 
 def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
-    session, clock = Session(short()), Clock()
+    session = Session(short())
+    clock = Clock()
     playback = session.playback = Playback(clock)
     playback.rehearsal.ask(session.task)
     done(playback.rehearsal, session.task)
@@ -76,7 +77,8 @@ def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
 
 def test_the_lap_that_is_shown_is_named() -> None:
     session = Session(short(repeat=3))
-    playback, task = session.playback, session.task
+    playback = session.playback
+    task = session.task
     playback.rehearsal.ask(task)
     motion = done(playback.rehearsal, task).motion
     assert motion is not None
@@ -158,7 +160,9 @@ def test_marks_of_keyframes_are_those_of_their_verdicts() -> None:
 
 
 def test_a_keyframe_is_judged_again_only_when_it_is_another() -> None:
-    arm, keyframe, verdicts = six_modules(), Keyframe(straight_line()), VerdictCache()
+    arm = six_modules()
+    keyframe = Keyframe(straight_line())
+    verdicts = VerdictCache()
     first = verdicts.judge(arm, keyframe, None)
     assert first.mark == "fine"
     assert verdicts.judge(arm, keyframe, None).target is first.target
@@ -195,7 +199,8 @@ def test_a_new_page_shows_the_whole_arm_with_its_base_at_the_left(heading: tuple
 def test_what_is_framed_is_seen_above_the_plots(
     direction: np.ndarray, size: tuple[float, float, float], aspect: float, covered: float
 ) -> None:
-    rng, radius = np.random.default_rng(0), 0.1
+    rng = np.random.default_rng(0)
+    radius = 0.1
     centres = rng.uniform(-1.0, 1.0, (30, 3)) * size + [0.4, 0.1, 0.2]
     view = framing(centres, radius, direction, aspect, covered)
     outward = rng.normal(size=(3000, 3))

@@ -14,7 +14,8 @@ from pinposture.editor.ui.player import LIVE_SPAN, MAX_ROWS, Recent, trace_of, w
 
 
 def test_the_trace_of_a_motion_is_what_it_records() -> None:
-    motion, trace = moved(), trace_of(moved())
+    motion = moved()
+    trace = trace_of(moved())
     np.testing.assert_array_equal(trace.time, motion.time)
     np.testing.assert_array_equal(trace.mean, motion.mean_error)
     for row in range(motion.steps + 1):
@@ -30,7 +31,8 @@ def test_the_trace_of_a_motion_is_what_it_records() -> None:
 
 
 def test_long_motions_keep_their_peaks() -> None:
-    arm, rows = four_modules(), 3 * MAX_ROWS + 7
+    arm = four_modules()
+    rows = 3 * MAX_ROWS + 7
     off = np.zeros((rows, arm.n_modules, 3))
     off[1234, 2, 0] = 0.5
     trace = trace_of(by_hand(arm, np.zeros((rows, arm.nq)), off))
@@ -42,8 +44,11 @@ def test_long_motions_keep_their_peaks() -> None:
 
 
 def test_the_arm_of_the_moment_is_kept_for_some_seconds() -> None:
-    arm, session, clock = four_modules(), Session(short()), Clock()
-    recent, live = Recent(clock), live_of(session)
+    arm = four_modules()
+    session = Session(short())
+    clock = Clock()
+    recent = Recent(clock)
+    live = live_of(session)
     step = np.zeros(arm.nv)
     step[3] = 0.5 * LIMITS.velocity * STEP_TIME  # half of what it may
     for count in range(1, 900):
@@ -61,8 +66,10 @@ def test_the_arm_of_the_moment_is_kept_for_some_seconds() -> None:
 
 
 def test_nothing_changes_while_the_arm_rests() -> None:
-    session, clock = Session(short()), Clock()
-    recent, live = Recent(clock), live_of(session)
+    session = Session(short())
+    clock = Clock()
+    recent = Recent(clock)
+    live = live_of(session)
     for count in range(1, 20):
         recent.add(live._replace(steps=count), LIMITS)
         clock.now += 0.2

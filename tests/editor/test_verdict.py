@@ -33,7 +33,8 @@ def test_it_has_the_distance_of_the_whole_arm_from_the_curve() -> None:
     arm = six_modules()
     verdict = judge(arm, Keyframe(bent_spline(), trim=True), None)
     assert verdict.target is not None and verdict.target.curve is not None and verdict.target.q is not None
-    state, corners = arm.at(verdict.target.q), [arm.chain.base]
+    state = arm.at(verdict.target.q)
+    corners = [arm.chain.base]
     for k, joints in enumerate(arm.chain.module_slices):
         corners += [*state.forward.origins[joints], state.points[k]]
     shares = np.linspace(0.0, 1.0, 50)[:, None]
@@ -129,7 +130,8 @@ def test_joints_at_limits_are_named() -> None:
     verdict = judge(arm, Keyframe(pp.Curve.line((0, 0, 0), (0.3, 0, 0))), None)
     assert verdict.target is not None
     assert len(verdict.notes) == 1
-    first, more = list(arm.chain.joints)[:3], len(arm.chain.joints) - 3
+    first = list(arm.chain.joints)[:3]
+    more = len(arm.chain.joints) - 3
     assert verdict.notes[0] == f"at the limit of {', '.join(first)} and {more} more"
 
 

@@ -77,8 +77,12 @@ def problem(rng: np.random.Generator, modules: int, damping: float, straight: bo
 
 def chain_of(slides: np.ndarray) -> ChainArrays:
     """Constants of a chain of which only the kinds of the joints are asked for."""
-    n, none = len(slides), np.zeros((0, 3))
-    each, ends = np.arange(n, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    fixed, axes, turns = np.zeros((n, 12)), np.zeros((n, 3)), np.zeros((0, 3, 3))
+    n = len(slides)
+    none = np.zeros((0, 3))
+    each = np.arange(n, dtype=np.int64)
+    ends = np.zeros(0, dtype=np.int64)
+    fixed = np.zeros((n, 12))
+    axes = np.zeros((n, 3))
+    turns = np.zeros((0, 3, 3))
     starts = np.arange(n + 1, dtype=np.int64)
     return ChainArrays(slides, each, np.ones(n), fixed, axes, ends, none, turns, each, each, starts)

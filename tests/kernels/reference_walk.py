@@ -37,11 +37,13 @@ class ForwardKinematics(NamedTuple):
 
 
 def forward(sizes: Array, q: Array) -> tuple[Array, Array]:
-    c0, s0 = cos(q[0]), sin(q[0])
+    c0 = cos(q[0])
+    s0 = sin(q[0])
     turn = np.array([[c0, 0, s0], [0, 1.0, 0], [-s0, 0, c0]])
     if len(q) == 1:
         return turn @ [sizes[0], 0, 0], turn
-    c1, s1 = cos(sizes[2] * q[1]), sin(sizes[2] * q[1])
+    c1 = cos(sizes[2] * q[1])
+    s1 = sin(sizes[2] * q[1])
     bend = np.array([[c1, -s1, 0], [s1, c1, 0], [0, 0, 1.0]])
     return turn @ ([sizes[0], 0, 0] + bend @ [sizes[1], 0, 0]), turn @ bend
 
@@ -65,11 +67,14 @@ def crossings(dof: int, sizes: Array, points: Array) -> list[tuple[int, float]]:
     found = []
     for i, (a, b) in enumerate(pairwise(points)):
         d = b - a
-        aa, ad, dd = a @ a, a @ d, d @ d
+        aa = a @ a
+        ad = a @ d
+        dd = d @ d
         if dof == 1:
             powers = np.array([aa - l1**2, 2 * ad, dd])
         else:
-            off, hinge = aa - (l1**2 + l2**2), 4 * l1**2
+            off = aa - (l1**2 + l2**2)
+            hinge = 4 * l1**2
             powers = np.array(
                 [
                     off**2 - hinge * (l2**2 - a[1] ** 2),
@@ -112,23 +117,31 @@ def walk(
 ) -> ForwardKinematics:
     """Place units one after the other, from `start`, which lies at the arc length `parameter`."""
     s, samples = curve_samples(curve, n)
-    lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
-    point, turn = arm.chain.base, np.eye(3)
-    positions, parameters = np.zeros(len(lower)), np.zeros(len(units))
+    lower = arm.limits.lower[arm.columns]
+    upper = arm.limits.upper[arm.columns]
+    point = arm.chain.base
+    turn = np.eye(3)
+    positions = np.zeros(len(lower))
+    parameters = np.zeros(len(units))
     for k, ((dof, joint, _), shape) in enumerate(zip(units, shapes, strict=True)):
-        sizes, neutral = shape[:3], shape[3:].reshape(3, 3)
-        reach, frame = sizes[0] + sizes[1], turn @ neutral
+        sizes = shape[:3]
+        neutral = shape[3:].reshape(3, 3)
+        reach = sizes[0] + sizes[1]
+        frame = turn @ neutral
         first = int(np.searchsorted(s, parameter, side="right"))
-        ahead, arcs = np.vstack([start, samples[first:]]), np.append(parameter, s[first:])
+        ahead = np.vstack([start, samples[first:]])
+        arcs = np.append(parameter, s[first:])
         out = np.flatnonzero(np.linalg.norm(ahead[1:] - point, axis=1) > reach * (1 + ROUNDING))
         last = out[0] + 2 if len(out) else len(ahead)
         local = (ahead[:last] - point) @ frame
-        chosen, found = None, 0
+        chosen = None
+        found = 0
         for i, t in crossings(dof, sizes, local):
             p = local[i] + t * (local[i + 1] - local[i])
             solutions = inverse(dof, sizes, p)
             found += bool(solutions)
-            low, high = lower[joint : joint + dof], upper[joint : joint + dof]
+            low = lower[joint : joint + dof]
+            high = upper[joint : joint + dof]
             for q in solutions:
                 if np.all((q >= low - ROUNDING) & (q <= high + ROUNDING)):
                     faces = dof == 1 or p @ p > (sizes[0] ** 2 + sizes[1] ** 2) * (1 - 1e-12)

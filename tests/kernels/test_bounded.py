@@ -19,7 +19,8 @@ SEEDS = st.integers(0, 2**32 - 1)
 def within(p: Problem, lower: np.ndarray, upper: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
     """The minimum within a box."""
     n = len(p.centre)
-    x, sides = np.empty(n), np.zeros(n, dtype=np.int8) if guess is None else guess
+    x = np.empty(n)
+    sides = np.zeros(n, dtype=np.int8) if guess is None else guess
     kernels.minimise_in_box(p.springs, p.errors, p.damping, p.centre, lower, upper, sides, x)
     return x
 
@@ -27,10 +28,13 @@ def within(p: Problem, lower: np.ndarray, upper: np.ndarray, guess: np.ndarray |
 def best_of_all(p: Problem, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """The minimum by trying every choice of joints at either side."""
     hessian, gradient = p.dense()
-    n, best, found = len(gradient), np.inf, np.zeros(0)
+    n = len(gradient)
+    best = np.inf
+    found = np.zeros(0)
     for choice in product((-1, 0, 1), repeat=n):
         sides = np.array(choice)
-        x, free = np.where(sides < 0, lower, upper), sides == 0
+        x = np.where(sides < 0, lower, upper)
+        free = sides == 0
         if np.any(np.isinf(x[~free])):
             continue
         x[free] = np.linalg.solve(
@@ -38,7 +42,8 @@ def best_of_all(p: Problem, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         )
         value = 0.5 * x @ hessian @ x + gradient @ x
         if np.all(x >= lower - 1e-12) and np.all(x <= upper + 1e-12) and value < best:
-            best, found = value, x
+            best = value
+            found = x
     return found
 
 
@@ -48,7 +53,8 @@ def test_the_minimum_is_the_best_of_all_choices_of_sides(seed: int, power: int) 
     rng = np.random.default_rng(seed)
     p = problem(rng, 2, 10.0**power)
     n = len(p.centre)
-    lower, upper = -rng.uniform(0.0, 0.2, n), rng.uniform(0.0, 0.2, n)
+    lower = -rng.uniform(0.0, 0.2, n)
+    upper = rng.uniform(0.0, 0.2, n)
     lower[rng.random(n) < 0.2] = -np.inf
     upper[rng.random(n) < 0.2] = np.inf
     fixed = rng.random(n) < 0.15
@@ -79,7 +85,8 @@ def test_long_chains_at_their_bounds_meet_the_optimality_conditions(
     terms = np.abs(hessian) @ np.abs(x) + np.abs(gradient)
     slope /= terms
     assert np.all(np.abs(x) <= bound)
-    at_upper, at_lower = x == bound, x == -bound
+    at_upper = x == bound
+    at_lower = x == -bound
     assert at_upper.any() and at_lower.any()
     assert np.all(slope[at_upper] <= 1e-9) and np.all(slope[at_lower] >= -1e-9)
     assert np.abs(slope[~(at_upper | at_lower)]).max(initial=0.0) < 1e-9
@@ -94,9 +101,11 @@ def test_boxes_that_end_where_the_minimum_is_or_have_no_room(seed: int) -> None:
     moved = np.empty_like(p.springs.points)
     kernels.move_points(p.springs.screws, p.springs.ends, p.springs.points, p.centre, moved)
     p = p._replace(errors=moved)  # so that the centre is the minimum
-    lower, upper = p.centre - rng.uniform(0.0, 0.2, n), p.centre + rng.uniform(0.0, 0.2, n)
+    lower = p.centre - rng.uniform(0.0, 0.2, n)
+    upper = p.centre + rng.uniform(0.0, 0.2, n)
     at = rng.integers(-1, 2, n)
-    lower[at < 0], upper[at > 0] = p.centre[at < 0], p.centre[at > 0]
+    lower[at < 0] = p.centre[at < 0]
+    upper[at > 0] = p.centre[at > 0]
     nudge = np.where(rng.random(n) < 0.5, 1e-16, 0.0)
     found = within(p, lower + nudge, upper - nudge)
     np.testing.assert_allclose(found, p.centre, atol=1e-10)
@@ -117,7 +126,8 @@ def test_circles_end_with_the_minimum(seed: int) -> None:
     p = problem(rng, 20, 10.0 ** rng.uniform(-9, -3))
     middle = rng.normal(size=len(p.centre)) * 0.02
     half = 10.0 ** rng.uniform(-5, -1.5, len(middle))
-    lower, upper = middle - half, middle + half
+    lower = middle - half
+    upper = middle + half
     x = within(p, lower, upper)
     hessian, gradient = p.dense()
     slope = hessian @ x + gradient

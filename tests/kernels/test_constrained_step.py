@@ -19,7 +19,8 @@ def solve(
     p: Problem, lower: np.ndarray, upper: np.ndarray, rows: np.ndarray, least: np.ndarray, soft: bool = False
 ) -> Found:
     """Whether the minimum was found, x, and which rows bind."""
-    x, active = np.empty(len(p.centre)), np.empty(len(least), dtype=np.bool_)
+    x = np.empty(len(p.centre))
+    active = np.empty(len(least), dtype=np.bool_)
     given = (p.springs, p.errors, p.damping, p.centre), lower, upper
     return kernels.minimise_with_rows(*given, rows, least, soft, active, x), x, active
 
@@ -41,7 +42,8 @@ def test_no_other_solver_finds_a_smaller_value(seed: int, power: int, count: int
     rng = np.random.default_rng(seed)
     p = problem(rng, 3, 10.0**power)
     n = len(p.centre)
-    lower, upper = -rng.uniform(0.01, 0.2, n), rng.uniform(0.01, 0.2, n)
+    lower = -rng.uniform(0.01, 0.2, n)
+    upper = rng.uniform(0.01, 0.2, n)
     rows, least = draw_rows(rng, n, count, lower, upper)
     found, x, _ = solve(p, lower, upper, rows, least)
     assert found
@@ -76,7 +78,8 @@ def test_long_chains_meet_the_optimality_conditions(seed: int, damping: float) -
     assert active.any()
     assert np.all(np.abs(x) <= bound)
     assert np.all(rows @ x >= least - 1e-9)
-    slope, scale = hessian @ x + gradient, (np.abs(hessian) @ np.abs(x) + np.abs(gradient)).max()
+    slope = hessian @ x + gradient
+    scale = (np.abs(hessian) @ np.abs(x) + np.abs(gradient)).max()
     free = np.abs(x) < bound
     multipliers = np.linalg.lstsq(rows[active][:, free].T, slope[free], rcond=None)[0]
     rest = slope - rows[active].T @ multipliers
@@ -90,7 +93,8 @@ def test_rows_that_contradict_each_other_or_the_box_are_not_met() -> None:
     rng = np.random.default_rng(0)
     p = problem(rng, 4, 1e-3)
     n = len(p.centre)
-    row, box = np.eye(n)[:1], np.full(n, 0.1)
+    row = np.eye(n)[:1]
+    box = np.full(n, 0.1)
     assert not solve(p, -box, box, np.vstack([row, -row]), np.array([0.05, 0.05]))[0]
     assert not solve(p, -box, box, row, np.array([0.2]))[0]
 
@@ -112,7 +116,9 @@ def test_rows_that_may_be_violated_are_so_by_the_least_squares(seed: int, module
     assert np.all(np.abs(x) <= bound)
     missing = np.maximum(least - rows @ x, 0.0)
     assert np.all(active[missing > 1e-6 * bound[0]])
-    push, slope, free = missing @ rows, hessian @ x + gradient, np.abs(x) < bound
+    push = missing @ rows
+    slope = hessian @ x + gradient
+    free = np.abs(x) < bound
     if not free.any():
         return
     forces = np.sum(push[free] * slope[free]) / np.sum(push[free] ** 2)

@@ -19,7 +19,8 @@ SEEDS = st.integers(0, 2**32 - 1)
 def free(p: Problem) -> np.ndarray:
     """The minimum without bounds."""
     n = len(p.centre)
-    x, sides = np.empty(n), np.zeros(n, dtype=np.int8)
+    x = np.empty(n)
+    sides = np.zeros(n, dtype=np.int8)
     none = np.full(n, np.inf)
     assert kernels.minimise_in_box(p.springs, p.errors, p.damping, p.centre, -none, none, sides, x) == 1
     return x
@@ -27,7 +28,8 @@ def free(p: Problem) -> np.ndarray:
 
 def solved_precisely(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cholesky in extended precision."""
-    a, b = a.astype(np.longdouble), b.astype(np.longdouble)
+    a = a.astype(np.longdouble)
+    b = b.astype(np.longdouble)
     n = len(b)
     for j in range(n):
         a[j, j] = np.sqrt(a[j, j])
@@ -54,7 +56,8 @@ def test_points_alone_have_the_minimum_of_dense_least_squares(seed: int, modules
     p = problem(np.random.default_rng(seed), modules, 1.0)
     screws, ends, points, weights, _ = p.springs
     rows = p.rows[: 3 * modules] / np.sqrt(np.repeat(weights, 3))[:, None]
-    damping, n = 10.0**power, len(p.centre)
+    damping = 10.0**power
+    n = len(p.centre)
     x = np.full(n, np.nan)
     kernels.minimise_points(screws, ends, points, p.errors, damping, p.centre, np.empty((n, 8)), x)
     hessian = rows.T @ rows + damping * np.eye(n)
@@ -70,7 +73,8 @@ def test_long_chains_keep_their_digits(damping: float, straight: bool) -> None:
     rows = p.rows.astype(np.longdouble)
     hessian = rows.T @ rows + np.diag(p.damping.astype(np.longdouble))
     exact = solved_precisely(hessian, rows.T @ p.right + p.damping * p.centre)
-    found, size = free(p), np.abs(exact).max()
+    found = free(p)
+    size = np.abs(exact).max()
     # What the motions make of the points is known to rounding; the motions to what the damping leaves.
     np.testing.assert_allclose(p.rows @ found, p.rows @ exact, atol=1e-11 * np.abs(p.right).max())
     np.testing.assert_allclose(found, exact, atol=1e-9 * size)
@@ -81,9 +85,13 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
     arm = pp.Arm.from_template("RyRz", 500)
     rng = np.random.default_rng(0)
     state = arm.at(0.2 * rng.normal(size=arm.nv))
-    chain, m, n = arm.kinematics, 500, 1000
-    errors, damping = 0.02 * rng.normal(size=(m, 3)), np.full(n, 1e-6)
-    screws, placed = np.empty((n, 6)), state.forward
+    chain = arm.kinematics
+    m = 500
+    n = 1000
+    errors = 0.02 * rng.normal(size=(m, 3))
+    damping = np.full(n, 1e-6)
+    screws = np.empty((n, 6))
+    placed = state.forward
     lines = placed.axes, placed.origins
     kernels.find_screws(chain.constants, np.arange(n), np.ones(n), *lines, chain.ends, placed.points, screws)
     p = Problem(
@@ -107,7 +115,8 @@ def test_motions_misses_and_stiffness_are_what_the_rows_say(seed: int, modules: 
     rng = np.random.default_rng(seed)
     p = problem(rng, modules, 1.0)
     screws, ends, points, weights, chords = p.springs
-    x, moved = rng.normal(size=len(p.centre)), np.empty_like(points)
+    x = rng.normal(size=len(p.centre))
+    moved = np.empty_like(points)
     kernels.move_points(screws, ends, points, x, moved)
     np.testing.assert_allclose(
         (np.sqrt(weights)[:, None] * moved).ravel(), p.rows[: 3 * modules] @ x, atol=1e-12
@@ -122,7 +131,9 @@ def test_motions_misses_and_stiffness_are_what_the_rows_say(seed: int, modules: 
 
 def test_errors_across_a_planar_arm_do_not_count() -> None:
     rng = np.random.default_rng(1)
-    points, targets, normal = rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), np.array([0.6, 0.0, 0.8])
+    points = rng.normal(size=(4, 3))
+    targets = rng.normal(size=(4, 3))
+    normal = np.array([0.6, 0.0, 0.8])
     errors = np.empty((4, 3))
     total = kernels.measure_point_errors(points, targets, np.ones(4), np.zeros(4), normal, errors)
     np.testing.assert_allclose(errors @ normal, 0.0, atol=1e-15)

@@ -46,7 +46,8 @@ def test_indices_to_the_base_are_the_same_and_decide_the_same(
     kind: str, seed: int, amplitude: float, threshold: float
 ) -> None:
     state = state_of(arm_called(kind), seed, amplitude)
-    found, expected = base_indices(state.arm, state.screws, threshold), state.manipulability()[0, 1:]
+    found = base_indices(state.arm, state.screws, threshold)
+    expected = state.manipulability()[0, 1:]
     np.testing.assert_allclose(found**2, expected**2, rtol=0, atol=NEARLY)
     np.testing.assert_array_equal(found > threshold, expected > threshold)
 
@@ -56,14 +57,16 @@ def test_indices_to_the_base_are_the_same_and_decide_the_same(
 def test_the_search_finds_the_set_that_all_indices_give(
     kind: str, seed: int, amplitude: float, absolute: float, relative: float, errors: str
 ) -> None:
-    arm, rng = arm_called(kind), np.random.default_rng(seed)
+    arm = arm_called(kind)
+    rng = np.random.default_rng(seed)
     state = state_of(arm, seed, amplitude)
     distances = {
         "any": rng.uniform(0.0, 1.0, arm.n_modules),
         "equal": np.ones(arm.n_modules),
         "few": np.floor(rng.uniform(0.0, 3.0, arm.n_modules)),
     }[errors]
-    eligible, indices = rng.random(arm.n_modules) < 0.8, state.manipulability()
+    eligible = rng.random(arm.n_modules) < 0.8
+    indices = state.manipulability()
     expected = active_set(indices, distances, absolute, relative, eligible)
     usable = (indices[0, 1:] > absolute) & eligible
     found = best_set(arm, state.screws, usable, distances, relative)
@@ -75,14 +78,16 @@ def test_the_same_on_a_long_arm(amplitude: float) -> None:
     arm = pp.Arm.from_template("RyRz", 120)
     for seed in range(3):
         state = state_of(arm, seed, amplitude)
-        distances, indices = np.random.default_rng(seed).uniform(0, 1, 120), state.manipulability()
+        distances = np.random.default_rng(seed).uniform(0, 1, 120)
+        indices = state.manipulability()
         for relative in (0.001, 0.02):
             expected = active_set(indices, distances, 0.001, relative)
             usable = base_indices(arm, state.screws, 0.001) > 0.001
             found = best_set(arm, state.screws, usable, distances, relative)
             assert tuple(found.tolist()) == expected
             if expected:
-                plane, active = arm.kinematics.task_constants.plane, np.array(expected)
+                plane = arm.kinematics.task_constants.plane
+                active = np.array(expected)
                 base = base_indices(arm, state.screws, 0.001)
                 weakest = kernels.weakest_index(state.screws, plane, active, base)
                 nodes = np.append(0, active + 1)

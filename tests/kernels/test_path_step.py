@@ -13,7 +13,8 @@ import pinposture as pp
 from pinposture import kernels
 from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 
-WEIGHT, DAMPING = 3e-4, 1e-3
+WEIGHT = 3e-4
+DAMPING = 1e-3
 
 
 class Problem:
@@ -61,7 +62,8 @@ class Problem:
 
     def step(self) -> np.ndarray:
         """What the kernel finds, (N + 1, n)."""
-        constants, steps = self.arm.kinematics.constants, np.full_like(self.x, np.nan)
+        constants = self.arm.kinematics.constants
+        steps = np.full_like(self.x, np.nan)
         ends = np.array(self.arm.kinematics.ends, dtype=np.int64)
         given = constants, np.arange(self.n), ends, np.ones(self.n), self.arm.positions(self.start)
         path = PathProblem(*given, *self.bounds, WEIGHT)
@@ -72,13 +74,18 @@ class Problem:
 
     def equations(self, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Matrix H and right-hand side, with the contacts that count, for the waypoints between the ends."""
-        n, count = self.n, self.last - 1
-        matrix, right = np.zeros((count * n, count * n)), np.zeros(count * n)
+        n = self.n
+        count = self.last - 1
+        matrix = np.zeros((count * n, count * n))
+        right = np.zeros(count * n)
         for i in range(self.last):  # the energy of one piece: |J_1 x_1 - J_0 x_0 + gap|^2, and of the joints
             both = np.zeros((len(self.points[0]) + n, (self.last + 1) * n))
-            one, other = slice(i * n, (i + 1) * n), slice((i + 1) * n, (i + 2) * n)
-            both[:-n, one], both[:-n, other] = -self.jacobians[i], self.jacobians[i + 1]
-            both[-n:, one], both[-n:, other] = -np.sqrt(WEIGHT) * np.eye(n), np.sqrt(WEIGHT) * np.eye(n)
+            one = slice(i * n, (i + 1) * n)
+            other = slice((i + 1) * n, (i + 2) * n)
+            both[:-n, one] = -self.jacobians[i]
+            both[:-n, other] = self.jacobians[i + 1]
+            both[-n:, one] = -np.sqrt(WEIGHT) * np.eye(n)
+            both[-n:, other] = np.sqrt(WEIGHT) * np.eye(n)
             gap = self.points[i + 1] - self.points[i]
             gap = np.concatenate([gap, np.sqrt(WEIGHT) * (self.x[i + 1] - self.x[i])])
             both = both[:, n:-n]
@@ -141,7 +148,8 @@ def test_joints_at_a_limit_are_held_and_the_others_are_optimal(seed: int) -> Non
     step = problem.step()[1:-1].ravel()
     assert not step[stuck].any()
     free = np.flatnonzero(~stuck)
-    matrix, right = matrix[np.ix_(free, free)], right[free]
+    matrix = matrix[np.ix_(free, free)]
+    right = right[free]
     best = decrease(matrix, right, np.linalg.solve(matrix, right))
     assert decrease(matrix, right, step[free]) >= 0.999 * best
 

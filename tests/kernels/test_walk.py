@@ -42,10 +42,12 @@ def arm_called(name: str) -> pp.Arm:
 def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> int:
     """Compare the two; the index of the unit without a place, or -1."""
     units, shapes = unit_arrays(arm)
-    lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+    lower = arm.limits.lower[arm.columns]
+    upper = arm.limits.upper[arm.columns]
     start = arm.chain.base if parameter == 0.0 else curve.at(parameter)
     state = np.concatenate([[parameter], arm.chain.base, start, [0.0, 0.0]])
-    positions, parameters = np.zeros(len(lower)), np.zeros(arm.n_modules)
+    positions = np.zeros(len(lower))
+    parameters = np.zeros(arm.n_modules)
     stopped = kernels.place_modules(
         *curve.measured, samples, units, shapes, lower, upper, state, positions, parameters
     )
@@ -100,7 +102,8 @@ def test_all_places_are_those_of_the_algorithm(
 
 def test_both_endings_are_met_by_every_arm() -> None:
     for name in ARMS:
-        arm, endings = arm_called(name), set()
+        arm = arm_called(name)
+        endings = set()
         for length, wild in ((1.4, 0.0), (1.4, 0.02), (1.4, 0.3), (0.8, 0.0)):
             points = np.zeros((6, 3))
             points[:, 0] = length * np.arange(6) / 5

@@ -63,7 +63,8 @@ def of_arm(seed: int, rows: int = 6, dt: float = 0.1) -> JointTrajectory:
 def assert_same(one: JointTrajectory, other: JointTrajectory, tables: tuple[str, ...] = TABLES) -> None:
     assert (one.joint_names, one.units) == (other.joint_names, other.units)
     for name in tables:
-        here, there = getattr(one, name), getattr(other, name)
+        here = getattr(one, name)
+        there = getattr(other, name)
         np.testing.assert_array_equal(here, there)
         np.testing.assert_array_equal(np.signbit(here), np.signbit(there))
 

@@ -14,7 +14,9 @@ from pinposture.arm import continuum_section
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion.actuators import Actuators, Tendon
 
-RADIUS, DISKS, LENGTH = 0.008, 10, 0.25
+RADIUS = 0.008
+DISKS = 10
+LENGTH = 0.25
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.4, -0.9, 1.3), np.array([0.2, -0.1, 0.5]))
 ANGLES = {"a": 0.0, "b": 2.0 * np.pi / 3.0, "c": 4.0 * np.pi / 3.0}
 
@@ -40,7 +42,8 @@ def tendon_length(arm: pp.Arm, q: np.ndarray, tendon: Tendon) -> float:
     Links are placed by Pinocchio; the holes are where the tendon is at the straight arm.
     """
     model = arm.model
-    data, straight = model.createData(), model.createData()
+    data = model.createData()
+    straight = model.createData()
     pin.framesForwardKinematics(model, data, q)
     pin.framesForwardKinematics(model, straight, pin.neutral(model))
     joints = arm.chain.module_slices[tendon.end].stop
@@ -62,7 +65,8 @@ def tendon_length(arm: pp.Arm, q: np.ndarray, tendon: Tendon) -> float:
 def test_moment_arms_are_those_of_lengths_measured_along_the_arm(
     arm: pp.Arm, tendons: dict[str, Tendon]
 ) -> None:
-    actuators, h = Actuators.from_tendons(arm, tendons), 1e-5
+    actuators = Actuators.from_tendons(arm, tendons)
+    h = 1e-5
     for row, tendon in zip(actuators.matrix, tendons.values(), strict=True):
         for column, step in enumerate(h * np.eye(arm.nv)):
             ahead, behind = (
@@ -74,7 +78,8 @@ def test_moment_arms_are_those_of_lengths_measured_along_the_arm(
 def test_lengths_are_linear_but_for_the_square_of_small_bends(
     arm: pp.Arm, tendons: dict[str, Tendon]
 ) -> None:
-    actuators, apart = Actuators.from_tendons(arm, tendons), []
+    actuators = Actuators.from_tendons(arm, tendons)
+    apart = []
     for scale in (1.0, 0.1):
         q = arm.configuration(scale * np.array([0.1, -0.05, 0.08, 0.1, -0.1, 0.03]))
         lengths = [
@@ -107,7 +112,8 @@ def test_tendons_run_through_the_sections_before_and_not_beyond_their_own(
 def test_measured_tendons_give_the_configuration_back(
     arm: pp.Arm, tendons: dict[str, Tendon], positions: list[float]
 ) -> None:
-    actuators, q = Actuators.from_tendons(arm, tendons), arm.configuration(positions)
+    actuators = Actuators.from_tendons(arm, tendons)
+    q = arm.configuration(positions)
     found, apart = actuators.configuration(actuators.positions(q))
     np.testing.assert_allclose(found, q, atol=1e-12)
     assert apart <= 1e-12

@@ -27,7 +27,8 @@ Asked = tuple[pp.Arm, list[pp.Target], np.ndarray]
 @pytest.fixture(scope="module")
 def asked() -> Asked:
     """An arm, targets and starts, as `track_many` takes them."""
-    arm, rng = template_arm("RyRz", 4), np.random.default_rng(5)
+    arm = template_arm("RyRz", 4)
+    rng = np.random.default_rng(5)
     starts = np.array([smooth_configuration(arm, rng, 0.2 + 0.2 * k) for k in range(5)])
     targets = [
         pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.7)),

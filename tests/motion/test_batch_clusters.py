@@ -41,7 +41,8 @@ def ray() -> Iterator[None]:
 @pytest.mark.process
 @pytest.mark.parametrize("cluster", [dask, ray])
 def test_a_cluster_computes_the_same_batch_in_order(cluster) -> None:
-    arm, rng = pp.Arm.from_template("RyRz", 3), np.random.default_rng(0)
+    arm = pp.Arm.from_template("RyRz", 3)
+    rng = np.random.default_rng(0)
     goals = rng.uniform(-0.5, 0.5, (COUNT, arm.nq))
     targets = [pp.Target.from_configuration(arm, goal) for goal in goals]
     here = pp.track_many(arm, targets, arm.straight(), jobs=1)

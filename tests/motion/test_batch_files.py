@@ -57,7 +57,8 @@ def content(batch: pp.Batch, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def assert_equal(one: object, other: object) -> None:
     """All arrays of the two, and numbers and words."""
     for field in fields(other):
-        value, got = getattr(other, field.name), getattr(one, field.name)
+        value = getattr(other, field.name)
+        got = getattr(one, field.name)
         if isinstance(value, np.ndarray):
             assert got.dtype == value.dtype, field.name
             np.testing.assert_array_equal(got, value, err_msg=field.name)

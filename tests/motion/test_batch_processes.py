@@ -71,10 +71,8 @@ def test_whoever_says_where_is_obeyed_at_once(sent: list) -> None:
 def test_within_the_work_of_others_nothing_is_distributed() -> None:
     def nested() -> tuple[list, list]:
         seen = []
-        original, processes._distribute = (
-            processes._distribute,
-            lambda tasks, jobs: seen.append(jobs) or iter(()),
-        )
+        original = processes._distribute
+        processes._distribute = lambda tasks, jobs: seen.append(jobs) or iter(())
         try:
             return list(adaptively_in_order(squares(2), None)), seen
         finally:

@@ -200,7 +200,9 @@ def test_a_measured_arm_that_sags_into_an_obstacle_is_reported() -> None:
     goal = arm.straight()
     goal[3] = 0.2
     tracker.update(Target.from_configuration(arm, goal))
-    model, q, lost = pp.CollisionModel(arm, scene), arm.straight(), 0
+    model = pp.CollisionModel(arm, scene)
+    q = arm.straight()
+    lost = 0
     for cycle in range(200):
         tracker.step(q)
         distance = model.minimum(q).distance
@@ -216,7 +218,10 @@ def test_a_measured_arm_that_sags_into_an_obstacle_is_reported() -> None:
     assert lost > 10
 
 
-BALL, BALL_RADIUS, LINK_RADIUS, MARGIN = np.array([0.3, 0.0, -0.1]), 0.07, 0.008, 0.01
+BALL = np.array([0.3, 0.0, -0.1])
+BALL_RADIUS = 0.07
+LINK_RADIUS = 0.008
+MARGIN = 0.01
 
 
 def distance_to_ball(arm: pp.Arm, q: np.ndarray) -> float:
@@ -272,7 +277,8 @@ def test_the_command_moves_a_sagging_arm_back_to_its_margin_and_rests(
 @pytest.mark.soak
 def test_an_arm_that_cannot_leave_an_obstacle_stands_and_says_so() -> None:
     arm = template_arm("RyRz", 6)
-    slab, low = pp.Box((0.3, 0.0, -0.06), (0.3, 2.0, 0.08)), pp.Box((0.3, 0.0, 0.06), (0.3, 2.0, 0.08))
+    slab = pp.Box((0.3, 0.0, -0.06), (0.3, 2.0, 0.08))
+    low = pp.Box((0.3, 0.0, 0.06), (0.3, 2.0, 0.08))
     scene = pp.Scene({"slab": slab, "low": low}, margin=0.01, self_collision=False, arm_radius=0.008)
     robot = Robot(arm, QUICK, Sensing(noise=0.0), limits=LIMITS, scene=scene, feedback_time_constant=np.inf)
     robot.tracker.update(Target.from_configuration(arm, arm.straight()))

@@ -15,7 +15,8 @@ from pinposture.placement import Target
 
 pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
 
-LAG, DT = 0.05, 1e-3
+LAG = 0.05
+DT = 1e-3
 FREE = pp.Limits(step=None, velocity=1e5, dt=DT)
 
 
@@ -40,7 +41,8 @@ def response(period: float, target: float, sag: float, seconds: float) -> np.nda
 
 def driven(tracker: Tracker, q: np.ndarray, sag: np.ndarray | float, steps: int) -> np.ndarray:
     """Configurations of an arm whose drives follow the command with a lag, and sag."""
-    dt, found = tracker.limits.dt, []
+    dt = tracker.limits.dt
+    found = []
     for _ in range(steps):
         found.append(q)
         tracker.step(q)
@@ -78,7 +80,8 @@ def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(
 ) -> None:
     rng = np.random.default_rng(seed)
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, acceleration=10.0)
-    wanted, sag = rng.uniform(-1, 1, arm.nv), 0.03 * rng.normal(size=arm.nv)
+    wanted = rng.uniform(-1, 1, arm.nv)
+    sag = 0.03 * rng.normal(size=arm.nv)
     ends = {}
     for feedback in (0.25, np.inf):
         tracker = Tracker(arm, controller, limits, feedback_time_constant=feedback)
@@ -105,7 +108,8 @@ def test_a_sag_that_would_need_a_command_beyond_the_limits_is_made_good_as_far_a
 def test_without_a_known_configuration_points_are_shifted_by_as_much(arm: pp.Arm) -> None:
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, acceleration=10.0)
     rng = np.random.default_rng(5)
-    wanted, sag = rng.uniform(-0.8, 0.8, arm.nv), 0.02 * rng.normal(size=arm.nv)
+    wanted = rng.uniform(-0.8, 0.8, arm.nv)
+    sag = 0.02 * rng.normal(size=arm.nv)
     points = arm.at(wanted).points
     tracker = Tracker(arm, "geodesic", limits)
     tracker.update(Target.from_points(arm, points))
@@ -154,7 +158,8 @@ def test_points_that_are_not_seen_or_cannot_be_count_for_nothing(arm: pp.Arm) ->
 
 
 def test_estimates_follow_with_their_time_constant(arm: pp.Arm) -> None:
-    q, off = np.zeros(arm.nv), 0.01
+    q = np.zeros(arm.nv)
+    off = 0.01
     feedback = Feedback(arm, 0.5, 0.3, 0.5)
     feedback.update(q, None, 0.02)
     feedback.apply_step(np.zeros(arm.nv))

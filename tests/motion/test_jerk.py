@@ -49,7 +49,8 @@ def largest(steps: np.ndarray, limits: pp.Limits) -> np.ndarray:
 def test_all_limits_hold_and_the_arm_arrives(
     arm: pp.Arm, seed: int, velocity: float, acceleration: float, jerk: float, controller: str
 ) -> None:
-    rng, limits = np.random.default_rng(seed), limited(jerk, velocity, acceleration)
+    rng = np.random.default_rng(seed)
+    limits = limited(jerk, velocity, acceleration)
     start, goal = (smooth_configuration(arm, rng, 0.6) for _ in range(2))
     run = pp.track(arm, pp.Target.from_configuration(arm, goal), start, controller, limits, max_steps=4000)
     assert np.all(largest(np.diff(run.q, axis=0), limits) <= 1.0 + 1e-9)
@@ -79,24 +80,30 @@ def test_the_posture_error_rises_only_on_flagged_steps(arm: pp.Arm, seed: int, j
 def test_a_long_motion_of_one_joint_takes_little_longer_than_the_shortest(
     jerk: float, distance: float
 ) -> None:
-    arm, limits = pp.Arm.from_template("RyRz", 1), limited(jerk)
+    arm = pp.Arm.from_template("RyRz", 1)
+    limits = limited(jerk)
     target = pp.Target.from_configuration(arm, [distance, 0.0])
     run = pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=2000)
     # From rest to rest, at full jerk, acceleration and speed in turn.
-    v, a = limits.velocity, limits.acceleration
+    v = limits.velocity
+    a = limits.acceleration
     shortest = distance / v + v / a + a / jerk
     assert run.converged and np.all(largest(np.diff(run.q, axis=0), limits) <= 1.0 + 1e-9)
     assert shortest - 3 * DT <= DT * run.steps <= shortest + a / jerk + 0.02 * distance / v + 3 * DT
 
 
 def test_the_filter_is_a_moving_average_that_arrives(arm: pp.Arm) -> None:
-    rng, limits = np.random.default_rng(0), limited(75.0)
-    jerk_filter, cycles = JerkFilter(arm, limits), 14  # 2 * 5 / (75 * 0.01), rounded up
+    rng = np.random.default_rng(0)
+    limits = limited(75.0)
+    # 2 * 5 / (75 * 0.01), rounded up
+    jerk_filter = JerkFilter(arm, limits)
+    cycles = 14
     assert jerk_filter.cycles == cycles
     given_steps = np.concatenate([rng.normal(size=(40, arm.nv)), np.zeros((cycles - 1, arm.nv))])
     kernel = np.full(cycles, 1.0 / cycles)
     expected = np.array([np.convolve(column, kernel)[: len(column)] for column in given_steps.T]).T
-    taken, before = [], np.zeros(arm.nv)
+    taken = []
+    before = np.zeros(arm.nv)
     for number, step in enumerate(given_steps):
         taken.append(jerk_filter.apply(step))
         before = before + step
@@ -108,7 +115,8 @@ def test_the_filter_is_a_moving_average_that_arrives(arm: pp.Arm) -> None:
 
 
 def test_a_path_that_bends_is_cut_by_no_more_than_derived(arm: pp.Arm) -> None:
-    limits, rng = limited(30.0), np.random.default_rng(3)
+    limits = limited(30.0)
+    rng = np.random.default_rng(3)
     start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
     target = pp.Target.from_configuration(arm, goal)
     along = pp.track(arm, target, start, limits=replace(limits, jerk=None), max_steps=2000).q
@@ -123,7 +131,8 @@ def test_a_path_that_bends_is_cut_by_no_more_than_derived(arm: pp.Arm) -> None:
 def test_a_short_motion_of_one_joint_takes_little_longer_than_the_shortest(
     jerk: float, distance: float
 ) -> None:
-    arm, limits = pp.Arm.from_template("RyRz", 1), limited(jerk)
+    arm = pp.Arm.from_template("RyRz", 1)
+    limits = limited(jerk)
     target = pp.Target.from_configuration(arm, [distance, 0.0])
     run = pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=2000)
     # From rest to rest, with the jerk alone: a quarter of the time each with +j, -j, -j and +j.
@@ -134,9 +143,12 @@ def test_a_short_motion_of_one_joint_takes_little_longer_than_the_shortest(
 
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 def test_the_tracker_keeps_them_whatever_happens(arm: pp.Arm, interface: str) -> None:
-    rng, limits = np.random.default_rng(1), limited(60.0)
+    rng = np.random.default_rng(1)
+    limits = limited(60.0)
     tracker = pp.Tracker(arm, limits=limits, interface=interface)
-    q, steps, statuses = arm.neutral(), [], set()
+    q = arm.neutral()
+    steps = []
+    statuses = set()
     for cycle in range(900):
         if cycle % 60 == 0 and cycle < 600:
             goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.9))
@@ -155,8 +167,11 @@ def test_the_tracker_keeps_them_whatever_happens(arm: pp.Arm, interface: str) ->
 
 
 def test_cycles_of_other_durations_keep_speed_and_arrive(arm: pp.Arm) -> None:
-    rng, limits, q = np.random.default_rng(4), limited(60.0), arm.neutral()
-    tracker, goal = pp.Tracker(arm, limits=limits), smooth_configuration(arm, rng, 0.6)
+    rng = np.random.default_rng(4)
+    limits = limited(60.0)
+    q = arm.neutral()
+    tracker = pp.Tracker(arm, limits=limits)
+    goal = smooth_configuration(arm, rng, 0.6)
     tracker.update(pp.Target.from_configuration(arm, goal))
     for cycle in range(900):
         dt = DT * rng.uniform(0.3, 3.0) if cycle < 300 else DT
@@ -174,12 +189,14 @@ class Measured:
     """
 
     def __init__(self, joints: int) -> None:
-        self.times, self.positions = [-3.0 * DT, -2.0 * DT, -DT, 0.0], [np.zeros(joints)] * 4
+        self.times = [-3.0 * DT, -2.0 * DT, -DT, 0.0]
+        self.positions = [np.zeros(joints)] * 4
 
     def exceeded(self, step: np.ndarray, duration: float, limits: pp.Limits) -> list[str]:
         self.times = [*self.times[1:], self.times[-1] + duration]
         self.positions = [*self.positions[1:], self.positions[-1] + step]
-        durations, steps = np.diff(self.times), np.diff(self.positions, axis=0)
+        durations = np.diff(self.times)
+        steps = np.diff(self.positions, axis=0)
         speeds = steps / durations[:, None]
         acceleration = np.abs(speeds[2] - speeds[1]) / max(durations[1:])
         weights = [
@@ -208,16 +225,19 @@ class Measured:
 def test_limits_hold_in_cycles_of_all_durations_or_steps_beyond_them_are_named(
     arm: pp.Arm, seed: int, jerk: float | None, shortest: float, changes: bool, interface: str
 ) -> None:
-    rng, q = np.random.default_rng(seed), arm.neutral()
+    rng = np.random.default_rng(seed)
+    q = arm.neutral()
     limits = pp.Limits(step=None, velocity=1.0, acceleration=5.0, jerk=jerk, dt=DT)
-    tracker, measured = pp.Tracker(arm, limits=limits, interface=interface), Measured(arm.nv)
+    tracker = pp.Tracker(arm, limits=limits, interface=interface)
+    measured = Measured(arm.nv)
     named = 0
     for cycle in range(250):
         if cycle % 45 == 0:
             goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.9))
             tracker.update(pp.Target.from_configuration(arm, goal))
         if changes and cycle % 40 == 39:
-            velocity, acceleration = rng.uniform(0.5, 2.0), rng.uniform(2.0, 10.0)
+            velocity = rng.uniform(0.5, 2.0)
+            acceleration = rng.uniform(2.0, 10.0)
             wanted = rng.choice([None, 20.0, 100.0, 3000.0])
             limits = tracker.limits = replace(
                 limits,
@@ -246,10 +266,13 @@ def test_a_limit_that_is_set_in_motion_is_kept_once_the_arm_has_stopped(
     arm: pp.Arm, before: float | None, after: float | None
 ) -> None:
     limits = pp.Limits(step=None, velocity=2.0, acceleration=4.0, jerk=before, dt=DT)
-    tracker, q, steps = pp.Tracker(arm, limits=limits), arm.neutral(), []
+    tracker = pp.Tracker(arm, limits=limits)
+    q = arm.neutral()
+    steps = []
     goal = smooth_configuration(arm, np.random.default_rng(2), 0.9)
     tracker.update(pp.Target.from_configuration(arm, goal))
-    reasons, told = [], []
+    reasons = []
+    told = []
     for cycle in range(1500):
         if cycle == 20:
             tracker.limits = replace(limits, jerk=after)
@@ -278,13 +301,15 @@ def test_limits_are_checked_when_they_are_set(arm: pp.Arm) -> None:
 
 
 def test_a_tracker_that_starts_in_motion_goes_on_smoothly(arm: pp.Arm) -> None:
-    tracker, before = pp.Tracker(arm, limits=limited(60.0)), np.full(arm.nv, 0.008)
+    tracker = pp.Tracker(arm, limits=limited(60.0))
+    before = np.full(arm.nv, 0.008)
     tracker.restart(arm.neutral(), before)
     assert np.abs(tracker.step(arm.neutral()) - before).max() <= 60.0 * DT**3 + 1e-12  # it brakes
 
 
 def test_motions_keep_them_and_stay_on_their_keyframes(arm: pp.Arm) -> None:
-    rng, limits = np.random.default_rng(5), limited(100.0, 2.0, 10.0)
+    rng = np.random.default_rng(5)
+    limits = limited(100.0, 2.0, 10.0)
     postures = [smooth_configuration(arm, rng, 0.5) for _ in range(3)]
     keyframes = [pp.Keyframe(None, time, joints=q) for time, q in zip((0.0, 1.0, 2.0), postures, strict=True)]
     for controller in ("geodesic", "joint"):
@@ -299,15 +324,18 @@ def test_motions_keep_them_and_stay_on_their_keyframes(arm: pp.Arm) -> None:
 
 def test_clearance_that_a_cut_corner_costs_is_reported(arm: pp.Arm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinposture.control.limits.MAX_CORNER_CUT", np.inf)
-    rng, limits = np.random.default_rng(2), limited(15.0, 2.0)
+    rng = np.random.default_rng(2)
+    limits = limited(15.0, 2.0)
     start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
     middle = arm.at(0.5 * (start + goal)).points[4]
     scene = pp.Scene(
         {"ball": pp.Sphere(tuple(middle + [0.0, 0.0, 0.04]), 0.02)}, margin=0.01, arm_radius=0.005
     )
-    tracker, model = pp.Tracker(arm, limits=limits, scene=scene), CollisionModel(arm, scene)
+    tracker = pp.Tracker(arm, limits=limits, scene=scene)
+    model = CollisionModel(arm, scene)
     tracker.update(pp.Target.from_configuration(arm, goal))
-    q, lowest = start, np.inf
+    q = start
+    lowest = np.inf
     for _ in range(1500):
         q = arm.integrate(q, tracker.step(q))
         told = any(each.startswith("margin: ") for each in tracker.report.violated_constraints)
@@ -323,9 +351,12 @@ def test_clearance_that_a_cut_corner_costs_is_reported(arm: pp.Arm, monkeypatch:
 def test_a_report_flags_the_steps_that_were_sent_and_raise_the_error(
     arm: pp.Arm, shares: tuple[float, ...]
 ) -> None:
-    rng, unflagged, flagged = np.random.default_rng(3), 0, 0
+    rng = np.random.default_rng(3)
+    unflagged = 0
+    flagged = 0
     start, *goals = (smooth_configuration(arm, rng, 0.9) for _ in range(4))
-    tracker, q = pp.Tracker(arm, limits=limited(20.0, 2.0, 10.0)), start
+    tracker = pp.Tracker(arm, limits=limited(20.0, 2.0, 10.0))
+    q = start
     for cycle in range(240):
         if cycle % 45 == 0:
             target = pp.Target.from_points(arm, arm.at(goals[cycle // 45 % 3]).points)

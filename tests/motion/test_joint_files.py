@@ -118,7 +118,8 @@ class Trap:
 
 
 def test_no_code_in_an_archive_is_run(tmp_path: Path) -> None:
-    path, sprung = pp.save(of_arm(3), tmp_path / "a.npz"), tmp_path / "sprung"
+    path = pp.save(of_arm(3), tmp_path / "a.npz")
+    sprung = tmp_path / "sprung"
     np.savez(path, **(dict(np.load(path)) | {"velocities": np.array([Trap(sprung)], dtype=object)}))
     with pytest.raises(FileError, match=r"is not a saved joint trajectory \(ValueError\)"):
         pp.load(path, JointTrajectory)

@@ -78,8 +78,10 @@ def test_rates_come_closer_to_an_analytic_motion_with_the_square_of_the_interval
 @MOVES
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=30), st.floats(0.001, 10.0))
 def test_rows_keep_the_limits_that_steps_keep(pushes: list[float], dt: float) -> None:
-    limits_of_speed, limit_of_acceleration = 0.7 / dt, 1.0 / dt**2
-    steps, step = [], 0.0
+    limits_of_speed = 0.7 / dt
+    limit_of_acceleration = 1.0 / dt**2
+    steps = []
+    step = 0.0
     for push in pushes:
         step = float(np.clip(step + push, -0.7, 0.7))
         steps.append(step)
@@ -278,7 +280,8 @@ def test_rounding_adds_no_row_to_a_motion_that_is_a_multiple_of_the_interval_lon
 
 def test_between_rows_a_cubic_exceeds_limits_by_no_more_than_the_page_says() -> None:
     """Every course of accelerations at the limit over six cycles; docs/trajectories.md has these figures."""
-    dt, limit = 0.1, 2.0
+    dt = 0.1
+    limit = 2.0
     share = np.linspace(0.0, 1.0, 41)
     fast = hard = 0.0
     for signs in product((-1.0, 0.0, 1.0), repeat=6):

@@ -18,7 +18,10 @@ from pinposture.collision.obstacles import displaced
 from pinposture.control.controller import CONSTRAINTS
 from pinposture.errors import InvalidValue, UnknownName
 
-MARGIN, THIN, BALL, DT = 0.005, 0.01, 0.06, 0.01
+MARGIN = 0.005
+THIN = 0.01
+BALL = 0.06
+DT = 0.01
 LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=DT)
 
 
@@ -73,7 +76,8 @@ def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, 
     tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene, deadline=deadline, planning=planning)
     # With a deadline that no step meets, the arm stays where it is, and still makes way.
     tracker.update(pp.Target.from_configuration(arm(), q if deadline == 1e-9 else goal))
-    lowest, before = np.inf, np.zeros(arm().nv)
+    lowest = np.inf
+    before = np.zeros(arm().nv)
     for cycle in range(2500):
         center = origin + cycle * DT * velocity
         moment = scene.moved({"ball": center}, velocities={"ball": velocity})
@@ -82,9 +86,11 @@ def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, 
         if not tracker.report.violated_constraints:
             assert np.abs(dq).max() <= LIMITS.velocity * DT + 1e-9
             assert np.abs(dq - before).max() <= LIMITS.acceleration * DT**2 + 1e-9
-        halfway, after = q + 0.5 * dq, q + dq
+        halfway = q + 0.5 * dq
+        after = q + dq
         lowest = min(lowest, gap(halfway, center + 0.5 * DT * velocity), gap(after, center + DT * velocity))
-        q, before = after, dq
+        q = after
+        before = dq
         passed = cycle > 800 and np.linalg.norm(center) > 1.2
         if passed and (deadline < np.inf or tracker.report.status == "converged"):
             break
@@ -98,14 +104,17 @@ def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_que
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A post sweeps through the goal, which moves, at 0.3 m/s; measurements are noisy."""
-    queries, original = [0], CollisionModel.nearest
+    queries = [0]
+    original = CollisionModel.nearest
 
     def counted(*given: Any) -> Any:
         queries[-1] += 1
         return original(*given)
 
     monkeypatch.setattr(CollisionModel, "nearest", counted)
-    rng, q, before = np.random.default_rng(seed), np.zeros(40), np.zeros(40)
+    rng = np.random.default_rng(seed)
+    q = np.zeros(40)
+    before = np.zeros(40)
     post = pp.Scene(
         {"post": pp.Capsule((0, 0, -1), (0, 0, 1), BALL)},
         self_collision=False,
@@ -114,15 +123,18 @@ def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_que
     )
     goal = pp.arm.smooth_configuration(arm(), rng, 0.3)
     limits = pp.Limits(step=None, velocity=1.0, acceleration=4.0, dt=DT)
-    tracker, lowest = pp.Tracker(arm(), limits=limits, scene=post), np.inf
+    tracker = pp.Tracker(arm(), limits=limits, scene=post)
+    lowest = np.inf
     for cycle in range(700):
-        y, wanted = -1.2 + 0.3 * DT * cycle, goal * (1.0 + 0.15 * np.sin(0.01 * cycle))
+        y = -1.2 + 0.3 * DT * cycle
+        wanted = goal * (1.0 + 0.15 * np.sin(0.01 * cycle))
         tracker.update(pp.Target.from_configuration(arm(), wanted))
         moment = post.moved({"post": (0.6, y, 0.0)}, velocities={"post": (0.0, 0.3, 0.0)})
         dq = tracker.step(q + rng.normal(0.0, 2e-3, 40), scene=moment)
         assert np.abs(dq).max() <= limits.velocity * DT + 1e-12
         assert np.abs(dq - before).max() <= limits.acceleration * DT**2 + 1e-12
-        q, before = tracker.command, dq
+        q = tracker.command
+        before = dq
         height = np.clip(arm().at(q).points[:, 2], -1.0, 1.0)
         axis = np.column_stack([np.full(20, 0.6), np.full(20, y + 0.3 * DT), height])
         lowest = min(lowest, np.linalg.norm(arm().at(q).points - axis, axis=1).min() - BALL - THIN)
@@ -132,12 +144,17 @@ def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_que
 
 
 def test_an_arm_at_its_position_limits_evades_with_noisy_measurements() -> None:
-    rng, scene, q = np.random.default_rng(0), ball_scene(), np.zeros(40)
+    rng = np.random.default_rng(0)
+    scene = ball_scene()
+    q = np.zeros(40)
     limits = replace(LIMITS, position_margin=3.0)
-    q[0:8:2], q[8:16:2] = np.pi - 3.0, 3.0 - np.pi
+    q[0:8:2] = np.pi - 3.0
+    q[8:16:2] = 3.0 - np.pi
     tracker = pp.Tracker(arm(), limits=limits, scene=scene, interface="velocity")
     tracker.update(pp.Target.from_configuration(arm(), q))
-    aim, velocity, lowest = arm().at(q).points[14], np.array([0.0, 0.15, 0.0]), np.inf
+    aim = arm().at(q).points[14]
+    velocity = np.array([0.0, 0.15, 0.0])
+    lowest = np.inf
     for cycle in range(400):
         center = aim + (cycle - 150) * DT * velocity
         moment = scene.moved({"ball": center}, velocities={"ball": velocity})
@@ -152,12 +169,16 @@ def test_an_arm_on_its_way_back_into_its_position_limits_evades(
     hit: int, velocity: tuple[float, ...], point: int
 ) -> None:
     """A ball would hit it in a certain cycle; the way back takes 160."""
-    scene, q, lowest = ball_scene(), np.zeros(40), np.inf
-    q[0:8:2], q[8:16:2] = 0.3, -0.3
+    scene = ball_scene()
+    q = np.zeros(40)
+    lowest = np.inf
+    q[0:8:2] = 0.3
+    q[8:16:2] = -0.3
     limits = replace(LIMITS, velocity=0.1, position_margin=3.0)  # within 0.14 rad
     tracker = pp.Tracker(arm(), limits=limits, scene=scene)
     tracker.update(pp.Target.from_configuration(arm(), np.zeros(40)))
-    aim, speed = arm().at((1.0 - hit / 300.0) * q).points[point], np.array(velocity)
+    aim = arm().at((1.0 - hit / 300.0) * q).points[point]
+    speed = np.array(velocity)
     for cycle in range(250):
         center = aim + (cycle - hit) * DT * speed
         q = q + tracker.step(q, scene=scene.moved({"ball": center}, velocities={"ball": velocity}))
@@ -170,11 +191,15 @@ def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None,
     """A ball appears just before an arm that moves at full speed."""
     short = template_arm("RyRz", 2)
     limits = pp.Limits(step=None, velocity=1.0, acceleration=2.0, jerk=jerk, dt=DT)
-    far, q, goal = np.array([0.0, 0.0, 5.0]), np.zeros(4), np.array([1.5, 0.0, 0.0, 0.0])
+    far = np.array([0.0, 0.0, 5.0])
+    q = np.zeros(4)
+    goal = np.array([1.5, 0.0, 0.0, 0.0])
     scene = pp.Scene({"ball": pp.Sphere(far, BALL)}, self_collision=False, margin=MARGIN, arm_radius=THIN)
     tracker = pp.Tracker(short, limits=limits, scene=scene, deadline=deadline, planning="thread")
     tracker.update(pp.Target.from_configuration(short, goal if deadline == np.inf else q))
-    beyond, before, gap_ahead = 0, np.zeros(4), 0.0003 if jerk is None else 0.0025
+    beyond = 0
+    before = np.zeros(4)
+    gap_ahead = 0.0003 if jerk is None else 0.0025
     if deadline < np.inf:
         before = np.array([0.005, 0.0, 0.0, 0.0])
         tracker.restart(q, before)
@@ -187,18 +212,23 @@ def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None,
         exceeded = np.abs(dq - before).max() > limits.acceleration * DT**2 * (1 + 1e-6)
         said = any(each.startswith("acceleration limit: ") for each in tracker.report.violated_constraints)
         assert said if exceeded else not said or jerk is not None  # which may be exceeded alone
-        beyond, q, before = beyond + exceeded, tracker.command, dq
+        beyond = beyond + exceeded
+        q = tracker.command
+        before = dq
     assert beyond >= (1 if jerk is None else 3)
 
 
 def test_a_detour_is_cut_short_once_the_obstacle_has_left() -> None:
-    planar, start = template_arm("Rz", 8), np.full(8, 0.15)
-    length, rng = planar.length, np.random.default_rng(0)
+    planar = template_arm("Rz", 8)
+    start = np.full(8, 0.15)
+    length = planar.length
+    rng = np.random.default_rng(0)
     ball = pp.Sphere((0.5 * length, 0, 0), 0.05 * length)
     first = pp.Scene({"ball": ball}, self_collision=False, margin=0.005 * length, arm_radius=0.01 * length)
 
     def cycles_to_goal(leaves: int) -> int:
-        tracker, q = pp.Tracker(planar, limits=LIMITS, scene=first), start
+        tracker = pp.Tracker(planar, limits=LIMITS, scene=first)
+        q = start
         tracker.update(pp.Target.from_configuration(planar, -start))
         for cycle in range(1000):
             moment = first.moved({"ball": (0.0, 0.0 if cycle < leaves else 9.0, 0.0)})
@@ -213,7 +243,8 @@ def test_a_detour_is_cut_short_once_the_obstacle_has_left() -> None:
 
 
 def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:
-    scene, q = ball_scene(), np.full(40, 0.05)
+    scene = ball_scene()
+    q = np.full(40, 0.05)
     tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)
     tracker.update(pp.Target.from_configuration(arm(), q))
     for cycle in range(20):
@@ -223,15 +254,19 @@ def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:
 
 @pytest.mark.parametrize("first, reason", [("converged", "the target is"), ("holding", "no target")])
 def test_an_arm_without_a_fresh_target_holds_and_evades_what_approaches(first: str, reason: str) -> None:
-    scene, q = ball_scene(), np.zeros(40)
+    scene = ball_scene()
+    q = np.zeros(40)
     tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene, timeout=0.5)
     if first == "converged":
         tracker.update(pp.Target.from_configuration(arm(), q))
-    passed, statuses, gaps = 0.7 * arm().length, [], []
+    passed = 0.7 * arm().length
+    statuses = []
+    gaps = []
     for cycle in range(600):
         center = np.array([passed, 0.5 - 0.2 * DT * cycle, 0.02])  # straight through the resting arm
         tracker.step(q, scene=scene.moved({"ball": center}, velocities={"ball": (0.0, -0.2, 0.0)}))
-        moved, q = np.any(tracker.command != q), tracker.command
+        moved = np.any(tracker.command != q)
+        q = tracker.command
         gaps.append(gap(q, center))
         statuses.append(tracker.report.status)
         assert (statuses[-1] == "evading") <= bool(moved)
@@ -252,7 +287,8 @@ def test_velocities_need_the_duration_of_a_step() -> None:
 
 def test_what_stands_still_does_not_repel_an_arm_while_something_else_moves() -> None:
     """The arm comes as near to a post beside its goal as without the ball, which is far away."""
-    q, goal = np.zeros(40), np.full(40, 0.02)
+    q = np.zeros(40)
+    goal = np.full(40, 0.02)
     beside = arm().at(goal).points[-1] + [0.0, 0.0, MARGIN + BALL + THIN + 0.02]
     scene = pp.Scene(
         {"ball": pp.Sphere((0, 0, 0), BALL), "post": pp.Sphere(tuple(beside), BALL)},
@@ -262,7 +298,8 @@ def test_what_stands_still_does_not_repel_an_arm_while_something_else_moves() ->
     )
     cycles = []
     for speed in (0.0, 1e-6, 0.2):
-        tracker, here = pp.Tracker(arm(), limits=LIMITS, scene=scene), q
+        tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)
+        here = q
         tracker.update(pp.Target.from_configuration(arm(), goal))
         for cycle in range(400):
             moment = scene.moved({"ball": (0, 3.0, speed * DT * cycle)}, velocities={"ball": (0, 0, speed)})
@@ -276,8 +313,10 @@ def test_what_stands_still_does_not_repel_an_arm_while_something_else_moves() ->
 @pytest.mark.parametrize("faster, velocity", [(2.0, 0.3), (4.0, 0.5)])
 def test_an_arm_gets_out_of_the_way_of_a_ball_that_is_faster_than_it(faster: float, velocity: float) -> None:
     q, _, origin, flight = crossing(15)  # without an early retreat, the arm is hit
-    limits, scene = pp.Limits(step=None, velocity=velocity, dt=DT), ball_scene()
-    tracker, lowest = pp.Tracker(arm(), limits=limits, scene=scene), np.inf
+    limits = pp.Limits(step=None, velocity=velocity, dt=DT)
+    scene = ball_scene()
+    tracker = pp.Tracker(arm(), limits=limits, scene=scene)
+    lowest = np.inf
     tracker.update(pp.Target.from_configuration(arm(), q))
     for cycle in range(400):
         center = origin + cycle * DT * faster * flight
@@ -289,7 +328,8 @@ def test_an_arm_gets_out_of_the_way_of_a_ball_that_is_faster_than_it(faster: flo
 
 
 def test_an_arm_without_a_measurement_does_not_move() -> None:
-    scene, q = ball_scene(), np.zeros(40)
+    scene = ball_scene()
+    q = np.zeros(40)
     tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)
     tracker.update(pp.Target.from_configuration(arm(), q))
     for cycle in range(250):
@@ -305,7 +345,9 @@ def test_obstacles_move_on_between_the_pictures_of_a_slow_camera() -> None:
     paths = []
     for period in (1, 7):
         scene = ball_scene()
-        tracker, here, path = pp.Tracker(arm(), limits=LIMITS, scene=scene), q, []
+        tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)
+        here = q
+        path = []
         tracker.update(pp.Target.from_configuration(arm(), goal))
         for cycle in range(400):
             center = origin + cycle * DT * velocity
@@ -327,7 +369,8 @@ def test_obstacles_move_from_where_they_were_first() -> None:
     twice = scene.moved({"box": (1.0, 1.0, 1.0), "rod": motion}).moved({"box": motion, "floor": motion})
     assert once == twice
     corner = np.array([0.1, 0.05, -0.05])
-    moved, placed = once.obstacles["box"], motion.act(np.array(box.center) + np.array(box.rotation) @ corner)
+    moved = once.obstacles["box"]
+    placed = motion.act(np.array(box.center) + np.array(box.rotation) @ corner)
     np.testing.assert_allclose(np.array(moved.center) + np.array(moved.rotation) @ corner, placed, atol=1e-12)
     np.testing.assert_allclose(once.obstacles["rod"].end, motion.act(np.array(rod.end)), atol=1e-12)
     np.testing.assert_allclose(once.obstacles["floor"].normal, motion.rotation[:, 2], atol=1e-12)
@@ -369,7 +412,8 @@ def test_a_scan_moves_without_being_prepared_again() -> None:
     first = pp.Scene({"scan": cloud}, self_collision=False, margin=MARGIN, arm_radius=THIN)
     motion = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.0, 2.0), np.array([0.5, 0.2, 0.1]))
     CollisionModel(arm(), first)
-    moved, q = first.moved({"scan": motion}), pp.arm.smooth_configuration(arm(), rng, 0.3)
+    moved = first.moved({"scan": motion})
+    q = pp.arm.smooth_configuration(arm(), rng, 0.3)
     assert moved.obstacles["scan"].tree is cloud.tree
     centers = (motion.rotation @ np.asarray(cloud.points).T).T + motion.translation
     nearest = min(gap(q, center) for center in centers) + BALL
@@ -385,8 +429,10 @@ def test_an_obstacle_that_stood_beside_the_base_counts_everywhere() -> None:
 
 
 def test_rates_and_distances_in_time_are_those_of_later_moments() -> None:
-    rng, h = np.random.default_rng(0), 1e-5
-    place, velocity = np.array([0.4, 0.3, 0.2]), rng.normal(size=3)
+    rng = np.random.default_rng(0)
+    h = 1e-5
+    place = np.array([0.4, 0.3, 0.2])
+    velocity = rng.normal(size=3)
     post = {"post": pp.Cylinder((0.6, 0.5, -1.0), (0.6, 0.5, 1.0), 0.03)}
     scene = pp.Scene({**ball_scene().obstacles, **post}, margin=MARGIN, arm_radius=THIN, self_collision=True)
 
@@ -400,7 +446,8 @@ def test_rates_and_distances_in_time_are_those_of_later_moments() -> None:
     ahead, behind = (dict(zip(n.pairs, n.distances, strict=True)) for n in later)
     for pair, rate in zip(near.pairs, near.rates, strict=True):
         assert rate == pytest.approx((ahead[pair] - behind[pair]) / (2.0 * h), abs=1e-4)
-    path, times = 0.1 * np.cumsum(rng.normal(size=(3, 40)), axis=0), np.array([0.0, 0.3, 1.0])
+    path = 0.1 * np.cumsum(rng.normal(size=(3, 40)), axis=0)
+    times = np.array([0.0, 0.3, 1.0])
     lowest = np.inf
     for time in np.linspace(0.0, 1.0, 1000):
         dq = np.array([np.interp(time, times, joint) for joint in path.T])

@@ -40,17 +40,21 @@ class Loop:
     """An arm that follows each command exactly; every output is checked."""
 
     def __init__(self, tracker: pp.Tracker, q: np.ndarray) -> None:
-        self.tracker, self.q, self.before = tracker, q, np.zeros(tracker.arm.nv)
+        self.tracker = tracker
+        self.q = q
+        self.before = np.zeros(tracker.arm.nv)
         self.passed = []
 
     def run(self, until: str, pause: float = 0.001) -> int:
         """Step until the tracker has that status; return the number of steps with another one."""
-        end, count = time.monotonic() + PATIENCE, 0
+        end = time.monotonic() + PATIENCE
+        count = 0
         while time.monotonic() < end:
             dq = self.tracker.step(self.q)
             assert np.abs(dq).max() <= LIMITS.velocity * LIMITS.dt + 1e-9
             assert np.abs(dq - self.before).max() <= LIMITS.acceleration * LIMITS.dt**2 + 1e-9
-            self.q, self.before = self.tracker.arm.integrate(self.q, dq), dq
+            self.q = self.tracker.arm.integrate(self.q, dq)
+            self.before = dq
             self.passed.append(self.q)
             if self.tracker.report.status == until:
                 return count
@@ -97,7 +101,9 @@ def test_no_goal_is_sought_in_the_loop_while_an_obstacle_passes_over_it(
     )
     tracker = pp.Tracker(arm, limits=LIMITS, scene=ball, deadline=0.002)
     tracker.update(pp.Target.from_configuration(arm, goal))
-    tip, q, statuses = arm.at(goal).points[-1], arm.neutral(), set()
+    tip = arm.at(goal).points[-1]
+    q = arm.neutral()
+    statuses = set()
     end = time.monotonic() + PATIENCE
     for cycle in range(1500):
         ahead = np.array([0.5 - 0.0005 * cycle, 0.0, 0.02])  # over the tip of the goal, and on
@@ -120,7 +126,9 @@ def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
     scene = pp.Scene({"ball": pp.Sphere(place, 0.02)}, self_collision=False, margin=0.005, arm_radius=0.005)
     tracker = pp.Tracker(arm, limits=LIMITS, scene=scene, deadline=0.002)
     tracker.update(pp.Target.from_configuration(arm, goal))
-    q, end, taken = arm.neutral(), time.monotonic() + PATIENCE, 0
+    q = arm.neutral()
+    end = time.monotonic() + PATIENCE
+    taken = 0
     while taken < 250 and time.monotonic() < end:
         tracker.step(q)
         q = q + 0.3 * (
@@ -136,7 +144,8 @@ def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
 
 def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
     start, goal = (smooth_configuration(arm, np.random.default_rng(seed), 0.6) for seed in (1, 2))
-    target, reached = pp.Target.from_configuration(arm, goal), []
+    target = pp.Target.from_configuration(arm, goal)
+    reached = []
     for deadline in (np.inf, 0.002):
         loop = Loop(pp.Tracker(arm, limits=LIMITS, deadline=deadline), start)
         loop.tracker.update(target)
@@ -176,8 +185,10 @@ def test_a_cycle_does_not_wait_for_another_process_to_start(
     arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
-    line, begun = tracker._steps._process._line, threading.Event()
-    started, go_on = line._start, threading.Event()
+    line = tracker._steps._process._line
+    begun = threading.Event()
+    started = line._start
+    go_on = threading.Event()
 
     def start() -> None:
         begun.set()

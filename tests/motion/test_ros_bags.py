@@ -116,7 +116,8 @@ def test_links_are_where_another_library_places_them(
 def test_no_link_is_its_own_parent_and_the_base_placement_is_kept(
     arm: pp.Arm, tmp_path: Path, renamed: dict[str, str], world: str
 ) -> None:
-    text, names = arm.urdf, {"base": arm.report.base, "tip": arm.report.tip}
+    text = arm.urdf
+    names = {"base": arm.report.base, "tip": arm.report.tip}
     for name, new in renamed.items():
         text = text.replace(f'"{names.get(name, name)}"', f'"{new}"')
     other = pp.Arm.load(text, base_placement=arm.base_placement)
@@ -252,7 +253,8 @@ class ActionClient:
     """A stand-in for the client, whose server answers at once."""
 
     sent: ClassVar[list[Any]] = []
-    accepts, code = True, 0
+    accepts = True
+    code = 0
 
     def __init__(self, node: Any, action: type, name: str) -> None:
         self.name = name
@@ -337,7 +339,8 @@ def example(name: str) -> Any:
 def test_the_sender_sends_the_goal_and_says_how_it_ended(
     motion: JointTrajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file, sender = str(write_goal(motion, tmp_path / "goal.json")), example("send_motion")
+    file = str(write_goal(motion, tmp_path / "goal.json"))
+    sender = example("send_motion")
     assert sender.main(file, "/controller") == ""
     [(name, goal)] = ActionClient.sent
     assert name == "/controller/follow_joint_trajectory"
@@ -360,12 +363,15 @@ def test_the_tracker_node_drives_the_arm_to_the_curve_and_to_another(tmp_path: P
     assert not node.published  # nothing is known of where the arm is
     assert "no measurement" in node.said[-1] or "measure" in node.said[-1]
     names = [*reversed(arm.joint_names), "gripper"]  # by name, in any order, with others
-    joint_state, text = sys.modules["sensor_msgs.msg"].JointState, sys.modules["std_msgs.msg"].String
+    joint_state = sys.modules["sensor_msgs.msg"].JointState
+    text = sys.modules["std_msgs.msg"].String
     positions = np.zeros(arm.nv)
 
     def run() -> None:
         nonlocal positions
-        end, converged = monotonic() + 60.0, 0  # the process that plans has to start
+        # the process that plans has to start
+        end = monotonic() + 60.0
+        converged = 0
         while converged < 50 and monotonic() < end:
             converged += node.tracker.report.status == "converged"
             sleep(0.001 if node.tracker.report.status == "holding" else 0.0)

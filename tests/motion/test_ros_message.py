@@ -18,7 +18,9 @@ from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.joint_trajectory import JointTrajectory
 
 # What the definitions of the messages say, written down independently of what writes them.
-INT32, UINT32, FLOAT64 = (-(2**31), 2**31 - 1), (0, 2**32 - 1), "float64"
+INT32 = (-(2**31), 2**31 - 1)
+UINT32 = (0, 2**32 - 1)
+FLOAT64 = "float64"
 DURATION = {"sec": INT32, "nanosec": UINT32}
 DEFINITION = {
     "header": {"stamp": DURATION, "frame_id": str},
@@ -105,7 +107,8 @@ def test_messages_have_the_fields_and_types_of_their_definition(
 def test_a_message_is_one_that_the_controller_of_ros2_control_takes(tmp_path: Path) -> None:
     """Its checks: names without repetition, sizes, times that increase strictly, and rest at the end."""
     message = json.loads(pp.save(of_arm(5, rows=30), tmp_path / "a.json").read_text())
-    joints, points = message["joint_names"], message["points"]
+    joints = message["joint_names"]
+    points = message["points"]
     assert joints == ["j1", "j2", "j3", "j4"]
     times = [
         point["time_from_start"]["sec"] * 10**9 + point["time_from_start"]["nanosec"] for point in points
@@ -122,7 +125,8 @@ def test_what_that_controller_draws_between_points_exceeds_limits_as_the_page_sa
     repeated: bool, fast: float, hard: float
 ) -> None:
     """It joins points by polynomials of fifth degree; here for all courses of accelerations -1, 0, 1."""
-    speeds, accelerations = [], []
+    speeds = []
+    accelerations = []
     share = np.linspace(0.0, 1.0, 201)
     for signs in product((-1.0, 0.0, 1.0), repeat=5):
         steps = np.cumsum(signs)

@@ -12,7 +12,10 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.errors import InvalidValue
 
-DT, SPEED, ACCELERATION, SHARE = 0.01, 1.0, 5.0, 0.84
+DT = 0.01
+SPEED = 1.0
+ACCELERATION = 5.0
+SHARE = 0.84
 LIMITS = pp.Limits(step=None, velocity=SPEED, acceleration=ACCELERATION, dt=DT)
 
 
@@ -31,7 +34,8 @@ def motion(arm: pp.Arm, seed: int) -> Rows:
     postures = np.array([smooth_configuration(arm, rng, 0.8) for _ in range(4)])
     spline = CubicSpline(np.linspace(0.0, 1.0, 4), postures, bc_type="clamped")
     places = np.linspace(0.0, 1.0, 2001)
-    fastest, hardest = np.abs(spline(places, 1)).max(), np.abs(spline(places, 2)).max()
+    fastest = np.abs(spline(places, 1)).max()
+    hardest = np.abs(spline(places, 2)).max()
     duration = max(fastest / (SHARE * SPEED), np.sqrt(hardest / (SHARE * ACCELERATION)))
     shares = np.arange(int(np.ceil(duration / DT)) + 1) * DT / duration
     ended = shares >= 1.0
@@ -44,7 +48,8 @@ def streamed(
     """Joint positions, distances of the control points from the targets, and the status at the end."""
     tracker = pp.Tracker(arm, limits=LIMITS)
     tracker.restart(start)
-    q, missed = [start], []
+    q = [start]
+    missed = []
     for k in [*range(1, len(rows.q)), *[len(rows.q) - 1] * more]:
         target = pp.Target.from_configuration(arm, rows.q[k])
         if kind == "points":
@@ -105,7 +110,8 @@ def test_after_a_target_that_stops_at_once_the_arm_brakes_and_comes_back(kind: s
 def test_a_configuration_that_does_not_take_the_points_is_not_gone_to() -> None:
     arm = arm_of()
     rows = motion(arm, 2).q[:60]
-    tracker, q = pp.Tracker(arm, limits=LIMITS), rows[0]
+    tracker = pp.Tracker(arm, limits=LIMITS)
+    q = rows[0]
     tracker.restart(q)
     for row in [*rows[1:], *[rows[-1]] * 200]:
         points = arm.at(row).points

@@ -25,7 +25,8 @@ def arm() -> pp.Arm:
 
 def run(tracker: Tracker, q: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Configurations and steps of an arm that does as it is told."""
-    path, moved = [q], []
+    path = [q]
+    moved = []
     for _ in range(steps):
         dq = tracker.step(path[-1])
         moved.append(dq)
@@ -176,7 +177,8 @@ def test_what_it_is_made_with_is_checked(arm: pp.Arm) -> None:
 
 
 def singular_goals(arm: pp.Arm) -> dict[str, np.ndarray]:
-    folded, straight = arm.straight(), arm.straight()
+    folded = arm.straight()
+    straight = arm.straight()
     folded[4] = np.pi - 1e-3
     near = straight + 1e-7 * np.random.default_rng(3).normal(size=arm.nv)
     return {"straight": straight, "folded": folded, "nearly straight": near, "bent to limits": straight + 3.1}
@@ -217,7 +219,9 @@ def test_what_is_out_of_reach_ends_stuck_and_at_rest(arm: pp.Arm, factor: float)
 def test_a_target_that_moves_slowly_is_kept(arm: pp.Arm) -> None:
     rng = np.random.default_rng(7)
     one, two = (smooth_configuration(arm, rng, 0.6) for _ in range(2))
-    tracker, q, off = Tracker(arm, "geodesic", LIMITS), one, []
+    tracker = Tracker(arm, "geodesic", LIMITS)
+    q = one
+    off = []
     for k in range(400):
         wanted = np.cos(0.01 * k) * one + np.sin(0.01 * k) * two
         tracker.update(Target.from_configuration(arm, wanted))
@@ -229,7 +233,9 @@ def test_a_target_that_moves_slowly_is_kept(arm: pp.Arm) -> None:
 
 def test_a_new_target_ahead_does_not_stop_the_arm() -> None:
     arm = pp.Arm.from_template("Rz", 1)
-    tracker, q, speeds = Tracker(arm, "geodesic", LIMITS), arm.neutral(), []
+    tracker = Tracker(arm, "geodesic", LIMITS)
+    q = arm.neutral()
+    speeds = []
     for k in range(70):
         if k % 10 == 0:  # always a jump of its own, too far for the way to be bent
             tracker.update(Target.from_configuration(arm, np.array([2.6 + 0.05 * k / 10])))
@@ -273,7 +279,8 @@ def test_positions_go_on_across_half_a_turn_from_the_measured_turns(interface: s
     tracker = Tracker(arm, limits=LIMITS, interface=interface)
     start = 3.0 + 2.0 * np.pi * turns
     tracker.update(Target.from_configuration(arm, arm.configuration(np.full(arm.nv, -2.8))))
-    positions, sent = np.full(arm.nv, start), []
+    positions = np.full(arm.nv, start)
+    sent = []
     for _ in range(200):
         dq = tracker.step(positions if turns else arm.configuration(positions))
         positions = positions + dq
@@ -304,7 +311,8 @@ def test_a_drive_found_a_turn_away_is_commanded_from_there() -> None:
 def test_memory_does_not_grow() -> None:
     arm = pp.Arm.from_template("RyRz", 3)
     rng = np.random.default_rng(8)
-    tracker, q = Tracker(arm, "geodesic", LIMITS), arm.neutral()
+    tracker = Tracker(arm, "geodesic", LIMITS)
+    q = arm.neutral()
     targets = [Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5)) for _ in range(5)]
 
     def cycles(count: int, q: np.ndarray) -> np.ndarray:

@@ -58,21 +58,27 @@ class Laboratory:
             resync_time=float(rng.choice([0.1, np.inf])),
             timeout=float(rng.choice([0.3, np.inf])),
         )
-        self.interface, self.irregular = interface, irregular
+        self.interface = interface
+        self.irregular = irregular
         self.q = self.drawn()
-        self.before, self.cycle, self.aimed = np.zeros(arm.nv), dt, False
+        self.before = np.zeros(arm.nv)
+        self.cycle = dt
+        self.aimed = False
         self.tracker.step(self.q)  # the first measurement is believed
         self.last_command = self.tracker.command
 
     def drawn(self) -> np.ndarray:
-        lower, upper = np.maximum(self.arm.limits.lower, -3.0), np.minimum(self.arm.limits.upper, 3.0)
+        lower = np.maximum(self.arm.limits.lower, -3.0)
+        upper = np.minimum(self.arm.limits.upper, 3.0)
         return self.arm.configuration(self.rng.uniform(lower, upper))
 
     def noise(self, size: float) -> np.ndarray:
         return size * self.rng.normal(size=self.arm.nv) * self.arm.joint_units
 
     def give_a_target(self) -> None:
-        rng, arm, chance = self.rng, self.arm, self.rng.random()
+        rng = self.rng
+        arm = self.arm
+        chance = self.rng.random()
         points = arm.at(self.drawn()).points
         if chance < 0.05:
             self.tracker.update(Target.from_configuration(arm, self.drawn()))
@@ -85,7 +91,9 @@ class Laboratory:
         self.aimed = True
 
     def measured(self) -> np.ndarray | None:
-        rng, arm, chance = self.rng, self.arm, self.rng.random()
+        rng = self.rng
+        arm = self.arm
+        chance = self.rng.random()
         if chance < 0.03:
             return None
         measured = np.array(arm.integrate(self.q, self.noise(1e-4)))
@@ -105,7 +113,10 @@ class Laboratory:
 
     def go_on(self) -> None:
         """A cycle, and what holds of it."""
-        rng, arm, dt, tracker = self.rng, self.arm, self.dt, self.tracker
+        rng = self.rng
+        arm = self.arm
+        dt = self.dt
+        tracker = self.tracker
         self.give_a_target()
         if rng.random() < 0.01:
             self.q = arm.integrate(self.q, self.noise(0.5))  # pushed
@@ -119,14 +130,18 @@ class Laboratory:
         dq = tracker.step(self.measured(), late, self.seen())
         cycle = min(max(late, 1e-3 * dt), dt)
         self.check(dq, cycle, fresh)
-        self.before, self.cycle, self.last_command = dq, cycle, tracker.command
+        self.before = dq
+        self.cycle = cycle
+        self.last_command = tracker.command
         if self.interface == "velocity":
             self.q = arm.integrate(self.q, dq)
         else:
             self.q = arm.integrate(self.q, min(dt / 0.05, 1.0) * arm.difference(self.q, tracker.command))
 
     def check(self, dq: np.ndarray, cycle: float, fresh: bool) -> None:
-        arm, limits, report = self.arm, self.limits, self.tracker.report
+        arm = self.arm
+        limits = self.limits
+        report = self.tracker.report
         assert dq.shape == (arm.nv,) and np.all(np.isfinite(dq))
         assert np.all(np.abs(dq) <= limits.velocity * cycle * (1.0 + ROUNDING))
         # Once a measurement elsewhere was believed, the arm begins anew, from rest.
@@ -142,12 +157,15 @@ class Laboratory:
 
     def check_positions(self, dq: np.ndarray) -> None:
         """A joint within its limits stays there, one that was measured outside goes no farther out."""
-        arm, limits = self.arm, self.limits
-        before, after = arm.positions(self.last_command), arm.positions(self.tracker.command)
+        arm = self.arm
+        limits = self.limits
+        before = arm.positions(self.last_command)
+        after = arm.positions(self.tracker.command)
         # Braking is planned for cycles of the usual length: an odd one costs no more than one change of dq.
         most = np.zeros(arm.nv) if limits.acceleration is None else limits.acceleration * self.dt**2
         slack = ROUNDING + (most if self.irregular else 0.0)
-        lower, upper = np.minimum(arm.limits.lower, before), np.maximum(arm.limits.upper, before)
+        lower = np.minimum(arm.limits.lower, before)
+        upper = np.maximum(arm.limits.upper, before)
         assert np.all(after >= lower - slack) and np.all(after <= upper + slack)
 
 
@@ -245,7 +263,8 @@ def test_an_arm_found_elsewhere_is_believed_once_it_rests_and_goes_on_from_there
     tracker = Tracker(arm, "geodesic", LIMITS, resync_time=0.3)
     moving(tracker)
     found = tracker.command + 0.6
-    moved, cycles = [], 0
+    moved = []
+    cycles = 0
     while tracker.report.status != "moving" or cycles == 0:
         moved.append(tracker.step(found))
         cycles += 1
@@ -314,7 +333,8 @@ def test_noise_at_a_limit_is_not_a_joint_outside_it(interface: str) -> None:
     arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-1.5, 1.2)] * 3)
     limits = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=5.0)
     tracker = pp.Tracker(arm, limits=limits, interface=interface)
-    rng, q = np.random.default_rng(0), np.full(arm.nv, 1.2)
+    rng = np.random.default_rng(0)
+    q = np.full(arm.nv, 1.2)
     for cycle in range(60):
         if cycle == 20:
             tracker.update(pp.Target.from_configuration(arm, np.full(arm.nv, 1.2)))

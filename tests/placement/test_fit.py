@@ -41,7 +41,9 @@ def gentle(arm: pp.Arm) -> pp.Curve:
 
 def independent(arm: pp.Arm, curve: pp.Curve, starts: int = 4) -> float:
     """RMS distance of the best of several bounded fits with free, unordered curve parameters."""
-    rng, n, m = np.random.default_rng(0), arm.nv, arm.n_modules
+    rng = np.random.default_rng(0)
+    n = arm.nv
+    m = arm.n_modules
     low = np.where(np.isfinite(arm.limits.lower), arm.limits.lower, -np.pi)
     high = np.where(np.isfinite(arm.limits.upper), arm.limits.upper, np.pi)
 

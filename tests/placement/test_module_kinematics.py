@@ -111,7 +111,8 @@ def test_fk_of_a_roll_and_a_hinge_is_a_product_of_rotations(
 def test_ik_of_a_roll_and_a_hinge_finds_both_branches(
     q0: float, q1: float, side: float, sense: float
 ) -> None:
-    roll_pitch, q = RollPitch(0.02, 0.03, sense), np.array([q0, side * q1])
+    roll_pitch = RollPitch(0.02, 0.03, sense)
+    q = np.array([q0, side * q1])
     end = roll_pitch.forward(q)[0]
     found = roll_pitch.inverse(end)
     assert len(found) == 2
@@ -137,7 +138,8 @@ def test_ik_of_an_arc_finds_what_fk_was_given(bend_y: float, bend_z: float, long
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(0.05, 1.0))
 def test_an_arc_goes_where_its_end_points(bend_y: float, bend_z: float, share: float) -> None:
     # Of a part of the arc, with the same curvature, the end is a point of the arc, its x axis the tangent.
-    bends, step = np.array([bend_y, bend_z]), 1e-6
+    bends = np.array([bend_y, bend_z])
+    step = 1e-6
 
     def end(part: float) -> tuple[np.ndarray, np.ndarray]:
         return ConstantCurvature(0.1 * part).forward(part * bends)
@@ -163,7 +165,8 @@ def test_disks_come_to_the_arc_with_the_square_of_their_number(bends: tuple[floa
 
 
 def test_disks_that_stretch_come_to_the_arc_too() -> None:
-    q, off = np.array([-0.4, 2.0, 0.013]), []
+    q = np.array([-0.4, 2.0, 0.013])
+    off = []
     for disks in (10, 20, 40):
         arm = pp.Arm.from_modules([continuum_section(disks, 0.2, stretch=0.02)])
         end = arm.at(arm.configuration(q / disks)).points[0]
@@ -176,13 +179,18 @@ def test_disks_that_stretch_come_to_the_arc_too() -> None:
 def test_numeric_fk_is_that_of_pinocchio(kind: str) -> None:
     placement = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
     arm = pp.Arm.from_modules([NUMERIC[kind]] * 3, base_placement=placement)
-    units, rng = arm_units(arm), np.random.default_rng(0)
+    units = arm_units(arm)
+    rng = np.random.default_rng(0)
     for _ in range(3):
         q = arm.random(rng)
-        state, positions = arm.at(q), arm.positions(q)
-        turn, place = np.eye(3), np.zeros(3)  # of the body before, which the neutral arm has at the identity
+        state = arm.at(q)
+        positions = arm.positions(q)
+        # of the body before, which the neutral arm has at the identity
+        turn = np.eye(3)
+        place = np.zeros(3)
         for unit in units:
-            base, frame = turn @ unit.base + place, turn @ unit.frame
+            base = turn @ unit.base + place
+            frame = turn @ unit.frame
             at, facing = unit.kinematics.forward(positions[arm.columns[unit.inputs]])
             end = base + frame @ at
             np.testing.assert_allclose(end, state.points[unit.module], atol=1e-12)
@@ -195,8 +203,10 @@ def test_numeric_fk_is_that_of_pinocchio(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", NUMERIC)
 def test_numeric_ik_puts_the_end_at_the_point(kind: str) -> None:
-    kinematics, rng = numeric(kind), np.random.default_rng(1)
-    low, high = np.maximum(kinematics.joints.lower, -1.5), np.minimum(kinematics.joints.upper, 1.5)
+    kinematics = numeric(kind)
+    rng = np.random.default_rng(1)
+    low = np.maximum(kinematics.joints.lower, -1.5)
+    high = np.minimum(kinematics.joints.upper, 1.5)
     for _ in range(10):
         goal = kinematics.forward(rng.uniform(low, high))[0]
         (found,) = kinematics.inverse(goal)
@@ -291,7 +301,8 @@ def test_a_hinge_has_target_points_in_its_plane_only() -> None:
 
 
 def test_an_arc_that_can_stretch_does_so_only_where_the_curve_ends() -> None:
-    line, here = pp.Curve.line((0, 0, 0), (0.09, 0, 0)), pin.SE3.Identity()
+    line = pp.Curve.line((0, 0, 0), (0.09, 0, 0))
+    here = pin.SE3.Identity()
     assert ConstantCurvature(0.1).target_point(here, line, 0.0) is None
     assert ConstantCurvature(0.1, 0.02).target_point(here, line, 0.0) == pytest.approx(0.09)
     long = pp.Curve.line((0, 0, 0), (0.3, 0, 0))
@@ -306,11 +317,14 @@ def test_the_solvers_one_after_the_other_are_the_arm() -> None:
     arm = pp.Arm.from_modules(modules)
     units = arm_units(arm)
     q = 0.3 * np.random.default_rng(0).normal(size=arm.nv)
-    turn, point, ends = np.eye(3), arm.chain.base, []
+    turn = np.eye(3)
+    point = arm.chain.base
+    ends = []
     for unit in units:
         frame = turn @ unit.frame
         position, end = unit.kinematics.forward(q[unit.joints])
-        point, turn = point + frame @ position, frame @ end @ unit.frame.T
+        point = point + frame @ position
+        turn = frame @ end @ unit.frame.T
         ends.append(point)
     last = [max(i for i, unit in enumerate(units) if unit.module == k) for k in range(arm.n_modules)]
     np.testing.assert_allclose(np.array(ends)[last], arm.at(arm.configuration(q)).points, atol=1e-14)

@@ -157,7 +157,9 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
 
     from pinposture.cli import app
 
-    file, curve, scene = tmp_path / "arm.urdf", tmp_path / "line.json", tmp_path / "scene.toml"
+    file = tmp_path / "arm.urdf"
+    curve = tmp_path / "line.json"
+    scene = tmp_path / "scene.toml"
     file.write_text(template_arm("RyRz", 6).urdf)
     line(0.5, 0.0, 0.5).save(curve)
     scene.write_text('obstacles.ball = {type = "sphere", center = [0, 1, 0], radius = 0.05}\n')

@@ -30,9 +30,11 @@ def arm_of(axes, lengths, modules, low=-WIDE, high=WIDE) -> pp.Arm:
 @given(st.integers(0, 10**6))
 def test_the_nearest_turn_is_that_of_enumeration(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    low, high = -rng.uniform(0.0, 12.0), rng.uniform(0.1, 12.0)
+    low = -rng.uniform(0.0, 12.0)
+    high = rng.uniform(0.1, 12.0)
     arm = arm_of(("y", "z"), (0.05, 0.05), 1, low, high)
-    q, near = rng.uniform(low, high, 2), rng.uniform(-20.0, 20.0, 2)
+    q = rng.uniform(low, high, 2)
+    near = rng.uniform(-20.0, 20.0, 2)
     expected = []
     for at, wanted in zip(q, near, strict=True):
         turns = at + 2.0 * np.pi * np.arange(-5, 6)
@@ -71,7 +73,8 @@ def test_targets_stay_near_the_one_before(method) -> None:
 
 @pytest.mark.parametrize("known, controller", [(True, "geodesic"), (False, "geodesic"), (True, "joint")])
 def test_runs_end_within_half_a_turn_of_their_start(known: bool, controller: str) -> None:
-    arm, rng = arm_of(*OBLIQUE), np.random.default_rng(3)
+    arm = arm_of(*OBLIQUE)
+    rng = np.random.default_rng(3)
     start, goal = rng.uniform(-1.0, 1.0, (2, arm.nv)) + 2.0 * np.pi * rng.integers(-4, 5, (2, arm.nv))
     points = arm.at(goal).points
     target = pp.Target.from_configuration(arm, goal) if known else pp.Target.from_points(arm, points)
@@ -82,7 +85,8 @@ def test_runs_end_within_half_a_turn_of_their_start(known: bool, controller: str
 
 
 def test_fitted_points_do_not_wind_up_and_continuous_joints_stay_as_they_are() -> None:
-    arm, rng = arm_of(*OBLIQUE), np.random.default_rng(5)
+    arm = arm_of(*OBLIQUE)
+    rng = np.random.default_rng(5)
     target = pp.fit_points(arm, arm.at(rng.uniform(-40.0, 40.0, arm.nv)).points)
     assert np.abs(target.q).max() <= np.pi + 1e-6
     joints = tuple(pp.JointSpec(axis, type="continuous") for axis in "yz")

@@ -77,21 +77,25 @@ def elbows(link: float, base: np.ndarray, heading: float, point: np.ndarray) -> 
 def reachable_by_enumeration(link: float, points: np.ndarray, limit: float) -> bool:
     """Whether a planar arm of pairs of equal links takes all points with some of its 2^m elbows."""
     for branch in product((0, 1), repeat=len(points)):
-        base, heading = np.zeros(2), 0.0
+        base = np.zeros(2)
+        heading = 0.0
         for choice, point in zip(branch, points, strict=True):
             pairs = elbows(link, base, heading, point)
             if not pairs or max(map(abs, pairs[choice])) > limit:
                 break
-            base, heading = point, heading + sum(pairs[choice])
+            base = point
+            heading = heading + sum(pairs[choice])
         else:
             return True
     return False
 
 
 def test_planar_pairs_take_what_enumeration_of_all_elbows_takes() -> None:
-    link, limit = 0.1, 1.9
+    link = 0.1
+    limit = 1.9
     module = pp.ModuleTemplate("a", hinges("z", "z", low=-limit, high=limit), (link, link))
-    arm, wide = pp.Arm.from_modules([module] * 3), pp.Arm.from_template("RzRz", 3, (link, link))
+    arm = pp.Arm.from_modules([module] * 3)
+    wide = pp.Arm.from_template("RzRz", 3, (link, link))
     verdicts = []
     for seed in range(100):
         q = np.random.default_rng(seed).uniform(-2.4, 2.4, 6)
@@ -105,7 +109,8 @@ def test_planar_pairs_take_what_enumeration_of_all_elbows_takes() -> None:
 @pytest.mark.parametrize("seed", seeds(12))
 def test_three_hinges_take_what_many_starts_take(seed: int) -> None:
     """Two modules of three oblique hinges within narrow limits, some points out of their reach."""
-    axes, lengths = OBLIQUE[:3], (0.02, 0.02, 0.03)
+    axes = OBLIQUE[:3]
+    lengths = (0.02, 0.02, 0.03)
     arm, wide = (
         pp.Arm.from_modules([pp.ModuleTemplate("a", hinges(*axes, low=-limit, high=limit), lengths)] * 2)
         for limit in (1.0, 1.2)
@@ -143,7 +148,8 @@ def test_points_that_the_arm_cannot_take_are_not(moved: int) -> None:
 
 def test_points_out_of_the_limits_are_not_found() -> None:
     narrow = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.5, 0.5)] * 4)
-    wide, every = pp.Arm.from_template("RyRz", 4), np.ones(4, dtype=bool)
+    wide = pp.Arm.from_template("RyRz", 4)
+    every = np.ones(4, dtype=bool)
     bent = wide.at(wide.configuration(np.full(8, 0.8))).points
     assert place_sequentially(wide, bent, every, np.zeros(8))[1]
     assert not place_sequentially(narrow, bent, every, np.zeros(8))[1]
@@ -153,7 +159,8 @@ def test_points_out_of_the_limits_are_not_found() -> None:
 
 @pytest.mark.parametrize("seed", seeds(6))
 def test_free_points_are_free(seed: int) -> None:
-    arm, free = arm_of("oblique pair"), [11, 12, 13]
+    arm = arm_of("oblique pair")
+    free = [11, 12, 13]
     points = arm.at(arm.random(np.random.default_rng(seed))).points.copy()
     points[free] += 0.2
     weights = np.ones(arm.n_modules)

@@ -13,7 +13,8 @@ from pinposture.arm import smooth_configuration
 from pinposture.errors import InvalidValue
 from pinposture.placement.points import stationary_gains
 
-DT, NOISE = 0.01, 1e-3
+DT = 0.01
+NOISE = 1e-3
 
 
 def arm_of(modules: int = 20) -> pp.Arm:
@@ -43,7 +44,8 @@ def moving(arm: pp.Arm, cycles: int) -> np.ndarray:
 
 
 def filtered(arm: pp.Arm, wanted: np.ndarray, noise: float, seed: int = 0) -> np.ndarray:
-    rng, smooth = np.random.default_rng(seed), pp.PointFilter(arm, DT, NOISE)
+    rng = np.random.default_rng(seed)
+    smooth = pp.PointFilter(arm, DT, NOISE)
     points = arm.kinematics.points(wanted)
     measured = points + noise * rng.normal(size=points.shape)
     return np.array([arm.positions(smooth.update(each).q) for each in measured])
@@ -87,8 +89,11 @@ def test_the_arm_follows_noisy_points_smoothly() -> None:
     arm = arm_of()
     limits = pp.Limits(step=None, dt=DT, velocity=2.0, acceleration=10.0)
     wanted = moving(arm, 700)
-    tracker, smooth = pp.Tracker(arm, limits=limits), pp.PointFilter(arm, DT, NOISE)
-    q, steps, errors = wanted[0], [], []
+    tracker = pp.Tracker(arm, limits=limits)
+    smooth = pp.PointFilter(arm, DT, NOISE)
+    q = wanted[0]
+    steps = []
+    errors = []
     tracker.restart(q)
     for each, goal in zip(noisy_points(arm, wanted), wanted, strict=True):
         tracker.update(smooth.update(each))
@@ -103,9 +108,11 @@ def test_the_arm_follows_noisy_points_smoothly() -> None:
 
 
 def test_points_that_are_not_seen_are_left_out_and_a_jump_begins_anew() -> None:
-    arm, rng = arm_of(8), np.random.default_rng(0)
+    arm = arm_of(8)
+    rng = np.random.default_rng(0)
     q = smooth_configuration(arm, rng, 0.4)
-    points, smooth = arm.at(q).points.copy(), pp.PointFilter(arm, DT, NOISE)
+    points = arm.at(q).points.copy()
+    smooth = pp.PointFilter(arm, DT, NOISE)
     smooth.update(points)
     hidden = points.copy()
     hidden[2:4] = np.nan

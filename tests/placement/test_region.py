@@ -88,7 +88,8 @@ def test_a_run_uses_and_counts_the_region_only(
     request: pytest.FixtureRequest, name: str, controller: Controller
 ) -> None:
     arm = request.getfixturevalue(name)
-    start, whole = bent(arm, 1), pp.Target.from_configuration(arm, bent(arm, 2))
+    start = bent(arm, 1)
+    whole = pp.Target.from_configuration(arm, bent(arm, 2))
     for first, last in regions(arm):
         target = whole.region(first, last)
         run = pp.track(arm, target, start, controller, max_steps=25)

@@ -85,7 +85,8 @@ def test_rounding_does_not_make_a_line_too_short(template: str, samples: int) ->
     for modules in (1, 2, 3, 5, 8, 13) if template == "Continuum" else (1, 2, 3, 5, 8, 13, 21, 40):
         place = pin.SE3(pin.exp3(2.0 * rng.normal(size=3)), 30.0 * rng.normal(size=3))
         arm = pp.Arm.from_template(template, modules, base_placement=place)
-        base, tip = arm.chain.base, arm.at(arm.straight()).points[-1]
+        base = arm.chain.base
+        tip = arm.at(arm.straight()).points[-1]
         for missing in (0.0, 1e-11, 5e-10):
             line = pp.Curve.line(base, tip + missing * (base - tip))
             for method in ("sequential", "auto", "closest") if modules < 9 else ("sequential", "auto"):

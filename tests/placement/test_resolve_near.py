@@ -60,7 +60,8 @@ def test_it_is_an_optimum_within_the_limits():
     rng = np.random.default_rng(0)
     for size in (1e-2, 1e-3, 1e-4):
         for _ in range(200):
-            dq, ds = size * rng.normal(size=arm().nv), size * arm().length * rng.normal(size=arm().n_modules)
+            dq = size * rng.normal(size=arm().nv)
+            ds = size * arm().length * rng.normal(size=arm().n_modules)
             parameters = np.clip(near.parameters + ds, 0.0, near.curve.length)
             assert cost(near, arm().integrate(near.q, dq), parameters, "smooth") >= best * (1.0 - 1e-6)
     assert np.all(arm().positions(near.q) >= arm().limits.lower)
@@ -106,7 +107,8 @@ def swaying(time: float, planar: bool = False) -> pp.Curve:
 )
 @pytest.mark.parametrize("placement", ["as_is", "align"])
 def test_the_target_follows_without_jumps(described: tuple, placement: str) -> None:
-    arm, step = template_arm(*described), 1e-4
+    arm = template_arm(*described)
+    step = 1e-4
     for time in np.linspace(0.0, 6.0, 12):
         one, two = (
             pp.resolve_targets(arm, swaying(t, arm.dimension == 2), placement=placement)

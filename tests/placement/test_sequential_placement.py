@@ -95,7 +95,8 @@ def test_shipped_arms_say_what_placed_them(file: Path) -> None:
 def test_a_walk_from_unit_to_unit_is_that_of_the_kernel(name: str) -> None:
     arm = pp.Arm.from_template(name, 8, base_placement=PLACEMENT)
     target = pp.resolve_targets(arm, gentle(arm), placement="align", method="sequential")
-    walk, parameters = Walk(arm, target.curve, 2000, np.zeros(arm.nv)), np.zeros(8)
+    walk = Walk(arm, target.curve, 2000, np.zeros(arm.nv))
+    parameters = np.zeros(8)
     for unit in arm_units(arm):
         assert walk.place(unit) is None
         parameters[unit.module] = walk.parameter
@@ -148,7 +149,8 @@ def test_sections_of_coupled_joints_are_placed_one_by_one() -> None:
 
 
 def test_redundant_modules_stay_near_a_given_posture() -> None:
-    arm, rng = of(6, "y", "z", "y", lengths=(0.02, 0.02, 0.02)), np.random.default_rng(0)
+    arm = of(6, "y", "z", "y", lengths=(0.02, 0.02, 0.02))
+    rng = np.random.default_rng(0)
     near = pp.Target.from_configuration(arm, arm.configuration(0.2 * rng.normal(size=arm.nv)))
     curve = gentle(arm)
     alone, close = (
@@ -216,7 +218,8 @@ def own(fault: str = "") -> Callable[[ModuleJoints], ModuleKinematics | None]:
     def recognise(joints: ModuleJoints) -> ModuleKinematics | None:
         if joints.dof != 2 or not np.allclose(joints.axes, [[0, 1, 0], [0, 0, 1]]):
             return None
-        first, second = joints.origins[1, 0], joints.end[0] - joints.origins[1, 0]
+        first = joints.origins[1, 0]
+        second = joints.end[0] - joints.origins[1, 0]
         if not np.allclose([first, second], [0.02, 0.03]):
             return None
         return Own(Torus(float(first), float(second)), fault)

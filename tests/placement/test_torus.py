@@ -52,7 +52,8 @@ def test_points_off_the_torus_have_no_ik() -> None:
 )
 def test_crossings_are_those_of_a_brute_force_scan(ends: list[float], lengths: tuple[float, float]) -> None:
     module = Torus(*lengths)
-    a, b = module.reach * np.array(ends[:3]), module.reach * np.array(ends[3:])
+    a = module.reach * np.array(ends[:3])
+    b = module.reach * np.array(ends[3:])
     expected = [t for t in torus.intersections(a, b, *lengths) if t > 1e-6]
     ends_on = [a + t * (b - a) for t in expected]
     # Touching points, where two roots meet, may be found once, twice or not at all.
@@ -73,8 +74,10 @@ def test_crossings_are_those_of_a_brute_force_scan(ends: list[float], lengths: t
 
 @given(st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6))
 def test_a_universal_joint_crosses_where_the_distance_is_that_of_its_link(ends: list[float]) -> None:
-    module, link = Torus(*UNIVERSAL), UNIVERSAL[1]
-    a, b = link * np.array(ends[:3]), link * np.array(ends[3:])
+    module = Torus(*UNIVERSAL)
+    link = UNIVERSAL[1]
+    a = link * np.array(ends[:3])
+    b = link * np.array(ends[3:])
     t = np.linspace(0.0, 1.0, 2001)
     beyond = np.linalg.norm(a + t[:, None] * (b - a), axis=1) > link
     changes = t[1:][beyond[1:] != beyond[:-1]]

@@ -45,7 +45,8 @@ def brute_force(arm, q, curve, normal=(0, 0, 0)):
 
 @pytest.mark.parametrize("seed", seeds(4))
 def test_the_distance_is_that_of_dense_samples_of_links_and_curve(seed):
-    arm, rng = load(arm_text(pairs(3))), np.random.default_rng(seed)
+    arm = load(arm_text(pairs(3)))
+    rng = np.random.default_rng(seed)
     curve = pp.Curve.spline(rng.uniform(-0.3, 0.3, (6, 3)))
     q = arm.random(rng)
     away = pp.Target(arm.at(q).points, np.ones(3), q, curve).distance_from_curve(arm)
@@ -53,7 +54,8 @@ def test_the_distance_is_that_of_dense_samples_of_links_and_curve(seed):
 
 
 def test_a_link_across_a_circle_is_as_far_from_it_as_its_chord():
-    radius, relative_position_weight = 1.0, 0.8
+    radius = 1.0
+    relative_position_weight = 0.8
     arm = load(arm_text([("revolute", Z, HERE)], tip=f"{relative_position_weight} 0 0"))
     half = np.arcsin(relative_position_weight / 2 / radius)
     turn = np.linspace(np.pi / 2 + half, np.pi / 2 - half, 200)
@@ -117,7 +119,8 @@ def test_an_arm_that_follows_is_not_warned_of():
 @pytest.mark.parametrize("beside", [0.05, -0.3])
 def test_a_tip_beside_the_plane_of_the_arm_is_measured_in_the_plane(curve, beside):
     text = arm_text([("revolute", Z, LINK)] * 8, tip=f"0.1 0 {beside}")
-    arm, level = load(text), load(arm_text([("revolute", Z, LINK)] * 8))
+    arm = load(text)
+    level = load(arm_text([("revolute", Z, LINK)] * 8))
     asked = {
         "line": pp.Curve.line((0, 0, 0), (1, 0, 0)),
         "bend": pp.Curve.spline([(0, 0, 0), (0.3, 0, 0), (0.6, 0.1, 0), (0.9, 0.3, 0)]),
@@ -196,7 +199,8 @@ def link_distances(arm, target):
 @pytest.mark.parametrize("length", [0.5, 0.62, 0.75])
 def test_slides_lay_the_links_as_near_to_the_curve_as_an_exhaustive_search(kind, length):
     """Each of four modules is a chord of the curve that is 0.1 m to 0.2 m long, and the last ends with it."""
-    arm, curve = pp.Arm.from_modules([TELESCOPE] * 4), shaped(kind, length)
+    arm = pp.Arm.from_modules([TELESCOPE] * 4)
+    curve = shaped(kind, length)
     target = pp.resolve_targets(arm, curve, placement="as_is")
     assert arm.within_limits(target.q)
     assert target.residual.max() < 1e-7
@@ -208,10 +212,12 @@ def test_slides_lay_the_links_as_near_to_the_curve_as_an_exhaustive_search(kind,
         gaps = (a + share * (b - a))[:, None] - nearby
         return (gaps**2).sum(axis=2).min(axis=1).mean() * np.linalg.norm(b - a)
 
-    dense, count = curve.resample(1001), 101
+    dense = curve.resample(1001)
+    count = 101
     costs = np.full((count, count), np.inf)
     for i, j in combinations(range(count), 2):
-        a, b = dense[10 * i], dense[10 * j]
+        a = dense[10 * i]
+        b = dense[10 * j]
         if 0.0999 <= np.linalg.norm(b - a) <= 0.2001:
             costs[i, j] = cost(a, b, dense[10 * i : 10 * j + 1])
     least = costs[0]
@@ -247,7 +253,8 @@ def test_slides_end_a_straight_arm_where_a_line_ends(method, share):
 
 
 def test_slides_follow_a_curve_that_is_dragged_without_jumps():
-    arm, near = pp.Arm.from_modules([SLIDING] * 6), None
+    arm = pp.Arm.from_modules([SLIDING] * 6)
+    near = None
     for share in np.linspace(0.05, 1.2, 8):
         sways = [shaped("S", arm.length + (share + change) * 0.3) for change in (0.0, 1e-4)]
         near = pp.resolve_targets(arm, sways[0], placement="as_is", near=near)

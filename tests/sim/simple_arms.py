@@ -12,7 +12,9 @@ import pinocchio as pin
 import pinposture as pp
 from pinposture.errors import PostureWarning
 
-MASS, REACH, MOMENT = 1.2, 0.3, 0.004
+MASS = 1.2
+REACH = 0.3
+MOMENT = 0.004
 """The pendulum: mass [kg], distance of its centre from the joint [m], moment about the centre [kg m^2]."""
 
 INERTIA = MOMENT + MASS * REACH**2

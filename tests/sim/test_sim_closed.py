@@ -32,8 +32,10 @@ class Follower:
     """Sends the arm to the configuration of its target, and beyond by a share of what it stays behind."""
 
     def __init__(self, arm, share):
-        self.arm, self.share = arm, share
-        self.told, self.given = [], []
+        self.arm = arm
+        self.share = share
+        self.told = []
+        self.given = []
         self.command = None
 
     def update(self, target):

@@ -21,8 +21,10 @@ def arm() -> pp.Arm:
 
 
 def test_inertia_of_the_degrees_of_freedom_is_that_of_pinocchio(arm):
-    plant, mujoco = sim.build_plant_model(arm, sim.Servos(armature=0.0)), load_mujoco()
-    data, model = mujoco.MjData(plant.model), arm.model
+    plant = sim.build_plant_model(arm, sim.Servos(armature=0.0))
+    mujoco = load_mujoco()
+    data = mujoco.MjData(plant.model)
+    model = arm.model
     for seed in range(5):
         u = arm.positions(arm.random(seed))
         data.qpos[:] = plant.positions(u)
@@ -49,9 +51,11 @@ def test_torques_at_rest_are_those_of_gravity(arm):
 def test_a_fall_is_that_of_an_integrator_of_pinocchios_dynamics(arm):
     weak = pp.Arm.load(arm.urdf.replace('effort="100.0"', 'effort="1e-9"'))
     plant_model = sim.build_plant_model(weak, sim.Servos(armature=0.0, timestep=1e-4))
-    model, start = weak.model.copy(), np.full(6, 0.1)
+    model = weak.model.copy()
+    start = np.full(6, 0.1)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
-    data, plant = model.createData(), Plant(plant_model, start, 0.01)
+    data = model.createData()
+    plant = Plant(plant_model, start, 0.01)
     for _ in range(10):
         plant.advance(start)
 

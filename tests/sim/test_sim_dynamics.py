@@ -34,13 +34,18 @@ def still(arm: pp.Arm, q=None) -> list[np.ndarray]:
 def test_without_servos_and_damping_energy_stays():
     arm = pp.Arm.from_template("RyRz", 3)
     plant = sim.build_plant_model(arm)  # nothing is sent to its servos, which therefore give nothing
-    model, data, pinocchio = plant.model, mujoco.MjData(plant.model), arm.model.createData()
-    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 2e-4
+    model = plant.model
+    data = mujoco.MjData(plant.model)
+    pinocchio = arm.model.createData()
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    model.opt.timestep = 2e-4
     data.qpos[:] = plant.positions(np.array([0.4, -0.9, 0.3, 0.2, -0.5, 0.8]))
-    energies, places = [], []
+    energies = []
+    places = []
     for _ in range(1000):
         mujoco.mj_step(model, data)
-        q, v = np.array(data.qpos[plant.columns]), np.array(data.qvel[plant.columns])
+        q = np.array(data.qpos[plant.columns])
+        v = np.array(data.qvel[plant.columns])
         energies.append(pin.computeMechanicalEnergy(arm.model, pinocchio, q, v))
         places.append(q)
     assert np.ptp(places, axis=0).min() > 0.1  # it does swing
@@ -49,7 +54,10 @@ def test_without_servos_and_damping_energy_stays():
 
 
 def test_a_two_link_arm_has_the_mass_matrix_of_the_textbook():
-    m, c, length, moment = MASS, 0.3, 0.5, 0.004
+    m = MASS
+    c = 0.3
+    length = 0.5
+    moment = 0.004
     arm = quiet(
         robot(
             link("base"),
@@ -70,7 +78,8 @@ def test_a_two_link_arm_has_the_mass_matrix_of_the_textbook():
 
 
 def test_a_pendulum_sinks_onto_its_servo_as_a_damped_spring_does():
-    servos, omega = sim.Servos(frequency=8.0, timestep=1e-4), 16.0 * np.pi
+    servos = sim.Servos(frequency=8.0, timestep=1e-4)
+    omega = 16.0 * np.pi
     ended = sim.simulate(pendulum(), still(pendulum()), servos, dt=0.005, hold=0.2)
     sag = WEIGHT / (omega**2 * INERTIA)
     expected = sag * (1.0 - np.exp(-omega * ended.time) * (1.0 + omega * ended.time))
@@ -109,7 +118,9 @@ def test_a_slide_sags_by_its_weight():
 
 @pytest.mark.parametrize("follows", [True, False])
 def test_a_motion_is_followed_as_closely_as_theory_has_it(follows):
-    way, duration, omega = 1.2, 1.5, 20.0 * np.pi
+    way = 1.2
+    duration = 1.5
+    omega = 20.0 * np.pi
     arm = pendulum()
     rows = quintic([0.0], [way], duration, 0.01)
     servos = sim.Servos(speed_reference=follows)
@@ -125,7 +136,8 @@ def test_a_motion_is_followed_as_closely_as_theory_has_it(follows):
 def test_the_error_on_the_way_is_that_of_a_damped_spring_pushed_by_the_acceleration():
     from scipy.signal import TransferFunction, lsim
 
-    omega, dt = 20.0 * np.pi, 0.01
+    omega = 20.0 * np.pi
+    dt = 0.01
     rows = quintic([0.0], [1.2], 1.5, dt)
     ended = sim.simulate(pendulum(), rows, gravity=False, dt=dt)
     times = np.arange(0.0, ended.time[-1], 1e-4)
@@ -140,10 +152,13 @@ def test_the_error_on_the_way_is_that_of_a_damped_spring_pushed_by_the_accelerat
 def test_torques_of_a_motion_are_those_of_inverse_dynamics():
     arm = pp.Arm.from_template("RyRz", 4)
     rng = np.random.default_rng(8)
-    dt, start, end = 0.01, rng.uniform(-0.5, 0.5, arm.nv), rng.uniform(-0.5, 0.5, arm.nv)
+    dt = 0.01
+    start = rng.uniform(-0.5, 0.5, arm.nv)
+    end = rng.uniform(-0.5, 0.5, arm.nv)
     rows = quintic(start, end, 2.0, dt)
     ended = sim.simulate(arm, rows, sim.Servos(frequency=30.0, timestep=5e-4), dt=dt)
-    speeds, changes = np.gradient(rows, dt, axis=0), np.diff(rows, 2, axis=0) / dt**2
+    speeds = np.gradient(rows, dt, axis=0)
+    changes = np.diff(rows, 2, axis=0) / dt**2
     data = arm.model.createData()
     for k in range(50, 150, 10):  # half a cycle late, and a torque of the step before
         expected = pin.rnea(arm.model, data, rows[k], speeds[k], changes[k - 1])
@@ -151,7 +166,8 @@ def test_torques_of_a_motion_are_those_of_inverse_dynamics():
 
 
 def test_set_points_go_half_way_between_rows_without_jumps_of_speed():
-    arm, dt = pendulum(), 0.02
+    arm = pendulum()
+    dt = 0.02
     plant = Plant(sim.build_plant_model(arm, gravity=False), np.zeros(1), dt)
     rows = np.array([0.0, 0.0, 0.01, 0.03, 0.04, 0.04, 0.04])
     halves = []
@@ -163,7 +179,8 @@ def test_set_points_go_half_way_between_rows_without_jumps_of_speed():
 
 @pytest.mark.parametrize("compensated", [False, True])
 def test_a_servo_too_weak_for_the_weight_falls_as_under_a_constant_torque(compensated):
-    limit, arm = 0.6 * WEIGHT, pendulum()
+    limit = 0.6 * WEIGHT
+    arm = pendulum()
     servos = sim.Servos(torque_limits=limit, timestep=1e-4, gravity_compensation=compensated)
     ended = sim.simulate(arm, still(arm), servos, dt=0.01, hold=0.4)
 
@@ -181,7 +198,8 @@ def test_a_servo_too_weak_for_the_weight_falls_as_under_a_constant_torque(compen
 
 def hurried() -> tuple[pp.Arm, np.ndarray, float]:
     """A motion, and torque limits of 0.7 of what it takes."""
-    arm, rng = pp.Arm.from_template("Rz", 12, (0.1,)), np.random.default_rng(4)
+    arm = pp.Arm.from_template("Rz", 12, (0.1,))
+    rng = np.random.default_rng(4)
     rows = quintic(rng.uniform(-0.5, 0.5, 12), rng.uniform(-0.5, 0.5, 12), 0.8, 0.02)
     return arm, rows, 0.7 * float(np.abs(sim.simulate(arm, rows, dt=0.02).torques).max())
 

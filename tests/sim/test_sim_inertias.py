@@ -14,7 +14,8 @@ SEEDS = st.integers(0, 10_000)
 
 def cloud(rng: np.random.Generator, points: int = 6) -> RigidBody:
     """The inertia of some points with mass, which is that of a solid."""
-    masses, places = rng.uniform(0.1, 1.0, points), rng.normal(size=(points, 3))
+    masses = rng.uniform(0.1, 1.0, points)
+    places = rng.normal(size=(points, 3))
     center = masses @ places / masses.sum()
     offs = places - center
     moments = sum(m * (d @ d * np.eye(3) - np.outer(d, d)) for m, d in zip(masses, offs, strict=True))

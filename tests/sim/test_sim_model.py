@@ -68,11 +68,13 @@ def forces(plant: sim.PlantModel, positions: np.ndarray, speeds: np.ndarray) -> 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_masses_and_forces_are_those_of_pinocchio(name):
-    arm, rng = arm_named(name), np.random.default_rng(1)
+    arm = arm_named(name)
+    rng = np.random.default_rng(1)
     plant = sim.build_plant_model(arm)
     data = arm.model.createData()
     for _ in range(3):
-        q, speeds = arm.random(rng), rng.normal(size=arm.nv)
+        q = arm.random(rng)
+        speeds = rng.normal(size=arm.nv)
         positions = arm.positions(q)
         expected = mass_matrix(arm, q)
         found = sim.mass_matrix(plant, positions)[np.ix_(plant.columns, plant.columns)]
@@ -113,7 +115,8 @@ def test_mujoco_reading_the_file_by_itself_finds_the_same_masses(name):
     own = mujoco.MjSpec.from_string(arm.urdf).compile()
     order = [own.joint(plant.model.joint(j).name).dofadr[0] for j in range(plant.model.njnt)]
     assert own.nv == plant.model.nv
-    data, positions = mujoco.MjData(own), arm.positions(arm.random(np.random.default_rng(2)))
+    data = mujoco.MjData(own)
+    positions = arm.positions(arm.random(np.random.default_rng(2)))
     data.qpos[order] = plant.positions(positions)
     mujoco.mj_forward(own, data)
     expected = np.zeros((own.nv, own.nv))
@@ -127,8 +130,10 @@ def test_mujoco_reading_the_file_by_itself_finds_the_same_masses(name):
 @pytest.mark.parametrize("name", [*ARMS, *FOREIGN])
 def test_bodies_are_where_pinocchio_has_the_joints(name):
     arm = quiet(ROBOTS / name, **FOREIGN[name]) if name in FOREIGN else arm_named(name)
-    plant, rng = sim.build_plant_model(arm), np.random.default_rng(5)
-    data, expected = mujoco.MjData(plant.model), arm.model.createData()
+    plant = sim.build_plant_model(arm)
+    rng = np.random.default_rng(5)
+    data = mujoco.MjData(plant.model)
+    expected = arm.model.createData()
     for _ in range(3):
         q = arm.random(rng)
         data.qpos[:] = plant.positions(arm.positions(q))
@@ -153,14 +158,16 @@ def test_robots_of_others_have_the_masses_that_pinocchio_finds(name):
 
 
 def test_an_arm_whose_description_is_another_one_is_refused():
-    arm, other = arm_named("placed"), pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
+    arm = arm_named("placed")
+    other = pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
     mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
     with pytest.raises(URDFError, match=r"control point 'module_06'.* differs by 0\.000\d+ m between MuJoCo"):
         sim.build_plant_model(mixed)
 
 
 def test_an_arm_with_joints_that_its_description_lacks_is_refused():
-    arm, other = arm_named("placed"), arm_named("RyRz")
+    arm = arm_named("placed")
+    other = arm_named("RyRz")
     mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
     with pytest.raises(URDFError, match=r"joint 'm01_j1_z': is not a moving joint"):
         sim.build_plant_model(mixed)

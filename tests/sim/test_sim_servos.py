@@ -82,8 +82,10 @@ def test_torques_within_limits_are_the_one_case_of_all_that_fits(seed):
     n = 4
     root = rng.normal(size=(n, n))
     mobility = root @ root.T + 1e-3 * np.eye(n)
-    unmoved, spring = rng.normal(size=n), rng.normal(size=n) * 3.0
-    damping, limits = 10.0 ** rng.uniform(-1, 3, n), rng.uniform(0.1, 2.0, n)
+    unmoved = rng.normal(size=n)
+    spring = rng.normal(size=n) * 3.0
+    damping = 10.0 ** rng.uniform(-1, 3, n)
+    limits = rng.uniform(0.1, 2.0, n)
     limits[0] = np.inf
     found = torques_within_limits(mobility, unmoved, spring, damping, -limits, limits)
     cases = []

@@ -47,7 +47,8 @@ def open_loop() -> sim.Simulation:
 
 @cache
 def closed_loop() -> sim.Simulation:
-    arm, run = four_modules(), some_run()
+    arm = four_modules()
+    run = some_run()
     tracker = pp.motion.Tracker(arm, limits=run.limits)
     return sim.simulate_closed(arm, tracker, run.target, arm.neutral(), 0.5, DT)
 
@@ -106,7 +107,9 @@ def test_targets_after_a_motion_are_its_postures():
 
 
 def test_errors_are_distances_between_what_was_sent_and_what_was_taken():
-    arm, opened, closed = four_modules(), open_loop(), closed_loop()
+    arm = four_modules()
+    opened = open_loop()
+    closed = closed_loop()
     for ended in (opened, closed):
         off = np.abs(ended.q - ended.commanded)
         np.testing.assert_allclose(ended.joint_error, off, atol=1e-12)
@@ -148,7 +151,8 @@ def test_an_arm_that_falls_did_not_get_there():
 def test_an_arm_that_arrives_after_it_collapsed_on_the_way_is_at_fault():
     arm = four_modules()
     # Held out horizontally the arm is too heavy for its servos; hanging down, at both ends, it is not.
-    hanging, out = np.eye(8)[0] * np.pi / 2.0, np.zeros(8)
+    hanging = np.eye(8)[0] * np.pi / 2.0
+    out = np.zeros(8)
     rows = np.concatenate([quintic(hanging, out, 0.5, DT), quintic(out, hanging, 0.5, DT)])
     servos = sim.Servos(torque_limits=0.5 * np.abs(sim.simulate(arm, rows, dt=DT).torques).max())
     ended = sim.simulate(arm, rows, servos, dt=DT, hold=3.0)
@@ -163,7 +167,8 @@ def test_an_arm_that_arrives_after_it_collapsed_on_the_way_is_at_fault():
 
 
 def test_distances_from_the_scene_are_those_of_the_simulated_arm():
-    arm, run = four_modules(), some_run()
+    arm = four_modules()
+    run = some_run()
     ball = pp.Sphere((0.1, 0.02, -0.1), 0.02)
     scene = pp.Scene({"ball": ball}, self_collision=False, margin=0.001, arm_radius=0.004)
     falls = sim.Servos(torque_limits=1e-3)

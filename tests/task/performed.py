@@ -40,7 +40,8 @@ def quintic(rows: int) -> np.ndarray:
 
 def drawn(arm: pp.Arm, rng: np.random.Generator, share: float = 0.4) -> np.ndarray:
     """A configuration in the middle of what the limits of the arm allow."""
-    lower, upper = np.maximum(arm.limits.lower, -2.5), np.minimum(arm.limits.upper, 2.5)
+    lower = np.maximum(arm.limits.lower, -2.5)
+    upper = np.minimum(arm.limits.upper, 2.5)
     return arm.configuration(
         (upper + lower) / 2.0 + share * (upper - lower) / 2.0 * rng.uniform(-1, 1, arm.nv)
     )
@@ -54,7 +55,8 @@ def reference_through(
     weights: np.ndarray | None = None,
 ) -> Reference:
     """From stop to stop, at rest at each, with as many seconds and rows for each piece."""
-    pieces, marks = [np.zeros((1, arm.nv))], [Mark("stop 0", 0, pp.Target.from_configuration(arm, stops[0]))]
+    pieces = [np.zeros((1, arm.nv))]
+    marks = [Mark("stop 0", 0, pp.Target.from_configuration(arm, stops[0]))]
     for k, (before, after) in enumerate(pairwise(stops), 1):
         pieces.append(pieces[-1][-1] + quintic(rows)[1:] * pin.difference(arm.model, before, after))
         marks.append(Mark(f"stop {k}", k * (rows - 1), pp.Target.from_configuration(arm, after)))
@@ -79,7 +81,8 @@ def check_motion(motion: Motion, limits: pp.Limits, margin_from: int = 0) -> Non
         limits: the limits.
         margin_from: the row from which on position limits hold.
     """
-    arm, dt = motion.arm, limits.dt
+    arm = motion.arm
+    dt = limits.dt
     assert np.all(np.isfinite(motion.q))
     moved = [pin.difference(arm.model, a, b) for a, b in pairwise(motion.q)]
     velocities = np.reshape(moved, (-1, arm.nv)) / dt
@@ -104,7 +107,8 @@ def check_motion(motion: Motion, limits: pp.Limits, margin_from: int = 0) -> Non
 
 def check_clock(motion: Motion) -> None:
     """The clock begins at zero, never goes back, and never ahead of time; places are passed in order."""
-    dt, clock = motion.dt, motion.plan_time
+    dt = motion.dt
+    clock = motion.plan_time
     assert clock.shape == motion.time.shape == (motion.steps + 1,)
     np.testing.assert_allclose(motion.time, dt * np.arange(motion.steps + 1), rtol=1e-12)
     assert np.all(clock[: motion.start_index + 1] == 0.0) and np.all(np.diff(clock) >= 0.0)

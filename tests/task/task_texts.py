@@ -108,7 +108,8 @@ def mistakes(valid: str, listed: str) -> dict[str, Mistake]:
         told, _, place = told.partition(" @ ")
         after = " + " in change
         old, new = change.replace(" ->", " -> ", 1).split(" + " if after else " -> ", 1)
-        old, new = _text(old), _text(new.strip())
+        old = _text(old)
+        new = _text(new.strip())
         assert old in valid, old
         new += "\n" if new and old.endswith("\n") and not new.endswith("\n") else ""
         put_in = f"{old}\n{new}" if after else new

@@ -57,15 +57,18 @@ def test_a_curve_comes_back_out_of_its_vector(name: str) -> None:
 def test_arcs_alone_miss_next_to_nothing(name: str) -> None:
     alone = vector(CURVES[name]())
     alone[6 + 2 * bendings().cells :] = 0.0
-    placed, back = place_curve(spatial(), CURVES[name](), "align", 0.3)[0], bendings().curves(alone[None])[0]
+    placed = place_curve(spatial(), CURVES[name](), "align", 0.3)[0]
+    back = bendings().curves(alone[None])[0]
     s = np.linspace(0, min(1.2, placed.length), 777)
     assert np.abs(back.at(s) - placed.at(s)).max() < 2e-4
 
 
 def test_the_bending_of_a_helix_has_its_curvature_and_turns_by_its_torsion() -> None:
     # In a frame without twist the bending is curvature times exp(i torsion s) (Bishop, 1975).
-    radius, rise = 0.06, 0.15 / (2 * np.pi)
-    curvature, torsion = radius / (radius**2 + rise**2), -rise / (radius**2 + rise**2)
+    radius = 0.06
+    rise = 0.15 / (2 * np.pi)
+    curvature = radius / (radius**2 + rise**2)
+    torsion = -rise / (radius**2 + rise**2)
     bent = turns(vector(CURVES["helix"]())) @ (1.0, 1.0j)
     assert np.allclose(np.abs(bent), curvature * bendings().cell, rtol=1e-3)
     phase = np.diff(np.unwrap(np.angle(bent)))
@@ -76,10 +79,12 @@ def test_the_bending_of_a_helix_has_its_curvature_and_turns_by_its_torsion() -> 
 def test_between_two_arcs_lies_the_arc_of_the_mean_curvature(share: float) -> None:
     first, last = (vector(pp.Curve.helix(r, 0, 1, axis=(0, 0, 1)), roll=0.0) for r in (1.0, 0.25))
     curve = bendings().curves(((1 - share) * first + share * last)[None])[0]
-    kappa, s = (1 - share) * 1.0 + share * 4.0, np.linspace(0, 1.2, 50)
+    kappa = (1 - share) * 1.0 + share * 4.0
+    s = np.linspace(0, 1.2, 50)
     # In the plane of the two, from the base of the arm along x.
     points = curve.at(s) - spatial().chain.base
-    along, across = points[:, 0], np.linalg.norm(points[:, 1:], axis=1)
+    along = points[:, 0]
+    across = np.linalg.norm(points[:, 1:], axis=1)
     assert np.allclose(along, np.sin(kappa * s) / kappa, atol=1e-8)
     assert np.allclose(across, (1 - np.cos(kappa * s)) / kappa, atol=1e-8)
 
@@ -88,7 +93,8 @@ def test_beyond_its_end_a_curve_goes_straight_on() -> None:
     short = place_curve(spatial(), pp.Curve.spline(0.5 * S_CURVE), "align", 0.0)[0]
     back = bendings().curves(bendings().vector(AnchoredCurve(short, 0.0))[None])[0]
     s = np.array([0.02, 0.2, 0.4])
-    end, direction = short.end, short.tangent(short.length)
+    end = short.end
+    direction = short.tangent(short.length)
     assert np.allclose(back.at(short.length + s), end + s[:, None] * direction, atol=1e-5)
 
 

@@ -11,7 +11,10 @@ from sampling import cases
 
 import pinposture as pp
 
-LINK, MARGIN, RADIUS, BALL = 0.05, 0.005, 0.006, 0.06
+LINK = 0.05
+MARGIN = 0.005
+RADIUS = 0.006
+BALL = 0.06
 
 
 @cache
@@ -60,7 +63,8 @@ def test_a_path_is_clear_and_bends_no_more_than_the_modules_and_the_arm_follows_
     sharpest = pp.Arm.from_template("RyRz", 14).can_follow(curve).max_curvature
     assert sampled_bends(curve).max() <= sharpest * (1.0 + 1e-3)
     reference = pp.follow_leader(arm, curve, interval=0.1, speed=0.05, placement="as_is")
-    data, tip = arm.model.createData(), arm.model.getFrameId(arm.control_points[-1])
+    data = arm.model.createData()
+    tip = arm.model.getFrameId(arm.control_points[-1])
     for offset in reference.offsets:
         pin.framesForwardKinematics(arm.model, data, arm.integrate(reference.start, offset))
         joints = np.array([data.oMi[j].translation for j in range(2, arm.model.njoints)])

@@ -95,11 +95,13 @@ def test_joints_on_an_arc_leave_the_sagitta_of_a_chord(method, radius):
     assert deviation.percent == pytest.approx(100 * deviation.largest / 0.4)
     # Wherever it is past the entry, a joint is on the circle, and the angle at it that between two chords.
     center = hinged().at(reference.start).points[-1] + (0, radius, 0)
-    ends, turn = links(hinged(), q[-1]), 2 * np.arcsin(LINK / 2 / radius)
+    ends = links(hinged(), q[-1])
+    turn = 2 * np.arcsin(LINK / 2 / radius)
     assert np.abs(np.linalg.norm(ends[:-1] - center, axis=1) - radius).max() < 1e-6
     assert q[-1][2:-1] == pytest.approx(turn, abs=1e-4)
     # The tip is ahead of the feed by what chords are shorter than arcs: straight on, where the path ends.
-    ahead, angle = radius * 8 * turn - 0.4, 0.4 / radius
+    ahead = radius * 8 * turn - 0.4
+    angle = 0.4 / radius
     assert ahead == pytest.approx(0.4 * (LINK / radius) ** 2 / 24, rel=0.1)
     end = center + radius * np.array([np.sin(angle), -np.cos(angle), 0.0])
     assert np.linalg.norm(ends[-1] - end - ahead * np.array([np.cos(angle), np.sin(angle), 0.0])) < 1e-4
@@ -108,7 +110,8 @@ def test_joints_on_an_arc_leave_the_sagitta_of_a_chord(method, radius):
 @pytest.mark.parametrize("seed", range(3))
 def test_distances_are_those_of_brute_force(seed):
     """From a segment and a circle, for postures that are off the path in every way."""
-    radius, rng = 0.2, np.random.default_rng(seed)
+    radius = 0.2
+    rng = np.random.default_rng(seed)
     path = arc(radius, 0.5 / radius)
     reference = follow_leader(crossed(), path, 0.2, 0.1, depth=0.4)
     q = rows(reference)[:: reference.rows // 9] + 0.0
@@ -123,7 +126,8 @@ def test_distances_are_those_of_brute_force(seed):
         return np.where(s[:, None] <= 0.4, first + s[:, None] * [1, 0, 0], tip + turned)
 
     for row, each in enumerate(q):
-        ends, depth = links(crossed(), each), each[0]
+        ends = links(crossed(), each)
+        depth = each[0]
         near = np.linspace(0.4 + depth - 0.06, 0.4 + depth + 0.06, 4001)
         stop = near[np.argmin(np.linalg.norm(way(near) - ends[-1], axis=1))]
         travelled = way(np.linspace(0.0, stop, 6000))
@@ -193,7 +197,8 @@ def test_closest_is_least_of_what_is_near():
         behind = np.linalg.norm(ends[:, 1:] - laid.start[1:], axis=1)  # from the line of the feed, the x axis
         return float(np.sum(np.where(ends[:, 0] < laid.start[0], behind, ahead) ** 2))
 
-    least, rng = cost(q), np.random.default_rng(0)
+    least = cost(q)
+    rng = np.random.default_rng(0)
     changes = [*np.eye(crossed().nv)[1:], *rng.normal(0.0, 0.3, (60, crossed().nv))]
     for change in changes:
         change[0] = 0.0
@@ -228,7 +233,9 @@ def test_where_the_arm_stands_and_which_way_its_slide_counts_make_no_difference(
 
 
 def test_a_start_with_the_feed_half_way_and_the_way_back():
-    path, start, counted = arc(0.3, 0.9), hinged().neutral(), []
+    path = arc(0.3, 0.9)
+    start = hinged().neutral()
+    counted = []
     start[0] = 0.2
     reference = follow_leader(
         hinged(), path, 0.1, 0.1, start=start, and_back=True, progress=lambda *each: counted.append(each)
@@ -267,7 +274,8 @@ def test_the_feed_starts_and_stops_gently(depth, speed, interval):
     assert step == pytest.approx(step[::-1], abs=1e-12)
     # The ramps take a sixth of the time each. There the acceleration is a parabola, 6 x (1 - x) of its mean,
     # and never jumps by more than its slope lets it from one row to the next.
-    ramp, full = len(step) / 6.0, 1.2 * depth / len(step)
+    ramp = len(step) / 6.0
+    full = 1.2 * depth / len(step)
     if ramp > 10.0:
         bends = np.diff(np.concatenate([[0.0], step, [0.0]])) / (full / ramp)
         assert np.abs(bends).max() <= 1.5 * (1 + 1e-6)
@@ -307,7 +315,8 @@ def chain_of_hinges():
 @pytest.mark.parametrize("radius", [0.3, 0.6, 1.5])
 def test_joints_that_leave_the_path_between_control_points_are_refused(radius):
     """The end of the module is on the path; a joint of the arc of a hinge is a sagitta off, not a link."""
-    arm, path = chain_of_hinges(), arc(radius, 0.3 / radius)
+    arm = chain_of_hinges()
+    path = arc(radius, 0.3 / radius)
     closest = follow_leader(arm, path, 0.1, 0.1, method="closest")
     assert path_deviation(arm, rows(closest), path).largest < (2 * LINK) ** 2 / 8 / radius * 1.2
     with pytest.raises(TargetError, match=r"of the arm \(at a depth of .* allowed: .*use method='closest'"):
@@ -420,7 +429,8 @@ def test_all_reasons_are_named_at_once_with_what_is_allowed_and_what_is_missing(
 
 def test_a_start_names_the_joint_that_is_bent_and_the_one_beyond_its_limit():
     start = hinged().neutral()
-    start[0], start[3] = 0.7, 0.02
+    start[0] = 0.7
+    start[3] = 0.02
     with pytest.raises(InvalidValue) as caught:
         follow_leader(hinged(), arc(0.2, 0.5), 0.1, 0.1, start=start)
     assert "1 of 8 joints bent, most m04_j1_z, by 0.02'; allowed: the straight arm, to within 1e-06" in str(

@@ -94,7 +94,8 @@ def test_values_of_a_keyframe(options: dict[str, Any], kind: type[PostureError],
 def test_motions(
     make: Callable[[], list[Any]], options: dict[str, Any], kind: type[PostureError], message: str
 ) -> None:
-    arm, keyframes = template_arm("RyRz", 20), make()
+    arm = template_arm("RyRz", 20)
+    keyframes = make()
     with pytest.raises(kind, match=message):
         keyframe_reference(arm, keyframes, **{"interval": 0.02, **options})
 

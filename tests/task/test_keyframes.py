@@ -59,7 +59,8 @@ def test_keyframes_are_taken_exactly_at_their_times(arm: pp.Arm, five: Reference
 
 
 def test_it_begins_ends_and_holds_at_rest(arm: pp.Arm, five: Reference) -> None:
-    q, coiled = positions(five), five.marks[3].row
+    q = positions(five)
+    coiled = five.marks[3].row
     held = coiled + round(0.5 / five.interval)
     assert np.array_equal(q[coiled : held + 1], np.broadcast_to(q[coiled], (held + 1 - coiled, arm.nv)))
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
@@ -185,7 +186,8 @@ def test_tips_are_served_and_the_rest_of_the_motion_stays(arm: pp.Arm) -> None:
     keyframes[1] = replace(keyframes[1], tip=pp.EndEffector(wanted[0], priority=True), region=(0, 9))
     keyframes[3] = replace(keyframes[3], tip=pp.EndEffector(wanted[1], weight=100.0))
     reference = keyframe_reference(arm, keyframes, 0.02)
-    first, last = reference.marks[1], reference.marks[3]
+    first = reference.marks[1]
+    last = reference.marks[3]
     assert np.linalg.norm(first.target.points[-1] - wanted[0]) < 1e-4 * arm.length
     assert np.linalg.norm(first.target.points[:10] - plain.marks[1].target.points[:10], axis=1).max() < 1e-3
     assert np.linalg.norm(last.target.points[-1] - wanted[1]) < 0.005
@@ -227,7 +229,8 @@ def test_a_tip_with_priority_goes_wherever_reach_brings_it(name: str, seed: int,
 
 
 def test_an_arm_moves_its_tip_where_priority_asks(arm: pp.Arm) -> None:
-    line, place = straight(1.2), np.array((0.5, 0.2, 0.2))
+    line = straight(1.2)
+    place = np.array((0.5, 0.2, 0.2))
     tip = pp.EndEffector(position=place, priority=True)
     keyframes = [Keyframe(line, trim=True), Keyframe(line, duration=5.0, trim=True, tip=tip)]
     motion = pp.move_through(arm, keyframes)

@@ -38,7 +38,8 @@ def gentle(length: float) -> list[Keyframe]:
 
 def promises(reference: Reference) -> None:
     """What holds of every reference."""
-    arm, q = reference.arm, positions(reference)
+    arm = reference.arm
+    q = positions(reference)
     assert np.all(np.isfinite(q))
     assert np.all((q >= arm.limits.lower) & (q <= arm.limits.upper))
     assert (np.abs(np.diff(q, axis=0)) / arm.joint_units).max() <= 0.06
@@ -49,7 +50,8 @@ def promises(reference: Reference) -> None:
 def midway(reference: Reference, index: int) -> tuple[np.ndarray, int]:
     """Points that trace the curve in the middle of the time from one rest to the next; and the row."""
     arm, (first, last) = reference.arm, reference.marks[index : index + 2]
-    bending, vectors = Bending(arm, 1.2 * max(arm.length, first.target.parameters[-1])), []
+    bending = Bending(arm, 1.2 * max(arm.length, first.target.parameters[-1]))
+    vectors = []
     for mark in (first, last):
         vectors.append(
             bending.vector(AnchoredCurve(mark.target.curve, 0.0), vectors[-1] if vectors else None)
@@ -170,7 +172,8 @@ def test_one_method_serves_the_whole_motion_unless_a_keyframe_asks_for_its_own()
 
 
 def test_a_crossfade_begins_with_one_motion_and_ends_with_the_other() -> None:
-    before, after = np.zeros((81, 2)), np.ones((81, 2))
+    before = np.zeros((81, 2))
+    after = np.ones((81, 2))
     for start in (0, 30, 60):
         faded = crossfade(before, after, start)
         assert np.all(faded[: start + 1] == 0.0)
@@ -267,7 +270,8 @@ def test_a_base_without_limits_moves_from_curve_to_curve() -> None:
 
 def test_the_end_of_a_curve_counts_unless_it_is_trimmed() -> None:
     arm = SLIDING_ARMS["feed at the base"]()
-    first, long = Keyframe(straight(0.5)), Keyframe(straight(1.5), duration=3.0)
+    first = Keyframe(straight(0.5))
+    long = Keyframe(straight(1.5), duration=3.0)
     reach = arm.length + 1.0
     with pytest.warns(PostureWarning, match="takes the first 1.25 m of its curve of 1.5 m"):
         reference = keyframe_reference(arm, [first, long], 0.05)

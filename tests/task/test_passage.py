@@ -46,9 +46,11 @@ def test_a_pipe_that_is_narrower_than_the_arm_and_its_margin_is_refused_with_the
 @given(st.floats(0.3, 1.7), st.floats(0.0, 0.01), st.sampled_from(["slit", "hole"]))
 def test_gaps_are_refused_exactly_if_the_arm_and_its_margin_are_wider(width, margin, kind):
     """On a straight path: half-spaces on both sides, or a straight pipe, at `width` radii from the path."""
-    radius, path = 0.005 + margin, Curve.line((0, 0, 0), (0.2, 0, 0))
+    radius = 0.005 + margin
+    path = Curve.line((0, 0, 0), (0.2, 0, 0))
     reference = follow_leader(hinged(), path, 0.2, 0.1)
-    laid, gap = reference.marks[-1].target.curve, width * radius
+    laid = reference.marks[-1].target.curve
+    gap = width * radius
     if kind == "hole":
         scene = pipe(laid.trimmed(0.05, 0.15), gap, margin=margin, arm_radius=0.005)
     else:

@@ -68,7 +68,8 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
     check_motion(motion, limits)
     assert motion.converged and not motion.deviations
     # What it takes at least: the largest turn at full speed, and to reach and to leave that speed.
-    bound, brake = limits.velocity, limits.acceleration
+    bound = limits.velocity
+    brake = limits.acceleration
     turns = (
         np.abs(reference.offsets[59] - reference.offsets[0]),
         np.abs(np.diff(reference.offsets[[59, -1]], axis=0)[0]),
@@ -191,7 +192,8 @@ def test_a_reference_beyond_the_margin_is_followed_as_far_as_the_margin() -> Non
 
 def test_joints_that_move_nothing_stand_still() -> None:
     # A joint beside the chain, the first in the tangent space.
-    chain, model = pp.Arm.from_template("RyRz", 4), pin.Model()
+    chain = pp.Arm.from_template("RyRz", 4)
+    model = pin.Model()
     side = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "a side joint")
     model.appendBodyToJoint(side, pin.Inertia.Random(), pin.SE3.Identity())
     joined = pin.appendModel(model, chain.model, 0, pin.SE3.Identity())
@@ -223,7 +225,8 @@ def ball() -> pp.Scene:
 
 
 def test_an_obstacle_in_the_way_is_gone_round() -> None:
-    reference, scene = swing(), ball()
+    reference = swing()
+    scene = ball()
     motion = perform(reference, "geodesic", SWING, scene)
     assert motion.run.clearance.min() > 0.0 and motion.run.scene is scene
     check_motion(motion, SWING)
@@ -264,7 +267,8 @@ def test_a_target_inside_an_obstacle_ends_honestly() -> None:
 @pytest.mark.parametrize("calls", [1, 7, 60])
 def test_progress_is_told_and_can_stop_the_motion(controller: str, calls: int) -> None:
     arm = arm_named("spatial")
-    reference, limits = random_reference(arm, 8), limits_of(arm)
+    reference = random_reference(arm, 8)
+    limits = limits_of(arm)
     told: list[tuple[float, float]] = []
 
     def progress(time: float, of: float) -> bool:
@@ -285,7 +289,8 @@ def test_progress_is_told_and_can_stop_the_motion(controller: str, calls: int) -
 
 def test_a_motion_stopped_before_it_sets_out_passed_nothing() -> None:
     arm = arm_named("spatial")
-    reference, limits = random_reference(arm, 9), limits_of(arm)
+    reference = random_reference(arm, 9)
+    limits = limits_of(arm)
     q0 = drawn(arm, np.random.default_rng(1))
     motion = perform(reference, "geodesic", limits, q0=q0, progress=lambda *_: True)
     check_motion(motion, limits)
@@ -322,7 +327,8 @@ def test_bad_input_is_named() -> None:
 
 def test_references_that_make_no_sense_are_refused() -> None:
     arm = arm_named("planar")
-    rows, m = np.zeros((4, arm.nv)), arm.n_modules
+    rows = np.zeros((4, arm.nv))
+    m = arm.n_modules
     good = Reference(arm, 0.1, arm.neutral(), rows, np.ones((4, m)))
     assert good.rows == 4 and good.duration == pytest.approx(0.3)
     np.testing.assert_allclose(good.times, [0.0, 0.1, 0.2, 0.3])
@@ -347,7 +353,8 @@ def test_a_reference_that_rests_takes_its_time() -> None:
 
 def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
     # What the controller remembers last is the way of the reference, gone to its end.
-    arm, seen = arm_named("spatial"), []
+    arm = arm_named("spatial")
+    seen = []
 
     class Watched(pp.Geodesic):
         def step(self, *given: object, **named: object) -> object:

@@ -32,7 +32,8 @@ def test_limits_hold_and_the_report_is_honest(controller: str, name: str, accele
     arm = arm_named(name)
     plans = ((2, 0.2),) if controller == "selection" else ((1, 1.5), (2, 0.2))  # it takes long to settle
     for seed, seconds in plans:
-        reference, limits = random_reference(arm, seed, 2, seconds, share=0.3), limits_of(arm, acceleration)
+        reference = random_reference(arm, seed, 2, seconds, share=0.3)
+        limits = limits_of(arm, acceleration)
         motion = perform(reference, controller, limits)
         check_motion(motion, limits)
         tolerance = 1e-6 * arm.length
@@ -50,7 +51,8 @@ def test_limits_hold_and_the_report_is_honest(controller: str, name: str, accele
 @pytest.mark.parametrize("controller", EXACT)
 def test_what_is_slow_enough_is_followed_closely(controller: str) -> None:
     arm = arm_named("spatial")
-    reference, limits = random_reference(arm, 3, 3, 4.0, share=0.2), limits_of(arm)
+    reference = random_reference(arm, 3, 3, 4.0, share=0.2)
+    limits = limits_of(arm)
     motion = perform(reference, controller, limits)
     assert motion.converged and motion.time_scale == pytest.approx(1.0, abs=1e-9)
     assert motion.mean_error.max() < 0.05 * arm.length / arm.n_modules

@@ -57,7 +57,8 @@ def test_the_example_goes_in_looks_sweeps_and_comes_out_within_limits_and_clear(
         "out: back on the path",
         "out: outside",
     ]
-    arm, scene = loaded().arm, loaded().scene
+    arm = loaded().arm
+    scene = loaded().scene
     assert scene is not None
     clear = pp.CollisionModel(arm, scene)
     assert min(clear.minimum(q).distance for q in motion.q) >= scene.margin * (1 - 1e-6)
@@ -73,7 +74,8 @@ def test_the_example_goes_in_looks_sweeps_and_comes_out_within_limits_and_clear(
     assert pp.path_deviation(arm, back, loaded().motion[0].motion.path, "as_is").largest < 1e-3
     assert motion.q[-1] == pytest.approx(arm.straight() * 0.0, abs=1e-5)
     # The limits hold across the joins, by differences of the joint positions.
-    dt, q = motion.dt, motion.q
+    dt = motion.dt
+    q = motion.q
     speed = np.diff(q, axis=0) / dt
     assert np.abs(speed[:, 1:]).max() <= 1.0 + 1e-9
     assert np.abs(speed[:, 0]).max() <= 0.1 + 1e-9
@@ -115,7 +117,8 @@ def test_keyframes_begin_where_the_phase_before_ended() -> None:
 def test_the_tip_is_at_its_goal_and_moves_there_straight(aim: dict[str, tuple[float, ...]]) -> None:
     goal = TipGoal((0.95, 0.15, 0.2), duration=4.0, hold=0.5, **aim)  # type: ignore[arg-type]
     reference = small(into(depth=0.2), Phase(goal, "look")).reference()
-    first, last = reference.marks[0].row, reference.marks[1].row
+    first = reference.marks[0].row
+    last = reference.marks[1].row
     tips = np.array([fed().at(reference.configuration(row)).points[-1] for row in range(first, last + 1)])
     assert tips[-1] == pytest.approx(goal.position, abs=1e-5)
     ahead = (tips[-1] - tips[0]) / np.linalg.norm(tips[-1] - tips[0])
@@ -222,7 +225,8 @@ def test_a_file_of_phases_is_saved_to_the_last_byte_and_edited_in_place(tmp_path
     edited.save(file)
     again = pp.Task.load(file)
     assert again.motion == edited.motion
-    before, after = FILE.read_text().splitlines(), file.read_text().splitlines()
+    before = FILE.read_text().splitlines()
+    after = file.read_text().splitlines()
     assert 1 <= len(set(before) - set(after)) <= 2
     assert sum("#" in line for line in after) == sum("#" in line for line in before)
 

@@ -68,7 +68,8 @@ def test_the_examples_come_back(tmp_path: Path, example: Path, suffix: str) -> N
     again.save(path)
     assert path.read_text() == before
     if suffix == ".toml":  # the same keys, but for those that are as usual
-        said, asked = tomllib.loads(before), tomllib.loads(example.read_text())
+        said = tomllib.loads(before)
+        asked = tomllib.loads(example.read_text())
         assert said.keys() == asked.keys()
         assert [each.keys() for each in said.get("keyframes", [])] == [
             each.keys() for each in asked.get("keyframes", [])
@@ -214,7 +215,8 @@ def test_tips_in_all_their_ways(tmp_path: Path) -> None:
 def test_limits_of_each_joint_or_each_kind(tmp_path: Path) -> None:
     feed = pp.ModuleTemplate("Feed", (pp.JointSpec("x", "prismatic", 0.0, 0.3, velocity=0.1),), (0.05,))
     arm = pp.Arm.from_modules([feed, *[pp.template("RyRz")] * 2])
-    inf, speeds = np.inf, np.array([0.05, 2, 2, 2, 2])
+    inf = np.inf
+    speeds = np.array([0.05, 2, 2, 2, 2])
     cases: list[tuple[dict[str, Any], dict[str, Any]]] = [
         ({"step": 0.1, "position_margin": 0.01}, {"step": 0.1, "position_margin": 0.01}),
         ({"step": inf, "velocity": inf}, {"step": "none", "velocity": "none"}),
@@ -268,7 +270,8 @@ def test_scenes_by_file_and_by_obstacle(tmp_path: Path) -> None:
         "cloud": {"type": "scan", "path": "../parts/cloud.xyz", "scale": 0.5, "point_radius": 0.01},
     }
     assert pp.Task.load(tmp_path / "other" / "task.toml").scene == edited.scene
-    begin, end = VALID.index("[scene]"), VALID.index("[[keyframes]]")
+    begin = VALID.index("[scene]")
+    end = VALID.index("[[keyframes]]")
     (tmp_path / "file.toml").write_text(f'{VALID[:begin]}[scene]\nfile = "parts/scene.toml"\n{VALID[end:]}')
     task = pp.Task.load(tmp_path / "file.toml")
     path = tmp_path / "other" / "task.toml"

@@ -104,7 +104,8 @@ def test_a_file_that_is_changed_says_what_is_new_and_loses_no_comment_of_what_st
     pair: tuple[dict[str, Any], dict[str, Any]],
 ) -> None:
     before, after = pair
-    draw, lines = random.Random(0), []
+    draw = random.Random(0)
+    lines = []
     for line in toml_text(before).split("\n"):
         if line.startswith("[") and draw.random() < 0.5:  # a header, or an item of a list
             lines.append("# a comment")
@@ -118,7 +119,8 @@ def test_a_file_that_is_changed_says_what_is_new_and_loses_no_comment_of_what_st
 @given(CONTENT)
 def test_every_key_is_found_on_its_line(content: dict[str, Any]) -> None:
     text = toml_text(content)
-    lines, found = text.split("\n"), lines_of_toml(text)
+    lines = text.split("\n")
+    found = lines_of_toml(text)
     assert all((key,) in found for key in content)
     for place, line in found.items():
         if isinstance(place[-1], str) and place[-1].isalnum() and place[-1].isascii():
@@ -268,9 +270,11 @@ def test_an_edit_changes_its_own_line(commented: pp.Task, tmp_path: Path) -> Non
 def test_comments_go_where_their_keyframe_goes(commented: pp.Task, tmp_path: Path) -> None:
     path = tmp_path / "task.toml"
     first, second = commented.motion
-    begin, end = COMMENTED.index("# It begins"), COMMENTED.index("# Kept")
+    begin = COMMENTED.index("# It begins")
+    end = COMMENTED.index("# Kept")
     middle = COMMENTED.index("# and coils up.")
-    one, two = COMMENTED[begin:middle], COMMENTED[middle:end]
+    one = COMMENTED[begin:middle]
+    two = COMMENTED[middle:end]
     last = replace(second, time=None, duration=1.0)
     changed(
         commented.edited(motion=(last, first)),
@@ -339,7 +343,8 @@ def test_line_ends_and_json(commented: pp.Task, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("above", ["# A coil.\n", "# A coil.\n\n", "", "\n# A\n\n# coil.\n"])
 def test_what_stands_above_all_else_stays_there(above: str) -> None:
-    text, says = f"{above}[arm]  # long\nmodules = 6\n", {"arm": {"modules": 6}}
+    text = f"{above}[arm]  # long\nmodules = 6\n"
+    says = {"arm": {"modules": 6}}
     assert toml_text(says, TomlLayout(text, says)) == text
     expected = f"{above}name = 3\n\n[arm]  # long\nmodules = 6\n"
     assert toml_text({"name": 3, **says}, TomlLayout(text, says)) == expected

@@ -97,7 +97,8 @@ def keyframes(draw: Any, arm: pp.Arm) -> pp.Keyframe:
     times = [{}, {"time": draw(POSITIVE)}, {"duration": draw(POSITIVE)}, {"time": draw(st.integers(0, 9))}]
     first = draw(st.integers(0, arm.n_modules - 1))
     region = (first, draw(st.integers(first, arm.n_modules - 1)))
-    lower, upper = np.maximum(arm.limits.lower, -9.0), np.minimum(arm.limits.upper, 9.0)
+    lower = np.maximum(arm.limits.lower, -9.0)
+    upper = np.minimum(arm.limits.upper, 9.0)
     joints = [st.floats(low, high) for low, high in zip(lower, upper, strict=True)]
     return pp.Keyframe(
         draw(curves()),
@@ -128,7 +129,8 @@ def limits(draw: Any, arm: pp.Arm) -> pp.Limits:
 
 @st.composite
 def scenes(draw: Any) -> pp.Scene:
-    size, radius = st.tuples(*[st.floats(0.01, 1)] * 3), st.floats(0.01, 1)
+    size = st.tuples(*[st.floats(0.01, 1)] * 3)
+    radius = st.floats(0.01, 1)
     turn = draw(ANGLES) if draw(st.booleans()) else None
     corners = draw(st.lists(PLACE, min_size=4, max_size=6, unique=True))
     makers = {

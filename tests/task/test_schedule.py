@@ -57,7 +57,8 @@ def test_times_that_are_none_name_the_keyframe(given: tuple[dict, ...], message:
 
 
 def test_from_rest_to_rest_the_polynomials_are_known() -> None:
-    values, x = np.array([[1.0, 5.0], [3.0, 1.0]]), np.linspace(0, 1, 11)
+    values = np.array([[1.0, 5.0], [3.0, 1.0]])
+    x = np.linspace(0, 1, 11)
     for continuity, share in (
         ("velocity", 3 * x**2 - 2 * x**3),
         ("acceleration", 10 * x**3 - 15 * x**4 + 6 * x**5),
@@ -79,9 +80,13 @@ def test_it_is_as_continuous_as_it_says(continuity: str, values: np.ndarray, gap
     size = 1e-6 + np.ptp(values) / min(gaps)
     for k, row in enumerate(at.rows):
         assert np.allclose(value(row), values[k], atol=1e-9)
-        before, here, after = value(row - h), value(row), value(row + h)
-        before2, after2 = value(row - 2 * h), value(row + 2 * h)
-        left, right = (3 * here - 4 * before + before2) / (2 * h), (4 * after - after2 - 3 * here) / (2 * h)
+        before = value(row - h)
+        here = value(row)
+        after = value(row + h)
+        before2 = value(row - 2 * h)
+        after2 = value(row + 2 * h)
+        left = (3 * here - 4 * before + before2) / (2 * h)
+        right = (4 * after - after2 - 3 * here) / (2 * h)
         if k in (0, 4):  # beyond the ends it is constant
             assert np.allclose(right if k == 0 else left, 0.0, atol=1e-2 * size)
         else:

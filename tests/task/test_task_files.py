@@ -81,7 +81,8 @@ def test_values_arrive_as_they_were_meant(tmp_path: Path) -> None:
     tip = 'position = ["10 cm", 0, 0.1], rotation = ["90 deg", 0, 0], point = 3, weight = 4'
     tip += ", direction_only = true"
     task = loaded(tmp_path, VALID.replace('placement = "align"\n', f"{more}tip = {{ {tip} }}\n"))
-    arm, bowed = task.arm, task.motion[1]
+    arm = task.arm
+    bowed = task.motion[1]
     np.testing.assert_allclose(arm.chain.module_lengths, 0.05)
     np.testing.assert_allclose(arm.limits.lower, -170 * np.pi / 180)
     np.testing.assert_allclose(arm.limits.upper, 3.0)

@@ -126,7 +126,9 @@ def test_lines_of_files_written_line_by_line(tables: list[Any], blank: list[str]
     def quoted(text: str) -> str:
         return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
-    lines, wanted, count = ["# x"], {}, 0
+    lines = ["# x"]
+    wanted = {}
+    count = 0
     for number, (listed, entries) in enumerate(tables):
         place: tuple[str | int, ...] = ("list", count) if listed else (f"t{number}",)
         count += listed

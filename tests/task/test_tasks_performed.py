@@ -80,7 +80,8 @@ def test_the_arm_takes_every_posture(examples: dict[str, Done], name: str) -> No
         assert place.mean_error < 0.6 * moved + 1e-6 * task.arm.length
         missed = np.inf
         for before, after in pairwise(near):
-            step, left = after - before, mark.target.points - before
+            step = after - before
+            left = mark.target.points - before
             share = np.clip((step * left).sum() / max((step**2).sum(), 1e-12), 0.0, 1.0)
             missed = min(missed, np.abs(before + share * step - mark.target.points).max())
         assert missed < 3e-4 * task.arm.length
@@ -89,7 +90,8 @@ def test_the_arm_takes_every_posture(examples: dict[str, Done], name: str) -> No
 @pytest.mark.parametrize("name", NAMES)
 def test_limits_hold_on_what_comes_out(examples: dict[str, Done], name: str) -> None:
     motion = examples[name].motion
-    slides, dt = motion.arm.slides, motion.dt
+    slides = motion.arm.slides
+    dt = motion.dt
     still = np.zeros((1, motion.arm.nv))
     speeds = np.vstack([still, np.diff(motion.q, axis=0) / dt, still])  # none of these joints is continuous
     for values, limits in ((speeds, SPEEDS), (np.diff(speeds, axis=0) / dt, ACCELERATIONS)):
@@ -105,7 +107,8 @@ def test_keyframes_lie_on_the_curves_of_the_file(examples: dict[str, Done]) -> N
     straight, _, _, helix, ring = (task.arm.at(motion.q[row]).points for row in rows)
     np.testing.assert_allclose(straight, [[0.05 * k, 0, 0] for k in range(1, 21)], atol=1e-9)
     # A circle through the base, of the radius in the file: all points have one distance from its centre.
-    tangent, relative_position_weight = np.array([1.0, 0, 0]), ring[0]
+    tangent = np.array([1.0, 0, 0])
+    relative_position_weight = ring[0]
     normal = relative_position_weight - (relative_position_weight @ tangent) * tangent
     centre = 0.17 * normal / np.linalg.norm(normal)
     np.testing.assert_allclose(np.linalg.norm(ring - centre, axis=1), 0.17, atol=1e-6)
@@ -175,7 +178,9 @@ def test_other_controllers_do_the_same_task(tmp_path: Path, name: str) -> None:
 def test_progress_is_told_and_can_stop_the_motion(tmp_path: Path) -> None:
     file = tmp_path / "task.toml"
     file.write_text(LEADER)
-    task, placed, moved = pp.Task.load(file), [], []
+    task = pp.Task.load(file)
+    placed = []
+    moved = []
     reference = task.reference(lambda done, rows: placed.append((done, rows)))
     assert placed[-1] == (reference.rows, reference.rows)
     motion = task.perform(reference, lambda time, lasts: moved.append((time, lasts)))

@@ -82,7 +82,8 @@ def test_a_mixed_tour_is_continuous_and_rests_where_its_kind_changes(arm: pp.Arm
     def measured(interval: float) -> tuple[float, np.ndarray]:
         reference = keyframe_reference(arm, mixed(arm), interval, continuity)
         rows = [mark.row for mark in reference.marks]
-        q, step = positions(reference), reference.interval
+        q = positions(reference)
+        step = reference.interval
         speeds = np.abs(q[np.array(rows[1:-1]) + 1] - q[np.array(rows[1:-1]) - 1]).max(axis=1) / (2.0 * step)
         return float(np.abs(np.diff(q, order, axis=0)).max()) / step ** (order - 1), speeds
 
@@ -112,11 +113,10 @@ def test_between_two_configurations_joints_move_in_proportion(
 @pytest.mark.parametrize("continuity", CONTINUITIES)
 @pytest.mark.parametrize("jerk", (None, 60.0))
 def test_joints_stay_between_their_keyframes_whatever_the_times(continuity: str, jerk: float | None) -> None:
-    arm, limits = (
-        arm_named("spatial"),
-        pp.Limits(step=None, dt=0.02, velocity=2.0, acceleration=10.0, jerk=jerk),
-    )
-    values, totals = np.array([0.0, 0.2, 0.25]), []
+    arm = arm_named("spatial")
+    limits = pp.Limits(step=None, dt=0.02, velocity=2.0, acceleration=10.0, jerk=jerk)
+    values = np.array([0.0, 0.2, 0.25])
+    totals = []
     for seconds in (1.0, 0.3, 0.1, 0.02):
         keyframes = [
             Keyframe(joints=np.full(arm.nv, value), duration=duration)
@@ -132,8 +132,10 @@ def test_joints_stay_between_their_keyframes_whatever_the_times(continuity: str,
 
 @pytest.mark.parametrize("continuity", CONTINUITIES)
 def test_a_short_time_beside_a_long_one_neither_bends_nor_delays_the_arm(continuity: str) -> None:
-    arm, limits = pp.Arm.from_template("RyRz", modules=10), replace(LIMITS, velocity=2.0, acceleration=10.0)
-    coil, totals = pp.Curve.helix(0.12 * arm.length, 0.1 * arm.length, 3), []
+    arm = pp.Arm.from_template("RyRz", modules=10)
+    limits = replace(LIMITS, velocity=2.0, acceleration=10.0)
+    coil = pp.Curve.helix(0.12 * arm.length, 0.1 * arm.length, 3)
+    totals = []
     for seconds in (1.0, 0.2, 0.05):
         keyframes = [
             Keyframe(line(arm), trim=True),
@@ -154,9 +156,12 @@ def test_a_short_time_beside_a_long_one_neither_bends_nor_delays_the_arm(continu
 def test_less_time_for_one_motion_hardly_delays_the_whole(
     seed: int, continuity: str, jerk: float | None
 ) -> None:
-    arm, rng, totals = pp.Arm.from_template("RyRz", modules=3), np.random.default_rng(seed), []
+    arm = pp.Arm.from_template("RyRz", modules=3)
+    rng = np.random.default_rng(seed)
+    totals = []
     limits = replace(LIMITS, velocity=2.0, acceleration=10.0, jerk=jerk)
-    postures, durations = rng.uniform(-1.0, 1.0, (5, arm.nv)), 10.0 ** rng.uniform(-1.3, 1.3, 4)
+    postures = rng.uniform(-1.0, 1.0, (5, arm.nv))
+    durations = 10.0 ** rng.uniform(-1.3, 1.3, 4)
     shortened = rng.integers(4)
     for share in (4.0, 1.0, 0.25, 0.05, 0.01):
         asked = durations.copy()
@@ -176,7 +181,8 @@ def test_less_time_for_one_motion_hardly_delays_the_whole(
 def test_continuous_joints_take_the_short_way_round() -> None:
     arm = arm_named("endless")
     endless = arm.kinematics.endless
-    before, after = np.where(endless, 3.0, 0.2), np.where(endless, -3.0, -0.2)
+    before = np.where(endless, 3.0, 0.2)
+    after = np.where(endless, -3.0, -0.2)
     tour = [Keyframe(joints=before), Keyframe(joints=after, time=2.0)]
     reference = keyframe_reference(arm, tour, 0.02)
     turned = reference.offsets[-1]
@@ -189,7 +195,8 @@ def test_continuous_joints_take_the_short_way_round() -> None:
 def test_the_arm_performs_taught_tours_within_its_limits(name: str) -> None:
     arm = arm_named(name)
     rng = np.random.default_rng(5)
-    low, high = np.maximum(arm.limits.lower, -0.4), np.minimum(arm.limits.upper, 0.4)
+    low = np.maximum(arm.limits.lower, -0.4)
+    high = np.minimum(arm.limits.upper, 0.4)
     stops = [rng.uniform(low, high) for _ in range(3)]
     tour = [Keyframe(joints=q, duration=1.0 if k else None) for k, q in enumerate(stops)]
     motion = pp.move_through(arm, tour, limits=LIMITS, continuity="acceleration")
@@ -269,7 +276,8 @@ def test_an_open_tour_goes_back_between_its_repetitions(arm: pp.Arm) -> None:
     ]
     times = np.array([reference.times[mark.row] for mark in reference.marks]).reshape(3, 3)
     assert np.allclose(times, np.array([0.0, 1.0, 2.2]) + lap * np.arange(3)[:, None])
-    rows, found = round(lap / reference.interval), positions(reference)
+    rows = round(lap / reference.interval)
+    found = positions(reference)
     assert np.abs(found[rows : 2 * rows] - found[:rows]).max() < 1e-12
     assert np.abs(np.diff(found, axis=0)).max() < 0.06
     once = positions(keyframe_reference(arm, [Keyframe(line(arm)), *tour[1:]], 0.02))
@@ -461,7 +469,8 @@ def test_a_controller_that_lags_behind_is_told(arm: pp.Arm) -> None:
 
 def test_an_obstacle_that_keeps_the_arm_off_its_path_is_told(arm: pp.Arm) -> None:
     up, down = np.zeros((2, arm.nv))
-    up[1], down[1] = 0.8, -0.8
+    up[1] = 0.8
+    down[1] = -0.8
     post = pp.Sphere(arm.at(arm.straight()).points[-1], 0.03)
     tour = [Keyframe(joints=up), Keyframe(joints=down, time=2.0)]
     motion = pp.move_through(arm, tour, limits=LIMITS, scene=pp.Scene({"post": post}))
@@ -497,7 +506,8 @@ def nearest_miss(motion: pp.Motion, joints: np.ndarray, seconds: tuple[float, fl
 
 def waving(modules: int) -> tuple[pp.Arm, list[Keyframe]]:
     """A tour that bends an arm to one side and to the other, with all joints at once."""
-    arm, bends = pp.Arm.from_template("RyRz", modules=modules), (0.0, 6.4, -6.4, 6.4, 0.0)
+    arm = pp.Arm.from_template("RyRz", modules=modules)
+    bends = (0.0, 6.4, -6.4, 6.4, 0.0)
     return arm, [
         Keyframe(joints=np.full(arm.nv, bend / modules), duration=0.3 if number else None)
         for number, bend in enumerate(bends)
@@ -524,7 +534,8 @@ def test_keyframes_are_passed_in_spite_of_a_jerk_limit(modules: int, jerk: float
 
 @pytest.mark.parametrize("modules", [12, 24, 40])
 def test_a_long_arm_passes_random_shapes_in_all_laps_under_jerk_limits(modules: int) -> None:
-    arm, rng = pp.Arm.from_template("RyRz", modules), np.random.default_rng(modules)
+    arm = pp.Arm.from_template("RyRz", modules)
+    rng = np.random.default_rng(modules)
     limits = replace(LIMITS, jerk=20.0)
     shapes = [arm.positions(pp.arm.smooth_configuration(arm, rng, 0.4)) for _ in range(4)]
     how = (
@@ -549,7 +560,9 @@ def test_a_long_arm_passes_random_shapes_in_all_laps_under_jerk_limits(modules: 
 def test_a_keyframe_is_passed_before_the_arm_evades_an_obstacle_behind_it(bend: float, jerk: float) -> None:
     arm = pp.Arm.from_template("RyRz", modules=12)
     up, near, down = bends = np.zeros((3, arm.nv))
-    up[1], near[1], down[1] = 0.8, bend, -0.8
+    up[1] = 0.8
+    near[1] = bend
+    down[1] = -0.8
     tour = [Keyframe(joints=q, duration=0.6 if k else None) for k, q in enumerate(bends)]
     scene = pp.Scene({"post": pp.Sphere(arm.at(arm.straight()).points[-1], 0.03)})
     limits = replace(LIMITS, jerk=jerk)

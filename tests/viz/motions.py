@@ -38,7 +38,8 @@ def some_motion(
     Its targets are `off` [m] beside the control points in every row. Its clock runs evenly, so that it takes
     `planned`; named places are at equal distances.
     """
-    arm, dt = arm or five_modules(), limits.dt
+    arm = arm or five_modules()
+    dt = limits.dt
     rng = np.random.default_rng(0)
     begin, over, end = (rng.uniform(-0.4, 0.4, arm.nv) for _ in range(3))
     t = np.linspace(0.0, 1.0, steps + 1)[:, None]

@@ -79,7 +79,9 @@ def test_joint_rates_are_those_of_the_joint_nearest_to_its_limit():
     fast = np.linspace(1.0, 4.0, 10)
     motion = some_motion(limits=pp.Limits(step=None, dt=0.05, velocity=fast, acceleration=30.0))
     drawn = lines(panel(pp.plot(motion), RATES))
-    speeds, changes, before = [], [], np.zeros(10)
+    speeds = []
+    changes = []
+    before = np.zeros(10)
     for a, b in zip(motion.q[:-1], motion.q[1:], strict=True):
         now = (b - a) / 0.05
         speeds.append(max(abs(now) / fast))
@@ -157,7 +159,8 @@ def test_words_above_the_figure_keep_clear_of_each_other():
     motion = some_motion(scene=around_a_ball(), start_index=10)
     figure = pp.plot(replace(motion, deviations=("at 1 s it went round",)))
     draw(figure)
-    heading, legend = figure.texts[0], figure.axes[0].get_legend()
+    heading = figure.texts[0]
+    legend = figure.axes[0].get_legend()
     assert heading.get_window_extent().y0 > legend.get_window_extent().y1
 
 
@@ -183,8 +186,10 @@ def test_the_posture_of_each_place_is_drawn_in_its_colour_and_told_with_its_time
 def test_postures_that_look_alike_are_drawn_once_and_have_both_names():
     motion = some_motion()
     run = motion.run
-    points, q = run.points.copy(), run.q.copy()
-    points[-1], q[-1] = points[0], q[0]
+    points = run.points.copy()
+    q = run.q.copy()
+    points[-1] = points[0]
+    q[-1] = q[0]
     figure = pp.plot(replace(motion, run=replace(run, points=points, q=q)))
     words = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert "straight, 0 s; coil, 3 s" in words
@@ -205,8 +210,10 @@ def test_in_a_scene_there_is_clearance_over_time_and_the_obstacle():
 def test_escapes_and_limits_that_gave_way_are_marked_at_their_moments():
     motion = some_motion()
     run = motion.run
-    escape, relaxed = run.error_increasing.copy(), run.violated_constraints.astype("<U40")
-    escape[10:14], relaxed[20] = True, "acceleration of joint 3"
+    escape = run.error_increasing.copy()
+    relaxed = run.violated_constraints.astype("<U40")
+    escape[10:14] = True
+    relaxed[20] = "acceleration of joint 3"
     figure = pp.plot(replace(motion, run=replace(run, error_increasing=escape, violated_constraints=relaxed)))
     ax = panel(figure, "point errors [m]")
     (span,) = [each for each in ax.collections if str(each.get_label()).startswith("4 steps in which")]

@@ -77,7 +77,8 @@ def test_only_what_takes_longer_than_a_minute_is_shown_faster(seconds, speedup):
 
 
 def test_bodies_are_where_they_were_in_the_rows_that_are_shown():
-    arm, motion = five_modules(), known_motion()
+    arm = five_modules()
+    motion = known_motion()
     shown = playback(motion, 7.0, 1200)
     assert 2 < len(shown.rows) < 60
     poses = body_poses(arm, motion.q[shown.rows])
@@ -87,7 +88,8 @@ def test_bodies_are_where_they_were_in_the_rows_that_are_shown():
 
 
 def test_hoops_are_where_the_targets_of_the_moment_are_and_play_along_with_the_arm():
-    arm, motion = five_modules(), known_motion()
+    arm = five_modules()
+    motion = known_motion()
     shown = playback(motion, 20.0, 1200)
     listed = moving_target_tracks(motion, shown)
     for k in range(arm.n_modules):
@@ -128,7 +130,8 @@ def test_hoops_of_points_without_a_target_are_not_seen():
 @given(seed=st.integers(0, 10_000))
 @examples(20)
 def test_a_hoop_stands_across_the_line_through_the_targets(seed):
-    arm, rng = five_modules(), np.random.default_rng(seed)
+    arm = five_modules()
+    rng = np.random.default_rng(seed)
     targets = np.cumsum(rng.normal(size=(4, arm.n_modules, 3)), axis=0)
     turns = hoop_turns(arm, targets, np.ones(targets.shape[:2], dtype=bool))
     for row, points in enumerate(targets):

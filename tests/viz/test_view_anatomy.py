@@ -31,7 +31,8 @@ def rng():
 
 def sliding(axes: list[str], kinds: list[str]) -> pp.Arm:
     """An arm whose joints sit 0.1 m apart along x."""
-    text, links = "", [f"l{k}" for k in range(len(axes) + 2)]
+    text = ""
+    links = [f"l{k}" for k in range(len(axes) + 2)]
     for k, (axis, kind) in enumerate(zip([*axes, "1 0 0"], [*kinds, "fixed"], strict=True)):
         text += f'<joint name="j{k}" type="{kind}"><origin xyz="0.1 0 0"/><axis xyz="{axis}"/>'
         text += f'<parent link="{links[k]}"/><child link="{links[k + 1]}"/>'
@@ -72,7 +73,8 @@ def test_the_parts_are_where_pinocchio_has_them(rng, make):
     arm = make()
     q = arm.random(rng)
     parts = arm.at(q).forward
-    model, data = arm.model, arm.model.createData()
+    model = arm.model
+    data = arm.model.createData()
     pin.forwardKinematics(model, data, q)
     for u, name in enumerate(arm.chain.joints):
         joint = model.getJointId(name)
@@ -98,7 +100,8 @@ def test_modules_join_end_to_end_from_base_to_tip(rng):
 def test_control_points_base_and_tip_are_marked_where_they_are(rng):
     arm = spatial()
     q = arm.random(rng)
-    figure, points = pp.plot_arm(arm, q), arm.at(q).points
+    figure = pp.plot_arm(arm, q)
+    points = arm.at(q).points
     np.testing.assert_allclose(flat_points(figure, "control points"), points[:-1], atol=1e-12)
     np.testing.assert_allclose(flat_points(figure, "tip"), points[-1:], atol=1e-12)
     np.testing.assert_allclose(flat_points(figure, "base"), arm.chain.base[None], atol=1e-12)
@@ -161,7 +164,8 @@ def test_a_planar_arm_is_drawn_in_its_plane_with_rings_for_axes_seen_from_the_en
 def test_joints_that_slide_are_told_from_those_that_turn():
     arm = sliding(["0 0 1", "0 1 0", "0 1 0"], ["revolute", "prismatic", "revolute"])
     assert arm.dimension == 3
-    figure, parts = pp.plot_arm(arm), arm.at(arm.neutral()).forward
+    figure = pp.plot_arm(arm)
+    parts = arm.at(arm.neutral()).forward
     for name, joints in (("slides", [1]), ("turns", [0, 2])):
         bars = flat_points(figure, f"axis of a joint that {name}").reshape(-1, 3, 3)[:, :2]
         np.testing.assert_allclose(bars.mean(axis=1), parts.origins[joints], atol=1e-12)

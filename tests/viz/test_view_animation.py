@@ -72,13 +72,15 @@ def test_a_motion_lasts_as_long_as_its_steps_but_at_least_two_seconds(steps, fps
 
 
 def test_bodies_are_where_they_were_in_the_run():
-    arm, run = four_modules(), some_run()
+    arm = four_modules()
+    run = some_run()
     shown = playback(run, 20.0, 240)
     listed = arm_tracks(arm, shown)
     poses = body_poses(arm, run.q)
     for u in range(arm.nv):
         path = f"/pinposture/arm/body_{u + 1:03d}"
-        position, turn = values_at(listed, path, "position"), values_at(listed, path, "quaternion")
+        position = values_at(listed, path, "position")
+        turn = values_at(listed, path, "quaternion")
         np.testing.assert_array_equal(position.times[1:-1], shown.times)
         np.testing.assert_allclose(position.values[1:-1], poses[:, u, :3, 3], atol=1e-15)
         matrices = Rotation.from_quat(turn.values[1:-1]).as_matrix()
@@ -95,10 +97,8 @@ def test_control_points_are_coloured_and_large_while_they_are_active():
     active = np.vstack([run.active, run.active[-1:]])
     for k in range(4):
         path = f"/pinposture/arm/body_{2 * k + 2:03d}/point"
-        color, size = (
-            values_at(listed, f"{path}/<object>", "material.color"),
-            values_at(listed, path, "scale"),
-        )
+        color = values_at(listed, f"{path}/<object>", "material.color")
+        size = values_at(listed, path, "scale")
         assert not color.smooth
         assert not size.smooth
         seen = value_while(color, shown.times)

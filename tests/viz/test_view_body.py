@@ -34,7 +34,8 @@ SLIDING = ModuleTemplate(
 def branching_model() -> pin.Model:
     """Three joints in a chain with turned frames, and one on a branch that the arm does not use."""
     rng = np.random.default_rng(3)
-    model, parent = pin.Model(), 0
+    model = pin.Model()
+    parent = 0
     for name, kind in (("a", pin.JointModelRX()), ("b", pin.JointModelPY()), ("c", pin.JointModelRZ())):
         placement = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-2, 2, 3)), rng.uniform(-0.3, 0.3, 3))
         parent = model.addJoint(parent, kind, placement, name)
@@ -42,7 +43,8 @@ def branching_model() -> pin.Model:
             model.addJoint(parent, pin.JointModelRX(), pin.SE3.Identity(), "branch")
     offset = pin.SE3(np.eye(3), np.array([0.1, 0.2, 0.0]))
     model.addFrame(pin.Frame("tip", parent, offset, pin.FrameType.OP_FRAME))
-    model.upperPositionLimit[:], model.lowerPositionLimit[:] = 2.0, -2.0
+    model.upperPositionLimit[:] = 2.0
+    model.lowerPositionLimit[:] = -2.0
     model.addFrame(pin.Frame("middle", 1, offset, pin.FrameType.OP_FRAME))
     return model
 
@@ -72,7 +74,8 @@ def pinocchio_poses(arm: Arm, q: np.ndarray) -> np.ndarray:
 def test_bodies_move_as_pinocchios_joints_do(name, seed):
     arm = arm_named(name)
     q = arm.random(np.random.default_rng(seed))
-    expected, neutral = pinocchio_poses(arm, q), pinocchio_poses(arm, arm.neutral())
+    expected = pinocchio_poses(arm, q)
+    neutral = pinocchio_poses(arm, arm.neutral())
     poses = body_poses(arm, q)
     np.testing.assert_allclose(poses[:, :3, 3], expected[:, :3, 3], atol=1e-12)
     # A body's axes are those of the world at the neutral configuration, a joint frame's are the model's own.
@@ -96,7 +99,8 @@ def test_control_points_are_fixed_to_their_bodies(name):
 def test_backbone_runs_from_the_base_through_every_control_point_to_the_tip(name):
     arm = arm_named(name)
     q = arm.random(np.random.default_rng(1))
-    line, points = backbone(arm, q), arm.at(q).points
+    line = backbone(arm, q)
+    points = arm.at(q).points
     np.testing.assert_allclose(line[0], arm.chain.base, atol=1e-12)
     np.testing.assert_allclose(line[-1], points[-1], atol=1e-12)
     distances = np.linalg.norm(line[:, None] - points, axis=2)
@@ -135,7 +139,8 @@ def test_only_joints_that_slide_reach_back_along_their_axis():
 
 def test_a_slide_without_a_limit_has_no_rod():
     model = branching_model()
-    model.upperPositionLimit[:], model.lowerPositionLimit[:] = np.finfo(float).max, -np.finfo(float).max
+    model.upperPositionLimit[:] = np.finfo(float).max
+    model.lowerPositionLimit[:] = -np.finfo(float).max
     arm = Arm.from_model(model, ["middle", "tip"])
     assert not arm.chain.revolute.all()
     np.testing.assert_array_equal([body.slide for body in bodies(arm)], np.zeros((3, 3)))

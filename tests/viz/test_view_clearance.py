@@ -24,7 +24,8 @@ def free_run() -> pp.Trajectory:
 
 
 def in_scene(clearance=None, **fields) -> pp.Trajectory:
-    free, scene = free_run(), pp.Scene({"ball": pp.Sphere((0.4, 0.3, 0.0), 0.05)}, margin=0.02)
+    free = free_run()
+    scene = pp.Scene({"ball": pp.Sphere((0.4, 0.3, 0.0), 0.05)}, margin=0.02)
     clearance = np.linspace(0.1, 0.03, free.steps + 1) if clearance is None else np.asarray(clearance)
     return replace(free, scene=scene, clearance=clearance, **fields)
 

@@ -96,7 +96,8 @@ def test_an_outline_is_as_wide_as_the_ellipsoid_in_every_direction_of_the_screen
     outline = silhouette(axes, screen) @ screen.T
     angle = np.linspace(0.0, 2.0 * np.pi, 13)
     ways = np.stack([np.cos(angle), np.sin(angle)])
-    widest, seen = (outline @ ways).max(axis=0), (surface @ ways).max(axis=0)
+    widest = (outline @ ways).max(axis=0)
+    seen = (surface @ ways).max(axis=0)
     # 48 corners: short of the ellipse by 1 - cos(pi / 48) at most.
     exact = np.linalg.norm(axes @ screen.T @ ways, axis=0)
     assert np.all(widest <= exact * (1.0 + 1e-12))
@@ -105,7 +106,8 @@ def test_an_outline_is_as_wide_as_the_ellipsoid_in_every_direction_of_the_screen
 
 
 def test_in_a_singular_posture_a_disc_is_left_in_space_and_a_line_in_the_plane():
-    arm, flat = spatial(), planar()
+    arm = spatial()
+    flat = planar()
     figure = pp.plot_arm(arm, ellipsoids=[5])
     disc = np.vstack(outlines(figure, arm)) - arm.chain.points[5]
     radii = drawn_length(arm, [5]) * arm.at(arm.neutral()).ellipsoids(5)[0].radii

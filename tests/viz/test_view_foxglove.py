@@ -74,7 +74,8 @@ def decoder(channel: dict[str, Any]) -> Callable[[bytes], Any]:
 
 def matrix(transform: Any) -> np.ndarray:
     """Return the homogeneous matrix of a transform."""
-    turn, at = transform.rotation, transform.translation
+    turn = transform.rotation
+    at = transform.translation
     placed = pin.SE3(pin.Quaternion(turn.w, turn.x, turn.y, turn.z), np.array([at.x, at.y, at.z]))
     return placed.homogeneous
 
@@ -110,7 +111,8 @@ def shows(q: np.ndarray) -> Callable[[dict[str, Any]], bool]:
 
 def test_links_are_where_pinocchio_places_them(arm: pp.Arm, watch: Any) -> None:
     viewer, client = watch(arm)
-    q, data = arm.random(np.random.default_rng(0)), arm.model.createData()
+    q = arm.random(np.random.default_rng(0))
+    data = arm.model.createData()
     viewer.show(q)
     found = client.snapshot(shows(q))
     assert list(positions(found["/joint_states"])) == list(arm.joint_names)
@@ -156,7 +158,8 @@ def test_who_comes_late_sees_the_arm_as_meshcat_draws_it(arm: pp.Arm, watch: Any
     for entity, pose, mesh in zip(links, body_poses(arm, q), drawing.arm_surfaces(arm).bodies, strict=True):
         [surface] = entity.triangles
         points = np.array([[at.x, at.y, at.z] for at in surface.points])
-        turn, shift = frames[entity.frame_id][:3, :3], frames[entity.frame_id][:3, 3]
+        turn = frames[entity.frame_id][:3, :3]
+        shift = frames[entity.frame_id][:3, 3]
         expected = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
         np.testing.assert_allclose(points @ turn.T + shift, expected, atol=1e-12)
         assert list(surface.indices) == mesh.faces.ravel().tolist()
@@ -176,13 +179,15 @@ def test_a_control_loop_is_seen_with_its_status_clearance_and_command(arm: pp.Ar
     assert found["/status"] == {"status": "holding", "reason": "no step yet", "time": 0.0}
     assert "/tf" not in found
     assert "/joint_commands" not in found
-    q, target = arm.straight(), pp.Target.from_configuration(arm, 0.1 * np.ones(arm.nv))
+    q = arm.straight()
+    target = pp.Target.from_configuration(arm, 0.1 * np.ones(arm.nv))
     tracker.update(target)
     for _ in range(3):
         q = arm.integrate(q, tracker.step(q))
         viewer.show(q)
     found = client.snapshot(shows(q))
-    report, near = tracker.report, pp.CollisionModel(arm, scene).minimum(q)
+    report = tracker.report
+    near = pp.CollisionModel(arm, scene).minimum(q)
     assert found["/status"] == {
         "status": "moving",
         "reason": "",

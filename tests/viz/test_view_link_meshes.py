@@ -205,7 +205,8 @@ def test_a_body_of_which_nothing_would_be_left_is_left_out(robot):
 
 
 def test_files_are_found_by_every_kind_of_name(tmp_path, monkeypatch):
-    packages, package = tmp_path / "packages", tmp_path / "packages/robot"
+    packages = tmp_path / "packages"
+    package = tmp_path / "packages/robot"
     (package / "urdf").mkdir(parents=True)
     file = package / "a b.stl"
     file.write_bytes(b"")
@@ -289,7 +290,8 @@ def test_a_page_draws_the_meshes_and_the_control_points(robot, tmp_path):
         return drawn(save_html(arm, run, tmp_path / name))
 
     arm = robot(urdf(tool=PLAIN))
-    shapes, plain = page(arm, "meshes"), page(robot(urdf(PLAIN, PLAIN, PLAIN, PLAIN)), "plain")
+    shapes = page(arm, "meshes")
+    plain = page(robot(urdf(PLAIN, PLAIN, PLAIN, PLAIN)), "plain")
     meshes = body_meshes(arm)
     root = "/pinposture/arm"
     assert len(as_set(shapes[f"{root}/body_001/link"])) == 4

@@ -57,7 +57,8 @@ def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(rng, make):
     scale = drawn_length(arm, chosen)
     for point, color in zip(chosen, arm.at(q).ellipsoids(chosen), strict=True):
         path = f"/pinposture/ellipsoids/point_{point + 1:03d}"
-        drawing, placing = by_kind(commands, "set_object")[path], by_kind(commands, "set_transform")[path]
+        drawing = by_kind(commands, "set_object")[path]
+        placing = by_kind(commands, "set_transform")[path]
         matrix = np.reshape(placing["matrix"], (4, 4)).T
         surface = vertices(drawing) @ matrix[:3, :3].T + matrix[:3, 3]
         inside = levels(surface, arm, q, point, scale)
@@ -90,7 +91,8 @@ def track_of(listed, point: int, name: str):
 @pytest.mark.parametrize("make", [spatial, planar])
 def test_tracks_carry_the_ellipsoid_of_every_configuration(make):
     arm = make()
-    run, point = some_run(arm), arm.n_modules - 1
+    run = some_run(arm)
+    point = arm.n_modules - 1
     shown = playback(run, 20.0, 240)
     listed = ellipsoid_tracks(ellipsoid_motion(arm, (point,), run.q[shown.rows]), shown)
     place, turn, size, color = (
@@ -116,7 +118,8 @@ def test_tracks_carry_the_ellipsoid_of_every_configuration(make):
 @pytest.mark.parametrize("make", [spatial, planar])
 def test_axes_do_not_jump_from_one_frame_to_the_next(make):
     arm = make()
-    run, chosen = some_run(arm, 400), tuple(range(1, arm.n_modules))
+    run = some_run(arm, 400)
+    chosen = tuple(range(1, arm.n_modules))
     shown = playback(run, 20.0, 500)
     moving = ellipsoid_motion(arm, chosen, run.q[shown.rows])
     axes = moving.frames * moving.radii[..., None]
@@ -147,11 +150,15 @@ def test_axes_keep_their_names_where_radii_pass_each_other():
 @examples(40)
 def test_axes_in_whatever_order_and_sign_are_carried_on_as_they_were(seed):
     rng = np.random.default_rng(seed)
-    frame, radii = Rotation.random(random_state=seed).as_matrix(), rng.uniform(0.1, 1.0, 3)
-    frames, lengths = np.empty((8, 1, 3, 3)), np.empty((8, 1, 3))
+    frame = Rotation.random(random_state=seed).as_matrix()
+    radii = rng.uniform(0.1, 1.0, 3)
+    frames = np.empty((8, 1, 3, 3))
+    lengths = np.empty((8, 1, 3))
     for k in range(8):
-        order, signs = rng.permutation(3), rng.choice([-1.0, 1.0], 3)
-        frames[k, 0], lengths[k, 0] = signs[:, None] * frame[order], radii[order]
+        order = rng.permutation(3)
+        signs = rng.choice([-1.0, 1.0], 3)
+        frames[k, 0] = signs[:, None] * frame[order]
+        lengths[k, 0] = radii[order]
         frames[k, 0, 0] *= np.linalg.det(frames[k, 0])
     again, along = continue_axes(frames, lengths)
     np.testing.assert_allclose(again, np.broadcast_to(frames[0], again.shape), atol=1e-12)

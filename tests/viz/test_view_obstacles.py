@@ -183,7 +183,8 @@ HOLLOWS = {  # a cube without its sides: two triangles, at its bottom and top
 
 @pytest.mark.parametrize("name", HOLLOWS)
 def test_scans_and_hollow_meshes_are_drawn_as_they_are(name, arm, tmp_path):
-    obstacle, thick = HOLLOWS[name], 0.004 if name == "cloud" else 0.0
+    obstacle = HOLLOWS[name]
+    thick = 0.004 if name == "cloud" else 0.0
     (vertices, _), *more = drawn_in(
         page_commands(pp.save_html(arm, still(arm, pp.Scene({name: obstacle})), tmp_path / "run.html"))
     )

@@ -125,7 +125,9 @@ def spatial_line(line) -> np.ndarray:
 
 
 def test_posture_panel_draws_start_end_and_target_to_one_scale():
-    arm, target, run = six_modules(), helix(), some_run()
+    arm = six_modules()
+    target = helix()
+    run = some_run()
     ax = one_panel(projection="3d")
     plot_postures(run, ax)
     drawn = [spatial_line(line) for line in ax.get_lines() if len(line.get_data_3d()[0])]
@@ -318,7 +320,8 @@ def test_runs_that_lie_on_each_other_are_all_seen_in_a_comparison():
     drawn = draw(figure)[..., :3].astype(float)
     _, panel, counts = figure.axes
     box = counts.get_window_extent()
-    low, high = len(drawn) - int(box.y1) - 5, len(drawn) - int(box.y0)
+    low = len(drawn) - int(box.y1) - 5
+    high = len(drawn) - int(box.y0)
     inside = drawn[low:high, int(box.x0) : int(box.x1)]
     for name in names:
         color = 255.0 * np.array(palette.rgb(palette.CONTROLLER_COLORS[name]))

@@ -23,8 +23,11 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-9
 """Largest violation of a constraint by the solver; rows are scaled to length 1."""
 
-SOLVED, SOLVED_SOFTLY = 1, 2
-HARD, EQUAL, SOFT = 0, 5, 8
+SOLVED = 1
+SOLVED_SOFTLY = 2
+HARD = 0
+EQUAL = 5
+SOFT = 8
 SOFTNESS = 1e-7
 """Softness of rows that may be violated: the inverse of the weight of their violation."""
 
@@ -91,7 +94,8 @@ def solve(
     binding = np.zeros(len(all_rows.least), dtype=np.bool_)
     # Most rows cannot bind within the box; leaving them out saves time.
     possible = np.flatnonzero(all_rows.lowest(lower, upper) < all_rows.least)
-    matrix, least = all_rows.matrix[possible], all_rows.least[possible]
+    matrix = all_rows.matrix[possible]
+    least = all_rows.least[possible]
     equations = (np.zeros((0, n)), np.zeros(0)) if equal is None else equal
 
     def attempt(hessian: Array, gradient: Array, least: Array, soft: bool) -> Array | None:
@@ -110,9 +114,11 @@ def solve(
         )
         return x if flag in (SOLVED, SOLVED_SOFTLY) and np.all(np.isfinite(x)) else None
 
-    x, softened = attempt(hessian, gradient, least, soft=False), False
+    x = attempt(hessian, gradient, least, soft=False)
+    softened = False
     if x is None and len(least):
-        softened, nearest = True, attempt(np.eye(n), np.zeros(n), least, soft=True)
+        softened = True
+        nearest = attempt(np.eye(n), np.zeros(n), least, soft=True)
         if nearest is not None:  # relax the rows as far as needed, then minimise within them
             least = np.minimum(least, matrix @ nearest - TOLERANCE)
             x = attempt(hessian, gradient, least, soft=False)
@@ -133,15 +139,18 @@ MAX_CLEARANCE_LOSS = 0.5
 STEP_CLEARANCE = 0.002
 """Clearance that steps keep beyond the margin, in arm lengths, to allow for curvature within a step."""
 
-PATH_CLEARANCE, PATH_SIGHT = 0.01, 0.05
+PATH_CLEARANCE = 0.01
+PATH_SIGHT = 0.05
 """Clearance that a planned path keeps beyond the margin where possible, and further distance up to which
 pairs are considered while a path is relaxed, in arm lengths."""
 
-GAIN_SHARE, RETREAT_GAIN_SHARE = 0.5, 0.9
+GAIN_SHARE = 0.5
+RETREAT_GAIN_SHARE = 0.9
 """Share of the largest possible gain of clearance in a step that is required of a pair that is too close: for
 a fixed obstacle, and for a moving one."""
 
-RETREAT_SHARE, RETREAT_SPEED_SHARE = 0.2, 0.5
+RETREAT_SHARE = 0.2
+RETREAT_SPEED_SHARE = 0.5
 """Share of the largest acceleration and speed away from an obstacle that a retreat relies on."""
 
 MAX_NAMED_PAIRS = 3
@@ -229,9 +238,12 @@ class Avoidance:
         previous: Array | None = None,
         offset: Array | None = None,
     ) -> None:
-        self.clearance, self.margin = clearance, clearance.scene.margin
+        self.clearance = clearance
+        self.margin = clearance.scene.margin
         self.offset = offset
-        self.objective, self._length, self._bounds = objective, objective.arm.length, bounds
+        self.objective = objective
+        self._length = objective.arm.length
+        self._bounds = bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
         self._seen: tuple[ArmState, Distances] | None = None
         self._seen_displaced: tuple[ArmState, Distances] | None = None
@@ -317,7 +329,8 @@ class Avoidance:
         if not self.moving:
             return ConstraintRows(matrix, np.minimum(-self._approach * room, GAIN_SHARE * most))
         # Retreating at c - a r, where c is the speed of the obstacle, takes an acceleration of at most a c.
-        closing, approach = -self._dt * near.rates, np.full(len(room), self._approach)
+        closing = -self._dt * near.rates
+        approach = np.full(len(room), self._approach)
         if self._bounds.brake is not None:
             brake = self._bounds.brake[self.objective.columns] / self.objective.units
             able = RETREAT_SHARE * (np.abs(matrix) @ np.minimum(brake, 1e9))
@@ -392,7 +405,8 @@ class Avoidance:
             return ClearStep(dq, 1.0, self._approved[1])
         if self.stops_clear(state, dq):
             return ClearStep(dq, 1.0, self._stopping(state, dq))
-        bounds, rest = self._bounds, np.zeros((1, len(dq)))
+        bounds = self._bounds
+        rest = np.zeros((1, len(dq)))
         rooms = bounds.edges - state.forward.positions
         braking = np.vstack([stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), rest])
         # Obstacles keep moving when the arm has stopped, so that all steps are compared at the same time.

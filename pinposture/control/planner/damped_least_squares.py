@@ -23,13 +23,18 @@ MIN_DAMPING = 1e-10
 DAMPING_SHARE = 0.5
 """Damping relative to the sum of squared errors (Sugihara 2011)."""
 
-DECREASE, INCREASE, MIN_FACTOR, MAX_FACTOR = 0.3, 4.0, 1e-6, 1e9
+DECREASE = 0.3
+INCREASE = 4.0
+MIN_FACTOR = 1e-6
+MAX_FACTOR = 1e9
 """Changes of the damping factor after a step that reduced the cost and one that did not, and its range."""
 
 SEARCH_STEP = 0.2
 """Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
 
-MAX_SEARCH_STEPS, CONVERGED, MAX_IDLE = 120, 1e-6, 3
+MAX_SEARCH_STEPS = 120
+CONVERGED = 1e-6
+MAX_IDLE = 3
 """Largest number of iterations; relative decrease of the cost that counts as none; how often in a row."""
 
 MAX_QUICK_STEPS = 6
@@ -38,7 +43,8 @@ MAX_QUICK_STEPS = 6
 INDEPENDENT = 1e-6
 """Smallest singular value of independent rows of tasks with priority, relative to the largest."""
 
-FEW_ROWS, SQUARED_JOINTS_PER_ROW = 2, 1000.0
+FEW_ROWS = 2
+SQUARED_JOINTS_PER_ROW = 1000.0
 """Number of constraints up to which the time that is linear in the number of joints is the shorter one: the
 first, and for long arms the square of the number of joints over the second."""
 
@@ -144,7 +150,8 @@ def solve_posture(
         center: c, (n,), in `Arm.joint_units`.
         bounds: the bounds of the step.
     """
-    lower, upper = bounds.lower, bounds.upper
+    lower = bounds.lower
+    upper = bounds.upper
     given = errors, damping, center, lower, upper
     if bounds.rows is None:
         return Solution(solver.step(*given), np.zeros(0, dtype=np.bool_), False)
@@ -216,14 +223,16 @@ def correct_curvature(objective: Objective, bounds: StepBounds, x: Array) -> Arr
         return x
     inverse = np.linalg.pinv(before.matrix, rcond=INDEPENDENT)
     planned = before.errors - before.matrix @ x
-    left, best = np.inf, x
+    left = np.inf
+    best = x
     for _ in range(CURVATURE_CORRECTIONS):
         after = objective.task_rows(objective.state_after(bounds.state, x), priority=True)
         missed = planned if after is None else after.errors - planned
         found = float(np.linalg.norm(missed))
         if found >= left:
             break
-        left, best = found, x
+        left = found
+        best = x
         x = np.clip(x + inverse @ missed, bounds.lower, bounds.upper)
     return best
 
@@ -254,14 +263,17 @@ def minimize(
     if avoidance is None and not objective.tasks:
         return _minimize_alone(objective, state, edges, good, steps)
     columns = objective.columns
-    cost, damping, idle = objective.cost(state), 1.0, 0
+    cost = objective.cost(state)
+    damping = 1.0
+    idle = 0
     close = allowed if avoidance is None else max(avoidance.intrusion(state), allowed)
     for _ in range(steps):
         if not objective.tasks and close == allowed and objective.mean_error(state) <= good:
             break
         here = state.positions[columns]
         lower, upper = ((edge[columns] - here) / objective.units for edge in edges)
-        lower, upper = np.clip(lower, -SEARCH_STEP, 0.0), np.clip(upper, 0.0, SEARCH_STEP)
+        lower = np.clip(lower, -SEARCH_STEP, 0.0)
+        upper = np.clip(upper, 0.0, SEARCH_STEP)
         rows = None if avoidance is None else avoidance.rows(state, lower, upper)
         bounds = StepBounds(state, lower, upper, rows)
         x = reduce_errors(objective, bounds, damping).x
@@ -272,7 +284,10 @@ def minimize(
         closer = 0.0 if avoidance is None or tried is None else max(avoidance.intrusion(tried), allowed)
         if tried is not None and (closer < close or (closer == close and found < cost)):
             idle = idle + 1 if closer == close and found > (1.0 - CONVERGED) * cost else 0
-            state, cost, close, damping = tried, found, closer, max(damping * DECREASE, MIN_FACTOR)
+            state = tried
+            cost = found
+            close = closer
+            damping = max(damping * DECREASE, MIN_FACTOR)
         else:
             damping *= INCREASE
             idle += damping > MAX_FACTOR
@@ -285,7 +300,8 @@ def _minimize_alone(
     objective: Objective, state: ArmState, edges: Array, good: float, steps: int
 ) -> LeastSquaresResult:
     """Run `minimize` for points and chords in free space, in one compiled call."""
-    arm, positions = objective.arm, state.forward.positions.copy()
+    arm = objective.arm
+    positions = state.forward.positions.copy()
     squares, mean = _search(objective, positions, edges, good, steps)
     found = arm.at(arm.integrate(state.q, positions - state.forward.positions)).compiled
     return LeastSquaresResult(found, 0.5 * squares, mean, 0.0)
@@ -303,12 +319,14 @@ def find_positions_near(objective: Objective, state: ArmState, edges: Array) -> 
         Joint positions, (nv,) [rad or m]: those of the configuration of the target if it has one, else those
         that a short search finds; None if it finds none.
     """
-    arm, target = objective.arm, objective.target
+    arm = objective.arm
+    target = objective.target
     if target.q is not None:
         return arm.difference(arm.origin, target.q) if len(objective.active) == arm.n_modules else None
     if objective.mean_error(state) > SHORT_MOTION * arm.length:
         return None
-    positions, good = state.forward.positions.copy(), GOAL_TOLERANCE * arm.length
+    positions = state.forward.positions.copy()
+    good = GOAL_TOLERANCE * arm.length
     return positions if _search(objective, positions, edges, good, MAX_QUICK_STEPS)[1] <= good else None
 
 
@@ -316,7 +334,8 @@ def _search(
     objective: Objective, positions: Array, edges: Array, good: float, steps: int
 ) -> tuple[float, float]:
     """Search from joint positions, (nv,), in place; return the sum of squares and the mean error."""
-    arm, chain = objective.arm, objective.chain
+    arm = objective.arm
+    chain = objective.chain
     problem = PostureProblem(
         arm.kinematics.constants,
         chain.joints,

@@ -270,7 +270,8 @@ def follow(
     if arm_of(state) is not path.path.arm:
         raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")
     require_step_arguments(state, path.path.objective.target, memory)
-    limits, state = path.limits if limits is None else require_limits(limits), state.compiled
+    limits = path.limits if limits is None else require_limits(limits)
+    state = state.compiled
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq
     progress = known if known is not None and known.timed is path else PathProgress.begin(path, previous)
@@ -291,18 +292,25 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
         state: the state of the arm.
         bounds: the limits of the joints.
     """
-    timed, objective = progress.timed, progress.objective
+    timed = progress.timed
+    objective = progress.objective
     if progress.arrived or timed.profile is not None or objective.has_tasks:
         return None
-    arm, ahead, i = state.arm, progress.ahead, progress.taken
+    arm = state.arm
+    ahead = progress.ahead
+    i = progress.taken
     known = ahead is not None and ahead.bounds is bounds and i < len(ahead.places)
     if ahead is None or not known or not _is_expected(progress, state):
         if len(objective.chain.joints) < len(arm.kinematics.columns):
             return None
-        ahead, i = _steps_ahead(progress, state, bounds), 0
+        ahead = _steps_ahead(progress, state, bounds)
+        i = 0
         if not ahead.places:
             return None
-    place, before, after, dq = ahead.places[i], ahead.errors[i], ahead.errors[i + 1], ahead.dq[i].copy()
+    place = ahead.places[i]
+    before = ahead.errors[i]
+    after = ahead.errors[i + 1]
+    dq = ahead.dq[i].copy()
     hindered = place <= progress.place
     moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
     diagnostics = _diagnose(objective, ahead.at_limit[i], before, after, moved.idle_travel == 0.0)
@@ -424,11 +432,14 @@ def pursue(
     Returns:
         The step, None if the target is at rest or too far away; and the goal, None if unknown.
     """
-    arm, target, bounds = state.arm, objective.target, limits.for_arm(state.arm)
+    arm = state.arm
+    target = objective.target
+    bounds = limits.for_arm(state.arm)
     before = memory.goal if isinstance(memory, GeodesicMemory) else None
     if before is not None and before.target is target:
         return None, before._replace(motion=np.zeros(arm.nv))
-    found, none = find_positions_near(objective, state, bounds.edges), np.zeros(arm.nv)
+    found = find_positions_near(objective, state, bounds.edges)
+    none = np.zeros(arm.nv)
     if found is None or bounds.brake is None:
         return None, None
     if target.q is not None:  # its configuration may miss the points
@@ -436,14 +447,17 @@ def pursue(
         if missed > GOAL_TOLERANCE * arm.length:
             return None, None
     motion = none if before is None else _turned(arm, found - before.positions)
-    goal, steady = Goal(target, found, motion), False
+    goal = Goal(target, found, motion)
+    steady = False
     if target.velocity is not None and bounds.dt is not None:
-        motion, steady = bounds.dt * target.velocity, True
+        motion = bounds.dt * target.velocity
+        steady = True
     elif before is not None:
         steady = bool(np.all(np.abs(motion - before.motion) <= bounds.brake * (1.0 + LIMIT_ROUNDING)))
     if not (steady and np.any(motion)):
         return None, goal
-    columns, positions = objective.columns, state.forward.positions
+    columns = objective.columns
+    positions = state.forward.positions
     rest = _turned(arm, found - positions)
     near = np.abs(rest) <= MAX_PURSUED_MOTION * arm.joint_units
     moves = near & (np.abs(motion) <= bounds.bound)
@@ -454,7 +468,9 @@ def pursue(
     dq = np.zeros(arm.nv)
     wanted = motion + farthest(rest - motion, bounds.brake)
     dq[columns] = np.minimum(np.maximum(wanted, box.lower), box.upper)[columns]
-    reached, at_limit, chain = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_), objective.chain
+    reached = np.empty(arm.nv)
+    at_limit = np.empty(arm.nv, dtype=np.bool_)
+    chain = objective.chain
     error, after = kernels.look_ahead(
         arm.kinematics.constants,
         positions,
@@ -533,8 +549,10 @@ def step_along(
         limits: the limits.
         avoidance: the obstacles to avoid; None: none.
     """
-    objective, path = progress.objective, progress.path
-    bounds, here = limits.for_arm(state.arm), progress.place
+    objective = progress.objective
+    path = progress.path
+    bounds = limits.for_arm(state.arm)
+    here = progress.place
     place, left, inside, hindered, dq = _next_on_path(progress, state, box, bounds)
     if place >= path.end and left <= ARRIVED:
         progress = progress._replace(arrived=True, place=path.end)
@@ -549,7 +567,8 @@ def step_along(
     still = avoidance is not None and not avoidance.moving and avoidance.offset is None
     if may_follow and still and avoidance is not None and avoidance.stops_clear(state, dq):
         return CandidateStep(dq, progress)  # without computing the rows of constraints
-    step_bounds, wanted = StepBounds.of(objective, state, box, avoidance), objective.normalize(dq)
+    step_bounds = StepBounds.of(objective, state, box, avoidance)
+    wanted = objective.normalize(dq)
     if may_follow and step_bounds.admit(wanted):
         return CandidateStep(dq, progress)
     if not objective.has_tasks:
@@ -557,7 +576,8 @@ def step_along(
         found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, step_bounds)
         x = np.clip(wanted, step_bounds.lower, step_bounds.upper) if found.x is None else found.x
         return CandidateStep(objective.displacement(x), progress, found)
-    hessian, first = damped_hessian(objective.rows(state).matrix, objective.mu**2), None
+    hessian = damped_hessian(objective.rows(state).matrix, objective.mu**2)
+    first = None
     if tasks is not None:
         share = place / path.end
         before, after = path.task_errors
@@ -590,8 +610,11 @@ class _Proposal(NamedTuple):
 
 
 def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds: JointBounds) -> _Proposal:
-    timed, path, here = progress.timed, progress.path, progress.place
-    columns, units = progress.objective.columns, progress.objective.chain.units
+    timed = progress.timed
+    path = progress.path
+    here = progress.place
+    columns = progress.objective.columns
+    units = progress.objective.chain.units
     if timed.profile is None:
         stride = path.stride(state, here, box.sides)
         return _Proposal(stride.place, stride.left, stride.inside, True, stride.dq)
@@ -606,9 +629,11 @@ def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds:
         return _Proposal(max(here, 1.0 - ahead / max(whole, ARRIVED)), left, True, True, dq)
     wanted = min(timed.profile.next(here, progress.speed), path.end - here)
     smooth = path.smooth_offset(here)
-    onward, lag = path.smooth_offset(here + wanted) - smooth, smooth - offset
+    onward = path.smooth_offset(here + wanted) - smooth
+    lag = smooth - offset
     share = _admissible_share(onward[columns], lag[columns], bounds.bound[columns])
-    place, hindered = here + share * wanted, share < 1.0 or here >= path.end
+    place = here + share * wanted
+    hindered = share < 1.0 or here >= path.end
     place = path.end if place > path.end - ARRIVED else place
     # The lag is made up no faster than the arm can stop, or it would oscillate about its path.
     if bounds.brake is not None:
@@ -635,7 +660,9 @@ def _admissible_share(onward: Array, lag: Array, bound: Array) -> float:
 
 def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateStep:
     """Return the step that reduces the remaining errors at the end of the path, damped until it does."""
-    objective, damping, found = progress.objective, progress.damping, None
+    objective = progress.objective
+    damping = progress.damping
+    found = None
     state = bounds.state
     cost = objective.cost(state)
     if bounds.retreating:
@@ -663,7 +690,8 @@ def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
         for task in objective.tasks
     ]
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""
-    target, missed = objective.target, objective.mean_error(bounds.state) > TAKEN * objective.arm.length
+    target = objective.target
+    missed = objective.mean_error(bounds.state) > TAKEN * objective.arm.length
     if missed and (target.q is None or target.approximate):
         words += "; no posture that takes all points was found; the closest one may be a local minimum"
     return words
@@ -678,8 +706,11 @@ def _check_step(
     before: PathProgress,
 ) -> Step:
     """Make the step finite, within its limits and clear, and add its diagnostics."""
-    arm, progress = state.arm, candidate.progress
-    dq, violated, share = candidate.dq, box.violated_constraints, 1.0
+    arm = state.arm
+    progress = candidate.progress
+    dq = candidate.dq
+    violated = box.violated_constraints
+    share = 1.0
     stopping: Array | None = None
     near: tuple[str, ...] = ()
     reason = candidate.reason

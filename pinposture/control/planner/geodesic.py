@@ -40,7 +40,8 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-MAX_IDLE_TRAVEL, MAX_PATH_ATTEMPTS = 1.0, 3
+MAX_IDLE_TRAVEL = 1.0
+MAX_PATH_ATTEMPTS = 3
 """Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
 
 MIN_CLEARANCE_GAIN = 1e-4
@@ -290,11 +291,13 @@ class Geodesic:
         """Take a step back into the position limits, where a path can begin."""
         arm = state.arm
         target.check(arm)
-        dq, violated = np.zeros(arm.nv), box.violated_constraints
+        dq = np.zeros(arm.nv)
+        violated = box.violated_constraints
         dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
         objective = self.objective(arm, target)
         avoidance = Avoidance.of(self.scene, objective, limits.for_arm(arm), previous, self.offset)
-        share, stopping = 1.0, None
+        share = 1.0
+        stopping = None
         if avoidance is not None:
             if avoidance.moving or avoidance.offset is not None:
                 evading = _smallest_motion(avoidance, StepBounds.of(objective, state, box, avoidance))
@@ -384,7 +387,8 @@ def plan_from(
     Returns:
         The progress at the start of the path, without objective and scene; see `adopt_plan`.
     """
-    state, objective = arm.at(q).compiled, controller.objective(arm, target)
+    state = arm.at(q).compiled
+    objective = controller.objective(arm, target)
     path = controller._find_path(objective, state, limits, attempt)
     progress = PathProgress.begin(retime(path, limits), previous)
     bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
@@ -423,7 +427,8 @@ def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
 
 def _smallest_motion(avoidance: Avoidance, bounds: StepBounds) -> Array:
     """Return the smallest displacement within bounds, (nv,) [rad or m], by which the arm evades obstacles."""
-    solver, rest = ChainSolver(avoidance.objective, bounds.state, weight=0.0), np.zeros(len(bounds.lower))
+    solver = ChainSolver(avoidance.objective, bounds.state, weight=0.0)
+    rest = np.zeros(len(bounds.lower))
     found = solve_posture(solver, solver.covered(rest), 1.0, rest, bounds).x
     x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
     return avoidance.objective.displacement(x)
@@ -431,7 +436,8 @@ def _smallest_motion(avoidance: Avoidance, bounds: StepBounds) -> Array:
 
 def _is_almost_inside(state: ArmState, bounds: JointBounds) -> bool:
     """Whether joints are outside their limits at most as far as noise and disturbances take an arm."""
-    positions, most = state.forward.positions, MAX_DEVIATION * state.arm.joint_units
+    positions = state.forward.positions
+    most = MAX_DEVIATION * state.arm.joint_units
     return bool(np.all((positions >= bounds.edges[0] - most) & (positions <= bounds.edges[1] + most)))
 
 
@@ -451,7 +457,8 @@ def _step_before_planning(
     stopping: Array | None,
 ) -> Step:
     """Return a step to where a path can begin, with a memory of the step alone."""
-    arm, active = state.arm, tuple(int(k) for k in np.flatnonzero(target.has_target))
+    arm = state.arm
+    active = tuple(int(k) for k in np.flatnonzero(target.has_target))
     after = arm.at(arm.integrate(state.q, dq)).compiled
     diagnostics = Diagnostics(
         np.zeros(arm.nv, dtype=np.bool_),

@@ -110,10 +110,12 @@ def _layout_of(arm: Arm, weights: Array, relative_position_weight: float) -> _La
 
 def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
     joints = np.flatnonzero(arm.limits.upper[arm.columns] > arm.limits.lower[arm.columns]).astype(np.int64)
-    columns, indices = arm.columns[joints].astype(np.int64), np.flatnonzero(weights > 0.0)
+    columns = arm.columns[joints].astype(np.int64)
+    indices = np.flatnonzero(weights > 0.0)
     points = weights[indices]
     chords = relative_position_weight * np.minimum(points[1:], points[:-1])
-    units, none = np.array(arm.joint_units[columns]), np.empty((0, 3))
+    units = np.array(arm.joint_units[columns])
+    none = np.empty((0, 3))
     chain = ChainObjective(
         joints=joints,
         ends=np.searchsorted(joints, arm.kinematics.ends[indices]).astype(np.int64),
@@ -185,7 +187,8 @@ class Objective:
     @cached_property
     def chain(self) -> ChainObjective:
         """Points and chords as arrays for kernels."""
-        points, layout = np.array(self.target.points), self._layout
+        points = np.array(self.target.points)
+        layout = self._layout
         goals = points if len(layout.active) == len(points) else points[layout.chain.has_target]
         return layout.chain._replace(targets=points, goals=goals)
 
@@ -215,10 +218,12 @@ class Objective:
 
     def task_rows(self, state: ArmState, priority: bool) -> LinearRows | None:
         """Return the rows of the tasks with or without priority, times the roots of weights; None if none."""
-        matrices, errors = [], []
+        matrices = []
+        errors = []
         for task in self.tasks:
             if task.priority == priority:
-                rows, root = task.rows(state, self.target), float(np.sqrt(task.weight))
+                rows = task.rows(state, self.target)
+                root = float(np.sqrt(task.weight))
                 matrices.append(root * rows.jacobian[:, self.columns] * self.units)
                 errors.append(root * rows.error)
         return LinearRows(np.concatenate(matrices), np.concatenate(errors)) if matrices else None
@@ -373,7 +378,8 @@ class ChainSolver:
             upper: largest x, (n,).
         """
         n = len(center)
-        x, sides = np.empty(n), (center > upper).astype(np.int8) - (center < lower).astype(np.int8)
+        x = np.empty(n)
+        sides = (center > upper).astype(np.int8) - (center < lower).astype(np.int8)
         kernels.minimise_in_box(self._points, errors, np.full(n, damping), center, lower, upper, sides, x)
         return x
 

@@ -117,7 +117,8 @@ class JointPath:
     def smooth_offset(self, place: float | Array) -> Array:
         """Return the displacement from the start on the cubic spline through the waypoints; as `offset`."""
         i, t = self._piece(place)
-        before, after = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * t * (3.0 - 2.0 * t)
+        before = (1.0 + 2.0 * t) * (1.0 - t) ** 2
+        after = t * t * (3.0 - 2.0 * t)
         here = before * self.offsets[i] + after * self.offsets[i + 1]
         return np.asarray(here + t * (1.0 - t) * ((1.0 - t) * self.slopes[i] - t * self.slopes[i + 1]))
 
@@ -175,7 +176,8 @@ class JointPath:
         shares = np.maximum(shares / max(shares[-1], 1e-9), 0.0)
         offsets = self.offsets + shares[:, None] * change
         lowest, highest = edges - self.positions
-        lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)
+        lowest = np.minimum(lowest, 0.0)
+        highest = np.maximum(highest, 0.0)
         offsets = np.ascontiguousarray(np.minimum(np.maximum(offsets, lowest), highest))
         return replace(self, offsets=offsets)
 
@@ -221,7 +223,8 @@ class JointPath:
 # as much as those allow (as in TOPP-RA). Steps are means of the speed, so limits that hold at all times hold
 # for steps.
 
-SPEED_SHARE, ACCELERATION_SHARE = 0.98, 0.97
+SPEED_SHARE = 0.98
+ACCELERATION_SHARE = 0.97
 """Shares of the velocity and acceleration limits that the profile uses; the rest is for corrections."""
 
 LEAST_PARTS = 128
@@ -322,14 +325,16 @@ class TimedPath:
 
         Without a profile the arm may cut corners at waypoints and arrive earlier.
         """
-        end, profile = self.path.end, self.profile
+        end = self.path.end
+        profile = self.profile
         if profile is None:
             bound = np.minimum(self.bounds.bound, MAX_STEP * self.path.arm.joint_units)
             pieces = np.abs(np.diff(self.path.offsets, axis=0)) / bound
             passed = np.concatenate([[0.0], np.cumsum(pieces.max(axis=1))])
             steps = np.append(np.arange(0.0, passed[-1]), passed[-1])
             return np.asarray(np.interp(steps, passed, np.arange(end + 1.0)))
-        places, speed = [0.0], 0.0
+        places = [0.0]
+        speed = 0.0
         while places[-1] < end * (1.0 - ZERO_SLOPE):
             speed = min(profile.next(places[-1], speed), end - places[-1])
             if speed <= 0.0:
@@ -374,7 +379,8 @@ def retime(
     elif max_rate != inf:
         require_positive("max_rate", max_rate)
     require_positive("initial_speed", initial_speed, zero=True)
-    bounds, profile = limits.for_arm(path.arm), None
+    bounds = limits.for_arm(path.arm)
+    profile = None
     if bounds.brake is not None or np.all(np.isfinite(max_rate)):
         path = path.within(bounds.edges)
         profile = SpeedProfile(path, bounds, max_rate, initial_speed)

@@ -25,7 +25,8 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-WITHDRAWAL_STEP, NEAR_SHARE = 0.01, 0.3
+WITHDRAWAL_STEP = 0.01
+NEAR_SHARE = 0.3
 """Length of a withdrawal step, and of the part of the arm that takes up the slack, in arm lengths."""
 
 WITHDRAWAL_ERROR = 0.002
@@ -37,14 +38,18 @@ MAX_FAILURES = 3
 JOIN_EVERY = 0.2
 """Depth of withdrawal between attempts to join the ends, in arm lengths."""
 
-JOIN_NODES, SEARCH_NODES = 150, 2000
+JOIN_NODES = 150
+SEARCH_NODES = 2000
 """Largest number of tree nodes of an attempt to join the ends, and of the last one."""
 
-TREE_STEP, PIECE_TURN = 0.3, 0.1
+TREE_STEP = 0.3
+PIECE_TURN = 0.1
 """Largest joint motion of an edge of the trees, and of a piece of the path when it is shortened, in
 `Arm.joint_units`."""
 
-UNIFORM_SHARE, MAX_AMPLITUDE, NOISE = 0.5, 1.5, 0.3
+UNIFORM_SHARE = 0.5
+MAX_AMPLITUDE = 1.5
+NOISE = 0.3
 """Samples of the tree search: the share that is uniform within limits; for the others, the largest amplitude
 of smooth random configurations, and the noise about the line between both ends."""
 
@@ -96,9 +101,15 @@ class PathSearch:
         seed: int = 0,
         until: float = inf,
     ) -> None:
-        self.arm, self.edges, self.avoidance = objective.arm, edges, avoidance
-        self.objective, self.start, self.least, self.until = objective, start, least, until
-        self._goal, self._rng = goal, np.random.default_rng(seed)
+        self.arm = objective.arm
+        self.edges = edges
+        self.avoidance = avoidance
+        self.objective = objective
+        self.start = start
+        self.least = least
+        self.until = until
+        self._goal = goal
+        self._rng = np.random.default_rng(seed)
         self._share = min(1.0, FEW_JOINTS / len(objective.columns))
         self._positions = self.arm.positions(start.q)
         lowest, highest = edges - self._positions
@@ -115,7 +126,8 @@ class PathSearch:
         joined = self._connect(np.zeros(self.arm.nv), end, JOIN_NODES)
         found_by = "tree search"
         if joined is None:
-            joined, found_by = self._join_withdrawn(end, tell), "withdrawal"
+            joined = self._join_withdrawn(end, tell)
+            found_by = "withdrawal"
         return None if joined is None else FoundPath(self._shorten(joined), found_by)
 
     def is_clear(self, path: Array) -> bool:
@@ -158,7 +170,8 @@ class PathSearch:
             at = self._extend(from_, wanted, units)
             if at is None:
                 continue
-            there, reached = from_.offsets[at], None
+            there = from_.offsets[at]
+            reached = None
             while True:  # as far as possible
                 reached = self._extend(to, there, units)
                 if reached is None or np.array_equal(to.offsets[reached], there):
@@ -183,7 +196,8 @@ class PathSearch:
 
     def _sample(self, one: Array, other: Array) -> Array:
         """Return a random offset: uniform, of a smooth posture, or near the line between two offsets."""
-        arm, rng = self.arm, self._rng
+        arm = self.arm
+        rng = self._rng
         kind = rng.random()
         if kind < UNIFORM_SHARE:
             return np.asarray(rng.uniform(*self._sides))
@@ -239,7 +253,9 @@ class _Tree:
     """
 
     def __init__(self, root: Array) -> None:
-        self.offsets, self._parents, self.count = np.array([root] * 64), [-1], 1
+        self.offsets = np.array([root] * 64)
+        self._parents = [-1]
+        self.count = 1
 
     def nearest(self, offset: Array, units: Array) -> int:
         apart = (self.offsets[: self.count] - offset) / units
@@ -270,13 +286,15 @@ class _Withdrawal:
     """
 
     def __init__(self, search: PathSearch, offset: Array) -> None:
-        self._search, self.offsets = search, [offset]
+        self._search = search
+        self.offsets = [offset]
         self._state = search.state_at(offset)
         self._curve = np.vstack([search.arm.chain.base, self._state.forward.points])
         lengths = np.linalg.norm(np.diff(self._curve, axis=0), axis=1)
         self._places = np.concatenate([[0.0], np.cumsum(lengths)])
         self._near = NEAR_SHARE * self._places[-1]
-        self._depth, self._over = 0.0, False
+        self._depth = 0.0
+        self._over = False
 
     @property
     def depth(self) -> float:
@@ -285,19 +303,25 @@ class _Withdrawal:
 
     def go_on(self, distance: float) -> bool:
         """Withdraw by up to a distance in arm lengths; return whether the arm moved."""
-        failures, begun, goal = 0, len(self.offsets), self._depth + distance * self._places[-1]
+        failures = 0
+        begun = len(self.offsets)
+        goal = self._depth + distance * self._places[-1]
         step = WITHDRAWAL_STEP * self._places[-1]
         while not self._over and self._depth < goal:
             if self._withdraw_to(self._depth + step):
-                self._depth, failures, step = self._depth + step, 0, WITHDRAWAL_STEP * self._places[-1]
+                self._depth = self._depth + step
+                failures = 0
+                step = WITHDRAWAL_STEP * self._places[-1]
             else:
-                failures, step = failures + 1, 0.5 * step
+                failures = failures + 1
+                step = 0.5 * step
                 self._over = failures >= MAX_FAILURES
         return len(self.offsets) > begun
 
     def _withdraw_to(self, depth: float) -> bool:
         """Move the distal part along the curve to a depth, if that is clear; return whether it was."""
-        search, arm = self._search, self._search.arm
+        search = self._search
+        arm = self._search.arm
         places = self._places[1:] - depth
         weights = (places >= self._near).astype(np.float64)
         if not weights.any():
@@ -305,7 +329,8 @@ class _Withdrawal:
             return False
         points = np.column_stack([np.interp(places, self._places, axis) for axis in self._curve.T])
         objective = Objective(arm, Target.from_points(arm, points, weights))
-        avoidance, good = search.avoidance.for_objective(objective), WITHDRAWAL_ERROR * arm.length
+        avoidance = search.avoidance.for_objective(objective)
+        good = WITHDRAWAL_ERROR * arm.length
         found = minimize(objective, self._state, search.edges, avoidance, good)
         if found.mean_error > good:
             return False

@@ -55,16 +55,19 @@ class PlanNeeded(Exception):
 Report = Callable[[str, JointPath | None], None]
 """Called with the next attempt and the shortest clear path so far."""
 
-RANDOM_STARTS, RANDOM_SPREAD = 6, 0.5
+RANDOM_STARTS = 6
+RANDOM_SPREAD = 0.5
 """Number of random starts if no configuration is known, and their spread, in `Arm.joint_units`."""
 
-MAX_AGREEING, SAME_COST = 3, 1e-3
+MAX_AGREEING = 3
+SAME_COST = 1e-3
 """Number of consecutive searches that must agree to skip the rest, and their relative difference in cost."""
 
 MUCH_BETTER = 0.5
 """Share of the cost of an earlier goal below which a later one is preferred, if a task holds the arm."""
 
-TASK_ROOT, CLEARANCE_ROOTS = 0.4, (33.0, 10.0)
+TASK_ROOT = 0.4
+CLEARANCE_ROOTS = (33.0, 10.0)
 """Roots of the weights of tasks and of clearances on the path, relative to the motion of control points.
 Attempts alternate between a large and a small weight of clearance, which lead to different paths."""
 
@@ -141,7 +144,8 @@ def plan(
         require_positive("budget", budget)
     objective = Objective(state.arm, target, tuple(tasks), relative_position_weight, joint_weight)
     bounds = require_limits(limits).for_arm(state.arm)
-    avoidance, began = Avoidance.of(scene, objective, bounds), perf_counter()
+    avoidance = Avoidance.of(scene, objective, bounds)
+    began = perf_counter()
 
     def report(trying: str, best: JointPath | None) -> None:
         if progress is not None and progress(trying, perf_counter() - began, best) is True:
@@ -238,7 +242,9 @@ def shortcut(
         avoidance: the obstacles to avoid.
         prompt: whether only a path that is found within a cycle is sought.
     """
-    objective, goal, arm = path.objective, path.configuration(path.end), state.arm
+    objective = path.objective
+    goal = path.configuration(path.end)
+    arm = state.arm
     change = objective.normalize(arm.difference(state.q, goal))
     if prompt and np.abs(change).max(initial=0.0) * len(change) > MAX_SHORT_MOTION:
         return None
@@ -289,7 +295,8 @@ def find_goal(
         enough: mean distance that is good enough in view of the error for that target [m].
         prompt: whether to raise `PlanNeeded` if the first search is not enough.
     """
-    known, has_priority = objective.target.q is not None, any(task.priority for task in objective.tasks)
+    known = objective.target.q is not None
+    has_priority = any(task.priority for task in objective.tasks)
     # If a task with priority holds the arm, a distant goal may not be reachable: prefer one nearby.
     held = _is_held(objective, state)
     better = MUCH_BETTER if held else 1.0
@@ -297,7 +304,8 @@ def find_goal(
     allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(objective, state, edges, held, before)
     best = found = minimize(objective, next(starts), edges, avoidance, good, allowed)
-    wanted, agreeing = max(good, enough), 1
+    wanted = max(good, enough)
+    agreeing = 1
     while agreeing < MAX_AGREEING and not (
         found.intrusion == 0.0 and (_is_good_enough(objective, found, wanted) or (known and not has_priority))
     ):
@@ -331,7 +339,8 @@ def _is_held(objective: Objective, state: ArmState) -> bool:
 def _starts(
     objective: Objective, state: ArmState, edges: Array, held: bool, before: ArmState | None
 ) -> Iterator[ArmState]:
-    arm, target = objective.arm, objective.target
+    arm = objective.arm
+    target = objective.target
     if before is not None and target.q is None:
         yield before
     if held:
@@ -408,7 +417,8 @@ def _clearest_path(
             report(trying, min(clear, key=lambda path: path.length, default=None))
 
     def candidates() -> Iterator[JointPath]:
-        first, more = 2 * attempt, MAX_PATHS // (1 + attempt)
+        first = 2 * attempt
+        more = MAX_PATHS // (1 + attempt)
         if attempt == 0 and not objective.tasks:
             yield most_direct
         for k in range(more):
@@ -537,11 +547,13 @@ def replan(
     before = path.configuration(path.end)
     known = _known_goal(objective, bounds, before)
     if known is not None and (avoidance is None or avoidance.intrusion(known) == 0.0):
-        goal, clear = known, True
+        goal = known
+        clear = True
     else:
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
-        start, good = arm.at(before).compiled, GOAL_TOLERANCE * arm.length
+        start = arm.at(before).compiled
+        good = GOAL_TOLERANCE * arm.length
         if avoidance is None:
             first = start if objective.target.q is None else None
             enough = _achievable_error(path.objective, objective, start)
@@ -549,7 +561,8 @@ def replan(
         else:  # a whole search takes long: this one goes on in the next cycle
             allowed = avoidance.intrusion(state)
             found = minimize(objective, start, bounds.edges, avoidance, good, allowed, MAX_QUICK_STEPS)
-        goal, clear = found.state, found.intrusion == 0.0
+        goal = found.state
+        clear = found.intrusion == 0.0
     change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
     bent = change if bend is None else bend + change
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
@@ -568,7 +581,8 @@ def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> fl
 
     It is zero if the target moved so far that a better goal may exist.
     """
-    left, moved = before.mean_error(goal), before.distance_to(after)
+    left = before.mean_error(goal)
+    moved = before.distance_to(after)
     small = SMALL_CHANGE * after.arm.length / after.arm.n_modules
     return NOISE_FACTOR * (left + moved) if moved <= max(left, small) else 0.0
 
@@ -578,7 +592,8 @@ def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> Arm
 
     Multi-turn joints are within half a turn of a previous configuration.
     """
-    arm, q = objective.arm, objective.target.q
+    arm = objective.arm
+    q = objective.target.q
     if q is None or len(objective.active) < arm.n_modules:
         return None
     goal = arm.at(arm.nearest_turns(q, before, bounds.edges)).compiled

@@ -92,40 +92,51 @@ long, as for arms that fold onto themselves, the relaxation restarts with many p
 
 _STAGES = np.array(STAGES)
 
-FIRST_PIECES, FIRST_PIECES_OF_LONG, LONG_ARM = 5, 6, 30
+FIRST_PIECES = 5
+FIRST_PIECES_OF_LONG = 6
+LONG_ARM = 30
 """Initial number of pieces, that for a long arm, and the number of modules from which an arm is long."""
 
 MIN_DECREASE = 1e-4
 """Relative decrease of the energy in one pass at which a stage ends."""
 
-PENALIZED_PIECES, GIVEN_PATH_PIECES = 48, (64, 128, 256)
+PENALIZED_PIECES = 48
+GIVEN_PATH_PIECES = (64, 128, 256)
 """Number of pieces of a path with penalties; and of a given path, the first with which it is still clear."""
 
 KEPT_RATIO = 1.01
 """Path length ratio up to which joint interpolation is kept."""
 
-REFINEMENT, MIN_PIECES = 4, 96
+REFINEMENT = 4
+MIN_PIECES = 96
 """Number of pieces into which each is divided at the end, on a spline, and smallest total number."""
 
-SMALL_BEND, LARGE_BEND = 0.05, 0.4
+SMALL_BEND = 0.05
+LARGE_BEND = 0.4
 """Sideways bend of the initial guess, relative to the largest joint motion, which breaks symmetries; and that
 of the variants."""
 
-MAX_PATH_ITERATIONS, NEWTON_CONVERGED = 60, 1e-3
+MAX_PATH_ITERATIONS = 60
+NEWTON_CONVERGED = 1e-3
 """Largest number of Gauss-Newton steps, and the relative decrease of the energy at which they end."""
 
-MAX_HINDERED_ITERATIONS, PATIENT_ITERATIONS, SLOW_SHARE = 30, 6, 0.4
+MAX_HINDERED_ITERATIONS = 30
+PATIENT_ITERATIONS = 6
+SLOW_SHARE = 0.4
 """Number of Gauss-Newton steps after which a path that is not clear is abandoned; number after which it is
 abandoned if the energy exceeds a share of the initial one, and that share."""
 
 MAX_WAYPOINT_STEP = 0.3
 """Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
 
-FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
+FIRST_DAMPING = 1e-3
+MIN_DAMPING = 1e-9
+MAX_DAMPING = 1e6
 """Initial and smallest damping of Gauss-Newton steps, and that at which the search ends, relative to the mean
 diagonal of J^T J."""
 
-DAMPING_DECREASE, DAMPING_INCREASE = 1.0 / 3.0, 2.0
+DAMPING_DECREASE = 1.0 / 3.0
+DAMPING_INCREASE = 2.0
 """Damping factors after a step that lowered the energy and one that did not; the latter is squared with each
 consecutive failure."""
 
@@ -208,7 +219,9 @@ class _Waypoints:
     """
 
     def __init__(self, objective: Objective, start: Array, edges: Array) -> None:
-        arm, chain, self.weight = objective.arm, objective.chain, objective.mu**2
+        arm = objective.arm
+        chain = objective.chain
+        self.weight = objective.mu**2
         self.objective, self.start, self.positions = objective, start, arm.positions(start)
         lower, upper = ((edge - self.positions)[objective.columns] / objective.units for edge in edges)
         # From a start outside its limits, the waypoints come back along the path.
@@ -233,7 +246,8 @@ class _Waypoints:
         """Return waypoints on a path, (N + 1, nv), equidistant in the metric of the planner."""
         objective = self.objective
         places = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
-        wanted, x = np.linspace(0.0, places[-1], pieces + 1), offsets[:, objective.columns] / objective.units
+        wanted = np.linspace(0.0, places[-1], pieces + 1)
+        x = offsets[:, objective.columns] / objective.units
         return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
 
     def relax(self, change: Array, bend: Array) -> Array:
@@ -263,7 +277,9 @@ class _Waypoints:
 def _bend(objective: Objective, variant: int) -> Array:
     """Return a sideways bend of the whole arm, (n,), different for each variant."""
     along = (np.arange(len(objective.columns)) + 0.5) / len(objective.columns)
-    size, sign, waves = LARGE_BEND if variant else SMALL_BEND, (-1.0) ** variant, 1 + variant // 2
+    size = LARGE_BEND if variant else SMALL_BEND
+    sign = (-1.0) ** variant
+    waves = 1 + variant // 2
     return np.asarray(size * sign * np.cos(np.pi * waves * along))
 
 
@@ -294,19 +310,25 @@ class _PathRelaxation:
     """Minimises the energy of a path with penalties by damped Gauss-Newton steps, within the limits."""
 
     def __init__(self, waypoints: _Waypoints, penalties: Penalties) -> None:
-        self._waypoints, self._penalties = waypoints, penalties
-        self._objective, self._start = waypoints.objective, waypoints.start
-        self._positions, self._weight = waypoints.positions, waypoints.weight
+        self._waypoints = waypoints
+        self._penalties = penalties
+        self._objective = waypoints.objective
+        self._start = waypoints.start
+        self._positions = waypoints.positions
+        self._weight = waypoints.weight
         self._lower, self._upper = waypoints.within
 
     def is_clear(self, x: Array) -> bool:
         """Return whether straight motions between waypoints, (N + 1, n), keep the smallest distance."""
-        avoidance, path = self._penalties.avoidance, self._objective.displacement(x)
+        avoidance = self._penalties.avoidance
+        path = self._objective.displacement(x)
         return avoidance is None or avoidance.keeps(self._start, path, self._penalties.least)
 
     def run(self, x: Array) -> Array:
         """Return waypoints at a minimum, (N + 1, n), from an initial guess within the limits."""
-        now, damping, increase = self._evaluate(x), FIRST_DAMPING, DAMPING_INCREASE
+        now = self._evaluate(x)
+        damping = FIRST_DAMPING
+        increase = DAMPING_INCREASE
         first = now.energy
         for number in range(MAX_PATH_ITERATIONS):
             slow = number >= PATIENT_ITERATIONS and now.energy > SLOW_SHARE * first
@@ -316,10 +338,12 @@ class _PathRelaxation:
             step = self._step(now, damping)
             tried = None if step is None else self._move(now, step)
             if tried is None or tried.energy >= now.energy:
-                damping, increase = damping * increase, increase**2
+                damping = damping * increase
+                increase = increase**2
                 continue
             converged = tried.energy > (1.0 - NEWTON_CONVERGED) * now.energy
-            now, damping = tried, max(damping * DAMPING_DECREASE, MIN_DAMPING)
+            now = tried
+            damping = max(damping * DAMPING_DECREASE, MIN_DAMPING)
             increase = DAMPING_INCREASE
             if converged:
                 break
@@ -344,7 +368,8 @@ class _PathRelaxation:
 
     def _evaluate(self, x: Array) -> _Iterate:
         objective = self._objective
-        arm, offsets = objective.arm, objective.displacement(x)
+        arm = objective.arm
+        offsets = objective.displacement(x)
         points = (arm.kinematics.points(self._positions + offsets) @ arm.plane.T).reshape(len(x), -1)
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
         rows, (contacts, clear) = self._task_rows(offsets), self._clearance(offsets)
@@ -353,7 +378,9 @@ class _PathRelaxation:
 
     def _task_rows(self, offsets: Array) -> PathRows:
         """Return the rows of tasks at the inner waypoints."""
-        arm, tasks, last = self._objective.arm, self._penalties.tasks, len(offsets) - 1
+        arm = self._objective.arm
+        tasks = self._penalties.tasks
+        last = len(offsets) - 1
         n = len(self._objective.columns)
         if tasks is None:
             return PathRows(np.zeros((0, n)), np.zeros(0), np.zeros(0, dtype=np.int64))
@@ -368,10 +395,12 @@ class _PathRelaxation:
 
     def _clearance(self, offsets: Array) -> tuple[PathContacts, NDArray[np.bool_]]:
         """Return the contacts at the inner waypoints, and which pieces are clear."""
-        avoidance, least = self._penalties.avoidance, self._penalties.least
+        avoidance = self._penalties.avoidance
+        least = self._penalties.least
         root = self._penalties.clearance_root
         if avoidance is None:
-            begins, nothing = np.zeros(len(offsets) + 1, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+            begins = np.zeros(len(offsets) + 1, dtype=np.int64)
+            nothing = np.zeros((0, 2), dtype=np.int64)
             contacts = PathContacts(np.zeros(0), begins, nothing, np.zeros((0, 3)), np.zeros((0, 3)))
             return contacts, np.ones(len(offsets) - 1, dtype=np.bool_)
         found = avoidance.measure_clearance(self._start, offsets[1:-1])

@@ -63,7 +63,8 @@ class JointSpeeds:
 
 def _stacked(state: ArmState, target: Target) -> tuple[Array, Array]:
     """Return the Jacobian of all control points with a target, (r, nv) per unit, and their errors, (r,)."""
-    placed, arm = target.has_target, state.arm
+    placed = target.has_target
+    arm = state.arm
     jacobian = state.task_jacobians[placed]  # in `Arm.joint_units`
     errors = (target.points - state.points)[placed] @ arm.plane.T
     return jacobian.reshape(-1, arm.nv), errors.ravel()

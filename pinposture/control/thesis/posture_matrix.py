@@ -31,7 +31,8 @@ class PostureMatrix:
 
     def __init__(self, screws: Screws, rows: Rows) -> None:
         p = len(rows.stations)
-        self._screws, self._rows = screws, rows
+        self._screws = screws
+        self._rows = rows
         self._factors = Factors(np.empty((p, 3, 3)), np.empty((p, 6, 3)))
         kernels.eliminated(screws, rows, self._factors)
 
@@ -51,7 +52,8 @@ class PostureMatrix:
         Returns:
             Joint displacement (nv,) [rad or m]; zero for joints off the chain.
         """
-        columns, asked = arm.columns, np.zeros(arm.nv)
+        columns = arm.columns
+        asked = np.zeros(arm.nv)
         x = secondary[columns]
         kernels.least_change(self._screws, self._rows, self._factors, values, x)
         asked[columns] = x * arm.kinematics.task_constants.units
@@ -74,7 +76,8 @@ class PostureMatrix:
         A block with fewer rows is padded with its first entry, which is between its singular values.
         """
         used = self._rows.ranks > 0
-        there, triangles = np.arange(3) < self._rows.ranks[used, None], self._factors.triangles[used]
+        there = np.arange(3) < self._rows.ranks[used, None]
+        triangles = self._factors.triangles[used]
         blocks = np.where(there[:, :, None] & there[:, None, :], triangles, 0.0)
         blocks[:, range(3), range(3)] += np.where(there, 0.0, blocks[:, :1, 0])
         return np.asarray(np.linalg.svd(blocks, compute_uv=False))
@@ -166,12 +169,14 @@ def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
         Joint displacement (nv,) in `Arm.joint_units`; zero where the gradient vanishes.
     """
     known = arm.kinematics.task_constants
-    gradient, motion = np.empty(len(arm.columns)), np.empty(errors.shape)
+    gradient = np.empty(len(arm.columns))
+    motion = np.empty(errors.shape)
     every = Rows(known.every, known.dimensions, known.frames, FULL)
     kernels.joints_along(screws, every, errors, gradient)
     kernels.motions_along(screws, every, gradient, motion)
     motion = motion[:, : arm.dimension]
-    travelled, found = float(np.vdot(motion, motion)), np.zeros(arm.nv)
+    travelled = float(np.vdot(motion, motion))
+    found = np.zeros(arm.nv)
     if travelled > (1e-15 * arm.length) ** 2 * float(distances @ distances):
         found[arm.columns] = gradient * (float(gradient @ gradient) / travelled)
     return found

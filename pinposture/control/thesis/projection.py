@@ -89,7 +89,8 @@ class Projection:
     ) -> Step:
         """Compute one step; see `Controller.step`."""
         require_step_arguments(state, target, memory)
-        screws, errors = state.screws, aligned_errors(state, target, target.has_target)
+        screws = state.screws
+        errors = aligned_errors(state, target, target.has_target)
         secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
         return self._step(secondary, screws, state, target, limits, memory)
 
@@ -123,7 +124,8 @@ class Projection:
     ) -> Step:
         limits = require_limits(limits)
         previous = memory.dq if memory is not None else None
-        placed, arm = target.has_target, state.arm
+        placed = target.has_target
+        arm = state.arm
         rows, smallest = self._rows(arm, screws, placed)
         if rows is None:
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"

@@ -228,7 +228,8 @@ def best_chain(
     Returns:
         Which control points are ends of sections, (m,); the last eligible one if no section fits.
     """
-    chosen, region = np.zeros(len(eligible), dtype=np.bool_), np.flatnonzero(eligible)
+    chosen = np.zeros(len(eligible), dtype=np.bool_)
+    region = np.flatnonzero(eligible)
     if not len(region):
         return chosen
     edges = section_edges(arm, screws, eligible, LEAST_INDEX, strides)

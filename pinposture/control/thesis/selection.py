@@ -207,13 +207,16 @@ class Selection:
         require_step_arguments(state, target, memory)
         limits = require_limits(limits)
         previous = memory.dq if memory is not None else None
-        arm, screws, placed = state.arm, state.screws, target.has_target
+        arm = state.arm
+        screws = state.screws
+        placed = target.has_target
         errors = aligned_errors(state, target, placed)
         distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
         base = base_indices(arm, screws, self.absolute)
         chosen = self._chosen(arm, screws, placed, distances, base)
         kept = self._conditioned(arm, screws, chosen)
-        active, dropped = chosen[kept], tuple(chosen[~kept].tolist())
+        active = chosen[kept]
+        dropped = tuple(chosen[~kept].tolist())
         if not len(active):
             reason = self._explain_failure(base, chosen, placed)
             return step_within(limits.hold(state, previous), reason=reason, dropped=dropped)
@@ -234,7 +237,8 @@ class Selection:
         self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array
     ) -> NDArray[np.int64]:
         """Return the control set with the largest score; empty if there is none."""
-        usable, region = (base > self.absolute) & placed, np.flatnonzero(placed)
+        usable = (base > self.absolute) & placed
+        region = np.flatnonzero(placed)
         score = self._section_score(arm, region)
         if score is None or not len(region):
             return best_set(arm, screws, usable, distances, self.relative)
@@ -277,7 +281,8 @@ class Selection:
 
 def _full_rows(arm: Arm, points: NDArray[np.int64]) -> Rows:
     """Return the rows of control points in all directions."""
-    known, count = arm.kinematics.task_constants, len(points)
+    known = arm.kinematics.task_constants
+    count = len(points)
     return Rows(points, known.dimensions[:count], known.frames[:count], FULL)
 
 

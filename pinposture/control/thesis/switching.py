@@ -169,7 +169,8 @@ class Switching:
         travel: float,
         why: str,
     ) -> Step:
-        phase, goal = phase._replace(left=phase.left - travel), target.q
+        phase = phase._replace(left=phase.left - travel)
+        goal = target.q
         if goal is None or phase.failovers < 2:
             step = self.projection.step(state, target, limits, memory)
             if not step.diagnostics.reason:

@@ -38,7 +38,8 @@ COLORINGS = ("joints at limits", "distance from singularity", "modules only")
 NEAR_SINGULAR = 0.02  # manipulability index below which a stretch is near singular
 STRETCH_SHARE = 0.2  # of the arm that a stretch is
 MAX_STRETCHES_NAMED = 4
-MAX_ELLIPSOIDS, ELLIPSOID_OPACITY = 8, 0.4
+MAX_ELLIPSOIDS = 8
+ELLIPSOID_OPACITY = 0.4
 MEASURED_OPACITY = 0.45
 OLD_AGE = 1.0  # from which on joint states are called old [s]
 RATE_DIGITS = 4  # of limits, behind the point
@@ -147,7 +148,8 @@ def stretch_indices(state: ArmState) -> NDArray[np.float64]:
     all directions; the index is small where these modules together are near singular, for instance straight.
     """
     arm = state.arm
-    width, m = stretch_width(arm), arm.n_modules
+    width = stretch_width(arm)
+    m = arm.n_modules
     ends = np.arange(1, m + 1)
     own: NDArray[np.float64] = state.manipulability()[np.maximum(ends - width, 0), ends]
     if width > 1:
@@ -204,7 +206,8 @@ class Ellipsoids:
         ellipsoids = state.ellipsoids(self.points)
         frames = np.array([principal_frame(each) for each in ellipsoids])
         radii = np.array([np.append(each.radii, 0.0)[:3] for each in ellipsoids]) * self._length
-        centers, wxyzs = [each.center for each in ellipsoids], quaternions(frames.transpose(0, 2, 1))
+        centers = [each.center for each in ellipsoids]
+        wxyzs = quaternions(frames.transpose(0, 2, 1))
         self._balls.batched_positions = np.array(centers, dtype=np.float32)
         self._balls.batched_wxyzs = wxyzs.astype(np.float32)
         self._balls.batched_scales = np.maximum(radii, self._thinnest).astype(np.float32)
@@ -217,7 +220,8 @@ class MeasuredArm:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, states: JointStates | None) -> None:
         # Joint states of an arm that was edited before say nothing of this one.
-        self._states, self._count = (states if states is not None and states.arm is arm else None), -1
+        self._states = states if states is not None and states.arm is arm else None
+        self._count = -1
         if self._states is None:
             return
         self._about = server.gui.add_html("")
@@ -251,9 +255,12 @@ class ArmTab:
     """Controls for the arm: what moves it, its limits, and what of it is shown."""
 
     def __init__(self, server: viser.ViserServer, drawing: ArmDrawing, post: Post) -> None:
-        self._drawing, self._post, gui = drawing, post, server.gui
+        self._drawing = drawing
+        self._post = post
+        gui = server.gui
         self._ellipsoids = Ellipsoids(server, drawing.arm)
-        self._steps, self._due = -1, 0.0
+        self._steps = -1
+        self._due = 0.0
         self._facts = gui.add_markdown("")
         self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
         hint = "Limit of each joint; 0: that of the arm"
@@ -286,7 +293,8 @@ class ArmTab:
         put(self._at_once, value=session.at_once)
         now = time.monotonic()
         if live.steps != self._steps and now >= self._due:
-            self._steps, self._due = live.steps, now + FACTS_PERIOD
+            self._steps = live.steps
+            self._due = now + FACTS_PERIOD
             put(self._facts, content=_facts(live))
         self._drawing.paint(body_colors(self._coloring.value, live, self._drawing.shades))
         self._ellipsoids.show(live.state, live.steps, self._with_ellipsoids.value)

@@ -42,11 +42,15 @@ from pinposture.viz.drawing import link_radius
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
-CURVE_PIECES, OTHER_PIECES = 240, 64  # straight pieces of the curve, and of those of other keyframes
+# straight pieces of the curve, and of those of other keyframes
+CURVE_PIECES = 240
+OTHER_PIECES = 64
 BALL_RADIUS = 1.8  # of a control point of the curve, relative to that of the bars of the arm
 GRID = 0.02  # first step of the grid, relative to the arm
 AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
-SMALL_ERROR, LARGE_ERROR = 1e-3, 0.3  # green below, red above; relative to a module length
+# green below, red above; relative to a module length
+SMALL_ERROR = 1e-3
+LARGE_ERROR = 0.3
 LINE_ERROR = 1e-2  # from which on a line leads to the target, relative to a module length
 BALL_COLOR = palette.mixed(palette.SPARE[0], palette.START, 0.6)  # of control points of the curve
 SELECTED_BALL_COLOR = palette.mixed(palette.START, palette.TARGET, 0.45)  # of those that are selected
@@ -137,7 +141,8 @@ def move_point(
         return
     if index not in session.handles:
         session.take_hold(index)
-    place, together = np.asarray(position), session.handles
+    place = np.asarray(position)
+    together = session.handles
     if snap and session.grid > 0.0:
         place = session.grid * np.round(place / session.grid)
     what = f"moved {named(together or [index])}"
@@ -194,7 +199,8 @@ class Handles:
     """
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._server, self._post = server, post
+        self._server = server
+        self._post = post
         self._radius = BALL_RADIUS * link_radius(arm)
         self._balls: list[viser.IcosphereHandle] = []
         self._grabbed: dict[int, Array] = {}  # where a ball was grabbed, from its middle
@@ -205,12 +211,14 @@ class Handles:
         self._axes = add_axes(server, "/handles/axes", AXES_SIZE * arm.length)
         self._axes_dragged = False
         self._axes.on_update(self._on_axes)
-        self._index, self._keyframe = -1, -1
+        self._index = -1
+        self._keyframe = -1
         self._dragged_keyframe = -1
 
     def show(self, session: Session, _: Live) -> None:
         """Bring them up to date."""
-        points, self._keyframe = session.shape.points, session.selected
+        points = session.shape.points
+        self._keyframe = session.selected
         if len(points) != len(self._balls):
             self._make_balls(len(points))
         for index, (ball, point) in enumerate(zip(self._balls, points, strict=True)):
@@ -236,7 +244,9 @@ class Handles:
     def _make_balls(self, count: int) -> None:
         for ball in self._balls:
             ball.remove()
-        self._balls, self._colors, self._grabbed = [], [""] * count, {}
+        self._balls = []
+        self._colors = [""] * count
+        self._grabbed = {}
         for index in range(count):
             ball = self._server.scene.add_icosphere(
                 f"/handles/point_{index + 1}",
@@ -288,13 +298,16 @@ class TipHandle:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._post, self._start = post, arm.straight()
-        self._keyframe, self._dragged_keyframe, self._dragged = -1, -1, False
+        self._keyframe = -1
+        self._dragged_keyframe = -1
+        self._dragged = False
         self._axes = add_axes(server, "/handles/tip", AXES_SIZE * arm.length, sliders=True)
         self._axes.on_update(self._on_axes)
 
     def show(self, session: Session, live: Live) -> None:
         """Bring them up to date."""
-        self._start, self._keyframe = live.state.q, session.selected
+        self._start = live.state.q
+        self._keyframe = session.selected
         if not self._dragged:
             put_at(self._axes, live.state.points[-1])
         put(self._axes, visible=session.tip)
@@ -315,10 +328,12 @@ class Points:
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._steps = -1
         self._unit = float(arm.chain.module_lengths.mean())
-        radius, m = link_radius(arm), arm.n_modules
+        radius = link_radius(arm)
+        m = arm.n_modules
         around = np.linspace(0.0, 2.0 * np.pi, 13)  # a ring about the x axis
         circle = 1.85 * radius * np.column_stack([np.zeros_like(around), np.cos(around), np.sin(around)])
-        dot, ring = ball_mesh(np.zeros(3), 1.55 * radius), tube(circle, 0.3 * radius)
+        dot = ball_mesh(np.zeros(3), 1.55 * radius)
+        ring = tube(circle, 0.3 * radius)
         poses = np.tile([1.0, 0.0, 0.0, 0.0], (m, 1)), np.zeros((m, 3))
         self._dots = server.scene.add_batched_meshes_simple("/points/dots", *dot, *poses, lod="off")
         self._rings = server.scene.add_batched_meshes_simple(
@@ -364,7 +379,8 @@ class OtherCurves:
     """The curves of the keyframes that are not edited, faintly: pale to dark as time goes on."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, wanted: Callable[[], bool]) -> None:
-        self._arm, self._wanted = arm, wanted
+        self._arm = arm
+        self._wanted = wanted
         self._drawn: dict[int, tuple[Keyframe, Array]] = {}
         self._shown: tuple[Keyframe, ...] = ()
         self._selected = -1
@@ -375,12 +391,14 @@ class OtherCurves:
         keyframes = keyframes_of(session.task)
         visible = self._wanted()
         if visible and (keyframes is not self._shown or session.selected != self._selected):
-            self._shown, self._selected = keyframes, session.selected
+            self._shown = keyframes
+            self._selected = session.selected
             self._draw(keyframes, session.selected)
         put(self._lines, visible=visible)
 
     def _draw(self, keyframes: tuple[Keyframe, ...], selected: int) -> None:
-        before, self._drawn = self._drawn, {}
+        before = self._drawn
+        self._drawn = {}
         for each in keyframes:  # kept with its line, so that its id stays its own
             self._drawn[id(each)] = before.get(id(each)) or (each, needed_part(self._arm, each))
         others = [index for index in range(len(keyframes)) if index != selected]
@@ -400,7 +418,8 @@ class ShapeTab:
     """Controls for the control points of the curve that is edited."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._post, gui = post, server.gui
+        self._post = post
+        gui = server.gui
         self._index = 0
         self._keyframe = 0
         self._start = arm.straight()
@@ -468,7 +487,8 @@ class ShapeTab:
         self._post(lambda session: session.take_hold(index))
 
     def _move(self, place: tuple[float, float, float], final: bool) -> None:
-        index, keyframe = self._index, self._keyframe
+        index = self._index
+        keyframe = self._keyframe
         if index == TIP:
             if final:  # a tip that follows each key would swing about
                 self._post(partial(drag_tip, np.array(place), self._start, final, keyframe=keyframe))

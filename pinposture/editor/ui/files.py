@@ -95,7 +95,9 @@ class FileTab:
     """Controls for the task file."""
 
     def __init__(self, server: viser.ViserServer, files: Files, post: Post) -> None:
-        self._files, self._post, gui = files, post, server.gui
+        self._files = files
+        self._post = post
+        gui = server.gui
         self._about = gui.add_html("")
         hint = "Task files in the folder and its subfolders; type to filter, then open the chosen one"
         self._choice: Any = gui.add_dropdown("Choose", (NO_FILE,), hint=hint)
@@ -103,7 +105,8 @@ class FileTab:
         save_as = gui.add_button("Save under this name")
         open_file = gui.add_button("Open this file", icon=viser.Icon.FOLDER_OPEN)
         gui.add_button("Show the tour").on_click(_show_tour_again)
-        self._typed, self._due = "", 0.0
+        self._typed = ""
+        self._due = 0.0
         self._shown: Path | None = None
         on_change(self._choice, self._choose)
         on_change(self._path, self._type)
@@ -196,7 +199,8 @@ class ExportButtons:
             put(self._text, content=f"*{now.kind}: {doing}*")
 
     def _start_next(self, session: Session) -> None:
-        wanted, rehearsal = self._queue[0], session.playback.rehearsal
+        wanted = self._queue[0]
+        rehearsal = session.playback.rehearsal
         done = rehearsal.of(wanted.task)
         if done is not None:
             self._queue.pop(0)
@@ -225,7 +229,8 @@ class ExportButtons:
         try:
             made = export(motion, wanted.kind, wanted.stem)
             wanted.client.send_file_download(made.name, made.content, save_immediately=True)
-            text, kind = made.summary, "info"
+            text = made.summary
+            kind = "info"
         except PostureError as error:
             text = f"{wanted.kind}: not exported: {error}"
         except Exception as error:  # a bug, which has to be reported, too

@@ -37,10 +37,13 @@ class KeyframesTab:
     """Controls for the keyframes of the task."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, states: JointStates | None, post: Post) -> None:
-        self._post, gui = post, server.gui
+        self._post = post
+        gui = server.gui
         self._states = states if states is not None and states.arm is arm else None
         self._present = arm.straight()
-        self._first, self._shown = 0, (-1, -1)  # the first row; which keyframe of how many was selected
+        # the first row; which keyframe of how many was selected
+        self._first = 0
+        self._shown = (-1, -1)
         self._index = 0
         self._phases = PhaseControls(server, arm, PhasePlanner(post), post)
         self._above = gui.add_button("", icon=viser.Icon.CHEVRON_UP, color="gray", visible=False)
@@ -85,7 +88,8 @@ class KeyframesTab:
         """Bring it up to date."""
         measured = None if self._states is None else self._states.latest
         self._present = measured.q if measured is not None and measured.count > 0 else live.state.q
-        keyframes, times = keyframes_of(session.task), edits.times_of(session.task)
+        keyframes = keyframes_of(session.task)
+        times = edits.times_of(session.task)
         self._phases.show(session, live)
         self._list(keyframes, times, session.selected, session.marks)
         if session.selected != self._index:
@@ -120,7 +124,8 @@ class KeyframesTab:
                 shade = palette.START if index == selected else MARK_COLORS.get(mark, palette.FAINT)
                 put(row, label=row_label(keyframes, times, index, mark), color=color(shade))
             put(row, visible=index < count)
-        above, below = self._first, count - self._first - LISTED_ROWS
+        above = self._first
+        below = count - self._first - LISTED_ROWS
         put(self._above, label=f"{above} earlier", visible=count > LISTED_ROWS, disabled=above <= 0)
         put(self._below, label=f"{max(below, 0)} later", visible=count > LISTED_ROWS, disabled=below <= 0)
 
@@ -151,11 +156,13 @@ class KeyframesTab:
         self._post(partial(rename, self._index, name))
 
     def _retime(self, time: float, _: bool) -> None:
-        edit, what = edits.retimed(self._index, float(time)), f"keyframe {self._index + 1} at {time:g} s"
+        edit = edits.retimed(self._index, float(time))
+        what = f"keyframe {self._index + 1} at {time:g} s"
         self._post(lambda session: session.edit(edit, what))
 
     def _set_hold(self, hold: float, _: bool) -> None:
-        edit, what = edits.held(self._index, float(hold)), f"keyframe {self._index + 1} held {hold:g} s"
+        edit = edits.held(self._index, float(hold))
+        what = f"keyframe {self._index + 1} held {hold:g} s"
         self._post(lambda session: session.edit(edit, what))
 
     def _repeat(self, laps: float, _: bool) -> None:
@@ -185,7 +192,8 @@ def delete(session: Session) -> None:
 
 def move(places: int, session: Session) -> None:
     """Move the selected keyframe to an earlier or later place."""
-    index, to = session.selected, session.selected + places
+    index = session.selected
+    to = session.selected + places
     session.edit(edits.reordered(index, to), f"moved keyframe {index + 1} to place {to + 1}", select=to)
 
 

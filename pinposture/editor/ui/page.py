@@ -73,7 +73,9 @@ STATUS_COLORS = {
 
 # Distances from which on the status is a warning, in arm lengths: of the whole arm from the curve, of the tip
 # from its task, and the mean one of control points from their targets.
-MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
+MAX_CURVE_DISTANCE = 0.02
+MAX_TIP_ERROR = 0.01
+MAX_MEAN_ERROR = 0.01
 
 AVOIDING_CONTROLLER = "geodesic"
 JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
@@ -122,7 +124,8 @@ class Toolbar:
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
-        keyframe, count = session.keyframe, len(keyframes_of(session.shown))
+        keyframe = session.keyframe
+        count = len(keyframes_of(session.shown))
         name = f": {escape(keyframe.name)}" if keyframe.name else ""
         unsaved = " (not saved)" if session.changed else ""
         words = f"Keyframe {session.selected + 1}/{count}{name}{unsaved}"
@@ -136,7 +139,8 @@ class Toolbar:
 
 def status_of(session: Session, live: Live) -> tuple[str, str, str]:
     """Return the status of the arm: "good", "warning" or "error", a heading, and more."""
-    verdict, found = live.verdict, session.nearest
+    verdict = live.verdict
+    found = session.nearest
     if live.number < session.number and time.monotonic() - session.asked > JUDGING_TIME:
         return "warning", "Checking whether the arm can take this shape ...", ""
     if verdict.reason:
@@ -148,7 +152,8 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
         return "warning", "At rest on this curve, the arm would collide", verdict.notes[0]
     if live.reason and live.reason != NOT_DONE and live.status != "converged":
         return "warning", head, live.reason
-    notes, controller = list(verdict.notes), session.task.controller.name
+    notes = list(verdict.notes)
+    controller = session.task.controller.name
     if obstacles_of(session.task) and controller != AVOIDING_CONTROLLER:
         notes.append(f"{controller} ignores obstacles, {AVOIDING_CONTROLLER} avoids them")
     return "warning" if _is_off(session, live) else "good", head, "; ".join(notes)
@@ -156,7 +161,8 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
 
 def _is_off(session: Session, live: Live) -> bool:
     """Return whether the arm takes the shape badly, or is within the margin of something."""
-    length, found = live.arm.length, session.nearest
+    length = live.arm.length
+    found = session.nearest
     if found is not None and found.distance < found.margin:
         return True
     if session.playback.q is not None or live.status == "moving":
@@ -206,7 +212,8 @@ def _within(error: float, arm_length: float) -> str:
 
 def _lap(task: Task, playback: Playback) -> str:
     """Return which lap of a repeated tour is shown, as the end of a phrase."""
-    moment, motion = playback.moment, playback.motion
+    moment = playback.moment
+    motion = playback.motion
     if task.repeat == 1 or moment is None or motion is None:
         return ""
     lap = int(float(motion.plan_time[moment.row]) / lap_time(task) + TIME_TOLERANCE)
@@ -224,7 +231,9 @@ FLOOR_CELLS = 10  # along the arm
 FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
 # Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
 # screen, which may be several to one of the page.
-MIN_COVERED, MAX_COVERED, COVERED_AT_FIRST = 0.3, 0.6, 0.39
+MIN_COVERED = 0.3
+MAX_COVERED = 0.6
+COVERED_AT_FIRST = 0.39
 MIN_ASPECT = 1.0  # of a picture in which the initial camera sees the whole arm
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
@@ -292,7 +301,8 @@ def _select_next(by: int, session: Session) -> None:
 def _nudge(axis: int, sign: float, session: Session) -> None:
     """Move the selected control points a little along an axis of the world, or by a step of the grid."""
     selected_points(session)
-    arm, last = session.arm, session.handles[-1]
+    arm = session.arm
+    last = session.handles[-1]
     step = sign * (session.grid or NUDGE * arm.length) * np.eye(3)[axis]
     if arm.dimension == 2 and np.linalg.norm(arm.plane @ step) < 1e-6 * arm.length:
         raise CurveError(f"point {last + 1}", f"cannot leave the plane of the arm along {'xyz'[axis]}")
@@ -341,8 +351,10 @@ def framing(points: Array, radius: float, direction: Array, aspect: float, cover
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     axes = np.array([right, np.cross(right, ahead), ahead])
-    seen, slope = points @ axes.T, float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
-    middle, inside = 0.5 * (seen.min(axis=0) + seen.max(axis=0)), 1.0 - FRAME_MARGIN
+    seen = points @ axes.T
+    slope = float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    inside = 1.0 - FRAME_MARGIN
     # Rays through the edges of the part to fill, at the left and right, and below and above [tangents].
     edges = slope * np.array([[-aspect, aspect], [2.0 * covered - 1.0, 1.0]])
     edges = edges.mean(axis=1, keepdims=True) + inside * (edges - edges.mean(axis=1, keepdims=True))
@@ -359,14 +371,16 @@ def framing(points: Array, radius: float, direction: Array, aspect: float, cover
 
 def set_stage(server: viser.ViserServer, arm: Arm, view: Viewpoint) -> None:
     """Set light and the initial camera for an arm, and a floor below it."""
-    base, length = arm.chain.base, arm.length
+    base = arm.chain.base
+    length = arm.length
     tip = arm.at(arm.straight()).points[-1]
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map("city", environment_intensity=0.55)
     camera = server.initial_camera
     camera.position, camera.look_at, camera.fov = view
-    camera.near, camera.far = 0.01 * length, 100.0 * length
+    camera.near = 0.01 * length
+    camera.far = 100.0 * length
     cell = round_number(length / FLOOR_CELLS)
     floor = float(min(base[2], tip[2])) - 0.3 * length - 3.0 * link_radius(arm)
     server.scene.add_grid(
@@ -407,7 +421,10 @@ class Page:
         host: str,
         port: int,
     ) -> None:
-        self._post, self._files, self._surroundings, self._states = post, files, surroundings, states
+        self._post = post
+        self._files = files
+        self._surroundings = surroundings
+        self._states = states
         self._server, self.url = serve(host, port)
         self._server.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=color(palette.START), dark_mode=False
@@ -420,7 +437,9 @@ class Page:
         """Make all parts for the arm of a task."""
         arm = task.arm
         self.view = viewpoint(task)
-        server, post, scans = self._server, self._post, self._surroundings.scans
+        server = self._server
+        post = self._post
+        scans = self._surroundings.scans
         server.gui.set_panel_label("pinposture")
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(CONTROLS_WIDTH)
@@ -459,7 +478,8 @@ class Page:
 
         async def watch(camera: viser.CameraHandle) -> None:
             nonlocal narrow
-            before, narrow = narrow, camera.aspect < MIN_ASPECT
+            before = narrow
+            narrow = camera.aspect < MIN_ASPECT
             if narrow and not before:
                 self._post(partial(self._frame, "All", only=client.client_id))
 
@@ -467,7 +487,8 @@ class Page:
 
     def _frame(self, direction: str, session: Session, only: int | None = None) -> None:
         """Move the camera of one or all browsers so that the arm, its curves and balls are in sight."""
-        arm, q = session.arm, self._arm.q
+        arm = session.arm
+        q = self._arm.q
         own = [self._arm.foot, arm.chain.base[None], session.shape.points, arm.at(q).points]
         points = np.vstack([*own, *(needed_part(arm, each) for each in keyframes_of(session.shown))])
         radius = BALL_RADIUS * link_radius(arm)
@@ -480,7 +501,8 @@ class Page:
                 covered = min(max(covered, MIN_COVERED), MAX_COVERED)
                 away = camera_direction(arm) if direction == "All" else DIRECTIONS[direction]
                 view = framing(points, radius, away, camera.aspect, covered)
-                camera.position, camera.look_at = view.position, view.look_at
+                camera.position = view.position
+                camera.look_at = view.look_at
 
     def show(self, session: Session, live: Live) -> None:
         """Bring everything up to date; only changes are sent."""

@@ -113,7 +113,8 @@ def add_lines(
     server: viser.ViserServer, name: str, count: int, thickness: float, visible: bool = True
 ) -> viser.LineSegmentsHandle:
     """Add straight pieces of a thickness [m], whose places and colours are set later."""
-    points, colors = np.zeros((count, 2, 3)), np.zeros((count, 2, 3), dtype=np.uint8)
+    points = np.zeros((count, 2, 3))
+    colors = np.zeros((count, 2, 3), dtype=np.uint8)
     return server.scene.add_line_segments(name, points, colors, thickness=thickness, visible=visible)
 
 
@@ -165,7 +166,8 @@ class Typed:
         on_change(control, self._changed)
 
     def _changed(self, value: Any) -> None:
-        self._typed, self._since = value, time.monotonic()
+        self._typed = value
+        self._since = time.monotonic()
         if self._preview:
             self._act(self._meant(value), False)
 
@@ -190,7 +192,8 @@ class Typed:
 
     def finish(self) -> None:
         """Pass on what was typed, if it does not count yet."""
-        since, self._since = self._since, None
+        since = self._since
+        self._since = None
         if since is not None and (self._preview or self._typed != self._value):
             self._act(self._meant(self._typed), True)
 

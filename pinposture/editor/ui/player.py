@@ -37,22 +37,38 @@ LIVE_SPAN = 10.0  # of the trace of the live arm [s]
 MAX_GAP = 1.0  # in the trace of the live arm, after which it starts anew [s]
 MAX_ROWS = 600  # of a trace; of more, the largest of neighbours stand for them
 MILLI = 1e3
-MOTION_PERIOD, LIVE_PERIOD = 0.1, 0.3  # between two plots of a motion, and of the live arm [s]
-SETTLING_PERIOD, SETTLING_PLOTS = 3.0, 2  # the same after a browser connects, and how many [s]
+# between two plots of a motion, and of the live arm [s]
+MOTION_PERIOD = 0.1
+LIVE_PERIOD = 0.3
+# the same after a browser connects, and how many [s]
+SETTLING_PERIOD = 3.0
+SETTLING_PLOTS = 2
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
-PLOT_HEIGHT, LEGEND_HEIGHT = 90, 30  # the latter of two lines [pixels]
+# the latter of two lines [pixels]
+PLOT_HEIGHT = 90
+LEGEND_HEIGHT = 30
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
 MAX_SHARE = 1.2  # of limits that is shown
 OUTSIDE = 1e3  # value of lines outside of the picture
-SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
+SPEED_COLOR = palette.SPARE[2]
+ACCELERATION_COLOR = palette.SPARE[0]
 NO_TIMES = np.zeros(0)
 
-PANEL_WIDTH, PANEL_HEIGHT, PANEL_GAP = 440, 274, 8  # of the panel; from the edges of the picture [pixels]
-LOW_PAGE, LOW_PANEL_HEIGHT = 700, 150  # page height up to which the panel has no plot; its height [pixels]
+# of the panel; from the edges of the picture [pixels]
+PANEL_WIDTH = 440
+PANEL_HEIGHT = 274
+PANEL_GAP = 8
+# page height up to which the panel has no plot; its height [pixels]
+LOW_PAGE = 700
+LOW_PANEL_HEIGHT = 150
 ROOM_BEHIND = 0.15  # the end of the motion, on the timeline, relative to its duration
 MIN_LENGTH = 1.0  # of the timeline [s]
-TICKS, DRAG_STEPS = 7, 100  # about how many times are written at it; and can be dragged to
-MAX_NUMBERED, MAX_DRAWN = 24, 300  # keyframes with numbers at the timeline; and in all, of all laps
+# about how many times are written at it; and can be dragged to
+TICKS = 7
+DRAG_STEPS = 100
+# keyframes with numbers at the timeline; and in all, of all laps
+MAX_NUMBERED = 24
+MAX_DRAWN = 300
 LATER_LAP_OPACITY = 0.6  # of keyframes in laps after the first
 
 
@@ -102,7 +118,8 @@ class Recent:
 
     def add(self, live: Live, limits: Limits) -> None:
         """Add the arm at this moment, and its speed relative to the limits."""
-        now, last = self._clock(), self._last
+        now = self._clock()
+        last = self._last
         if self._rows and self._rows[-1][0] < now - MAX_GAP:
             self._rows.clear()
         while len(self._rows) > 1 and self._rows[1][0] < now - LIVE_SPAN:
@@ -131,7 +148,9 @@ class Recent:
         rows = np.array(self._rows or [(now, 0.0, 0.0, 0.0)])
         rows = np.concatenate([rows[:1], rows, rows[-1:]])
         times = np.clip(rows[:, 0] - now, -LIVE_SPAN, 0.0)
-        times[0], times[-1] = -LIVE_SPAN, 0.0  # to the last bit: the axis stays as it is
+        # to the last bit: the axis stays as it is
+        times[0] = -LIVE_SPAN
+        times[-1] = 0.0
         return _thinned(Trace(times, rows[:, 1], rows[:, 2], rows[:, 3], None))
 
 
@@ -157,7 +176,8 @@ def _thinned(trace: Trace) -> Trace:
     edges = np.unique(np.linspace(0, count, MAX_ROWS, endpoint=False).astype(np.intp))
     times = np.array(trace.time[edges])
     times[-1] = trace.time[-1]
-    mean, largest = np.maximum.reduceat(trace.mean, edges), np.maximum.reduceat(trace.largest, edges)
+    mean = np.maximum.reduceat(trace.mean, edges)
+    largest = np.maximum.reduceat(trace.largest, edges)
     speed, acceleration = (
         None if values is None else np.asarray(np.maximum.reduceat(values, edges)) for values in trace[3:]
     )
@@ -171,9 +191,12 @@ class Plots:
     """
 
     def __init__(self, server: viser.ViserServer, tab: viser.GuiTabHandle, length: float) -> None:
-        self._recent, self._length = Recent(), length
+        self._recent = Recent()
+        self._length = length
         self._known: tuple[Motion, Trace, Array] | None = None
-        self._due, self._color, self._jitter = 0.0, palette.FINAL, False
+        self._due = 0.0
+        self._color = palette.FINAL
+        self._jitter = False
         self._server = server
         self._clients: tuple[int, ...] = ()
         self._connected = 0.0  # when a browser came or left last
@@ -199,25 +222,31 @@ class Plots:
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
-        playback, motion, now = session.playback, session.playback.motion, time.monotonic()
+        playback = session.playback
+        motion = session.playback.motion
+        now = time.monotonic()
         if motion is None:
             self._recent.add(live, session.task.limits)
         if now < self._due:
             return
         clients = tuple(self._server.get_clients())
         if clients != self._clients:
-            self._clients, self._connected = clients, now
+            self._clients = clients
+            self._connected = now
         settled = self._connected, min((now - self._connected) // SETTLING_PERIOD, SETTLING_PLOTS)
         lately = now if self._recent.changing else settled
         key = (None, lately) if motion is None else (motion, playback.time)
         if key == self._shown:
             return
-        self._shown, self._due = key, now + (LIVE_PERIOD if motion is None else MOTION_PERIOD)
+        self._shown = key
+        self._due = now + (LIVE_PERIOD if motion is None else MOTION_PERIOD)
         color = palette.controller_color(session.task.controller.name)
         if color != self._color:
             self._color = color
             self._plot.series = _lines(color)
-        trace, marks, at = self._recent.trace, NO_TIMES, NO_TIMES
+        trace = self._recent.trace
+        marks = NO_TIMES
+        at = NO_TIMES
         # An axis that a browser drew before it knew its width gets its numbers only when it changes.
         self._jitter = not self._jitter
         trace.time[0] *= 1.0 + AXIS_JITTER * self._jitter
@@ -358,7 +387,9 @@ class TimeAxis:
     """
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
-        self._post, self._length = post, 1.0  # of the axis [s]
+        # of the axis [s]
+        self._post = post
+        self._length = 1.0
         self._passes: list[DrawnPass] = []
         self._known: tuple[Task, Motion | None] | None = None
         self._gestures = 0  # each is answered by a new drawing, with the keyframes where they are
@@ -367,7 +398,9 @@ class TimeAxis:
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
-        task, playback, keyframes = session.task, session.playback, keyframes_of(session.task)
+        task = session.task
+        playback = session.playback
+        keyframes = keyframes_of(session.task)
         if self._known is None or self._known[0] is not task or self._known[1] is not playback.motion:
             self._known = task, playback.motion
             duration, self._passes = _schedule(task, playback)
@@ -413,7 +446,8 @@ class TimeAxis:
 
     def _act(self, what: str, index: int, share: float, session: Session) -> None:
         self._gestures += 1
-        at, step = share * self._length, round_number(self._length / DRAG_STEPS)
+        at = share * self._length
+        step = round_number(self._length / DRAG_STEPS)
         if what == "seek":
             seek(at, session)
         elif 0 <= index < len(self._passes):
@@ -497,8 +531,13 @@ def at_usual_speed(session: Session) -> None:
     session.playback.at_speed(1.0)
 
 
-PLAY, PAUSE, LIVE, SLOWER, FASTER = "Play", "Pause", "Live", "Slower", "Faster"
-LOOP_OFF, LOOP_ON = "Loop: off", "Loop: on"
+PLAY = "Play"
+PAUSE = "Pause"
+LIVE = "Live"
+SLOWER = "Slower"
+FASTER = "Faster"
+LOOP_OFF = "Loop: off"
+LOOP_ON = "Loop: on"
 BUTTONS: dict[str, Callable[[Session], None]] = {
     PLAY: play,
     PAUSE: lambda session: session.playback.pause(),
@@ -512,7 +551,8 @@ BUTTONS: dict[str, Callable[[Session], None]] = {
 
 
 def _labels(playback: Playback) -> tuple[str, ...]:
-    first, last = PAUSE if playback.playing else PLAY, LOOP_ON if playback.loop else LOOP_OFF
+    first = PAUSE if playback.playing else PLAY
+    last = LOOP_ON if playback.loop else LOOP_OFF
     return first, LIVE, SLOWER, f"{playback.speed:g}x", FASTER, last
 
 

@@ -61,7 +61,9 @@ class Scans:
     """The scans of the task in the page."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, shelf: ScanShelf) -> None:
-        self._server, self._shelf, self._size = server, shelf, SCAN_POINT_SIZE * arm.length
+        self._server = server
+        self._shelf = shelf
+        self._size = SCAN_POINT_SIZE * arm.length
         self._drawn: dict[Path, tuple[Scan, viser.MeshHandle | viser.PointCloudHandle | Any]] = {}
         self._made = 0
 
@@ -76,7 +78,8 @@ class Scans:
                 self._drawn[path] = scan, self._draw(self._shelf.shown(path))
 
     def _draw(self, scan: Scan) -> Any:
-        name, scene = f"/scans/{self._made}", self._server.scene
+        name = f"/scans/{self._made}"
+        scene = self._server.scene
         if scan.faces is None:
             colors: Any = color(SCAN_COLOR) if scan.colors is None else scan.colors
             return scene.add_point_cloud(
@@ -107,7 +110,9 @@ class ScanControls:
     """Controls that load scans and meshes."""
 
     def __init__(self, server: viser.ViserServer, shelf: ScanShelf, post: Post) -> None:
-        self._shelf, self._post, gui = shelf, post, server.gui
+        self._shelf = shelf
+        self._post = post
+        gui = server.gui
         self._folder: Path | None = None
         gui.add_markdown(EXPLANATION)
         self._kind = gui.add_dropdown("Load as", LOAD_KINDS, hint="Files: .ply .xyz .npy .stl .obj")
@@ -143,7 +148,8 @@ class ScanControls:
         if not text:
             self._post(lambda session: session.say("no file name: enter one", "warning"))
             return
-        avoided, scale = self._kind.value == "obstacle", float(self._scale.value)
+        avoided = self._kind.value == "obstacle"
+        scale = float(self._scale.value)
 
         def request(session: Session) -> None:
             path = within(session.folder, text, None if session.path is None else session.path.parent)
@@ -170,7 +176,9 @@ Array = NDArray[np.float64]
 HANDLE_RADIUS = 2.0  # relative to that of the bars of the arm
 MIN_AXES_SIZE = 0.16  # of the axes that move and turn the selected obstacle, relative to the arm
 AXES_REACH = 1.5  # of these axes, relative to the obstacle
-HALF_SPACE_WIDTH, HALF_SPACE_THICKNESS = 1.6, 0.01  # of the plate drawn for a half-space, relative to the arm
+# of the plate drawn for a half-space, relative to the arm
+HALF_SPACE_WIDTH = 1.6
+HALF_SPACE_THICKNESS = 0.01
 SELECTED_COLOR = palette.mixed(palette.OBSTACLE, palette.START, 0.55)
 HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of the curve
 CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
@@ -201,7 +209,9 @@ def number_labels() -> dict[str, str]:
     return labels
 
 
-NORMAL_DIGITS, ANGLE_DIGITS = 4, 2  # of shown directions and angles [deg]
+# of shown directions and angles [deg]
+NORMAL_DIGITS = 4
+ANGLE_DIGITS = 2
 FINER_DIGITS = 3  # more of radii and margins than of coordinates: they are small
 
 
@@ -220,7 +230,9 @@ class Obstacles:
     """
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._server, self._arm, self._post = server, arm, post
+        self._server = server
+        self._arm = arm
+        self._post = post
         self._scale = obstacles.ArmScale.of(arm)
         self._drawn: dict[str, DrawnObstacle] = {}
         self._made = 0
@@ -263,7 +275,8 @@ class Obstacles:
     def _draw(self, name: str, obstacle: Obstacle, opacity: float, selected: bool) -> None:
         drawn = self._drawn.get(name)
         if drawn is None or drawn.obstacle is not obstacle:
-            look, pose = obstacles.own_shape(obstacle), obstacles.pose_of(obstacle, self._scale)
+            look = obstacles.own_shape(obstacle)
+            pose = obstacles.pose_of(obstacle, self._scale)
             if drawn is not None and drawn.look[0] != look[0]:  # of another task
                 drawn.handle.remove()
                 drawn = None
@@ -304,7 +317,8 @@ class Obstacles:
         """Return the surface of an obstacle in its own frame; of a half-space, a plate."""
         centered = obstacles.at_pose(obstacle, obstacles.Pose(np.zeros(3), np.eye(3)))
         if isinstance(centered, HalfSpace):
-            width, thick = HALF_SPACE_WIDTH * self._arm.length, HALF_SPACE_THICKNESS * self._arm.length
+            width = HALF_SPACE_WIDTH * self._arm.length
+            thick = HALF_SPACE_THICKNESS * self._arm.length
             return surface(Box((0.0, 0.0, -0.5 * thick), (width, width, thick)))
         return surface(centered)
 
@@ -328,7 +342,8 @@ class Obstacles:
         self._post(partial(obstacles.select_obstacle, name))
 
     async def _on_drag(self, name: str, event: Any) -> None:
-        key, end = f"move {name}", np.asarray(event.end_position)
+        key = f"move {name}"
+        end = np.asarray(event.end_position)
         if event.phase == "start" or key not in self._grabbed:
             self._grabbed[key] = np.asarray(event.start_position)
         shift = end - self._grabbed[key]
@@ -336,7 +351,8 @@ class Obstacles:
         self._post_change(key, name, change, f"moved {name}", event.phase == "end")
 
     async def _on_resize(self, index: int, event: Any) -> None:
-        key, scale = f"pull {index}", self._scale
+        key = f"pull {index}"
+        scale = self._scale
         if event.phase == "start" or key not in self._grabbed:
             self._grabbed[key] = np.asarray(event.start_position) - self._balls[index].position
         place = np.asarray(event.end_position) - self._grabbed[key]

@@ -85,7 +85,8 @@ class Entrance:
 
     def refusal(self, path: str, headers: Headers) -> str:
         """Return why a call is refused; empty if it is admitted."""
-        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        hosts = headers.get_all("Host")
+        origins = headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_this_machine(hosts[0]):
             return "the call is not addressed to this machine"
         if len(origins) > 1 or (origins and not _same_host(origins[0], hosts[0])):

@@ -46,7 +46,8 @@ def within(arm: pp.Arm, limits: pp.Limits, rng: np.random.Generator, amplitude: 
     """A configuration inside the limits; of an arm without, within half a turn."""
     edges = limits.for_arm(arm).edges
     wide = np.pi * arm.joint_units
-    lower, upper = np.maximum(edges[0], -wide), np.minimum(edges[1], wide)
+    lower = np.maximum(edges[0], -wide)
+    upper = np.minimum(edges[1], wide)
     return arm.configuration(amplitude * rng.uniform(lower, upper))
 
 
@@ -60,7 +61,8 @@ def drawn_limits(rng: np.random.Generator) -> pp.Limits:
 
 
 def target_of(arm: pp.Arm, goal: np.ndarray, kind: str, rng: np.random.Generator) -> pp.Target:
-    known, m = pp.Target.from_configuration(arm, goal), arm.n_modules
+    known = pp.Target.from_configuration(arm, goal)
+    m = arm.n_modules
     if kind == "known":
         return known
     points = known.points
@@ -74,7 +76,8 @@ def target_of(arm: pp.Arm, goal: np.ndarray, kind: str, rng: np.random.Generator
 
 
 def drawn(seed: int, name: str, kind: str, limits: pp.Limits | None = None) -> Case:
-    rng, arm = np.random.default_rng(seed), arm_called(name)
+    rng = np.random.default_rng(seed)
+    arm = arm_called(name)
     limits = drawn_limits(rng) if limits is None else limits
     start, goal = (within(arm, limits, rng) for _ in range(2))
     return Case(arm, start, target_of(arm, goal, kind, rng), limits)
@@ -91,7 +94,8 @@ def check_limits(arm: pp.Arm, limits: pp.Limits, q: np.ndarray, before: np.ndarr
     assert np.all(np.isfinite(q))
     positions = np.array([arm.positions(each) for each in q])
     moved = np.array(arm.moved > 0.0)
-    lower, upper = arm.limits.lower + limits.position_margin, arm.limits.upper - limits.position_margin
+    lower = arm.limits.lower + limits.position_margin
+    upper = arm.limits.upper - limits.position_margin
     assert np.all((positions >= lower - ALLOWED)[:, moved])
     assert np.all((positions <= upper + ALLOWED)[:, moved])
     steps = steps_of(arm, q)

@@ -16,7 +16,8 @@ STEP = 0.02
 
 def drawn(seed: int) -> tuple[pp.Arm, np.ndarray, pp.Scene]:
     """A bent arm, and a ball or a box that was put on it."""
-    arm, rng = template_arm("RyRz", 12), np.random.default_rng(seed)
+    arm = template_arm("RyRz", 12)
+    rng = np.random.default_rng(seed)
     q = arm.configuration(0.1 * rng.normal(size=arm.nv))
     place = arm.at(q).points[int(rng.integers(3, 12))] + 0.01 * rng.normal(size=3)
     size = float(rng.uniform(0.03, 0.08))
@@ -31,8 +32,11 @@ def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monke
     planned = []
     plan = geodesic.find_path
     monkeypatch.setattr(geodesic, "find_path", lambda *a, **k: planned.append(True) or plan(*a, **k))
-    controller, target = geodesic.Geodesic(scene=scene), pp.Target.from_configuration(arm, q)
-    limits, memory, before = pp.Limits(step=STEP), None, distances.minimum(q).distance
+    controller = geodesic.Geodesic(scene=scene)
+    target = pp.Target.from_configuration(arm, q)
+    limits = pp.Limits(step=STEP)
+    memory = None
+    before = distances.minimum(q).distance
     assert before < 0.0
     for _ in range(50):
         step = controller.step(arm.at(q), target, limits, memory)
@@ -40,7 +44,8 @@ def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monke
             break
         assert np.abs(step.dq).max() <= STEP + 1e-9
         assert any("margin" in words for words in step.diagnostics.violated_constraints)
-        q, memory = arm.integrate(q, step.dq), step.memory
+        q = arm.integrate(q, step.dq)
+        memory = step.memory
         now = distances.minimum(q).distance
         assert now > before  # by every step
         before = now
@@ -52,7 +57,8 @@ def test_an_arm_that_an_obstacle_encloses_on_both_sides_stays_and_says_why():
     """A straight arm through the middle of a box: every small motion is along it, or turns within it."""
     arm = template_arm("RyRz", 20)
     box = pp.Scene({"box": pp.Box((0.5, 0.0, 0.0), (0.1, 0.2, 0.3))}, self_collision=False)
-    q, goal = arm.straight(), pp.Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 0.1)))
+    q = arm.straight()
+    goal = pp.Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 0.1)))
     run = pp.track(arm, goal, q, scene=box)
     assert run.status == "stalled"
     assert run.steps == 0

@@ -17,7 +17,8 @@ ROUNDS = 3
 
 def cycled(arm: pp.Arm, targets: list[pp.Target], tolerance: float) -> np.ndarray:
     """Configurations at the end of each round, (ROUNDS, nq)."""
-    q, ends = arm.straight(), []
+    q = arm.straight()
+    ends = []
     for _ in range(ROUNDS):
         for target in targets:
             run = pp.track(arm, target, q, tolerance=tolerance * arm.length, max_steps=400)
@@ -66,26 +67,33 @@ def test_what_it_remembers_outlives_a_change_of_target(name: str, acceleration: 
     controller = pp.Geodesic()
     one, two, three = corners(arm, known=True, seed=3)[:3]
     two = pp.Target.from_points(arm, two.points)
-    q, memory, seen = arm.straight(), None, [arm.straight()]
+    q = arm.straight()
+    memory = None
+    seen = [arm.straight()]
     for target, most in ((one, 4), (two, 4), (one, 3), (three, 600)):
         for _ in range(most):
             state = arm.at(q)
             if np.linalg.norm(target.points - state.points, axis=1).mean() <= 1e-6 * arm.length:
                 break
             step = controller.step(state, target, limits, memory)
-            q, memory = arm.integrate(q, step.dq), step.memory
+            q = arm.integrate(q, step.dq)
+            memory = step.memory
             seen.append(q)
     check_limits(arm, limits, np.array(seen))
     assert np.linalg.norm(three.points - arm.at(q).points, axis=1).mean() <= 1e-6 * arm.length
 
 
 def test_an_equal_target_does_not_make_it_plan_again() -> None:
-    arm, controller = arm_called("spatial"), pp.Geodesic()
+    arm = arm_called("spatial")
+    controller = pp.Geodesic()
     goal = within(arm, pp.Limits(), np.random.default_rng(1))
-    q, memory, paths = arm.straight(), None, []
+    q = arm.straight()
+    memory = None
+    paths = []
     for _ in range(5):
         step = controller.step(arm.at(q), pp.Target.from_configuration(arm, goal), None, memory)
-        q, memory = arm.integrate(q, step.dq), step.memory
+        q = arm.integrate(q, step.dq)
+        memory = step.memory
         paths.append(memory.progress.path)
     assert all(a is b for a, b in pairwise(paths))
     moved = controller.step(arm.at(q), pp.Target.from_configuration(arm, 0.9 * goal), None, memory)
@@ -93,7 +101,8 @@ def test_an_equal_target_does_not_make_it_plan_again() -> None:
 
 
 def test_memory_of_another_arm_or_controller_is_no_memory() -> None:
-    arm, other = arm_called("spatial"), arm_called("planar")
+    arm = arm_called("spatial")
+    other = arm_called("planar")
     target = pp.Target.from_configuration(arm, within(arm, pp.Limits(), np.random.default_rng(1)))
     foreign = pp.Geodesic().step(
         other.at(other.straight()), pp.Target.from_configuration(other, np.full(7, 0.3))

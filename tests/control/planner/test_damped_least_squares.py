@@ -61,7 +61,8 @@ def unreachable(arm: pp.Arm, seed: int) -> pp.Target:
 
 @pytest.mark.parametrize("name", ["planar", "spatial"])
 def test_points_out_of_reach_are_met_as_well_as_scipy_can(name: str) -> None:
-    arm, worse = arm_named(name), []
+    arm = arm_named(name)
+    worse = []
     for seed in range(5):
         objective = Objective(arm, unreachable(arm, seed))
         start = np.random.default_rng(seed).uniform(*edges_of(arm))
@@ -142,8 +143,10 @@ def test_steps_among_few_and_many_constraints_are_optimal(
     modules: int, count: int, along_chain: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The slope of the cost is what the bounds and constraints push: non-negative multipliers exist."""
-    rng, arm = np.random.default_rng(modules + count), pp.Arm.from_template("RyRz", modules)
-    calls, original = [], ChainSolver.constrained_step
+    rng = np.random.default_rng(modules + count)
+    arm = pp.Arm.from_template("RyRz", modules)
+    calls = []
+    original = ChainSolver.constrained_step
 
     def counted(*given: Any) -> Any:
         calls.append(given)
@@ -154,7 +157,8 @@ def test_steps_among_few_and_many_constraints_are_optimal(
         state, goal = (arm.at(pp.arm.smooth_configuration(arm, rng, 0.6)).compiled for _ in range(2))
         target = pp.Target.from_configuration(arm, goal.q)
         objective = Objective(arm, target, (), 1.0, 0.2)
-        links, ways = rng.integers(modules // 2, modules, count), rng.normal(size=(count, 3))
+        links = rng.integers(modules // 2, modules, count)
+        ways = rng.normal(size=(count, 3))
         rows = np.einsum("ri,rij->rj", ways, state.jacobians[links])
         least = -rng.uniform(0.0, 0.004, count) * arm.length
         edge = np.full(arm.nv, 0.1)

@@ -34,7 +34,8 @@ def error(state, target):
 @pytest.mark.parametrize("seed", range(4))
 def test_an_arm_that_was_pushed_away_after_it_arrived_comes_back(planar: pp.Arm, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    goal, geodesic = rng.uniform(-1, 1, 10), pp.Geodesic()
+    goal = rng.uniform(-1, 1, 10)
+    geodesic = pp.Geodesic()
     target = pp.Target.from_configuration(planar, goal)
     _, memory = goes_on([geodesic], planar.at(goal), target)
     pushed = planar.at(np.clip(goal + 2.0 * rng.uniform(-1, 1, 10), -3, 3))
@@ -80,7 +81,8 @@ def test_a_blocked_goal_is_a_stall_with_a_limit_of_acceleration_too() -> None:
 
 
 def test_what_is_no_state_no_target_and_no_memory_is_refused_by_name(planar: pp.Arm) -> None:
-    state, geodesic = planar.at(planar.neutral()), pp.Geodesic()
+    state = planar.at(planar.neutral())
+    geodesic = pp.Geodesic()
     target = pp.Target.from_configuration(planar, planar.neutral())
     with pytest.raises(InvalidValue, match=r"state is .* an ArmState"):
         geodesic.step(planar.neutral(), target)

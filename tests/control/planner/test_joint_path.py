@@ -91,11 +91,15 @@ def test_stepping_ahead_again_and_again_ends_at_the_end() -> None:
         path = drawn(np.random.default_rng(seed))
         bound = np.full(planar().nv, 0.07)
         pieces = np.abs(np.diff(path.offsets, axis=0)).max(axis=1).sum() / 0.07
-        place, offset, steps = 0.0, np.zeros(planar().nv), 0
+        place = 0.0
+        offset = np.zeros(planar().nv)
+        steps = 0
         while place < path.end:
             ahead = ahead_of(path, offset, place, bound)
             assert ahead.inside and ahead.left == pytest.approx(np.abs(path.offsets[-1] - offset).max())
-            place, offset, steps = ahead.place, offset + ahead.dq, steps + 1
+            place = ahead.place
+            offset = offset + ahead.dq
+            steps = steps + 1
             # Each step but the last covers a chord of one bound, so at least as much of the path.
             assert steps <= np.ceil(pieces)
         np.testing.assert_allclose(offset, path.offsets[-1], atol=1e-12)
@@ -103,7 +107,8 @@ def test_stepping_ahead_again_and_again_ends_at_the_end() -> None:
 
 def test_places_and_configurations_belong_together_on_every_arm() -> None:
     for name in ARMS:
-        arm, rng = arm_called(name), np.random.default_rng(len(name))
+        arm = arm_called(name)
+        rng = np.random.default_rng(len(name))
         path = drawn(rng, arm, 0.05)
         before = None
         for place in np.linspace(0.0, path.end, 23):

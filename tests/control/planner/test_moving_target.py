@@ -32,10 +32,14 @@ def postures(seed: int, steps: int, speed: float) -> list[np.ndarray]:
 
 def followed(targets: list[Target], q: np.ndarray) -> tuple[np.ndarray, list[PathProgress]]:
     """Configurations of an arm that takes one step towards each target, and the progresses that it was on."""
-    controller, memory, configurations, progresses = pp.Geodesic(), None, [q], []
+    controller = pp.Geodesic()
+    memory = None
+    configurations = [q]
+    progresses = []
     for target in targets:
         step = controller.step(arm().at(q), target, LIMITS, memory)
-        q, memory = arm().integrate(q, step.dq), step.memory
+        q = arm().integrate(q, step.dq)
+        memory = step.memory
         configurations.append(q)
         progresses.append(memory.progress)
     return np.array(configurations), progresses
@@ -114,8 +118,12 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
 ) -> None:
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
-    target, controller = Target.from_configuration(arm(), end), pp.Geodesic()
-    q, memory, quick, taken = start, None, geodesic.fast_step, 0
+    target = Target.from_configuration(arm(), end)
+    controller = pp.Geodesic()
+    q = start
+    memory = None
+    quick = geodesic.fast_step
+    taken = 0
     for _ in range(40):
         state = arm().at(q)
         step = controller.step(state, target, LIMITS, memory)
@@ -133,13 +141,15 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
         for ours, theirs in zip(alone, slow.memory.progress, strict=True):
             if isinstance(ours, (float, int, bool)):
                 assert ours == pytest.approx(theirs, abs=1e-12)
-        q, memory = arm().integrate(q, step.dq), step.memory
+        q = arm().integrate(q, step.dq)
+        memory = step.memory
     assert taken > 5
 
 
 def test_an_arm_that_was_pushed_aside_begins_anew() -> None:
     target = Target.from_configuration(arm(), postures(6, 1, 0.0)[0])
-    controller, q = pp.Geodesic(), arm().neutral()
+    controller = pp.Geodesic()
+    q = arm().neutral()
     first = controller.step(arm().at(q), target, LIMITS)
     pushed = arm().integrate(q, first.dq)
     pushed[3] += 0.2
@@ -152,8 +162,11 @@ def test_steps_computed_ahead_are_those_of_one_call_each(seed: int) -> None:
     """On the path, and off it, where none ahead is taken; whatever is done to the array of a step."""
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
-    target, controller = Target.from_configuration(arm(), end), pp.Geodesic()
-    q, memory, ahead = start, None, 0
+    target = Target.from_configuration(arm(), end)
+    controller = pp.Geodesic()
+    q = start
+    memory = None
+    ahead = 0
     for number in range(20):
         if number % 7 == 6:  # something pushes it
             q = arm().integrate(q, rng.uniform(-0.02, 0.02, arm().nv))
@@ -165,7 +178,8 @@ def test_steps_computed_ahead_are_those_of_one_call_each(seed: int) -> None:
             np.testing.assert_allclose(step.dq, other.dq, atol=1e-14)
             assert step.diagnostics.error_increasing == other.diagnostics.error_increasing
             ahead += step.memory.progress.taken > 1
-        q, memory = arm().integrate(q, step.dq), step.memory
+        q = arm().integrate(q, step.dq)
+        memory = step.memory
         again = controller.step(arm().at(q), target, LIMITS, memory).dq.copy()
         controller.step(arm().at(q), target, LIMITS, memory).dq[:] = 7.0
         np.testing.assert_array_equal(controller.step(arm().at(q), target, LIMITS, memory).dq, again)

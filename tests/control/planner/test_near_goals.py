@@ -28,7 +28,8 @@ ARMS = {
 def test_the_step_reaches_what_is_near_and_keeps_the_limits(
     name: str, seed: int, known: bool, size: float
 ) -> None:
-    arm, rng = ARMS[name](), np.random.default_rng(seed)
+    arm = ARMS[name]()
+    rng = np.random.default_rng(seed)
     q = smooth_configuration(arm, rng, 0.6)
     q = np.clip(q, arm.limits.lower, arm.limits.upper)
     ahead = size * arm.joint_units * rng.uniform(-1.0, 1.0, arm.nv)
@@ -74,7 +75,8 @@ def test_a_goal_beyond_a_position_limit_is_not_stepped_to() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_the_compiled_search_ends_in_a_minimum(name: str, seed: int) -> None:
     """At the end no direction lowers the sum of squares, by differences of Pinocchio's points."""
-    arm, rng = ARMS[name](), np.random.default_rng(seed)
+    arm = ARMS[name]()
+    rng = np.random.default_rng(seed)
     q = smooth_configuration(arm, rng, 0.6)
     reachable = arm.at(smooth_configuration(arm, rng, 0.6)).points
     points = reachable + (0.05 * arm.length * rng.normal(size=reachable.shape) @ arm.plane.T) @ arm.plane

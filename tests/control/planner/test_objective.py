@@ -40,7 +40,8 @@ def errors_by_hand(state: pp.ArmState, target: pp.Target, relative_position_weig
 @pytest.mark.parametrize("name, seed", STATES)
 @pytest.mark.parametrize("relative_position_weight", [0.0, 0.7])
 def test_errors_and_their_derivative(name: str, seed: int | None, relative_position_weight: float) -> None:
-    state, arm = state_of(name, seed), arm_called(name)
+    state = state_of(name, seed)
+    arm = arm_called(name)
     target = apart(arm, 3, weighed(arm))
     objective = Objective(arm, target, (), relative_position_weight)
     linear = objective.rows(state)
@@ -58,11 +59,14 @@ def test_errors_and_their_derivative(name: str, seed: int | None, relative_posit
 
 @pytest.mark.parametrize("name", ["spatial", "planar", "mixed", "scara"])
 def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
-    state, arm = state_of(name, 1), arm_called(name)
+    state = state_of(name, 1)
+    arm = arm_called(name)
     tip = EndEffector(position=state.points[-1] + 0.01 * arm.plane[0], weight=9.0)
     rest = JointPosture(q=arm.neutral(), weight=0.04)
-    objective, target = Objective(arm, apart(arm, 1), (tip, rest)), apart(arm, 1)
-    linear, alone = objective.rows(state), Objective(arm, target).rows(state)
+    objective = Objective(arm, apart(arm, 1), (tip, rest))
+    target = apart(arm, 1)
+    linear = objective.rows(state)
+    alone = Objective(arm, target).rows(state)
     assert len(linear.errors) == len(alone.errors) + arm.dimension + arm.nv
     np.testing.assert_array_equal(linear.errors[: len(alone.errors)], alone.errors)
     np.testing.assert_allclose(
@@ -73,7 +77,8 @@ def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
 
 
 def test_strict_tasks_are_listed_by_themselves() -> None:
-    state, arm = state_of("spatial", 1), arm_called("spatial")
+    state = state_of("spatial", 1)
+    arm = arm_called("spatial")
     first = EndEffector(position=np.ones(3), weight=1.0, priority=True)
     objective = Objective(arm, apart(arm, 1), (JointPosture(q=arm.neutral()), first))
     strict = objective.task_rows(state, priority=True)
@@ -88,7 +93,8 @@ def test_strict_tasks_are_listed_by_themselves() -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_step_and_its_displacement_are_the_same_thing(name: str) -> None:
-    arm, state = arm_called(name), state_of(name, 0)
+    arm = arm_called(name)
+    state = state_of(name, 0)
     objective = Objective(arm, target_of(arm))
     x = np.random.default_rng(0).normal(size=len(objective.columns))
     dq = objective.displacement(x)

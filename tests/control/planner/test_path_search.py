@@ -28,7 +28,8 @@ def arm() -> pp.Arm:
 
 def wall_with_hole(place: float, y: float, z: float, width: float = 0.15) -> dict[str, pp.Box]:
     """Four boxes around a square hole, across x."""
-    wide, side = 1.2, 0.5 * width
+    wide = 1.2
+    side = 0.5 * width
     return {
         "left": pp.Box((place, y - side - 0.5 * wide, z), (0.02, wide, 2.0 * wide)),
         "right": pp.Box((place, y + side + 0.5 * wide, z), (0.02, wide, 2.0 * wide)),
@@ -61,7 +62,8 @@ def through_a_hole(seed: int) -> tuple[pp.Scene, np.ndarray, np.ndarray]:
 
 def smallest_distance(scene: pp.Scene, q: np.ndarray) -> float:
     """On the straight motions between configurations, every 0.01 rad."""
-    model, least = CollisionModel(arm(), scene), np.inf
+    model = CollisionModel(arm(), scene)
+    least = np.inf
     for one, other in pairwise(q):
         count = max(int(np.ceil(np.abs(other - one).max() / 0.01)), 1)
         for share in np.arange(1, count + 1) / count:
@@ -116,7 +118,8 @@ def test_where_there_is_no_path_the_plan_says_what_is_in_the_way() -> None:
         for name, side in (("east wall", 1.0), ("west wall", -1.0))
     }
     scene = pp.Scene(walls, self_collision=False, margin=MARGIN, arm_radius=0.01)
-    start, goal = np.array([0.5 * np.pi, 0.2, 0.1, 0.1, 0.1]), np.array([-0.5 * np.pi, 0.2, 0.1, 0.1, 0.1])
+    start = np.array([0.5 * np.pi, 0.2, 0.1, 0.1, 0.1])
+    goal = np.array([-0.5 * np.pi, 0.2, 0.1, 0.1, 0.1])
     model = CollisionModel(planar, scene)
     assert min(model.minimum(q).distance for q in (start, goal)) > MARGIN
     path = pp.plan(planar.at(start), pp.Target.from_configuration(planar, goal), scene)
@@ -129,7 +132,8 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
     scene, start, goal = through_a_hole(seed)
     found = search(scene, start, goal, seed).find()
     assert found is not None
-    bounds, state = pp.Limits().for_arm(arm()), arm().at(start).compiled
+    bounds = pp.Limits().for_arm(arm())
+    state = arm().at(start).compiled
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
     penalties = Penalties(None, avoidance, 30.0, MARGIN)
@@ -159,7 +163,8 @@ def test_a_budget_ends_the_search() -> None:
 
 def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
     scene, start, goal = through_a_hole(1)
-    target, told = pp.Target.from_configuration(arm(), goal), []
+    target = pp.Target.from_configuration(arm(), goal)
+    told = []
 
     def note(trying: str, elapsed: float, best: JointPath | None) -> bool:
         told.append((trying, elapsed, best))

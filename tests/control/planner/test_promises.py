@@ -59,10 +59,8 @@ def drawn_arm(rng: np.random.Generator) -> pp.Arm:
     """A chain of joints of all types, whose ranges are up to 40 rad and 400 m wide, or nothing at all."""
 
     def joint() -> pp.JointSpec:
-        axis, kind = (
-            str(rng.choice(["x", "y", "z"])),
-            rng.choice(["hinge", "slide", "continuous"], p=[0.7, 0.2, 0.1]),
-        )
+        axis = str(rng.choice(["x", "y", "z"]))
+        kind = rng.choice(["hinge", "slide", "continuous"], p=[0.7, 0.2, 0.1])
         if kind == "continuous":
             return pp.JointSpec(axis, type="continuous")
         widest = 10.0 ** (rng.uniform(-2.0, 2.6) if kind == "slide" else rng.uniform(0.0, 1.6))
@@ -103,7 +101,8 @@ def test_an_arm_without_limits_unwinds(seed: int) -> None:
 def test_one_slow_joint_keeps_the_others_waiting_and_no_more() -> None:
     arm = pp.Arm.from_template("RyRz", 8)
     start, goal = np.random.default_rng(0).uniform(-1.5, 1.5, (2, arm.nv))
-    start[0], goal[0] = -1.5, 1.5
+    start[0] = -1.5
+    goal[0] = 1.5
     step = np.full(arm.nv, 0.1)
     step[0] = 5e-4
     check_arrival(Case(arm, start, pp.Target.from_configuration(arm, goal), pp.Limits(step=step)))
@@ -159,7 +158,8 @@ def test_a_known_configuration_is_reached_in_the_steps_that_its_way_takes(
 def test_the_way_is_no_longer_than_a_bound_known_beforehand(seed: int, name: str) -> None:
     """mu |way of the joints| <= length of joint interpolation in the metric J^T J + mu^2 I, by its energy."""
     case = drawn(seed, name, "known", pp.Limits())
-    arm, controller = case.arm, pp.Geodesic()
+    arm = case.arm
+    controller = pp.Geodesic()
     mu = controller.joint_weight * arm.length / np.sqrt(arm.n_modules)
     offsets = controller.step(arm.at(case.start), case.target).memory.progress.path.offsets / arm.joint_units
     line = np.linspace(0.0, 1.0, len(offsets))[:, None] * offsets[-1]
@@ -181,7 +181,8 @@ def test_the_same_call_gives_the_same_bits(name: str, kind: str) -> None:
 @pytest.mark.parametrize("name", ARMS)
 def test_an_acceleration_limit_does_not_keep_it_from_a_known_configuration(name: str) -> None:
     """Where a joint comes to full speed within ten steps."""
-    arm, limits = arm_called(name), pp.Limits(step=None, dt=0.1, velocity=1.0, acceleration=1.0)
+    arm = arm_called(name)
+    limits = pp.Limits(step=None, dt=0.1, velocity=1.0, acceleration=1.0)
     for seed in range(2):
         case = drawn(seed, name, "known", limits)
         run = case.track(max_steps=1500)
@@ -208,7 +209,8 @@ def test_a_low_acceleration_limit_costs_little_more_than_joint_interpolation(
 @pytest.mark.parametrize("poison", ["nan", "garbage", "flag", "huge", "sometimes"])
 @pytest.mark.parametrize("kind", ["points", "far"])
 def test_a_poisoned_solver_breaks_no_limit(poison: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, honest = np.random.default_rng(0), avoidance.daqp.solve
+    rng = np.random.default_rng(0)
+    honest = avoidance.daqp.solve
 
     def solve(hessian: np.ndarray, gradient: np.ndarray, *rest: object, **options: object) -> tuple:
         n = len(gradient)
@@ -243,8 +245,12 @@ def test_disturbed_steps_still_arrive() -> None:
     """Between steps the arm is pushed by more than it moves itself, at first."""
     for seed, name in enumerate(("planar", "spatial", "short")):
         case = drawn(seed, name, "known", pp.Limits(step=0.1))
-        arm, controller, memory, rng = case.arm, pp.Geodesic(), None, np.random.default_rng(seed)
-        q, steps = case.start, 0
+        arm = case.arm
+        controller = pp.Geodesic()
+        memory = None
+        rng = np.random.default_rng(seed)
+        q = case.start
+        steps = 0
         while steps < 400:
             state = arm.at(q)
             if np.linalg.norm(case.target.points - state.points, axis=1).mean() < 1e-6 * arm.length:
@@ -254,7 +260,8 @@ def test_disturbed_steps_still_arrive() -> None:
             push = 0.15 * rng.normal(size=arm.nv) if steps < 15 else np.zeros(arm.nv)
             pushed = arm.positions(arm.integrate(q, step.dq)) + push
             q = arm.configuration(np.clip(pushed, arm.limits.lower, arm.limits.upper))
-            memory, steps = step.memory, steps + 1
+            memory = step.memory
+            steps = steps + 1
         assert steps < 400, name
 
 

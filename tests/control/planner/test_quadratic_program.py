@@ -37,7 +37,8 @@ def unexplained(
     A feasible x solves a convex program if and only if nothing is left. Relative to the gradient.
     """
     hessian, gradient, lower, upper = problem
-    n, near = len(x), 1e-8 * max(1.0, float(np.abs(upper).max()))
+    n = len(x)
+    near = 1e-8 * max(1.0, float(np.abs(upper).max()))
     eye = np.eye(n)
     pushes = [eye[x <= lower + near], -eye[x >= upper - near]]
     if rows is not None:
@@ -116,9 +117,11 @@ def test_rows_that_cannot_all_hold_give_way_and_the_box_does_not(seed: int, n: i
 def contradicting(seed: int) -> tuple[Problem, ConstraintRows, float]:
     """A program whose rows contradict each other, and the smallest sum of squares by which they can."""
     rng = np.random.default_rng(seed)
-    n, r = int(rng.integers(2, 10)), int(rng.integers(2, 8))
+    n = int(rng.integers(2, 10))
+    r = int(rng.integers(2, 8))
     matrix = rng.normal(size=(2 * n, n)) * 10.0 ** rng.uniform(-1.0, 1.0, n)
-    lower, upper = np.full(n, -0.1), np.full(n, 0.1)
+    lower = np.full(n, -0.1)
+    upper = np.full(n, 0.1)
     normals = rng.normal(size=(r, n))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     least = np.abs(normals).sum(axis=1) * 0.1 * rng.uniform(0.3, 1.5, r)
@@ -183,7 +186,8 @@ def test_the_unit_of_the_objective_does_not_matter(scale: float, step: float) ->
     for seed in range(5):
         rng = np.random.default_rng(seed)
         matrix = rng.normal(size=(30, 12))
-        hessian, gradient = matrix.T @ matrix, -matrix.T @ matrix @ rng.normal(size=12) * 3.0 * step
+        hessian = matrix.T @ matrix
+        gradient = -matrix.T @ matrix @ rng.normal(size=12) * 3.0 * step
         bound = step * rng.uniform(0.1, 1.0, 12)
         rows = ConstraintRows(rng.normal(size=(3, 12)), np.zeros(3))
         found = solve(scale * hessian, scale * gradient, -bound, bound, rows)

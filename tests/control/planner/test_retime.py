@@ -46,7 +46,9 @@ def gone(
 ) -> np.ndarray:
     """The places of a motion at the pace that is given, step by step until its end."""
     bounds = pp.Limits().for_arm(path.arm)._replace(bound=bound, brake=brake)
-    profile, places, speed = SpeedProfile(path, bounds, most), [0.0], 0.0
+    profile = SpeedProfile(path, bounds, most)
+    places = [0.0]
+    speed = 0.0
     while places[-1] < path.end:
         speed = profile.next(places[-1], speed)
         assert 0.0 < speed <= np.max(most) * (1.0 + ROUNDING)
@@ -78,7 +80,8 @@ def fewest_steps(distance: float, bound: float, brake: float) -> int:
 @pytest.mark.parametrize("timed", [True, False])
 def test_the_motion_keeps_speed_and_acceleration_from_rest_to_rest(seed: int, timed: bool) -> None:
     rng = np.random.default_rng(seed)
-    joints, rows = int(rng.integers(1, 6)), int(rng.integers(60, 300))
+    joints = int(rng.integers(1, 6))
+    rows = int(rng.integers(60, 300))
     path = smooth_way(rng, rows, joints)
     row = np.abs(np.diff(path.offsets, axis=0)).max()
     bound = row * rng.uniform(0.2, 0.9) * rng.uniform(0.5, 1.0, joints)
@@ -114,7 +117,9 @@ def test_a_straight_way_takes_little_longer_than_it_must(
 def test_tighter_limits_are_never_faster(seed: int) -> None:
     rng = np.random.default_rng(seed)
     path = smooth_way(rng, 120, 3)
-    bound, brake, most = np.full(3, 0.02), np.full(3, 0.004), 0.8
+    bound = np.full(3, 0.02)
+    brake = np.full(3, 0.004)
+    most = 0.8
     counts = [
         len(gone(path, bound, brake, most)),
         len(gone(path, 0.7 * bound, brake, most)),
@@ -142,7 +147,8 @@ def test_speed_alone_sets_it_where_nothing_brakes() -> None:
 @pytest.mark.parametrize("most", [np.inf, 0.05])
 def test_two_rows_and_joints_that_stand_still(most: float) -> None:
     path = way(np.array([[0.0, 0.0, 0.0], [0.5, 0.0, -0.2]]))
-    bound, brake = np.full(3, 0.03), np.full(3, 0.01)
+    bound = np.full(3, 0.03)
+    brake = np.full(3, 0.01)
     fastest, hardest = loads(path, gone(path, bound, brake, most), bound, brake)
     assert 0.5 < fastest <= 1.0 and hardest <= 1.0 + ROUNDING
 
@@ -152,7 +158,8 @@ def test_rows_that_repeat_take_their_time(most: float) -> None:
     s = np.linspace(0.0, 1.0, 40)[:, None]
     bend = (s**3 * (10.0 - 15.0 * s + 6.0 * s**2)) * [[0.4, -0.7]]
     path = way(np.concatenate([bend, np.repeat(bend[-1:], 25, axis=0), bend[::-1]]))
-    bound, brake = np.full(2, 0.05), np.full(2, 0.003)
+    bound = np.full(2, 0.05)
+    brake = np.full(2, 0.003)
     places = gone(path, bound, brake, most)
     fastest, hardest = loads(path, places, bound, brake)
     assert fastest <= 1.0 + ROUNDING and hardest <= 1.0 + ROUNDING
@@ -184,14 +191,16 @@ def shortest(path: JointPath, profile: SpeedProfile, brake: np.ndarray) -> float
     h = path.end / count
     curve = CubicSpline(np.arange(path.end + 1.0), path.offsets, bc_type="natural")
     at = h * np.arange(count)[:, None] + h * np.array([1e-9, 0.5, 1.0 - 1e-9])
-    slopes, bends = curve(at, 1), curve(at, 2)
+    slopes = curve(at, 1)
+    bends = curve(at, 2)
     # f = q' u + q'' (x + 2 (s - s0) u) has three Bernstein coefficients on a part that begins at s0.
     u = slopes + bends * (2.0 * h * np.array([0.0, 0.5, 1.0]))[:, None]
-    u[:, 1], bends[:, 1] = (
-        2.0 * u[:, 1] - 0.5 * (u[:, 0] + u[:, 2]),
-        2.0 * bends[:, 1] - bends[:, ::2].mean(1),
-    )
-    rows, columns, values, parts = [], [], [], np.repeat(np.arange(count), u[0].size)
+    u[:, 1] = 2.0 * u[:, 1] - 0.5 * (u[:, 0] + u[:, 2])
+    bends[:, 1] = 2.0 * bends[:, 1] - bends[:, ::2].mean(1)
+    rows = []
+    columns = []
+    values = []
+    parts = np.repeat(np.arange(count), u[0].size)
     for column, share in ((parts, bends - u / (2.0 * h)), (parts + 1, u / (2.0 * h))):
         rows.append(np.arange(len(parts)))
         columns.append(column)
@@ -199,8 +208,10 @@ def shortest(path: JointPath, profile: SpeedProfile, brake: np.ndarray) -> float
     matrix = csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))))
     limits = np.tile(brake, 3 * count)
     ends = [(0.0, (path.end + 1.0) ** 2)] * (count + 1)
-    ends[0], ends[-1] = (0.0, profile.top[0] ** 2), (0.0, profile.top[-1] ** 2)
-    both, most = vstack([matrix, -matrix]), np.concatenate([limits, limits])
+    ends[0] = (0.0, profile.top[0] ** 2)
+    ends[-1] = (0.0, profile.top[-1] ** 2)
+    both = vstack([matrix, -matrix])
+    most = np.concatenate([limits, limits])
     found = linprog(-np.ones(count + 1), both, most, bounds=ends)
     assert found.status == 0
     speeds = np.sqrt(np.maximum(found.x, 0.0))
@@ -210,7 +221,8 @@ def shortest(path: JointPath, profile: SpeedProfile, brake: np.ndarray) -> float
 @pytest.mark.parametrize("seed", seeds(12))
 def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    path, brake = smooth_way(rng, 70, 4), rng.uniform(1e-4, 1e-2, 4)
+    path = smooth_way(rng, 70, 4)
+    brake = rng.uniform(1e-4, 1e-2, 4)
     bounds = (
         pp.Limits().for_arm(path.arm)._replace(bound=np.full(4, np.inf), brake=brake / ACCELERATION_SHARE)
     )
@@ -221,9 +233,12 @@ def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
 @pytest.mark.parametrize("seed", seeds(6))
 def test_a_rate_for_each_piece_is_kept_there_and_limits_too(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    path, rates = smooth_way(rng, 60, 3), np.full(59, 0.8)
-    rates[20:30], rates[40] = 0.1, 0.3
-    bound, brake = np.full(3, 0.1), rng.uniform(1e-4, 1e-2, 3)
+    path = smooth_way(rng, 60, 3)
+    rates = np.full(59, 0.8)
+    rates[20:30] = 0.1
+    rates[40] = 0.3
+    bound = np.full(3, 0.1)
+    brake = rng.uniform(1e-4, 1e-2, 3)
     places = gone(path, bound, brake, rates)
     begin = places[:-1].astype(int)
     for first, last, passed in zip(begin, np.ceil(places[1:]).astype(int), np.diff(places), strict=True):
@@ -235,7 +250,8 @@ def test_a_rate_for_each_piece_is_kept_there_and_limits_too(seed: int) -> None:
 
 @pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_the_arm_does_not_stop_on_the_way_because_of_rounding() -> None:
-    arm, rng = pp.Arm.from_template("RyRz", 8, (1 / 16, 1 / 16)), np.random.default_rng(15)
+    arm = pp.Arm.from_template("RyRz", 8, (1 / 16, 1 / 16))
+    rng = np.random.default_rng(15)
     limits = pp.Limits(step=None, velocity=1000.0, acceleration=5.0, dt=0.01)
     start, goal = (pp.arm.smooth_configuration(arm, rng, 2.0) for _ in range(2))
     path = pp.plan(arm.at(start), pp.Target.from_configuration(arm, goal), limits=limits)

@@ -109,7 +109,8 @@ def test_time_is_kept_where_limits_allow_it() -> None:
 @pytest.mark.parametrize("given", [True, False])
 def test_no_joint_goes_beyond_the_end(seed: int, given: bool) -> None:
     rng = np.random.default_rng(seed)
-    way, dt = float(rng.uniform(0.1, 2.0)), 0.05
+    way = float(rng.uniform(0.1, 2.0))
+    dt = 0.05
     limits = pp.Limits(step=None, velocity=1.0, dt=dt, acceleration=float(10 ** rng.uniform(-0.3, 1.3)))
     path = path_of(one(), one().neutral(), way * np.linspace(0.0, 1.0, 41)[:, None])
     ride = Ride(path, limits, most=1.3)
@@ -179,12 +180,16 @@ def test_an_arm_that_moves_along_a_new_way_is_taken_to_be_under_way(speed: float
 
 def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0)
-    controller, q, memory, steps = pp.Geodesic(), one().neutral(), None, []
+    controller = pp.Geodesic()
+    q = one().neutral()
+    memory = None
+    steps = []
     for k in range(80):
         # From step 30 on the arm is sent farther, by a target that is another way.
         target = Target.from_configuration(one(), np.array([0.8 if k < 30 else 2.0]))
         step = controller.step(one().at(q), target, limits, memory)
-        memory, q = step.memory, one().integrate(q, step.dq)
+        memory = step.memory
+        q = one().integrate(q, step.dq)
         steps.append(float(step.dq[0]))
     assert steps[29] > 0.9 * 0.019 and min(steps[30:80]) > 0.9 * 0.019
 

@@ -40,10 +40,13 @@ def around_a_ball(seed: int) -> tuple[np.ndarray, pp.Target, pp.Scene]:
 
 def followed(path: pp.TimedPath, q: np.ndarray, most: int = 2000) -> tuple[np.ndarray, list[pp.Step]]:
     """Configurations and steps until the path has ended."""
-    configurations, steps, memory = [q], [], None
+    configurations = [q]
+    steps = []
+    memory = None
     for _ in range(most):
         step = pp.follow(path, arm().at(q), memory=memory)
-        memory, q = step.memory, arm().integrate(q, step.dq)
+        memory = step.memory
+        q = arm().integrate(q, step.dq)
         if memory.progress.arrived:
             return np.array(configurations), steps
         configurations.append(q)
@@ -125,7 +128,8 @@ def test_an_arm_that_was_pushed_comes_back_to_its_path() -> None:
     memory = None
     for number in range(80):
         step = pp.follow(path, arm().at(q), memory=memory)
-        memory, q = step.memory, arm().integrate(q, step.dq)
+        memory = step.memory
+        q = arm().integrate(q, step.dq)
         if number == 20:
             q = arm().integrate(q, np.full(arm().nv, 0.02))
     place = memory.progress.place

@@ -91,7 +91,8 @@ def test_a_target_posture_inside_an_obstacle_is_said_to_be() -> None:
 
 def test_an_obstacle_beside_the_target_does_not() -> None:
     arm = pp.Arm.from_template("Rz", 6)
-    start, goal = np.full(6, -0.3), np.full(6, 0.15)
+    start = np.full(6, -0.3)
+    goal = np.full(6, 0.15)
     ends = np.concatenate([arm.at(start).points, arm.at(goal).points])
     place = np.array([0.5 * arm.length, 0.75 * arm.length, 0.0])
     assert np.linalg.norm(ends - place, axis=1).min() > 0.05

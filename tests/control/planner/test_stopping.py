@@ -26,10 +26,12 @@ pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_an_arm_stops_straight_on_within_its_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 6))
-    brake, bound = 10.0 ** rng.uniform(-4, -1, n), np.full(n, 0.3)
+    brake = 10.0 ** rng.uniform(-4, -1, n)
+    bound = np.full(n, 0.3)
     dq = rng.uniform(-0.3, 0.3, n) * rng.integers(0, 2, n)
     # Room for braking as hard as may be, of each joint by itself, and for some of them not much more.
-    needed, slowest = np.zeros(n), dq
+    needed = np.zeros(n)
+    slowest = dq
     while np.any(slowest := full_braking(slowest, brake)):
         needed += slowest
     spare = np.where(rng.random(n) < 0.5, 10.0, 10.0 ** rng.uniform(-6, 0, n)) * np.abs(needed)
@@ -74,13 +76,16 @@ def check_run(seed: int, max_steps: int) -> None:
 @given(st.integers(0, 10**6))
 @examples(40)
 def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed: int) -> None:
-    progress, rng = drawn_course(seed), np.random.default_rng(seed)
-    arm, length = progress.arm, progress.arm.length
+    progress = drawn_course(seed)
+    rng = np.random.default_rng(seed)
+    arm = progress.arm
+    length = progress.arm.length
     loop = ControlLoop(arm, progress.stops[0], progress.goal, pp.Geodesic(), progress.limits)
     loop.run(progress.goal, 1e-6 * length, int(rng.integers(3, 30)))
     beside = loop.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
     ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, self_collision=False, margin=0.01 * length)
-    around, first = pp.CollisionModel(arm, ball), loop.record.steps
+    around = pp.CollisionModel(arm, ball)
+    first = loop.record.steps
     loop.controller = loop.controller.with_scene(ball)
     loop.run(progress.goal, 1e-6 * length, first + 60)
     loop.brake_to_rest()
@@ -101,7 +106,8 @@ def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed:
 def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
     """One hinge on its way to a wall: it comes closer than it may, or hits it if it is faster still."""
     arm = pp.Arm.from_template("Rz", 1)
-    length, limits = arm.length, pp.Limits(step=None, velocity=5.0, dt=0.1, acceleration=1.0)
+    length = arm.length
+    limits = pp.Limits(step=None, velocity=5.0, dt=0.1, acceleration=1.0)
     target = pp.Target.from_configuration(arm, np.array([1.5]))
     found = []
     for speed in (0.15, 0.17, 0.3):  # it stops in speed^2 / 2 A - speed / 2 [rad], A = 0.01
@@ -124,11 +130,9 @@ def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
 def test_without_a_measurement_a_tracker_brakes_clear(seed: int) -> None:
     progress = drawn_course(seed, stops=3)
     tracker = pp.Tracker(progress.arm, limits=progress.limits, scene=progress.scene)
-    rng, q, around = (
-        np.random.default_rng(seed),
-        [progress.stops[0]],
-        pp.CollisionModel(progress.arm, progress.scene),
-    )
+    rng = np.random.default_rng(seed)
+    q = [progress.stops[0]]
+    around = pp.CollisionModel(progress.arm, progress.scene)
     for number in range(120):
         if number % 40 == 0:
             goal = progress.stops[1 + number // 40 % 2]
@@ -146,7 +150,8 @@ def test_without_a_measurement_a_tracker_brakes_clear(seed: int) -> None:
 def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: int) -> None:
     arm = arm_number(1)
     start, end = (arm.configuration(np.full(arm.nv, value)) for value in (0.0, 0.4))
-    goal, limits = pp.Target.from_configuration(arm, end), pp.Limits(dt=0.05, acceleration=1.0)
+    goal = pp.Target.from_configuration(arm, end)
+    limits = pp.Limits(dt=0.05, acceleration=1.0)
     loop = ControlLoop(arm, start, goal, pp.Geodesic(), limits)
     for _ in range(min(steps, 24)):
         loop.take_step(loop.compute_step(goal))
@@ -160,8 +165,10 @@ def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: in
 
 def test_a_way_that_is_given_is_set_out_on_at_the_speed_of_now() -> None:
     arm = arm_number(1)
-    limits, state = pp.Limits(dt=0.05, acceleration=1.0), arm.at(arm.neutral())
-    controller, moving = pp.Geodesic(), Memory(np.full(arm.nv, -0.0025))
+    limits = pp.Limits(dt=0.05, acceleration=1.0)
+    state = arm.at(arm.neutral())
+    controller = pp.Geodesic()
+    moving = Memory(np.full(arm.nv, -0.0025))
     target = pp.Target.from_configuration(arm, state.q)
     offsets = np.linspace(0.0, 1.0, 30)[:, None] * np.ones(arm.nv)
     path = JointPath(controller.objective(arm, target), state.q, offsets)

@@ -104,10 +104,14 @@ def geodesic(start: np.ndarray, goal: np.ndarray, guess: np.ndarray) -> np.ndarr
 
     def slope(_: np.ndarray, state: np.ndarray) -> np.ndarray:
         _, elbow, u, v = state
-        c, s = a * b * np.cos(elbow), a * b * np.sin(elbow)
-        m00, m01, m11 = 2 * a**2 + b**2 + 2 * c + MU**2, b**2 + c, b**2 + MU**2
+        c = a * b * np.cos(elbow)
+        s = a * b * np.sin(elbow)
+        m00 = 2 * a**2 + b**2 + 2 * c + MU**2
+        m01 = b**2 + c
+        m11 = b**2 + MU**2
         # The change of M along the way is v (-2 s, -s; -s, 0); its gradient is along the second joint.
-        f0, f1 = v * (2 * s * u + s * v), v * s * u - s * u * u - s * u * v
+        f0 = v * (2 * s * u + s * v)
+        f1 = v * s * u - s * u * u - s * u * v
         det = m00 * m11 - m01**2
         return np.array([u, v, (m11 * f0 - m01 * f1) / det, (m00 * f1 - m01 * f0) / det])
 
@@ -173,17 +177,21 @@ def test_an_exact_fold_is_not_turned_over_like_a_stick(template: str, modules: i
 
 def test_a_turn_of_more_than_half_a_circle_is_taken_the_way_that_the_goal_means(two: pp.Arm) -> None:
     """From three quarters one way to three quarters the other: back all the way, not through pi."""
-    start, goal = np.array([-2.4, 0.1]), np.array([2.4, -0.1])
+    start = np.array([-2.4, 0.1])
+    goal = np.array([2.4, -0.1])
     path = way(two, start, goal)
     np.testing.assert_allclose(path.offsets[-1], goal - start, atol=1e-12)
     assert np.all(np.abs(start + path.offsets) <= np.pi + 1e-12)
 
 
 def test_penalties_bend_the_path_around_an_obstacle(two: pp.Arm) -> None:
-    start, goal = np.array([-0.8, 0.3]), np.array([0.8, -0.3])
+    start = np.array([-0.8, 0.3])
+    goal = np.array([0.8, -0.3])
     free = way(two, start, goal)
     middle = two.at(start + free.offsets[len(free.offsets) // 2]).points[1] * 1.05
-    radius, thin, margin = 0.12, 1e-3, 0.005
+    radius = 0.12
+    thin = 1e-3
+    margin = 0.005
     post = pp.Cylinder((*middle[:2], -1.0), (*middle[:2], 1.0), radius)
     scene = pp.Scene({"post": post}, self_collision=False, margin=margin, arm_radius=thin)
     avoidance = Avoidance.of(scene, free.objective, pp.Limits().for_arm(two))

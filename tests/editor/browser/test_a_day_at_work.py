@@ -20,15 +20,18 @@ from pinposture.editor.files import autosave_path, first_task
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def test_the_arm_follows_while_a_point_is_dragged(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     window.picture("01-loaded")
-    before, points = editor.live.state.q.copy(), session.shape.points.copy()
+    before = editor.live.state.q.copy()
+    points = session.shape.points.copy()
     seen: list[tuple[bool, float, float]] = []
 
     def note() -> None:
@@ -52,9 +55,11 @@ def test_the_arm_follows_while_a_point_is_dragged(edit: Edit, look: Look, file: 
 
 def test_keyframes_files_and_two_windows(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
-    count, task = len(keyframes_of(session.task)), session.task
+    count = len(keyframes_of(session.task))
+    task = session.task
 
     # A keyframe is added, and taken back by the keyboard.
     window.tab("Keyframes")
@@ -105,7 +110,8 @@ def test_keyframes_files_and_two_windows(edit: Edit, look: Look, file: Path) -> 
 def test_any_arm_can_be_edited(edit: Edit, look: Look) -> None:
     task = first_task(pp.Arm.from_template("RzRz", modules=12))
     editor = edit(task)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     points = session.shape.points.copy()
     window.drag(points[3], points[3] + [0.3, 0.3, 0.2])

@@ -18,7 +18,8 @@ from pinposture.task import Task
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 REACH = """
 (address) => new Promise((done) => {

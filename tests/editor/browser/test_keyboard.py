@@ -19,7 +19,8 @@ from pinposture.editor.edits import keyframes_of
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def test_the_tour_is_shown_at_the_first_visit_only(edit: Edit, look: Look, file: Path) -> None:
@@ -46,9 +47,11 @@ def test_the_tour_is_shown_at_the_first_visit_only(edit: Edit, look: Look, file:
 
 def test_each_key_does_what_is_said_of_it(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
-    shape, points = session.shape, session.shape.points.copy()
+    shape = session.shape
+    points = session.shape.points.copy()
     along = np.linspace(0.0, shape.curve.length, 101)
 
     def has(key: str, true: Callable[[], object], what: str) -> None:
@@ -63,7 +66,8 @@ def test_each_key_does_what_is_said_of_it(edit: Edit, look: Look, file: Path) ->
     assert session.handle == 2
     has("Delete", lambda: len(session.shape.points) == len(points), "Delete deletes it")
     assert np.allclose(session.shape.points, points)
-    step, handle = 0.01 * session.arm.length, session.handle
+    step = 0.01 * session.arm.length
+    handle = session.handle
     assert handle is not None
     for key, way in (("Up", (0, 0, 1)), ("Right", (1, 0, 0)), ("Down", (0, 0, -1)), ("Left", (-1, 0, 0))):
         before = session.shape.points[handle].copy()
@@ -81,7 +85,8 @@ def test_each_key_does_what_is_said_of_it(edit: Edit, look: Look, file: Path) ->
 
 def test_what_is_typed_is_no_command(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     window.key("n")
     wait_until(lambda: session.handle == 1, "a point is selected")

@@ -19,7 +19,8 @@ from pinposture.editor.edits import keyframes_of, times_of
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def short(file: Path) -> pp.Task:
@@ -30,7 +31,8 @@ def short(file: Path) -> pp.Task:
 
 def test_a_motion_is_played_and_scrubbed_and_an_edit_ends_it(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(short(file), file)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     playback = session.playback
     window.press("Faster")

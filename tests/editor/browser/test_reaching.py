@@ -20,14 +20,17 @@ from pinposture.editor.ui.curve import AXES_SIZE
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def test_the_tip_is_dragged_up(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
-    before, tip = session.task, editor.live.state.points[-1]
+    before = session.task
+    tip = editor.live.state.points[-1]
     window.aside()
     window.key("t")
     wait_until(lambda: session.tip, "the tip is held")

@@ -31,7 +31,8 @@ def moved(task: pp.Task) -> np.ndarray:
 def test_what_a_killed_server_leaves_is_taken_up_again(
     browser: Any, file: Path, pictures: Path | None
 ) -> None:
-    content, task = file.read_text(), pp.Task.load(file)
+    content = file.read_text()
+    task = pp.Task.load(file)
     with served(file) as (server, url):
         window = Window(browser, url, viewpoint(task), None)
         window.key("n")

@@ -19,7 +19,8 @@ from pinposture.viz import palette
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 STIFF = """
 version = 1
@@ -52,9 +53,11 @@ def stiff(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_curve_that_the_arm_cannot_take(edit: Edit, look: Look, stiff: Path) -> None:
     editor = edit(pp.Task.load(stiff), stiff)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
-    task, points = session.task, session.shape.points.copy()
+    task = session.task
+    points = session.shape.points.copy()
 
     # Back beyond the base: the curve would turn round at once.
     window.drag(points[1], [-0.25, 0.0, 0.1])
@@ -77,9 +80,11 @@ def test_a_curve_that_the_arm_cannot_take(edit: Edit, look: Look, stiff: Path) -
 
 def test_a_point_upon_another_and_one_too_few(edit: Edit, look: Look, stiff: Path) -> None:
     editor = edit(pp.Task.load(stiff), stiff)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
-    task, points = session.task, session.shape.points.copy()
+    task = session.task
+    points = session.shape.points.copy()
 
     # Typed, key by key: point 4 to where point 3 is.
     for _ in range(3):
@@ -111,7 +116,8 @@ def test_a_point_upon_another_and_one_too_few(edit: Edit, look: Look, stiff: Pat
 
 def test_a_file_that_cannot_be_read(edit: Edit, look: Look, stiff: Path) -> None:
     editor = edit(pp.Task.load(stiff), stiff)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     task = session.task
     broken = stiff.with_name("broken.toml")
     broken.write_text(STIFF.replace("modules = 20", "modules = 0"))

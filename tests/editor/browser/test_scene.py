@@ -21,7 +21,8 @@ from pinposture.editor.obstacles import ArmScale, obstacles_of, size_handles
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def millimetres(window: Window) -> float:
@@ -41,12 +42,14 @@ def clear(editor: Editor) -> float:
 
 def test_a_box_is_put_there_dragged_and_resized(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     window.tab("Scene")
     window.press("Box")
     window.says("added box_1")
-    before, first = session.task, obstacles_of(session.task)["box_1"]
+    before = session.task
+    first = obstacles_of(session.task)["box_1"]
     assert isinstance(first, pp.Box)
     arrived(editor)
     wait_until(
@@ -101,7 +104,8 @@ def test_a_scan_is_shown_and_told_of(edit: Edit, look: Look, file: Path) -> None
     np.savetxt(file.with_name("floor.xyz"), cloud, fmt="%.5f")
     alone = pp.Scene(self_collision=False)  # the arm is nearer to itself than to the floor
     editor = edit(pp.Task.load(file).edited(scene=alone), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     window.tab("Scene")
     window.page.get_by_text("Meshes and scans").click()

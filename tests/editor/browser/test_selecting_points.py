@@ -18,12 +18,14 @@ from pinposture.editor import Editor
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def test_several_points_are_selected_and_edited_together(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     points = session.shape.points.copy()
     page = window.page
@@ -64,7 +66,8 @@ def test_several_points_are_selected_and_edited_together(edit: Edit, look: Look,
 
 def test_a_dragged_point_comes_to_the_grid(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     point = session.shape.points[2].copy()
     step = window.field("Grid [mm]")

@@ -22,7 +22,8 @@ from pinposture.editor import Editor
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 class Slow:
@@ -31,7 +32,10 @@ class Slow:
     name = "geodesic"
 
     def __init__(self) -> None:
-        self.own, self.begun, self.ended, self.free = Geodesic(), 0, 0, Event()
+        self.own = Geodesic()
+        self.begun = 0
+        self.ended = 0
+        self.free = Event()
         self.free.set()
 
     def step(self, *given: Any, **named: Any) -> Any:
@@ -43,9 +47,11 @@ class Slow:
 
 
 def test_the_ball_follows_while_the_controller_is_busy(edit: Edit, look: Look, file: Path) -> None:
-    task, slow = pp.Task.load(file), Slow()
+    task = pp.Task.load(file)
+    slow = Slow()
     editor = edit(task.edited(controller=slow), file, selected=1)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     points = session.shape.points.copy()
 
     # From here on no step comes to its end.

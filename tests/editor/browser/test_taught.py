@@ -19,7 +19,8 @@ from pinposture.editor.edits import keyframes_of
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 CLIPPED = """
 () => {
@@ -46,7 +47,8 @@ def test_a_taught_keyframe_is_shown_played_changed_and_saved(edit: Edit, look: L
     task.edited(motion=(keyframes_of(task)[0], taught)).save(file)
     text = file.read_text()
     editor = edit(pp.Task.load(file), file)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
 
     # It is chosen at the timeline, and the arm takes it. There is nothing to drag.

@@ -18,7 +18,8 @@ from pinposture.editor.edits import keyframes_of, times_of
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def keyframe(number: int) -> str:
@@ -39,7 +40,8 @@ def drag(window: Window, number: int, by: float) -> None:
 
 def test_keyframes_are_chosen_and_dragged_at_the_timeline(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     names = [each.name for each in keyframes_of(session.task)]
     window.page.set_viewport_size({"width": 800, "height": 600})
@@ -102,7 +104,8 @@ def test_keyframes_are_chosen_and_dragged_at_the_timeline(edit: Edit, look: Look
 def test_a_keyframe_is_dragged_while_the_motion_is_played(edit: Edit, look: Look, file: Path) -> None:
     task = pp.Task.load(file)
     editor = edit(task.edited(motion=keyframes_of(task)[:2]), file)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
 
     def rests() -> tuple[float, float] | None:

@@ -18,12 +18,14 @@ from pinposture.editor import Editor
 
 pytestmark = pytest.mark.browser
 
-Edit, Look = Callable[..., Editor], Callable[..., Window]
+Edit = Callable[..., Editor]
+Look = Callable[..., Window]
 
 
 def test_the_toolbar_names_the_keyframe_and_turns_the_view(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file)
-    window, session = look(editor), editor.session
+    window = look(editor)
+    session = editor.session
     arrived(editor)
     assert window.page.locator("#keyframe").inner_text().startswith("Keyframe 1/5")
     (client,) = editor.page._server.get_clients().values()
@@ -67,7 +69,8 @@ def test_nothing_is_covered_in_a_small_window(edit: Edit, look: Look, file: Path
         return found["x"], found["y"], found["x"] + found["width"], found["y"] + found["height"]
 
     def free() -> bool:
-        play, delete = box("Play"), box("Delete")
+        play = box("Play")
+        delete = box("Delete")
         return play[2] < delete[0] and delete[2] < 800.0 and max(play[3], delete[3]) < 600.0
 
     wait_until(free, "the panels stand beside each other")
@@ -85,7 +88,8 @@ def test_nothing_is_covered_in_a_small_window(edit: Edit, look: Look, file: Path
 
     def is_in_sight() -> bool:
         """Whether the arm is in the picture and above the panel."""
-        camera, top = client.camera, window.page.get_by_role("tab", name="Motion").bounding_box()["y"]
+        camera = client.camera
+        top = window.page.get_by_role("tab", name="Motion").bounding_box()["y"]
         ahead = camera.look_at - camera.position
         right = np.cross(ahead, [0.0, 0.0, 1.0])
         axes = np.array([each / np.linalg.norm(each) for each in (right, np.cross(right, ahead), ahead)])
@@ -113,7 +117,8 @@ def test_a_task_file_of_the_folder_is_chosen_and_opened(edit: Edit, look: Look, 
 
 def test_a_page_at_rest_receives_nothing(edit: Edit, look: Look, file: Path) -> None:
     editor = edit(pp.Task.load(file), file)
-    window, frames = look(editor), []
+    window = look(editor)
+    frames = []
     window.page.on("websocket", lambda socket: socket.on("framereceived", lambda _: frames.append(1)))
     window.page.reload()
     window.page.wait_for_selector("#status")

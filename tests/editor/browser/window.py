@@ -53,14 +53,16 @@ class Window:
     def __init__(
         self, browser: Any, url: str, view: Viewpoint, pictures: Path | None, toured: bool = True
     ) -> None:
-        self._view, self._pictures = view, pictures
+        self._view = view
+        self._pictures = pictures
         self._context = browser.new_context(viewport=SIZE)
         self._context.set_default_timeout(1000.0 * PATIENCE)
         if toured:
             self._context.add_init_script(f"window.localStorage.setItem('viser-user:{TOUR_SEEN_KEY}', 'yes')")
         self._context.add_init_script(WATCH)
         self.page = self._context.new_page()
-        self._mouse, self._held = (0.0, 0.0), False
+        self._mouse = (0.0, 0.0)
+        self._held = False
         self.complaints: list[str] = []
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.goto(f"{url}/?fixedDpr={COARSE}" if pictures is None else url)
@@ -69,7 +71,8 @@ class Window:
 
     def at(self, point: Any) -> tuple[float, float]:
         """Where a place of the world is in the window [pixels], while nobody has moved the camera."""
-        view, box = self._view, self.page.locator(CANVAS).bounding_box()
+        view = self._view
+        box = self.page.locator(CANVAS).bounding_box()
         ahead = view.look_at - view.position
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
