@@ -581,7 +581,8 @@ class Arm(ConfigurationSpace):
             InvalidValue: as `checked`; or joints are so far outside that they may be in degrees.
         """
         checked = self.checked(q, name)
-        positions, (low, high) = self.difference(self.origin, checked), self._plausible_positions
+        positions = self.difference(self.origin, checked)
+        low, high = self._plausible_positions
         if np.less(positions, low).any() or np.greater(positions, high).any():
             self.check_positions(positions, name)
         return checked
@@ -812,7 +813,8 @@ class ArmState:
         """
         if self.frames is None:
             return _read_only(self.arm.kinematics.jacobians(self.forward))
-        (vx, vy, vz, wx, wy, wz), support = self.frames.motions.T, self.arm.support
+        vx, vy, vz, wx, wy, wz = self.frames.motions.T
+        support = self.arm.support
         x, y, z = self.frames.points.T[:, :, None]
         jacobians = np.empty((self.arm.n_modules, 3, self.arm.nv))
         jacobians[:, 0] = (vx + wy * z - wz * y) * support

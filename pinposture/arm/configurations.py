@@ -163,7 +163,8 @@ class ConfigurationSpace:
         for at, dof in self._continuous:
             # Pinocchio computes the angle from its cosine, which loses half the digits near pi.
             if abs(displacement[dof]) > ATAN2_THRESHOLD:
-                (a, b), (c, d) = start[at : at + 2], end[at : at + 2]
+                a, b = start[at : at + 2]
+                c, d = end[at : at + 2]
                 displacement[dof] = atan2(a * d - b * c, a * c + b * d)
         return displacement
 

@@ -122,7 +122,8 @@ def find_couplings(
     moving = {joint.name for group in groups.values() for joint, _ in group}
     found = CoupledJoints([joint for joint in chain if joint.name in moving], [], {})
     for name, group in groups.items():
-        (first, own), members = group[0], group
+        first, own = group[0]
+        members = group
         if len(group) == 1 and name == first.name:
             continue
         if name not in moving:  # an actuator off the chain, whose limits apply as well

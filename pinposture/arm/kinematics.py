@@ -485,7 +485,8 @@ class Kinematics:
                 allowed = "a joint that turns about one axis, or slides along one"
                 raise InvalidValue(f"joint {model.names[joint.id]!r}", kind, allowed)
             self.endless[joint.idx_v] |= joint.nq == 2
-        self.columns, self.ends = chain.inputs.astype(np.int64), chain.input_ends.astype(np.int64)
+        self.columns = chain.inputs.astype(np.int64)
+        self.ends = chain.input_ends.astype(np.int64)
         every = joint_placements(model)
         placements = [every[joint] for joint in joints]
         fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])

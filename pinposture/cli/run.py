@@ -64,7 +64,8 @@ class Folder:
         check_directory(path)
         self.path = path
         self.task = task
-        self._begun, self._before = _now(), list[str]()
+        self._begun = _now()
+        self._before = list[str]()
 
     def found(self) -> str:
         """Describe existing contents; empty if there are none."""

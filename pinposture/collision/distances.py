@@ -45,7 +45,8 @@ class TreeKinematics:
 
     def __init__(self, model: pin.Model) -> None:
         """Extract the joints of a model."""
-        self._model, self._space = model, ConfigurationSpace(model)
+        self._model = model
+        self._space = ConfigurationSpace(model)
         count = model.njoints
         kinds = np.full(count, 2, dtype=np.int64)
         columns = np.zeros(count, dtype=np.int64)

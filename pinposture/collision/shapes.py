@@ -361,7 +361,8 @@ class Surface(Described):
             return NotImplemented
         if self._key() != other._key():
             return False
-        (points, faces), (others, theirs) = self.content, other.content
+        points, faces = self.content
+        others, theirs = other.content
         if faces is None or theirs is None:
             return faces is theirs and np.array_equal(points, others)
         return np.array_equal(points, others) and np.array_equal(faces, theirs)

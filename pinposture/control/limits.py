@@ -242,7 +242,8 @@ def violated_limits(
     for joint in np.flatnonzero(np.minimum(above, below) < -rounding):
         name = names[joint]
         unit = "m" if arm.slides[joint] else "rad"
-        at, (low, high) = positions[joint], edges[:, joint]
+        at = positions[joint]
+        low, high = edges[:, joint]
         step = taken[joint]
         if not low - rounding <= at <= high + rounding:
             allowed = f"{low:.4g} to {high:.4g} {unit}"

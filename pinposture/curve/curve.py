@@ -563,7 +563,8 @@ class _Fit:
         scale = spans / len(data)  # so that the entries of both matrices are of order one
         normal = (self.basis.T @ self.basis) * scale
         difference = self._difference(spans)
-        self.normal, self.penalty = _upper_bands(normal), _upper_bands(difference.T @ difference)
+        self.normal = _upper_bands(normal)
+        self.penalty = _upper_bands(difference.T @ difference)
         self.right = (self.basis.T @ data) * scale
         # Logarithms of the penalty weight: enough for a unique solution, and nearly a parabola.
         self.least = math.log(1e-8)

@@ -318,7 +318,8 @@ class JointStates:
         require_instance("arm", arm, Arm, "an Arm")
         require_instance("source", source, str | Path, 'the name of a file or of a pipe, or "-"')
         self.arm = arm
-        self._source, self._lines = LineSource(source), JointStateLines(arm)
+        self._source = LineSource(source)
+        self._lines = JointStateLines(arm)
         self._positions = np.zeros(arm.nv)
         self._heard = np.zeros(arm.nv, dtype=np.bool_)
         self._unknown: set[str] = set()

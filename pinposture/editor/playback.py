@@ -342,7 +342,8 @@ class Playback:
         self.rehearse(task)
 
     def _set_time(self, at: float) -> None:
-        self._from, self._since = at, self._clock()
+        self._from = at
+        self._since = self._clock()
 
 
 def moment_of(motion: Motion, at: float) -> Moment:

@@ -301,7 +301,8 @@ class Solver:
         self._asked = first
         self._problem = first
         self._tracked = first
-        self._tracker, self._verdict = _tracker(first, start), Verdict(None)
+        self._tracker = _tracker(first, start)
+        self._verdict = Verdict(None)
         self._lag: float | None = None
         self._last_target: tuple[Arm, Target] | None = None
         # when it moved, arrived, or was asked last [s]

@@ -106,7 +106,8 @@ def nearest_in_tree(a: Three, b: Three, trees: Trees, obstacle: int, below: floa
     """
     boxes, root, levels, items, count = _piece(trees, obstacle)
     is_cloud = trees.pieces[obstacle, 5] == 1
-    (ax, ay, az), (bx, by, bz) = a, b
+    ax, ay, az = a
+    bx, by, bz = b
     ux = bx - ax
     uy = by - ay
     uz = bz - az

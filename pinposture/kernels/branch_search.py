@@ -224,7 +224,8 @@ def measure_errors(
 
     The bases of the modules after the first are filled in.
     """
-    (turns, places), total = bases, 0.0
+    turns, places = bases
+    total = 0.0
     for k in range(first, last + 1):
         turn = turns[k + 1]
         place = places[k + 1]
@@ -429,7 +430,8 @@ def solve_module(
     place = np.empty(3)
     start = np.empty(n)
     e = np.empty((1, 3))
-    (turns, places), count = bases, 0
+    turns, places = bases
+    count = 0
     if n > closed:  # solution nearest to the preferred positions
         for u in range(first, stop):
             q[u] = chain.near[u]

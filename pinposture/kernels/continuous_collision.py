@@ -211,7 +211,8 @@ def _leave_open(samples: Array2, count: int, sample: Sample) -> int:
 @subkernel
 def _place_bodies(arm: Arm, positions: Array1, others: Array2, drift: Array1, placed: Placed) -> None:
     """Place joints and bodies at a configuration of an arm with an additional translation."""
-    (tree, carriers, local), (rotations, origins, ends) = arm, placed
+    tree, carriers, local = arm
+    rotations, origins, ends = placed
     place_joints_once(tree, positions, others, rotations, origins)
     for joint in range(len(tree.parents)):
         for i in range(3):
@@ -243,7 +244,8 @@ def _bound_motions(
     arm: Arm, placed: Placed, move: Array1, drift: Array1, half: float, bounds: Motions
 ) -> None:
     """Fill in the motion of joints, and bounds of how far bodies move until either end."""
-    (tree, carriers, _), (rotations, origins, ends) = arm, placed
+    tree, carriers, _ = arm
+    rotations, origins, ends = placed
     # sums of |dq|
     joints = bounds[0]
     turned = np.empty(len(tree.parents))
@@ -318,7 +320,8 @@ def _relative_motion(arm: Arm, placed: Placed, move: Array1, half: float, one: i
 
     Infinite if the other does not carry it, or if joints slide between them.
     """
-    (tree, carriers, _), (rotations, origins, ends) = arm, placed
+    tree, carriers, _ = arm
+    rotations, origins, ends = placed
     base = carriers[other]
     joint = carriers[one]
     far = origins[joint]

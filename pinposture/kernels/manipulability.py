@@ -408,10 +408,14 @@ def _complete_basis(directions: Array2, rank: int) -> None:
                 for j in range(i):
                     o = directions[j]
                     share = e[0] * o[0] + e[1] * o[1] + e[2] * o[2]
-                    e[0], e[1], e[2] = e[0] - share * o[0], e[1] - share * o[1], e[2] - share * o[2]
+                    e[0] = e[0] - share * o[0]
+                    e[1] = e[1] - share * o[1]
+                    e[2] = e[2] - share * o[2]
             norm = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
             if norm > 0.5:
-                e[0], e[1], e[2] = e[0] / norm, e[1] / norm, e[2] / norm
+                e[0] = e[0] / norm
+                e[1] = e[1] / norm
+                e[2] = e[2] / norm
                 break
 
 

@@ -207,11 +207,13 @@ def find_speed_profile(
     top[:] = float(len(offsets)) ** 2
     for i in range(count):
         fastest = most[i // parts] ** 2
-        top[i], top[i + 1] = min(top[i], fastest), min(top[i + 1], fastest)
+        top[i] = min(top[i], fastest)
+        top[i + 1] = min(top[i + 1], fastest)
         for j in range(joints):
             if steepest[i, j] > tiny:
                 fastest = (bound[j] / steepest[i, j]) ** 2
-                top[i], top[i + 1] = min(top[i], fastest), min(top[i + 1], fastest)
+                top[i] = min(top[i], fastest)
+                top[i + 1] = min(top[i + 1], fastest)
     stops = False
     for j in range(joints):
         stops = stops or np.isfinite(brake[j])

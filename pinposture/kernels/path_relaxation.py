@@ -198,7 +198,8 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
                 if gain > 0.0:
                     x[i] = moved
                     points[i] = trial
-                    lines[0][i], lines[1][i] = lines[0][last + 1], lines[1][last + 1]
+                    lines[0][i] = lines[0][last + 1]
+                    lines[1][i] = lines[1][last + 1]
                     fall += gain
                     extra[i] = max(extra[i] * WAYPOINT_DAMPING_DOWN, least)
                     break
@@ -494,7 +495,8 @@ def _pull_contacts(
 @subkernel
 def _collect_contacts(parts: Parts, i: int, ends: Ints1, bodies: Array3) -> None:
     """Fill in the cost of body motions due to the contacts of a waypoint, (n, 6, 6)."""
-    (_, contacts, wrenches, active), last = parts, ends[len(ends) - 1]
+    _, contacts, wrenches, active = parts
+    last = ends[len(ends) - 1]
     bodies[:] = 0.0
     for row in range(contacts.begins[i], contacts.begins[i + 1]):
         for side in range(2):

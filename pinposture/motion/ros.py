@@ -234,7 +234,8 @@ class _LinkTree:
     def __init__(self, arm: Arm, trajectory: JointTrajectory) -> None:
         if arm.nv > MAX_DOF:
             raise InvalidValue("degrees of freedom", arm.nv, f"at most {MAX_DOF}; or arm=None, without links")
-        self._model, self._data = arm.model, arm.model.createData()
+        self._model = arm.model
+        self._data = arm.model.createData()
         self._configurations = trajectory.configurations(arm)
         frames = enumerate(arm.model.frames)
         links = {str(each.name): k for k, each in frames if k and each.type == pin.FrameType.BODY}

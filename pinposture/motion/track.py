@@ -52,7 +52,9 @@ class RunRecord:
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
         self._last = start
-        self._q, self._points, self._errors = [start.q], [start.compiled.points], [self._point_errors(start)]
+        self._q = [start.q]
+        self._points = [start.compiled.points]
+        self._errors = [self._point_errors(start)]
         self.set_target(target)
 
     def set_target(self, target: Target) -> None:
@@ -111,7 +113,8 @@ class RunRecord:
         self._q.append(state.q)
         self._distances.append(self._distance(state))
         self._points.append(state.compiled.points)
-        self._last, self._now = state, self._point_errors(state)
+        self._last = state
+        self._now = self._point_errors(state)
         self._errors.append(self._now)
 
     def travel_without_progress(self, share: float) -> float:

@@ -173,7 +173,8 @@ def slid_positions(arm: Arm, length: float) -> Array:
 
     All slides retract by the same share of their range. Without slides it is the straight arm.
     """
-    extended, (low, high) = arm.positions(arm.straight()), arm.usual_positions
+    extended = arm.positions(arm.straight())
+    low, high = arm.usual_positions
     retracted = np.where(fitting_slides(arm), np.clip(low + high - extended, low, high), extended)
     shares = np.linspace(0.0, 1.0, SLIDE_STEPS)[:, None]
     postures = (1.0 - shares) * extended + shares * retracted

@@ -333,7 +333,8 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
         evaluated = evaluate(trial)
         if evaluated[0] < cost:
             slow_steps = slow_steps + 1 if evaluated[0] > (1.0 - MIN_DECREASE) * cost else 0
-            positions, (cost, gaps, objective) = trial, evaluated
+            positions = trial
+            cost, gaps, objective = evaluated
             damping = max(damping * POINT_DAMPING_DOWN, MIN_POINT_DAMPING)
         else:
             damping *= POINT_DAMPING_UP

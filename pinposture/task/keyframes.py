@@ -113,7 +113,8 @@ class StretchCurves:
         chunk, place = divmod(row, CURVES_PER_CHUNK)
         if chunk != self._chunk:
             begin = CURVES_PER_CHUNK * chunk
-            self._chunk, self._made = chunk, self.of(range(begin, begin + CURVES_PER_CHUNK))
+            self._made = self.of(range(begin, begin + CURVES_PER_CHUNK))
+            self._chunk = chunk
         return self._made[place]
 
 

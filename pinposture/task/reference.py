@@ -314,7 +314,8 @@ class Bending:
         per_cell = arm.length / (SAMPLES_PER_MODULE * arm.n_modules)
         self.cells = int(np.ceil(length / per_cell))
         self.cell = length / self.cells
-        self._base, axis = np.array(arm.chain.base), arm_axis(arm)
+        self._base = np.array(arm.chain.base)
+        axis = arm_axis(arm)
         # The third axis is the normal of a planar arm: all turns are then about that one.
         across = np.cross(*arm.plane) if arm.dimension == 2 else np.eye(3)[np.argmin(np.abs(axis))]
         third = across - (across @ axis) * axis

@@ -636,7 +636,8 @@ class _Performance:
         self._max_lag = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
         self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
         self._set_place(0.0)
-        self._places, self._targets = [0.0], [guide.target(0.0)]
+        self._places = [0.0]
+        self._targets = [guide.target(0.0)]
         self._start_index: int | None = None  # None until the first posture is reached
         self._notes: list[str] = []
 

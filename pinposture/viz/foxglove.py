@@ -250,7 +250,8 @@ class FoxgloveViewer(Viewer):
         return m.JointStates(timestamp=m.Timestamp(*divmod(stamp, 10**9)), joints=joints)
 
     def _draw(self, target: Target | None, scene: Scene | None, again: bool) -> Any:
-        entities, (before, around) = [*self._bodies] if again else [], self._drawn
+        entities = [*self._bodies] if again else []
+        before, around = self._drawn
         self._drawn = target, scene
         if again or target is not before:
             entities.append(self._entity("target", self._world, **self._outline(target)))

@@ -122,7 +122,8 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
     """
     scale = _error_scale(objective, bounds.state)
     if not objective.has_tasks:
-        solver, (errors, squares) = ChainSolver(objective, bounds.state), objective.point_errors(bounds.state)
+        solver = ChainSolver(objective, bounds.state)
+        errors, squares = objective.point_errors(bounds.state)
         least = MIN_DAMPING * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
         weight = damping * DAMPING_SHARE * scale**2 * squares + least
         return solve_posture(solver, scale * errors, weight, np.zeros(len(bounds.lower)), bounds)

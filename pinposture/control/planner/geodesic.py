@@ -356,7 +356,8 @@ class Geodesic:
         memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
         if self.scene is None or not (self.scene.velocities or self.offset is not None):
             return memory.braked(limits, state)
-        state, objective = state.compiled, self.objective(state.arm, target)
+        objective = self.objective(state.arm, target)
+        state = state.compiled
         model = CollisionModel(state.arm, self.scene)
         avoidance = Avoidance(model, objective, limits.for_arm(state.arm), memory.dq, self.offset)
         box = limits.box(state, memory.dq)

@@ -225,7 +225,8 @@ class PathSearch:
             if number % 2:  # some joints only
                 first, last = np.sort(self._rng.choice(len(columns) + 1, 2, replace=False))
                 some = columns[first:last]
-                straight, whole = before.copy(), straight
+                whole = straight
+                straight = before.copy()
                 straight[:, some] = whole[:, some]
             if self._length(straight) < 0.999 * self._length(before) and self.is_clear(straight):
                 path = np.concatenate([path[:i], self._divide(straight), path[j + 1 :]])

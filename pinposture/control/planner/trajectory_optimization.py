@@ -222,7 +222,9 @@ class _Waypoints:
         arm = objective.arm
         chain = objective.chain
         self.weight = objective.mu**2
-        self.objective, self.start, self.positions = objective, start, arm.positions(start)
+        self.objective = objective
+        self.start = start
+        self.positions = arm.positions(start)
         lower, upper = ((edge - self.positions)[objective.columns] / objective.units for edge in edges)
         # From a start outside its limits, the waypoints come back along the path.
         self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
@@ -372,7 +374,8 @@ class _PathRelaxation:
         offsets = objective.displacement(x)
         points = (arm.kinematics.points(self._positions + offsets) @ arm.plane.T).reshape(len(x), -1)
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
-        rows, (contacts, clear) = self._task_rows(offsets), self._clearance(offsets)
+        rows = self._task_rows(offsets)
+        contacts, clear = self._clearance(offsets)
         energy += float((rows.errors**2).sum()) + float((contacts.errors[contacts.errors > 0.0] ** 2).sum())
         return _Iterate(x, points, rows, contacts, clear, energy)
 

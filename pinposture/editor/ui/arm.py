@@ -68,7 +68,8 @@ class ArmDrawing:
         self.foot = surfaces.base.vertices
         shades = [palette.MODULES[body.module % len(palette.MODULES)] for body in bodies(arm)]
         self.shades: Colors = np.array([color(tint or shade) for shade in shades], dtype=np.uint8)
-        self._colors, self.q = self.shades.copy(), arm.straight()
+        self._colors = self.shades.copy()
+        self.q = arm.straight()
         poses = body_poses(arm, self.q)
         self._base = server.scene.add_mesh_simple(
             f"{name}/base",

@@ -297,7 +297,8 @@ class TipHandle:
     """Axes at the tip of the arm, by which it is dragged while it is selected."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._post, self._start = post, arm.straight()
+        self._post = post
+        self._start = arm.straight()
         self._keyframe = -1
         self._dragged_keyframe = -1
         self._dragged = False

@@ -57,7 +57,8 @@ class KeyframesTab:
         when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When the arm reaches it")
         hold = gui.add_number("Hold [s]", 0.0, step=0.1, hint="How long to stay; later keyframes shift")
         speed = gui.add_number("Speed [%]", 100.0, step=5.0, hint="Of the velocity limits, on the way to it")
-        self._name, self._time = Typed(name, self._rename), Typed(when, self._retime)
+        self._name = Typed(name, self._rename)
+        self._time = Typed(when, self._retime)
         self._hold = Typed(hold, self._set_hold)
         self._speed = Typed(speed, self._set_speed)
         self._fields = (self._name, self._time, self._hold, self._speed)
@@ -69,7 +70,8 @@ class KeyframesTab:
         back = gui.add_number("Return [s]", 0.0, min=0.0, step=0.1, hint=hint)
         for field in (when, hold, speed, back):
             field.precision = SECOND_DIGITS
-        self._laps, self._back = Typed(laps, self._repeat), Typed(back, self._set_return)
+        self._laps = Typed(laps, self._repeat)
+        self._back = Typed(back, self._set_return)
         self._others = gui.add_checkbox("Other curves", True, hint="Show the curves of the other keyframes")
         for number, row in enumerate(self._rows):
             on_click(row, partial(self._select, number))

@@ -288,7 +288,8 @@ class Obstacles:
                     shape = self._surface(obstacle)
                     handle.vertices = shape.vertices.astype(np.float32)
                     handle.faces = shape.faces.astype(np.uint32)
-            handle.position, handle.wxyz = pose.position, quaternions(pose.rotation)
+            handle.position = pose.position
+            handle.wxyz = quaternions(pose.rotation)
             drawn = self._drawn[name] = DrawnObstacle(handle, obstacle, look)
         shade = color(SELECTED_COLOR if selected else palette.OBSTACLE)
         if tuple(drawn.handle.color) != shade:
@@ -395,7 +396,8 @@ class ClearanceLine:
     """A line from the arm to what it is nearest to."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
-        self._max_length, radius = MAX_LINE_LENGTH * arm.length, link_radius(arm)
+        self._max_length = MAX_LINE_LENGTH * arm.length
+        radius = link_radius(arm)
         self._line = add_lines(server, "/clearance/line", 1, 0.6 * radius, visible=False)
         self._ends = [
             server.scene.add_icosphere(

@@ -81,7 +81,8 @@ class Entrance:
 
     def __init__(self, host: str) -> None:
         self.secret = secrets.token_urlsafe(32)
-        self._host, self._local = host.lower(), is_loopback(host)
+        self._host = host.lower()
+        self._local = is_loopback(host)
 
     def refusal(self, path: str, headers: Headers) -> str:
         """Return why a call is refused; empty if it is admitted."""
