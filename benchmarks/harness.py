@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,7 +14,7 @@ from pinposture._validation import require_whole
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.errors import InvalidValue
-from pinposture.motion.processes import Progress, collect_results
+from pinposture.motion.processes import Progress, in_order
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -85,7 +84,12 @@ class Study:
             progress: called with the numbers of finished and of all cases.
         """
         tasks = [delayed(_rows_of)(case, self.methods, self.measures) for case in self.cases]
-        return list(chain.from_iterable(collect_results(tasks, jobs, progress)))
+        rows: list[Row] = []
+        for done, found in enumerate(in_order(tasks, jobs), start=1):
+            rows += found
+            if progress is not None:
+                progress(done, len(tasks))
+        return rows
 
 
 def _rows_of(case: Case, methods: Sequence[Any], measures: Callable[[Any, Any], Any]) -> list[Row]:

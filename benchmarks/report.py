@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from pinposture.cli.output import (
     print_warning,
 )
 from pinposture.errors import InvalidValue
-from pinposture.storage import write_figure, write_json, write_table
+from pinposture.storage import write_figure, write_table, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,6 +115,11 @@ def save_report(directory: Path, report: Report) -> list[Path]:
     files.append(directory / SUMMARY)
     write_json(files[-1], report.summary)
     return files
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write JSON-compatible data as `write_text` does; numbers must be finite."""
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def table(columns: Columns, rows: Iterable[Row]) -> Table:

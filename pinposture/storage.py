@@ -188,11 +188,6 @@ def write_table(path: Path, rows: Iterable[Sequence[object]]) -> None:
     write_text(path, text.getvalue())
 
 
-def write_json(path: Path, content: object) -> None:
-    """Write JSON-compatible data as `write_text` does; numbers must be finite."""
-    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
-
-
 def write_figure(path: Path, figure: Figure) -> None:
     """Write a matplotlib figure as PNG, as `write_bytes` does, whatever the suffix."""
     picture = io.BytesIO()

@@ -15,6 +15,7 @@ from joblib import delayed
 from benchmarks.baselines import named_controllers
 from benchmarks.cases.scenarios import SCENARIOS
 from benchmarks.harness import Row
+from benchmarks.report import write_json
 from benchmarks.reproduce.claims import FIGURES, ThesisFigure
 from benchmarks.reproduce.evaluate import (
     BATCHES,
@@ -41,7 +42,7 @@ from pinposture.control import Controller
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress, check_jobs, in_order
-from pinposture.storage import check_writable, write_bytes, write_json, write_table, write_text
+from pinposture.storage import check_writable, write_bytes, write_table, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

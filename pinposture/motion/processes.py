@@ -97,16 +97,6 @@ def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
     return _distribute(tasks, jobs)
 
 
-def collect_results(tasks: Sequence[Any], jobs: int, progress: Progress | None = None) -> list[Any]:
-    """Return the results of `in_order` as a list, reporting progress."""
-    results = []
-    for result in in_order(tasks, jobs):
-        results.append(result)
-        if progress is not None:
-            progress(len(results), len(tasks))
-    return results
-
-
 def adaptively_in_order(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
     """Return results as `in_order` does; if `jobs` is None, start processes only if that is faster.
 
