@@ -18,7 +18,7 @@ from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
 from pinposture.collision.obstacles import Solid
 from pinposture.collision.shapes import Piece, join_trees
-from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, JointTree, Pairs
+from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, Contacts, JointTree, Pairs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -76,7 +76,7 @@ class TreeKinematics:
         count = len(positions)
         joints = self._model.njoints
         found = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
-        kernels.place_joints(self.tree, positions, others, *found)
+        kernels.place_joints(self.tree, positions, others, found.rotations, found.origins)
         return found
 
     def count_movers(self, columns: NDArray[np.intp]) -> Indices:
@@ -119,8 +119,16 @@ class TreeKinematics:
             normals: unit vectors from the second body to the first, (k, 3).
         """
         jacobian = np.zeros((len(first), self._model.nv))
-        at = placements.rotations[0], placements.origins[0]
-        kernels.differentiate_distances(self.tree, *at, first, second, points, normals, jacobian)
+        kernels.differentiate_distances(
+            self.tree,
+            placements.rotations[0],
+            placements.origins[0],
+            first,
+            second,
+            points,
+            normals,
+            jacobian,
+        )
         for joint in self._others:
             self._add_others(joint, placements, (first, second), points, normals, jacobian)
         return jacobian
@@ -247,26 +255,6 @@ class NearPairs(NamedTuple):
     normals: Array
     minimum: float
     nearest: int
-
-
-class Contacts(NamedTuple):
-    """Pairs nearer than a given distance at s configurations.
-
-    Attributes:
-        samples: index of the configuration of each contact, (k,); increasing.
-        distances: between the surfaces, negative for overlap, (k,) [m].
-        carrying: the joints that carry the two solids, 0 for an obstacle, (k, 2).
-        points: the contacts, (k, 3) [m], world frame.
-        normals: unit vectors from the second solid to the first, (k, 3), world frame.
-        minima: smallest distance at each configuration, at most the given one, (s,) [m].
-    """
-
-    samples: Indices
-    distances: Array
-    carrying: Indices
-    points: Array
-    normals: Array
-    minima: Array
 
 
 class MotionSearch(NamedTuple):
@@ -435,8 +423,17 @@ class PairDistances:
         vectors = np.empty((2, n, 3))
         open_pairs = whole[1]
         bounds = numbers[1]
-        given = whole[0], numbers[0], *vectors, open_pairs, bounds
-        count, opened, best, pair = kernels.near_pairs(ends[0], self._arrays, within, *given)
+        count, opened, best, pair = kernels.near_pairs(
+            ends[0],
+            self._arrays,
+            within,
+            whole[0],
+            numbers[0],
+            vectors[0],
+            vectors[1],
+            open_pairs,
+            bounds,
+        )
         near = whole[0, :count]
         distances = numbers[0, :count]
         normals = vectors[1, :count]
@@ -512,11 +509,23 @@ class PairDistances:
             Infinity and `NO_PAIR` if no pair comes nearer than `search.below`.
         """
         positions, others = kinematics.positions(q, offsets)
-        given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others[0], drifts
         room = OPEN_SAMPLES * bool(self._open)
         while True:
             samples = np.empty((room, 6))
-            best, pair, count = kernels.smallest_distance_on_motions(*given, *search, samples)
+            best, pair, count = kernels.smallest_distance_on_motions(
+                kinematics.tree,
+                self._carriers,
+                self._local,
+                self._arrays,
+                positions,
+                others[0],
+                drifts,
+                search.below,
+                search.enough,
+                search.tolerance,
+                search.open_motion,
+                samples,
+            )
             if count <= room:
                 break
             room = count
@@ -566,9 +575,7 @@ class PairDistances:
             within: the distance [m].
         """
         positions, others = kinematics.positions(q, offsets)
-        given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others, within
         minima = np.empty(len(positions))
-        count = 0
         room = CONTACTS_PER_SAMPLE * len(positions)
         while True:
             found = Contacts(
@@ -579,7 +586,16 @@ class PairDistances:
                 normals=np.empty((room, 3)),
                 minima=minima,
             )
-            count = kernels.contacts_along(*given, *found)
+            count = kernels.contacts_along(
+                kinematics.tree,
+                self._carriers,
+                self._local,
+                self._arrays,
+                positions,
+                others,
+                within,
+                found,
+            )
             if count <= room:
                 return Contacts._make([*(each[:count] for each in found[:-1]), minima])
             room = count
@@ -601,7 +617,7 @@ class PairDistances:
     def _ends(self, placements: Placements) -> Array:
         """Return the axis ends of all bodies, (s, bodies, 2, 3) [m], world frame."""
         ends = np.empty((len(placements.origins), *self._local.shape))
-        kernels.place_axes(self._carriers, self._local, *placements, ends)
+        kernels.place_axes(self._carriers, self._local, placements.rotations, placements.origins, ends)
         return ends
 
     def _pose_bodies(

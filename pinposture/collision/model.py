@@ -16,7 +16,6 @@ from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.collision.bodies import STAND_IN_RADIUS, bodies_of
 from pinposture.collision.distances import (
-    Contacts,
     MotionSearch,
     NearPairs,
     PairDistances,
@@ -27,6 +26,7 @@ from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
 from pinposture.collision.scene import USUAL_MARGIN, Scene
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import InvalidValue, enumerated, warn_caller
+from pinposture.kernels.arrays import Contacts
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]

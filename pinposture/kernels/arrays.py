@@ -147,6 +147,26 @@ class PointGoals(NamedTuple):
     flags: Flags1
 
 
+class Contacts(NamedTuple):
+    """Pairs nearer than a given distance at s configurations.
+
+    Attributes:
+        samples: index of the configuration of each contact, (k,); increasing.
+        distances: between the surfaces, negative for overlap, (k,) [m].
+        carrying: the joints that carry the two solids, 0 for an obstacle, (k, 2).
+        points: the contacts, (k, 3) [m], world frame.
+        normals: unit vectors from the second solid to the first, (k, 3), world frame.
+        minima: smallest distance at each configuration, at most the given one, (s,) [m].
+    """
+
+    samples: Ints1
+    distances: Array1
+    carrying: Ints2
+    points: Array2
+    normals: Array2
+    minima: Array1
+
+
 class PathTolerances(NamedTuple):
     """Tolerances of the steps along a path, in units of motion of the joints.
 

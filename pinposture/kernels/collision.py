@@ -26,6 +26,7 @@ from pinposture.kernels.arrays import (
     Array2,
     Array3,
     Array4,
+    Contacts,
     Ints1,
     Ints2,
     JointTree,
@@ -724,12 +725,7 @@ def contacts_along(
     positions: Array2,
     others: Array3,
     within: float,
-    samples: Ints1,
-    distances: Array1,
-    carrying: Ints2,
-    points: Array2,
-    normals: Array2,
-    minima: Array1,
+    contacts: Contacts,
 ) -> int:
     """Find the pairs nearer than a distance at several configurations.
 
@@ -743,26 +739,21 @@ def contacts_along(
         positions: joint positions, (s, nv).
         others: as in `place_joints`.
         within: the distance.
-        samples: filled with the configuration of each contact, (k,); increasing.
-        distances: filled with the distances, (k,).
-        carrying: filled with the joints that carry the two solids, 0 for an obstacle, (k, 2).
-        points: filled with the contacts, (k, 3).
-        normals: filled with unit vectors from the second solid to the first, (k, 3).
-        minima: filled with the smallest distance at each configuration, at most `within`, (s,).
+        contacts: filled; the minima at each configuration are at most `within`.
 
     Returns:
         Number of contacts; those beyond k were not stored.
     """
     count = len(tree.parents)
     bodies = len(carriers)
-    room = len(samples)
+    room = len(contacts.samples)
     rotations = np.empty((count, 3, 3))
     origins = np.empty((count, 3))
     ends = np.empty(local.shape)
     blocks = np.empty(((bodies + BLOCK - 1) // BLOCK, 4))
     found = 0
     for at in range(len(positions)):
-        minima[at] = within
+        contacts.minima[at] = within
         place_joints_once(tree, positions[at], others[at], rotations, origins)
         place_axes_once(carriers, local, rotations, origins, ends)
         bound_blocks(ends, pairs, blocks)
@@ -775,16 +766,16 @@ def contacts_along(
                 contact = pair_contact(ends, pairs, pair, within)
                 if contact[0] >= within:
                     continue
-                minima[at] = min(minima[at], contact[0])
+                contacts.minima[at] = min(contacts.minima[at], contact[0])
                 if found < room:
-                    samples[found] = at
-                    distances[found] = contact[0]
+                    contacts.samples[found] = at
+                    contacts.distances[found] = contact[0]
                     other = pairs.second[pair]
-                    carrying[found, 0] = carriers[pairs.first[pair]]
-                    carrying[found, 1] = carriers[other] if other < bodies else 0
+                    contacts.carrying[found, 0] = carriers[pairs.first[pair]]
+                    contacts.carrying[found, 1] = carriers[other] if other < bodies else 0
                     for i in range(3):
-                        points[found, i] = contact[1 + i]
-                        normals[found, i] = contact[4 + i]
+                        contacts.points[found, i] = contact[1 + i]
+                        contacts.normals[found, i] = contact[4 + i]
                 found += 1
     return found
 
