@@ -217,15 +217,12 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
     Yields:
         The callback for `track`.
     """
-    import numpy as np
-
     # Short enough to leave room for the ^C of the terminal: on a full line it would spoil the next line.
     text = "step {} of {}, mean point error {:.3g} m"
     with _progress_bar("tracking", text, first="planning") as update:
 
         def show(step: int, state: Any, _: object) -> None:
-            distances = np.linalg.norm(target.points - state.points, axis=1)
-            update(step, steps, float(distances[target.has_target].mean()))
+            update(step, steps, target.mean_distance(state.points))
 
         yield show
 

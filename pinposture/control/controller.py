@@ -181,7 +181,7 @@ def task_errors(state: ArmState, target: Target) -> Array:
     Returns:
         Array (m, d) [m]: in world axes, or in the plane of a planar arm.
     """
-    errors = (target.points - state.points) * target.has_target[:, None]
+    errors = target.errors(state.points)
     return errors if state.arm.dimension == 3 else errors @ state.arm.plane.T
 
 

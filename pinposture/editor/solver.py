@@ -253,7 +253,7 @@ def errors_of(state: ArmState, target: Target | None) -> Array:
     """Return the distance of each control point from its target, zero where it has none, (m,) [m]."""
     if target is None:
         return np.zeros(len(state.points))
-    return np.asarray(np.linalg.norm(target.points - state.points, axis=1) * target.has_target)
+    return target.distances(state.points)
 
 
 def at_limit(state: ArmState, dq: Array, bound: Array) -> NDArray[np.bool_]:

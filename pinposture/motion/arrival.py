@@ -110,7 +110,6 @@ class Arrival:
     def _judge(self, target: Target) -> None:
         """Compare the average with the target."""
         n = self._count
-        placed = target.has_target
         mean = np.asarray(self._points / n)
         self.positions = np.asarray(self._joints / n)
         slope = 12.0 * (self._weighted - 0.5 * (n - 1) * self._points) / (n * (n**2 - 1.0))
@@ -121,7 +120,7 @@ class Arrival:
         kept = self._variance if self.arrived and self._variance is not None else variance
         self._variance = 0.5 * (kept + variance)
         within = self._tolerance + DEVIATIONS * float(np.sqrt(self._variance))
-        off = float(np.linalg.norm((target.points - mean)[placed], axis=1).mean())
+        off = target.mean_distance(mean)
         if self.arrived:
             self.arrived = off <= LEAVING * within
         else:

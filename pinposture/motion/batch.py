@@ -73,8 +73,7 @@ class Motions:
         for name in TEXT_ARRAYS:
             arrays[name] = np.array([self.texts[k] for k in getattr(self, name)[steps]], dtype=np.str_)
         arrays["points"] = np.array([arm.at(q).compiled.points for q in arrays["q"]])
-        distances = np.linalg.norm(target.points - arrays["points"], axis=2)
-        arrays["point_errors"] = distances * target.has_target
+        arrays["point_errors"] = target.distances(arrays["points"])
         return arrays
 
 

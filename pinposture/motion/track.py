@@ -73,9 +73,7 @@ class RunRecord:
         return float(self._point_errors(state).sum()) / int(np.count_nonzero(self._target.has_target))
 
     def _point_errors(self, state: ArmState) -> Array:
-        return np.asarray(
-            np.linalg.norm(self._target.points - state.compiled.points, axis=1) * self._target.has_target
-        )
+        return self._target.distances(state.compiled.points)
 
     def _distance(self, state: ArmState) -> float:
         return np.inf if self._distances_of is None else self._distances_of.minimum(state.q).distance

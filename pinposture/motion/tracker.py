@@ -339,7 +339,7 @@ class Tracker:
             return True
         if (target.q is None) != (before.q is None) or np.any(target.has_target != before.has_target):
             return False
-        apart = np.abs(target.points - before.points).max() / self.arm.length
+        apart = np.abs(target.errors(before.points)).max() / self.arm.length
         if target.q is not None and before.q is not None:
             apart = max(apart, np.abs(target.q - before.q).max())
         return bool(apart <= SAME_TARGET)
@@ -543,7 +543,7 @@ class Tracker:
         step = decision.step
         target = self._target
         points = self._feedback.points
-        error = None if target is None or points is None else _mean_distance(points, target)
+        error = None if target is None or points is None else target.mean_distance(points)
         status, reason = self._judge_status(feedback, decision, dq, error)
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
@@ -567,7 +567,7 @@ class Tracker:
             return step
         after = self.arm.at(command).compiled
         most = ERROR_ROUNDING * self.arm.length
-        rises = _mean_distance(after.points, aim) > _mean_distance(before.compiled.points, aim) + most
+        rises = aim.mean_distance(after.points) > aim.mean_distance(before.compiled.points) + most
         return step._replace(dq=np.array(dq), diagnostics=step.diagnostics._replace(error_increasing=rises))
 
     def _judge_status(
@@ -590,7 +590,7 @@ class Tracker:
         if moved <= SETTLING_TOLERANCE and self._arrival.arrived:
             return "converged", ""
         if compensated is not None:
-            distance = _mean_distance(feedback.state.compiled.points, compensated)
+            distance = compensated.mean_distance(feedback.state.compiled.points)
             if distance <= AIMED_TOLERANCE * self.arm.length:
                 return self._await_arrival()
         return status, reason
@@ -648,9 +648,3 @@ class Tracker:
         if closest.distance >= (1.0 - MARGIN_ROUNDING) * margin:
             return ()
         return (describe_lost_margin(closest.pair or (), closest.distance, margin),)
-
-
-def _mean_distance(points: Array, target: Target) -> float:
-    """Return the mean distance of control points (m, 3) from their targets [m]."""
-    placed = target.has_target
-    return float(np.linalg.norm((target.points - points)[placed], axis=1).mean())

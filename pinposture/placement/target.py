@@ -104,6 +104,29 @@ class Target:
         """True for control points with a target, (m,)."""
         return np.asarray(self.weights > 0.0)
 
+    def errors(self, points: Array) -> Array:
+        """Return the errors c_k - p_k of control points, zero for those without a target.
+
+        Args:
+            points: the control points, (m, 3) or (s, m, 3) [m], world frame.
+
+        Returns:
+            The vectors from the points to their targets, of the same shape [m], world axes.
+        """
+        return np.asarray((self.points - points) * self.has_target[:, None])
+
+    def distances(self, points: Array) -> Array:
+        """Return the distances of control points, as for `errors`, from their targets, (m,) or (s, m) [m]."""
+        return np.asarray(np.linalg.norm(self.errors(points), axis=-1))
+
+    def mean_distance(self, points: Array) -> float:
+        """Return the mean distance of the control points, (m, 3) [m], that have a target from it [m].
+
+        It is 0 if none has one.
+        """
+        placed = self.has_target
+        return float(self.distances(points)[placed].mean()) if np.any(placed) else 0.0
+
     def distance_from_curve(self, arm: Arm) -> float | None:
         """Return the largest distance of the links from the curve at `q` [m].
 

@@ -267,8 +267,7 @@ class Recording:
             collisions = CollisionModel(arm, scene)
             clearance = np.array([collisions.minimum(row).distance for row in q])
         goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
-        distances = np.linalg.norm((goal.points - points[-1])[goal.has_target], axis=1)
-        error = float(distances.sum()) / max(len(distances), 1)
+        error = goal.mean_distance(points[-1])
         tolerance = END_TOLERANCE * arm.length if tolerance is None else tolerance
         status = "unstable"
         reason = plant.failure

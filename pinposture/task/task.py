@@ -476,8 +476,7 @@ class ReferencePath:
         arm = self.path.arm
         target = self.target(place)
         q = arm.integrate(self.path.start, self.path.smooth_offset(averaged).mean(axis=0))
-        apart = np.linalg.norm(arm.at(q).compiled.points - target.points, axis=1)
-        return float(apart[target.has_target].mean())
+        return target.mean_distance(arm.at(q).compiled.points)
 
     @property
     def end(self) -> float:
@@ -706,9 +705,9 @@ class _Performance:
         end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - ROW_TOLERANCE)))
         chosen = mark.target.has_target
         first = max(row - 1, 0)
-        points = run.points[first : end + 1, chosen]
-        errors = np.linalg.norm(mark.target.points[chosen] - points, axis=2).mean(axis=1)
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+        points = run.points[first : end + 1]
+        errors = mark.target.distances(points)[:, chosen].mean(axis=1)
+        steps = np.linalg.norm(np.diff(points[:, chosen], axis=0), axis=2).mean(axis=1)
         allowed = self._max_lag + 0.5 * np.maximum(np.append(0.0, steps), np.append(steps, 0.0))
         near = (errors <= allowed)[row - first : end - first]
         row = row + int(np.argmax(near))
@@ -856,7 +855,7 @@ class _Performance:
         arm = self.loop.arm
         target = self.guide.target(place)
         points = arm.at(arm.integrate(self.loop.ahead.q, step.dq)).compiled.points
-        apart = np.linalg.norm(points - target.points, axis=1)[target.has_target].mean()
+        apart = target.mean_distance(points)
         return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.cycles > 1 else 1.0))
 
     def _catch_up(self) -> tuple[str, str] | None:

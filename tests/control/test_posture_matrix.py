@@ -85,7 +85,7 @@ def test_projection_moves_as_its_dense_matrix_says(
     weights[-1] = 1.0
     target = pp.Target.from_points(arm, goal.points, weights)
     secondary = rng.normal(size=arm.nv)
-    errors = aligned_errors(state, target, target.has_target)
+    errors = aligned_errors(state, target)
     for coupling in COUPLINGS:
         method = pp.Projection(threshold=kappa, coupling=coupling, gain=0.7)
         step = method.step_with(secondary, state, target, pp.Limits(step=1e9))
@@ -151,7 +151,7 @@ def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, ampli
     state = state_of(arm, seed, amplitude)
     goal = state_of(arm, seed + 1, 1.0)
     target = pp.Target.from_points(arm, goal.points, np.arange(arm.n_modules) % 3 > 0)
-    errors = aligned_errors(state, target, target.has_target)
+    errors = aligned_errors(state, target)
     found = descent(arm, state.screws, errors, np.linalg.norm(errors, axis=1))
     along = errors[:, : arm.dimension]
     gradient = np.einsum("kdu,kd->u", state.task_jacobians, along)

@@ -376,9 +376,7 @@ def damped_hessian(matrix: Array, damping: float) -> Array:
 
 def _error_scale(objective: Objective, state: ArmState) -> float:
     """Return the factor in (0, 1] that brings the largest error of a control point to one module length."""
-    errors = np.linalg.norm(
-        (objective.target.points - state.points) * objective.target.has_target[:, None], axis=1
-    )
+    errors = objective.target.distances(state.points)
     typical = objective.arm.length / objective.arm.n_modules
     return min(1.0, typical / max(float(errors.max()), 1e-300))
 

@@ -490,4 +490,4 @@ def _are_alike(one: Target, other: Target) -> bool:
 
 
 def _posture_error(state: ArmState, target: Target) -> float:
-    return float((np.linalg.norm(target.points - state.points, axis=1) * target.has_target).sum())
+    return float(target.distances(state.points).sum())

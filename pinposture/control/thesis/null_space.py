@@ -66,7 +66,7 @@ def _stacked(state: ArmState, target: Target) -> tuple[Array, Array]:
     placed = target.has_target
     arm = state.arm
     jacobian = state.task_jacobians[placed]  # in `Arm.joint_units`
-    errors = (target.points - state.points)[placed] @ arm.plane.T
+    errors = target.errors(state.points)[placed] @ arm.plane.T
     return jacobian.reshape(-1, arm.nv), errors.ravel()
 
 

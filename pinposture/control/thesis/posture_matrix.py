@@ -134,20 +134,19 @@ def null_motion(
     return finite_vector("null_objective(state, target)", objective(state, target), state.arm.nv)
 
 
-def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -> Array:
+def aligned_errors(state: ArmState, target: Target) -> Array:
     """Return the errors c_k - p_k in the axes of the arm's motion, zero for points without a target.
 
     Args:
         state: the state of the arm.
         target: the target posture.
-        placed: which control points have a target, (m,).
 
     Returns:
         Array (m, 3) [m]; the last column is zero for a planar arm.
     """
-    errors = (target.points - state.forward.points) * placed[:, None]
+    errors = target.errors(state.forward.points)
     if state.arm.dimension == 3:
-        return np.asarray(errors)
+        return errors
     aligned = np.zeros(errors.shape)
     aligned[:, :2] = errors @ state.arm.plane.T
     return aligned

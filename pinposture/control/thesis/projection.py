@@ -90,7 +90,7 @@ class Projection:
         """Compute one step; see `Controller.step`."""
         require_step_arguments(state, target, memory)
         screws = state.screws
-        errors = aligned_errors(state, target, target.has_target)
+        errors = aligned_errors(state, target)
         secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
         return self._step(secondary, screws, state, target, limits, memory)
 
@@ -131,7 +131,7 @@ class Projection:
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
             return step_within(limits.hold(state, previous), reason=reason)
         matrix = PostureMatrix(screws, rows)
-        errors = (target.points - state.forward.points) * placed[:, None]
+        errors = target.errors(state.forward.points)
         asked = matrix.step(arm, self._along(rows, gained(self.gain, errors)), secondary)
         limited = limits.apply(state, asked, previous)
         active = rows.stations[rows.ranks > 0].tolist()

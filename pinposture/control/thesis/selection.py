@@ -210,7 +210,7 @@ class Selection:
         arm = state.arm
         screws = state.screws
         placed = target.has_target
-        errors = aligned_errors(state, target, placed)
+        errors = aligned_errors(state, target)
         distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
         base = base_indices(arm, screws, self.absolute)
         chosen = self._chosen(arm, screws, placed, distances, base)
