@@ -145,6 +145,7 @@ class Feedback:
         displacement: displacement of the measured arm from the command, (nv,) [rad or m], averaged over T and
             constant within the noise of its average; None if it is zero within that, or without feedback of
             positions.
+        averaging_time: time constant of that average [s].
         response: how the drives respond.
         settled: whether the arm is at its target, so that estimates stay as they are.
 
@@ -172,7 +173,7 @@ class Feedback:
         self._agreed_for = 0.0
         self._at_rest = True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
-        self._averaging_time = min(time_constant, SLOWEST_AVERAGE)
+        self.averaging_time = min(time_constant, SLOWEST_AVERAGE)
         self._forget(np.zeros(arm.nv))
 
     @property
@@ -436,7 +437,7 @@ class Feedback:
 
     def _average(self, difference: Array, dt: float) -> None:
         """Average the displacement of the measured arm from the command."""
-        share = 1.0 - exp(-dt / self._averaging_time)
+        share = 1.0 - exp(-dt / self.averaging_time)
         self._displacement += share * (difference - self._displacement)
         # The variance of noise after a low-pass filter is share / (2 - share) of that before.
         noise = AVERAGE_DEVIATIONS * np.sqrt(share / (2.0 - share) * self.response.history.variances)

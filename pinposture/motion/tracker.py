@@ -22,6 +22,7 @@ from pinposture._validation import (
 )
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Closest, CollisionModel, Scene
+from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory
 from pinposture.control.limits import POSITION_SLACK, cycle_of
@@ -31,6 +32,7 @@ from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion.arrival import ARRIVAL_TOLERANCE, Arrival
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
+from pinposture.motion.hindrance import Hindrance
 from pinposture.motion.track import ERROR_ROUNDING, in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
@@ -58,7 +60,7 @@ BRAKES_FIRST = "other limits of jerk take effect at rest; the arm brakes within 
 """Reason for which the arm holds after a change of limits."""
 
 SETTLING_TOLERANCE = 1e-6
-"""Largest step of an arm at its target that still settles there, in `Arm.joint_units`."""
+"""Largest step of an arm that still settles where it is, in `Arm.joint_units`."""
 
 STANDING_TIME = 1.0
 """Time for which an arm that is not at its target stands before it counts as stalled [s]."""
@@ -234,6 +236,8 @@ class Tracker:
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
         self._arrival = Arrival(arm.length)
+        self._pursuit = Hindrance(arm, self._feedback.averaging_time)
+        self._evasion = Hindrance(arm, self._feedback.averaging_time)
         self._clearance: tuple[Scene, Array, float] | None = None
         self._timeout = timeout
         self._target: Target | None = None
@@ -329,6 +333,7 @@ class Tracker:
             self._arrival.restart()
             self._feedback.settled = False
             self._feedback.aim()
+            self._try_again()
         self._target = given
         self._age = 0.0
 
@@ -362,6 +367,7 @@ class Tracker:
         self._rates.restart(moved)
         self._arrival.restart()
         self._feedback.settled = False
+        self._try_again()
 
     def step(
         self,
@@ -397,6 +403,8 @@ class Tracker:
         if scene is None and self.scene is not None and self.scene.velocities:
             scene = self.scene.after(passed)
         if scene is not None and scene is not self.scene:
+            if scene != self.scene:
+                self._try_again()
             controller, self.scene = in_scene(self._steps.controller, scene)
             if self._smooth.active and scene.velocities:  # obstacles where the filtered steps meet them
                 controller, _ = in_scene(controller, scene.after(self._smooth.delay * self._period))
@@ -421,6 +429,7 @@ class Tracker:
         self._feedback.apply_step(dq)
         decision = decision._replace(step=self._describe_sent(feedback, decision, dq))
         report = self._make_report(feedback, decision, dq, passed)
+        self._watch_hindrances(decision, dq, report.mean_error, dt)
         taken = perf_counter() - begun
         self.report = report._replace(time=taken, overran=taken > self._period)
         self.overruns += self.report.overran
@@ -442,6 +451,8 @@ class Tracker:
         compensated = None
         if not reason and self._former is not None:
             reason = BRAKES_FIRST
+        if not reason and self._pursuit.lasting:
+            reason = self._describe_hindrance("it has come no closer to its target", self._pursuit)
         state = self._ahead(feedback.state)
         aim = feedback.held
         if self._target is not None and not reason and not self._rests:
@@ -460,6 +471,8 @@ class Tracker:
             return Decision(step, step.memory, reason, compensated, False)
         held, evading = self._hold(None if feedback.reason else state, limits, memory)
         memory = held if step is None else step.memory.with_motion_of(held)
+        if self._evasion.lasting and not self._pursuit.lasting:
+            reason += f"; {self._describe_hindrance('it has gained no clearance', self._evasion)}"
         return Decision(step, memory, reason, compensated, evading)
 
     def _watch_clearance(self) -> None:
@@ -470,6 +483,41 @@ class Tracker:
             return
         if controller.scene is not None:
             self._steps.controller = controller.with_offset(displacement)
+
+    def _watch_hindrances(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
+        """Watch whether obstacles keep the measured arm from its target [m], or from its margin, for long."""
+        displacement = self._feedback.displacement
+        if not np.any(np.abs(dq) > SETTLING_TOLERANCE * self.arm.joint_units):
+            self._pursuit.rest(displacement, dt)
+            self._evasion.rest(displacement, dt)
+            return
+        step = decision.step
+        limited = step is not None and bool(step.diagnostics.near) and not step.diagnostics.following_path
+        known = self._feedback.compensates and displacement is not None and self.scene is not None
+        distances = None
+        if known and self.scene is not None and not self.scene.velocities:
+            close = self._clearance is not None and self._clearance[1] is self._feedback.measured
+            distance = self._clearance[2] if close and self._clearance is not None else self.scene.margin
+            distances = {"missing clearance": max(0.0, self.scene.margin - distance)}
+        self._evasion.move(distances if decision.evading else None, dt)
+        pursues = limited and decision.compensated is not None and error is not None
+        if distances is not None and error is not None:
+            distances = {"mean error": error, **distances}
+        self._pursuit.move(distances if pursues else None, dt)
+
+    def _try_again(self) -> None:
+        """Begin anew to pursue the target and to evade obstacles."""
+        self._pursuit.restart()
+        self._evasion.restart()
+
+    def _describe_hindrance(self, missed: str, hindrance: Hindrance) -> str:
+        """Say what the arm has missed, for how long, and what the measured arm is closest to."""
+        text = f"obstacles hinder the arm: {missed} for {hindrance.patience:.3g} s"
+        measured = self._feedback.measured
+        if self.scene is None or measured is None:
+            return text
+        closest = CollisionModel(self.arm, self.scene).minimum(self.arm.configuration(measured))
+        return f"{text}; {describe_distance(closest.pair or (), closest.distance)}"
 
     def _is_at_rest(self) -> bool:
         """Whether the arm does not move, and no step that is still to come moves it."""
@@ -514,7 +562,7 @@ class Tracker:
         controller = self._steps.controller
         if state is None or not isinstance(controller, Geodesic) or controller.scene is None:
             return braked, False
-        if not controller.scene.velocities and controller.offset is None:
+        if not controller.scene.velocities and (controller.offset is None or self._evasion.lasting):
             return braked, False
         target = self._target or Target.from_configuration(self.arm, state.q)
         kept = controller.keep_clear(state, target, limits, memory)
@@ -578,7 +626,7 @@ class Tracker:
         compensated = decision.compensated
         if decision.step is not None and self._smooth.moving and not feedback.reason:
             reason = ""  # the jerk filter has not settled yet
-        stalled = decision.step is not None and not feedback.reason
+        stalled = (decision.step is not None or self._pursuit.lasting) and not feedback.reason
         stopped = "evading" if decision.evading else "stalled" if stalled else "holding"
         status = stopped if reason else "moving"
         aimed = compensated is not None or (self._rests and not self._target_problem())

@@ -288,3 +288,41 @@ def test_an_arm_that_cannot_leave_an_obstacle_stands_and_says_so() -> None:
     assert set(last.statuses) <= {"stalled", "holding"}
     assert np.ptp(last.sent, axis=0).max() < 1e-3
     assert any("overlap" in text for text in robot.tracker.report.violated_constraints)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(
+    ("modules", "place", "noise", "lag", "time_constant"),
+    [(10, 0.5, 0.0, 0.05, 0.25), (6, 0.27, 3e-4, 0.05, 0.25), (6, 0.27, 0.0, 0.2, 0.8)],
+)
+def test_an_arm_that_sags_in_a_narrow_gap_comes_to_rest_and_tries_again_without_the_sag(
+    modules: int, place: float, noise: float, lag: float, time_constant: float
+) -> None:
+    arm = template_arm("RyRz", modules)
+    height = LINK_RADIUS + BALL_RADIUS + MARGIN + 0.002
+    low = pp.Sphere((place, 0.0, -height), BALL_RADIUS)
+    high = pp.Sphere((place + 0.02, 0.0, height), BALL_RADIUS)
+    scene = pp.Scene({"low": low, "high": high}, margin=MARGIN, self_collision=False, arm_radius=LINK_RADIUS)
+    limits = pp.Limits(step=None, dt=DT, velocity=1.0, acceleration=5.0)
+    robot = Robot(
+        arm,
+        DriveModel(lag=lag, friction=0.0),
+        Sensing(noise=noise),
+        limits=limits,
+        scene=scene,
+        feedback_time_constant=time_constant,
+        max_tracking_error=1.0,
+    )
+    robot.tracker.update(Target.from_configuration(arm, arm.straight()))
+    for share in np.linspace(0.01, 1.0, 100):
+        robot.drives.sag[0] = 0.03 * share
+        robot.go(DT)
+    robot.go(11.0 if time_constant < 0.5 else 17.0)
+    last = robot.go(2.0)
+    assert np.abs(np.diff(last.sent, axis=0)).sum() < 1e-4
+    assert set(last.statuses) == {"stalled"}
+    assert all("low" in reason or "high" in reason for reason in last.reasons)
+    model = pp.CollisionModel(arm, scene)
+    assert model.minimum(arm.configuration(last.true[-1])).distance > MARGIN - 3e-4
+    robot.drives.sag[0] = 0.0
+    assert "moving" in robot.go(1.0).statuses
