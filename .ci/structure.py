@@ -105,10 +105,10 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
 """The modules, classes and functions that do one job, by the job, without the name of the package."""
 
 ORDER = (
+    ("units",),
     ("errors",),
     ("storage",),
     ("_validation",),
-    ("units",),
     ("specification",),
     ("kernels",),
     ("curve",),

@@ -21,10 +21,10 @@ target = pp.resolve_targets(arm, curve)
 # Any start works; this one is a random, gently curved posture.
 start = smooth_configuration(arm, np.random.default_rng(0), amplitude=0.6)
 # The default controller, "geodesic", plans the most direct path; no joint moves by more than 0.1 rad per
-# step.
-run = pp.track(arm, target, start, limits=pp.Limits(step=0.1))
+# step. In a scene, also one without obstacles, the arm keeps clear of itself.
+run = pp.track(arm, target, start, limits=pp.Limits(step=0.1), scene=pp.Scene())
 
-print(run.status, "-", run.reason)
+print(run.verdict)
 errors = [length_text(error, arm.length) for error in run.mean_error]
 print(f"mean point error {errors[0]} -> {errors[-1]} in {run.steps} steps")
 

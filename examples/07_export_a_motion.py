@@ -19,7 +19,7 @@ postures = [
     pp.Keyframe(straight, duration=1.5),
 ]
 limits = pp.Limits(step=None, dt=0.02, velocity=1.5, acceleration=6.0)
-motion = pp.move_through(arm, postures, limits=limits)
+motion = pp.move_through(arm, postures, limits=limits, scene=pp.Scene())
 
 # The input of a robot: positions, velocities and accelerations of the joints. At rest at both ends.
 joints = motion.joint_trajectory()

@@ -11,6 +11,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from pinposture.units import length_text
+
 LONGEST_MESSAGE = 4000
 """Length of a message, beyond which its middle is left out: names of files may have any length."""
 
@@ -230,7 +232,7 @@ class TargetError(PostureError):
         self.module = module
         self.parameter = parameter
         self.reason = reason
-        super().__init__(f"module {module} (its base at {parameter:.4g} m along the curve): {reason}")
+        super().__init__(f"module {module} (its base at {length_text(parameter)} along the curve): {reason}")
 
 
 class CurveEndsEarly(TargetError):

@@ -24,8 +24,9 @@ def length_text(length: float, arm_length: float = 0.0) -> str:
     """
     if abs(length) < ROUNDING * arm_length:
         return BELOW_ROUNDING
-    if not abs(length) < 1.0:
-        return f"{length:.4g} m"
+    metres = round(length, 3)
+    if not abs(metres) < 1.0:
+        return f"{metres:.4g} m"
     if 0.0 < abs(length) < SMALLEST_WRITTEN:
         return f"below {1e3 * SMALLEST_WRITTEN:g} mm"
     millimetres = 1e3 * length

@@ -19,6 +19,7 @@ from pinposture.units import error_text, length_text
         (-0.0199, "-19.9 mm"),
         (0.3456, "346 mm"),
         (0.9994, "999 mm"),
+        (0.9996, "1 m"),
         (1.0, "1 m"),
         (12.3456, "12.35 m"),
         (float("inf"), "inf m"),

@@ -61,6 +61,7 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, warn_caller
 from pinposture.kernels.arrays import Screws
 from pinposture.storage import settled
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -731,9 +732,8 @@ class Arm(ConfigurationSpace):
 
     def __repr__(self) -> str:
         kind = "planar" if self.dimension == 2 else "spatial"
-        return (
-            f"Arm({self.model.name!r}, {kind}, {self.n_modules} modules, {self.nv} DOF, {self.length:.4g} m)"
-        )
+        size = f"{self.n_modules} modules, {self.nv} DOF, {length_text(self.length)}"
+        return f"Arm({self.model.name!r}, {kind}, {size})"
 
 
 class ArmState:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm.kinematics import Chain
 from pinposture.curve import Curve
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -48,7 +49,7 @@ class Violation:
     allowed: float
 
     def __str__(self) -> str:
-        where = f"between {self.start:.4g} m and {self.end:.4g} m along the curve"
+        where = f"between {length_text(self.start)} and {length_text(self.end)} along the curve"
         times = (
             f"{self.worst / self.allowed:.3g} times the {self.allowed:.4g} /m" if self.allowed else "none is"
         )

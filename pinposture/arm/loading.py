@@ -33,6 +33,7 @@ from pinposture.arm.urdf_reader import (
     read_description,
 )
 from pinposture.errors import InvalidValue, URDFError
+from pinposture.units import length_text
 
 Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
 """How to split the chain: joints per module, one number for all or one each, or links where modules end."""
@@ -164,7 +165,7 @@ def _check_length(length: float, source: str, chain: str) -> None:
         raise URDFError(source, chain, "has zero length: all its joints and its tip coincide")
     if not ALLOWED_LENGTHS[0] <= length <= ALLOWED_LENGTHS[1]:
         allowed = f"{ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
-        raise URDFError(source, chain, f"is {length:.3g} m long; allowed: {allowed}")
+        raise URDFError(source, chain, f"is {length_text(length)} long; allowed: {allowed}")
 
 
 def _segmentation(skeleton: Skeleton, sizes: int | tuple[int, ...] | None) -> Segmentation:

@@ -36,6 +36,7 @@ from pinposture.arm.urdf_writer import (
 )
 from pinposture.errors import FileError, PostureError, URDFError
 from pinposture.storage import read_xml
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -705,7 +706,7 @@ def _compare_kinematics(compiled: _Compiled, description: Description) -> None:
         worst = int(off.argmax())
         if not off[worst] <= PLACEMENT_TOLERANCE:
             name = [*names.bodies, *names.sites.values()][worst]
-            amount = f"{shifted[worst]:.3g} m and {turned[worst]:.3g} rad"
+            amount = f"{length_text(shifted[worst])} and {turned[worst]:.3g} rad"
             reason = f"would be {amount} from where MuJoCo places it; {REPORT}"
             raise URDFError(description.source, f"link {name!r}", reason)
 

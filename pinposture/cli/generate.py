@@ -11,6 +11,7 @@ import typer
 from pinposture.cli.inputs import ARM, OUTPUT, JsonOption, read_numbers
 from pinposture.cli.output import examples, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
+from pinposture.units import length_text
 
 MOST_MODULES = 10_000
 
@@ -66,7 +67,7 @@ def run(
     elif output is None:
         typer.echo(text, nl=False)
     else:
-        print_note(f"wrote {output}: {modules} modules, {dof} DOF, {length:.4g} m")
+        print_note(f"wrote {output}: {modules} modules, {dof} DOF, {length_text(length)}")
 
 
 def _list(as_json: bool) -> None:

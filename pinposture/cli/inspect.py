@@ -138,8 +138,8 @@ def _print_tables(about: Mapping[str, Any]) -> None:
         "modules": str(about["modules"]),
         "reason": about["modules_reason"],
         "DOF": str(about["dof"]),
-        "length": f"{about['length']:.4g} m",
-        "reach": f"{about['reach']:.4g} m",
+        "length": length_text(about["length"]),
+        "reach": length_text(about["reach"]),
         "kinematics": "; ".join(filter(None, (placing, about["closed_form_reason"]))),
         "locked": ", ".join(about["held"]) or "no joint",
         **({"coupled": f"{coupled} joints follow others"} if coupled else {}),
@@ -387,7 +387,7 @@ def print_scene(about: Mapping[str, Any]) -> None:
     for name, found in about["outliers"].items():
         what = f"{found['points']} of {found['of']} points have fewer than eight others within"
         facts[f"outliers of {name}"] = (
-            f"{what} {found['distance']:.2g} m; outlier_distance = {found['distance']:.2g} removes them"
+            f"{what} {length_text(found['distance'])}; outlier_distance = {found['distance']:.2g} removes them"
         )
     print_facts(facts)
     for kind, headings in (("obstacles", ("obstacle", "type")), ("bodies", ("body",))):

@@ -218,11 +218,11 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
         The callback for `track`.
     """
     # Short enough to leave room for the ^C of the terminal: on a full line it would spoil the next line.
-    text = "step {} of {}, mean point error {:.3g} m"
+    text = "step {} of {}, mean point error {}"
     with _progress_bar("tracking", text, first="planning") as update:
 
         def show(step: int, state: Any, _: object) -> None:
-            update(step, steps, target.mean_distance(state.points))
+            update(step, steps, length_text(target.mean_distance(state.points)))
 
         yield show
 

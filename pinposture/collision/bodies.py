@@ -17,6 +17,7 @@ from pinposture.arm.urdf_reader import parse_xml
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from pinposture.errors import FileError, InvalidValue, enumerated, warn_caller
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 Shape: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
@@ -72,7 +73,7 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
         if body.joint and isinstance(body.shape, Mesh)
     ]
     if wide and (widest := max(wide))[0] > IMPLAUSIBLE_WIDTH * arm.length:
-        size = f"{widest[0]:.4g} m wide, {widest[0] / arm.length:.3g} times as long as the arm"
+        size = f"{length_text(widest[0])} wide, {widest[0] / arm.length:.3g} times as long as the arm"
         advice = 'if it is in millimetres, the description needs <mesh scale="0.001 0.001 0.001">'
         warn_caller(f"the collision mesh of link {widest[1]!r} is {size}; {advice}")
     if faults:

@@ -506,7 +506,7 @@ class CollisionModel:
         self._carriers = np.array([*joints, *[0] * len(fixed)], dtype=np.int64)
 
     def _warn_of_excluded_pairs(self) -> None:
-        apart = f"nothing keeps them apart (margin {self.scene.margin:g} m)"
+        apart = f"nothing keeps them apart (margin {length_text(self.scene.margin)})"
         for reason, so in ((ALWAYS_CLOSE, apart), (ALWAYS_OVERLAPPING, "these collisions are ignored")):
             pairs = [
                 f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == reason

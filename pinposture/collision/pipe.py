@@ -15,6 +15,7 @@ from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Box
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -143,7 +144,7 @@ def pipe_walls(path: Curve, radius: float, sides: int = 6, thickness: float = 0.
     s = np.linspace(0.0, path.length, int(np.ceil(SAMPLES_PER_RADIUS * path.length / radius)) + 1)
     tightest = float(np.max(path.curvature(s)))
     if radius * tightest > MAX_RADIUS:
-        bend = f"where the axis bends with a radius of {1 / tightest:.4g} m"
+        bend = f"where the axis bends with a radius of {length_text(1.0 / tightest)}"
         raise InvalidValue("radius", radius, f"at most {MAX_RADIUS / tightest:.4g} m, {bend}")
     axis = path.at(s)
     normals = _side_normals(path.tangent(s), sides)

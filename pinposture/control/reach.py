@@ -114,9 +114,8 @@ class ReachedPosture:
     def __repr__(self) -> str:
         way = "" if self.path is None else f", path {self.path.hindrance or 'clear'}"
         error = length_text(self.error)
-        return (
-            f"ReachedPosture(tip {error} off, clearance {self.clearance:.3g} m, score {self.score:.3g}{way})"
-        )
+        clearance = length_text(self.clearance)
+        return f"ReachedPosture(tip {error} off, clearance {clearance}, score {self.score:.3g}{way})"
 
 
 def reach(
@@ -280,7 +279,8 @@ def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) ->
     if away > most + max(tolerance, TIP_TOLERANCE * arm.length):
         advice = "is it in millimetres, not metres?" if away > 100.0 * most else "choose a nearer one"
         base = ", ".join(f"{each:.4g}" for each in arm.chain.base)
-        reason = f"it is {away:.4g} m from the base at ({base}) m, and the arm reaches {most:.4g} m; {advice}"
+        where = f"it is {length_text(away)} from the base at ({base}) m"
+        reason = f"{where}, and the arm reaches {length_text(most)}; {advice}"
         raise OutOfReach(place, reason)
 
 
@@ -301,7 +301,8 @@ def _check_plane(arm: Arm, place: Array, tolerance: float) -> None:
     offset = place - arm.chain.points[-1]
     across = float(np.linalg.norm(offset - arm.plane.T @ (arm.plane @ offset)))
     if across > tolerance:
-        reason = f"it is {across:.4g} m off the plane in which the arm moves; allowed: {tolerance:.2g} m"
+        allowed = length_text(tolerance)
+        reason = f"it is {length_text(across)} off the plane in which the arm moves; allowed: {allowed}"
         raise OutOfReach(place, reason)
 
 
@@ -490,7 +491,7 @@ class _Search:
 
     def _explain_failure(self, nearest: float, intruding: int) -> str:
         if nearest > self.tolerance:
-            return f"the closest posture found leaves the tip {nearest:.3g} m from its goal"
+            return f"the closest posture found leaves the tip {length_text(nearest)} from its goal"
         return (
             f"no clear posture was found: all {intruding} postures tried violate the margin or miss the "
             "goal; a larger budget tries more"

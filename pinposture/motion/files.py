@@ -33,6 +33,7 @@ from pinposture.motion.trajectory import ENDINGS, Motion, Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.placement.target import Moved
 from pinposture.storage import with_suffix, write_bytes
+from pinposture.units import length_text
 
 Result = TypeVar("Result")
 About = dict[str, Any]
@@ -282,7 +283,7 @@ def _check_postures(arm: Arm, arrays: Mapping[str, NDArray[Any]]) -> None:
         off = float(np.abs(points - arrays["points"][row]).max())
         if off > SAME_POINTS * arm.length:
             allowed = "those of the configuration in this row"
-            raise InvalidValue(f"points[{row}]", f"{off:.3g} m off", allowed)
+            raise InvalidValue(f"points[{row}]", f"{length_text(off)} off", allowed)
 
 
 # Runs.

@@ -19,6 +19,7 @@ from pinposture.kernels.arrays import PointObjective, ScrewChain
 from pinposture.placement.least_squares import fit_curve
 from pinposture.placement.module_kinematics import after_last_mover
 from pinposture.placement.target import Target
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -235,8 +236,8 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     approximate = ""
     if residual[farthest] > TAKEN * arm.length:
         approximate = (
-            f"in the closest posture found, control point {farthest} is {residual[farthest]:.3g} m from its "
-            "point; it may be a local minimum"
+            f"in the closest posture found, control point {farthest} is {length_text(residual[farthest])} "
+            "from its point; it may be a local minimum"
         )
     q = arm.nearest_turns(arm.configuration(best))
     return replace(target, q=q, residual=residual, method="closest", approximate=approximate)

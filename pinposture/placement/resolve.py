@@ -271,7 +271,7 @@ class Walk:
                 q = finite_vector(f"{name}.inverse", each, kinematics.dof)
                 away = float(np.linalg.norm(np.asarray(kinematics.forward(q)[0]) - p))
                 if away > OWN_TOLERANCE * kinematics.reach:
-                    allowed = f"positions whose forward is the point; it is {away:.3g} m off"
+                    allowed = f"positions whose forward is the point; it is {length_text(away)} off"
                     raise InvalidValue(f"{name}.inverse", q.tolist(), allowed)
                 if np.all((q >= lower - OWN_TOLERANCE) & (q <= upper + OWN_TOLERANCE)):
                     return s, np.clip(q, lower, upper)
@@ -565,7 +565,7 @@ def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
     if max(_link_lengths(arm, q)) / 2.0 <= FAR * arm.length:
         return ""
     away = distance_from_curve(arm, q, curve)
-    return f"placed one by one, links would be {away:.3g} m off it" if away > FAR * arm.length else ""
+    return f"placed one by one, links would be {length_text(away)} off it" if away > FAR * arm.length else ""
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
@@ -626,7 +626,7 @@ def _place_together(
         failure = CurveEndsEarly(k + 1, float(bases[k]), f"the curve ends before the module does; {advice}")
     elif len(off):
         k = int(off[0])
-        text = f"its end stays at least {residual[k]:.4g} m off the curve"
+        text = f"its end stays at least {length_text(residual[k])} off the curve"
         kind, why = _obstruction(arm, curve, positions, k, start)
         failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
     if failure is not None and to_end and np.any(fitting_slides(arm)):
@@ -665,7 +665,7 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
         reasons.append("joints with parallel axes move in a plane")
     if not reasons:
         reasons.append("it has too few control points, or too long links, for this curve")
-    share = f"{away:.4g} m ({away / arm.length:.2g} of its length)"
+    share = f"{length_text(away)} ({away / arm.length:.2g} of its length)"
     text = f"the arm does not follow the curve: its links are up to {share} away"
     warn_caller(f"{text} ({'; '.join(reasons)})")
 
@@ -699,7 +699,7 @@ def _obstruction(
     stuck = [int(u) for u in own if room[u] <= AT_LIMIT]
     slides = [u for u in stuck if arm.slides[u]]
     if slides and slides == stuck:
-        listed = ", ".join(f"{names[u]!r} at {positions[u].round(6):.4g} m" for u in slides[:3])
+        listed = ", ".join(f"{names[u]!r} at {length_text(positions[u])}" for u in slides[:3])
         advice = "move the curve, or widen their limits"
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))

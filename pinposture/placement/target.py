@@ -248,7 +248,7 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
         return
     away = distances[worst]
     share = distances[worst] / arm.length
-    text = f"points[{worst}] is {away:.4g} m from the base of the arm, {share:.3g} times its length"
+    text = f"points[{worst}] is {length_text(away)} from the base of the arm, {share:.3g} times its length"
     warn_caller(f"{text}; is it in millimetres, not metres?")
 
 
@@ -336,8 +336,8 @@ def length_misfit(arm: Arm, curve: Curve) -> str:
     longest = MAX_LENGTH_RATIO * arm.length
     if curve.length <= longest:
         return ""
-    allowed = f"{longest:.4g} m at most, {MAX_LENGTH_RATIO} times the arm"
-    return f"is {curve.length:.4g} m long; allowed: {allowed}; {IN_MILLIMETRES}"
+    allowed = f"{length_text(longest)} at most, {MAX_LENGTH_RATIO} times the arm"
+    return f"is {length_text(curve.length)} long; allowed: {allowed}; {IN_MILLIMETRES}"
 
 
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:

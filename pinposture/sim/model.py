@@ -26,6 +26,7 @@ from pinposture.arm.model_builder import build_model
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -523,5 +524,7 @@ def _check_control_points(arm: Arm, positions: Array, points: Array, source: str
     off = np.linalg.norm(points - arm.at(arm.configuration(positions)).points, axis=1)
     worst = int(off.argmax())
     if not off[worst] <= POSITION_TOLERANCE * max(1.0, arm.length):
-        reason = f"differs by {off[worst]:.3g} m between MuJoCo and Pinocchio; the arm is not simulated"
+        reason = (
+            f"differs by {length_text(off[worst])} between MuJoCo and Pinocchio; the arm is not simulated"
+        )
         raise URDFError(source, f"control point {arm.control_points[worst]!r}", reason)

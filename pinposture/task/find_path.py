@@ -21,6 +21,7 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, OutOfReach, PostureError, ReachError, raise_together
 from pinposture.placement.target import arm_axis
 from pinposture.task.follow_leader import FedArm
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ POINTS_PER_PATH = 12
 SAME_PLACE = 1e-9
 """Distance from the plane of a planar arm, or between two points, that is due to rounding, in arm lengths."""
 
-ROUNDING = 1e-6
+EXCESS = 1e-6
 """Relative excess of the curvature of an arc that is due to rounding: it is recomputed from its ends."""
 
 CHECKED_PLACES = 1000
@@ -116,8 +117,9 @@ def find_path(
     bulge = sharpest * link**2 / 8.0
     space = _FreeSpace(scene, scene.margin + thickness + bulge)
     needed = (
-        f"a path needs {space.radius:.4g} m on all sides: {thickness:.4g} m for the radius of the arm, "
-        f"{scene.margin:.4g} m for the margin, {bulge:.4g} m for the arc over a link"
+        f"a path needs {length_text(space.radius)} on all sides: "
+        f"{length_text(thickness)} for the radius of the arm, "
+        f"{length_text(scene.margin)} for the margin, {length_text(bulge)} for the arc over a link"
     )
     crowded = [
         f"the {name} is {text}"
@@ -183,15 +185,17 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
         most = SAME_PLACE * max(body.length, 1.0)
         if across > most:
             reason = (
-                f"the {name} is {across:.4g} m off the plane in which the arm moves; allowed: {most:.2g} m"
+                f"the {name} is {length_text(across)} off the plane in which the arm moves; "
+                f"allowed: {length_text(most)}"
             )
             misfits.append(OutOfReach(end, reason))
     apart = float(np.linalg.norm(end - begin))
     if apart <= SAME_PLACE * body.length:
         misfits.append(InvalidValue("goal", end.tolist(), "a position away from the start"))
     if apart > follower.longest:
-        reason = f"it is {apart:.4g} m from the start; the arm can follow {follower.longest:.4g} m"
-        misfits.append(OutOfReach(end, f"{reason}; {apart - follower.longest:.4g} m are missing"))
+        missing = f"{length_text(apart - follower.longest)} are missing"
+        followed = f"the arm can follow {length_text(follower.longest)}"
+        misfits.append(OutOfReach(end, f"it is {length_text(apart)} from the start; {followed}; {missing}"))
     raise_together(misfits)
 
 
@@ -200,7 +204,7 @@ def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest:
     count = max(CHECKED_PLACES, int(np.ceil(curve.length / (0.1 * space.radius))))
     s = np.linspace(0.0, curve.length, count)
     if curve.length > longest:
-        return f"the best is {curve.length:.4g} m long; the arm can follow {longest:.4g} m"
+        return f"the best is {length_text(curve.length)} long; the arm can follow {length_text(longest)}"
     if not space.is_free(curve.at(s)):
         return "the smooth curve comes too close to an obstacle"
     bend = float(np.asarray(curve.curvature(s)).max())
@@ -253,8 +257,8 @@ class _FreeSpace:
         placements = self._kinematics.place(np.zeros(3), np.ascontiguousarray(point[None]))
         distance, pair = self._distances.minimum(placements)
         apart = distance + self.radius
-        where = f"{apart:.4g} m from" if apart > 0.0 else f"{-apart:.4g} m inside"
-        return f"{where} {self._names[pair]!r}, {-distance:.4g} m too close"
+        where = f"{length_text(apart)} from" if apart > 0.0 else f"{length_text(-apart)} inside"
+        return f"{where} {self._names[pair]!r}, {length_text(-distance)} too close"
 
 
 class _Arc(NamedTuple):
@@ -436,7 +440,7 @@ def _arc_to(place: Array, tangent: Array, aim: Array, bend: float) -> _Arc | Non
     aside = float(np.linalg.norm(side))
     angle = float(np.arctan2(aside, ahead))
     curvature = 2.0 * aside / distance**2
-    if angle > MAX_ARC or curvature > bend * (1.0 + ROUNDING):
+    if angle > MAX_ARC or curvature > bend * (1.0 + EXCESS):
         return None
     length = distance / float(np.sinc(angle / np.pi))
     return _Arc(place, tangent, side / max(aside, 1e-300), curvature, length)

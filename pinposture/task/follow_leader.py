@@ -38,6 +38,7 @@ from pinposture.placement import Target
 from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve
 from pinposture.task.reference import Mark, Reference
+from pinposture.units import length_text
 
 # An arm on a feed: a slide that pushes the whole arm along its axis.
 
@@ -272,10 +273,10 @@ def _off_the_entry(fed: FedArm, path: Curve) -> list[PostureError]:
         shift = ", ".join(f"{each:.6g}" for each in ahead)
         tip = ", ".join(f"{each:.6g}" for each in fed.tip)
         allowed = (
-            f"within {most:.2g} m of the tip, at ({tip}); move it by ({shift}) m, or the base of the arm "
-            f"the other way if obstacles are where they are; {aligned}"
+            f"within {length_text(most)} of the tip, at ({tip}); move it by ({shift}) m, "
+            f"or the base of the arm the other way if obstacles are where they are; {aligned}"
         )
-        found.append(InvalidValue("start of the path", f"{gap:.4g} m from the tip", allowed))
+        found.append(InvalidValue("start of the path", f"{length_text(gap)} from the tip", allowed))
     angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
     if angle > MAX_ENTRY_ANGLE:
         direction = ", ".join(f"{each:.6g}" for each in fed.axis)
@@ -432,7 +433,7 @@ class ClosestPlacement:
         joint = fed.links.chain.module_starts[link]
         module = int(np.searchsorted(fed.body.module_starts, joint, side="right"))
         advice = "use a gentler path, wider joint limits or shorter modules"
-        text = f"it stays {distances[link]:.4g} m or more off the path; {advice}"
+        text = f"it stays {length_text(distances[link])} or more off the path; {advice}"
         raise CurveBendsTooMuch(module, float(self._s[link]), text)
 
 
@@ -550,7 +551,7 @@ def follow_leader(
             positions = placing.place(float(at))
         except TargetError as failure:
             module = failure.module + arm.n_modules - fed.body.n_modules
-            reason = f"{failure.reason} (at a depth of {float(at):.4g} m)"
+            reason = f"{failure.reason} (at a depth of {length_text(float(at))})"
             raise type(failure)(module, failure.parameter - fed.run_up, reason) from None
         offsets[row, fed.column] = fed.sense * at
         offsets[row, fed.columns] = positions - fed.straight
@@ -615,7 +616,7 @@ def _too_deep(route: Route, depth: float | None) -> list[PostureError]:
     if not exceeded:
         return []
     allowed = "; ".join(
-        f"at most {most:.6g} m: {why}, {asked - most:.4g} m are missing" for most, why in exceeded
+        f"at most {most:.6g} m: {why}, {length_text(asked - most)} are missing" for most, why in exceeded
     )
     if depth is not None:
         return [InvalidValue("depth", depth, allowed)]
@@ -668,11 +669,12 @@ def _require_near(route: Route, deviation: Deviation, depths: Array, method: str
     lengths = np.cumsum(fed.body.chain.module_lengths)
     module = min(int(np.searchsorted(lengths, where)), fed.body.n_modules - 1)
     number = module + 1 + fed.arm.n_modules - fed.body.n_modules
-    off = f"{deviation.largest:.4g} m off the path, {deviation.percent:.3g} % of the arm"
+    off = f"{length_text(deviation.largest)} off the path, {deviation.percent:.3g} % of the arm"
     advice = "use method='closest'"
     if method == "closest":
         advice = "use a gentler path, wider joint limits or shorter links"
-    reason = f"the arm is {off} (at a depth of {depth:.4g} m); allowed: {allowed:.4g} m; {advice}"
+    place = f"at a depth of {length_text(depth)}"
+    reason = f"the arm is {off} ({place}); allowed: {length_text(allowed)}; {advice}"
     raise TargetError(number, depth + where - fed.run_up, reason)
 
 
@@ -739,8 +741,8 @@ def _require_wider(radius: float, arm: Arm, scene: Scene | None) -> None:
     thinnest = min(round_ones, default=0.0)
     missing = thinnest + margin - radius
     if missing > 1e-9 * arm.length:
-        parts = f"the arm has a radius of {1e3 * thinnest:.4g} mm and needs a margin of {1e3 * margin:.4g} mm"
-        allowed = f"{thinnest + margin:.4g} m or more: {parts}; {1e3 * missing:.4g} mm are missing"
+        parts = f"the arm has a radius of {length_text(thinnest)} and needs a margin of {length_text(margin)}"
+        allowed = f"{thinnest + margin:.4g} m or more: {parts}; {length_text(missing)} are missing"
         raise InvalidValue("pipe", radius, allowed)
 
 
@@ -797,8 +799,8 @@ class Deviation:
         return 100.0 * self.largest_point / self.length
 
     def __repr__(self) -> str:
-        place = f"{self.where[self.row]:.4g} m along the arm in row {self.row}"
-        return f"Deviation({self.percent:.3g} % of {self.length:.4g} m, {place})"
+        place = f"{length_text(self.where[self.row])} along the arm in row {self.row}"
+        return f"Deviation({self.percent:.3g} % of {length_text(self.length)}, {place})"
 
 
 def path_deviation(

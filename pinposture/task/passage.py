@@ -16,6 +16,7 @@ from pinposture.collision.model import Distances
 from pinposture.collision.obstacles import solid
 from pinposture.errors import InvalidValue, TaskError, warn_caller
 from pinposture.task.reference import Mark, Reference, Way
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -93,8 +94,8 @@ def require_wide_pipe(reference: Reference, scene: Scene, radius: float) -> None
         missing = scene.margin - float(distances.min())
         if distances.min() < _kept(reference, scene):
             needed = f"{radius + missing:.4g} m or more: {_closest(reference, scene, rows, distances)}"
-            off = f"the planned postures are up to {1e3 * cast(Way, mark.way).planned:.3g} mm off the path"
-            raise InvalidValue("pipe", radius, f"{needed}; {off}; {1e3 * missing:.4g} mm are missing")
+            off = f"the planned postures are up to {length_text(cast(Way, mark.way).planned)} off the path"
+            raise InvalidValue("pipe", radius, f"{needed}; {off}; {length_text(missing)} are missing")
 
 
 def _ways(reference: Reference, scene: Scene) -> Iterator[tuple[Mark, NDArray[np.int64], Array]]:

@@ -73,6 +73,7 @@ from pinposture.task.specification import (
     shown_key,
 )
 from pinposture.task.toml import Place, lines_of_toml
+from pinposture.units import length_text
 
 # Text parsed into plain data.
 
@@ -409,7 +410,8 @@ def _make_leader(document: Document, where: Place, spec: LeaderSpec, scene: Scen
     leader = Leader(**{**values, "placement": spec.placement or usual_placement(scene, path)})
     longest = MAX_SIZE_RATIO * arm.length
     if path.length > longest:
-        reason = f"is {path.length:.4g} m long; allowed: {longest:.4g} m, {MAX_SIZE_RATIO} times the arm"
+        allowed = f"{length_text(longest)}, {MAX_SIZE_RATIO} times the arm"
+        reason = f"is {length_text(path.length)} long; allowed: {allowed}"
         raise document.fault((*where, "path"), reason)
     with document.blaming(where):
         check_leader(leader, arm, scene)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ControlPoints, Ellipsoid
 from pinposture.collision import Scene
+from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
 from pinposture.viz.postures import (
@@ -86,7 +87,7 @@ def plot_arm(
     kind = "planar" if planar else "spatial"
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"
     where = ", neutral configuration" if q is None else ""
-    sentence = f"{arm.model.name}: {kind}, {modules}, {arm.nv} DOF, {arm.length:.4g} m{where}"
+    sentence = f"{arm.model.name}: {kind}, {modules}, {arm.nv} DOF, {length_text(arm.length)}{where}"
     palette.add_title(figure, [sentence])
     return figure
 

@@ -19,6 +19,7 @@ from pinposture.collision import Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.placement import Target
+from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import backbone, convex_outline, facets, is_hidden, section
 from pinposture.viz.drawing import (
@@ -397,7 +398,7 @@ def round_down(length: float, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> fl
 
 def scale_in_words(arm: Arm, points: Sequence[int]) -> str:
     """Return the scale of ellipsoids for a legend."""
-    return f"1 m/rad drawn as {drawn_length(arm, points):.3g} m"
+    return f"1 m/rad drawn as {length_text(drawn_length(arm, points))}"
 
 
 def draw_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:

@@ -77,7 +77,7 @@ def test_with_a_start_it_keeps_pictures_postures_and_the_run(command, arm_file, 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("--to", "1,0,0"), "the arm reaches 0.3 m"),
+        (("--to", "1,0,0"), "the arm reaches 300 mm"),
         (("--to", "0.1,0,0,0"), "goal"),
         (("--to", "a,b,c"), "--to"),
         (("--to", "0.1,0,0.1", "--direction", "0,0,0"), "direction"),

@@ -136,14 +136,14 @@ def test_what_cannot_be_found_says_why():
     closed = pp.Scene({"wall": pp.Box(tuple(begin + (0.3, 0, 0)), (0.02, 9.0, 9.0))})
     with pytest.raises(pp.PostureError, match="no path was found: the tree did not reach the goal"):
         pp.find_path(closed, None, goal, arm, budget=0.5)
-    with pytest.raises(pp.PostureError, match=r"the goal is 0\.02 m inside 'ball'"):
+    with pytest.raises(pp.PostureError, match=r"the goal is 20 mm inside 'ball'"):
         pp.find_path(pp.Scene({"ball": pp.Sphere(tuple(goal), 0.02)}), None, goal, arm)
     beside = {"ball": pp.Sphere(tuple(begin + (0, 0, 0.03)), 0.02), "box": pp.Sphere(tuple(goal), 0.02)}
     with pytest.raises(pp.PostureError, match="the goal is 0") as caught:
         pp.find_path(pp.Scene(beside, margin=0.004, arm_radius=0.02), None, goal, arm)
-    assert "the start is 0.01 m from 'ball'" in str(caught.value)  # both at once
-    assert "0.02 m for the radius of the arm, 0.004 m for the margin" in str(caught.value)
-    with pytest.raises(pp.PostureError, match=r"2 m from the start; the arm can follow 0\.7 m"):
+    assert "the start is 10 mm from 'ball'" in str(caught.value)  # both at once
+    assert "20 mm for the radius of the arm, 4 mm for the margin" in str(caught.value)
+    with pytest.raises(pp.PostureError, match=r"2 m from the start; the arm can follow 700 mm"):
         pp.find_path(pp.Scene({}), None, begin + (2.0, 0.0, 0.0), arm)
     with pytest.raises(pp.PostureError, match="away from the start"):
         pp.find_path(pp.Scene({}), None, begin, arm)

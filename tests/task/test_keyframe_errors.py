@@ -81,7 +81,7 @@ def test_values_of_a_keyframe(options: dict[str, Any], kind: type[PostureError],
             ],
             {},
             TaskError,
-            r"^keyframe 2: its tip task with priority is missed by 1000 mm in the closest posture found",
+            r"^keyframe 2: its tip task with priority is missed by 1 m in the closest posture found",
         ),
         (
             lambda: [start(), Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((1, 0, 0), point=33))],

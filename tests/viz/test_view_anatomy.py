@@ -221,7 +221,7 @@ def test_scales_and_their_labels_are_within_the_figure(modules):
 def test_the_title_tells_of_the_arm_and_of_the_neutral_configuration_only_there(rng):
     arm = spatial()
     title = pp.plot_arm(arm).get_suptitle()
-    for fact in ("RyRz_6", "spatial", "6 modules", "12 DOF", "0.3 m", "neutral"):
+    for fact in ("RyRz_6", "spatial", "6 modules", "12 DOF", "300 mm", "neutral"):
         assert fact in title
     assert "neutral" not in pp.plot_arm(arm, arm.random(rng)).get_suptitle()
 

@@ -128,7 +128,7 @@ def test_the_legend_says_the_scale_and_what_colours_mean_only_if_there_are_ellip
     figure = pp.plot_arm(arm, ellipsoids=["module_06"])
     _, key = figure.legends
     assert key.get_title().get_text() == (
-        f"manipulability ellipsoids, 1 m/rad drawn as {drawn_length(arm, [5]):g} m"
+        f"manipulability ellipsoids, 1 m/rad drawn as {1e3 * drawn_length(arm, [5]):g} mm"
     )
     assert [text.get_text() for text in key.get_texts()] == [
         f"index {meaning}" for meaning in INDEX_LABELS.values()

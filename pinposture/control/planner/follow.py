@@ -36,6 +36,7 @@ from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -685,10 +686,10 @@ def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateSte
 
 def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
     """Name the tasks that are not met, and say whether the target posture is missed."""
-    left = [
-        f"{type(task).__name__} by {np.linalg.norm(task.rows(bounds.state, objective.target).error):.3g} m"
-        for task in objective.tasks
-    ]
+    left = []
+    for task in objective.tasks:
+        error = float(np.linalg.norm(task.rows(bounds.state, objective.target).error))
+        left.append(f"{type(task).__name__} by {length_text(error)}")
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""
     target = objective.target
     missed = objective.mean_error(bounds.state) > TAKEN * objective.arm.length

@@ -324,7 +324,7 @@ def _facts(live: Live) -> str:
     bound = int(np.count_nonzero(live.at_limit))
     lag = "..." if live.lag is None else f"{1000.0 * live.lag:.0f} ms"
     return (
-        f"**{arm.n_modules} modules, {arm.nv} joints, {arm.length:.3g} m**\n\n"
+        f"**{arm.n_modules} modules, {arm.nv} joints, {length_text(arm.length)}**\n\n"
         f"Near singular: {f'modules {listed}{more}' if listed else 'nowhere'}\n\n"
         f"Joints at a limit: {bound or 'none'}\n\n"
         f"First step after a change: {lag}"
