@@ -380,7 +380,7 @@ EXAMPLES = {
 
 
 ANIMATIONS = {
-    "first_posture": ("01_first_posture", "out/first_posture/run.html", 0.58, 1.5),
+    "first_posture": ("01_first_posture", "out/first_posture/run.html", 0.68, 1.3),
     "obstacles": ("05_around_obstacles", "out/around_obstacles/run.html", 0.44, 1.6),
 }
 """The animation that an example saves, the share of its time that is shown, and how far it is enlarged."""

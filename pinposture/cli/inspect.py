@@ -385,10 +385,9 @@ def print_scene(about: Mapping[str, Any]) -> None:
     if excluded:
         facts["excluded pairs"] = ", ".join(excluded)
     for name, found in about["outliers"].items():
-        what = f"{found['points']} of {found['of']} points have fewer than eight others within"
-        facts[f"outliers of {name}"] = (
-            f"{what} {length_text(found['distance'])}; outlier_distance = {found['distance']:.2g} removes them"
-        )
+        near = length_text(found["distance"])
+        what = f"{found['points']} of {found['of']} points have fewer than eight others within {near}"
+        facts[f"outliers of {name}"] = f"{what}; outlier_distance = {found['distance']:.2g} removes them"
     print_facts(facts)
     for kind, headings in (("obstacles", ("obstacle", "type")), ("bodies", ("body",))):
         rows = [

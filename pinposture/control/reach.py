@@ -114,8 +114,8 @@ class ReachedPosture:
     def __repr__(self) -> str:
         way = "" if self.path is None else f", path {self.path.hindrance or 'clear'}"
         error = length_text(self.error)
-        clearance = length_text(self.clearance)
-        return f"ReachedPosture(tip {error} off, clearance {clearance}, score {self.score:.3g}{way})"
+        clear = f", clearance {length_text(self.clearance)}" if np.isfinite(self.clearance) else ""
+        return f"ReachedPosture(tip {error} off{clear}, score {self.score:.3g}{way})"
 
 
 def reach(

@@ -282,8 +282,11 @@ class Moved(NamedTuple):
         return math.hypot(*self.rotation)
 
     def __str__(self) -> str:
-        changes = (("moved", self.distance, "m"), ("turned", self.angle, "rad"))
-        parts = [f"{verb} by {size:.4g} {unit}" for verb, size, unit in changes if size > MIN_MOVEMENT]
+        parts = []
+        if self.distance > MIN_MOVEMENT:
+            parts.append(f"moved by {length_text(self.distance)}")
+        if self.angle > MIN_MOVEMENT:
+            parts.append(f"turned by {self.angle:.4g} rad")
         return " and ".join(parts) or "where it was drawn"
 
     def __bool__(self) -> bool:

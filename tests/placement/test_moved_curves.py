@@ -55,7 +55,7 @@ def test_what_is_told_is_how_the_curve_was_moved(placement: str, where: pin.SE3 
 
 def test_a_curve_that_is_taken_from_elsewhere_is_said(arm: pp.Arm) -> None:
     with pytest.warns(
-        pp.PostureWarning, match=r"the curve was moved by 0\.7071 m and turned by 1\.571 rad to the base"
+        pp.PostureWarning, match=r"the curve was moved by 707 mm and turned by 1\.571 rad to the base"
     ) as told:
         target = pp.resolve_targets(arm, line(0.5, 0.0, 0.5))
     assert told[0].filename == __file__
@@ -78,7 +78,7 @@ def test_it_stays_with_the_target_and_with_what_is_saved(arm: pp.Arm, tmp_path: 
     batch = pp.track_many(arm, [target, other], [arm.neutral()] * 2, max_steps=2)
     kept = pp.load(pp.save(batch, tmp_path / "batch"), pp.Batch)
     assert [each.moved for each in kept.targets] == [target.moved, None]
-    said = "moved by 0.7071 m and turned by 1.571 rad to the base of the arm"
+    said = "moved by 707 mm and turned by 1.571 rad to the base of the arm"
     assert batch.in_words()["curve"] == f"{said} at most"
     figure = pp.plot(run)
     assert f"curve {said}" in figure.get_supxlabel()
@@ -114,7 +114,7 @@ def test_among_obstacles_curves_stay_where_they_are_drawn(arm: pp.Arm) -> None:
 
 def test_a_keyframe_that_is_taken_from_elsewhere_is_named(arm: pp.Arm) -> None:
     there = pp.Curve.line((0.5, 0, 0.5), (0.85, 0, 0.5))
-    with pytest.warns(pp.PostureWarning, match=r"keyframe 2 'there': its curve was moved by 0\.7071 m to"):
+    with pytest.warns(pp.PostureWarning, match=r"keyframe 2 'there': its curve was moved by 707 mm to"):
         pp.keyframe_reference(arm, [frames()[0], pp.Keyframe(there, time=1.0, name="there", trim=True)], 0.05)
 
 
@@ -168,11 +168,11 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
         result = CliRunner().invoke(app, ["track", str(file), "--curve", str(curve), *map(str, more)])
         return result.exit_code, result.output
 
-    assert "moved by 0.7071 m and turned by 1.571 rad to the base of the arm; --placement as_is" in call()[1]
+    assert "moved by 707 mm and turned by 1.571 rad to the base of the arm; --placement as_is" in call()[1]
     told = json.loads(call("--json")[1])
     assert told["moved"]["translation"] == [-0.5, 0.0, -0.5]
     assert told["moved"]["rotation"] == pytest.approx([0.0, 0.0, -np.pi / 2])
     code, said = call("--scene", scene)
     assert code == 2 and "m from the base; use --placement translate or align" in said
     code, said = call("--scene", scene, "--placement", "align")
-    assert code == 0 and "moved by 0.7071 m" in said
+    assert code == 0 and "moved by 707 mm" in said

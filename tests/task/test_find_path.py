@@ -139,7 +139,7 @@ def test_what_cannot_be_found_says_why():
     with pytest.raises(pp.PostureError, match=r"the goal is 20 mm inside 'ball'"):
         pp.find_path(pp.Scene({"ball": pp.Sphere(tuple(goal), 0.02)}), None, goal, arm)
     beside = {"ball": pp.Sphere(tuple(begin + (0, 0, 0.03)), 0.02), "box": pp.Sphere(tuple(goal), 0.02)}
-    with pytest.raises(pp.PostureError, match="the goal is 0") as caught:
+    with pytest.raises(pp.PostureError, match="the goal is 20 mm") as caught:
         pp.find_path(pp.Scene(beside, margin=0.004, arm_radius=0.02), None, goal, arm)
     assert "the start is 10 mm from 'ball'" in str(caught.value)  # both at once
     assert "20 mm for the radius of the arm, 4 mm for the margin" in str(caught.value)

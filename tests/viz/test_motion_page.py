@@ -175,4 +175,4 @@ def test_curves_of_a_repeated_tour_are_described_once(tmp_path):
     places = zip(motion.waypoints, moves, strict=True)
     motion = replace(motion, waypoints=tuple(place._replace(moved=moved) for place, moved in places))
     page = pp.save_html(five_modules(), motion, tmp_path / "tour").read_text()
-    assert "curves: up moved by 0.1 m, down moved by 0.2 m<" in page
+    assert "curves: up moved by 100 mm, down moved by 200 mm<" in page
