@@ -148,8 +148,8 @@ class PlannedStep:
             self._request = None
             self._interrupted = self._outdated = False
             try:
-                target = planned.target
                 memory = self._take_plan(planned, memory)
+                target = planned.target
             except Interrupted:
                 self._interrupted = True
         try:
