@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import wraps
+from importlib import import_module
 from inspect import Parameter, signature
 from typing import Annotated, Any
 
@@ -71,8 +72,23 @@ class Commands(TyperGroup):
         return code
 
 
-OBSTACLE_TYPES_HERE = "{types of obstacles}"
-"""What stands for the types of obstacles in the help of a verb: they are imported where it is printed."""
+REGISTERED = {
+    "{controllers}": ("pinposture.control.registry", "controller_names"),
+    "{curves}": ("pinposture.curve", "CURVES"),
+    "{templates}": ("pinposture.arm", "TEMPLATES"),
+    "{types of obstacles}": ("pinposture.collision.obstacles", "describe_types"),
+}
+"""What stands for registered names in the help of verbs and options, and the module and the attribute that has
+them, or returns them: they are imported where the help is printed."""
+
+
+def _with_registered_names(written: str | None) -> str | None:
+    """Return a help text with the names that are registered."""
+    for mark, (home, attribute) in REGISTERED.items():
+        if written is not None and mark in written:
+            found = getattr(import_module(home), attribute)
+            written = written.replace(mark, ", ".join(found() if callable(found) else found))
+    return written
 
 
 def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
@@ -92,13 +108,13 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
                 raise typer.Exit(REFUSED) from error
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
-            written = self.help
-            if written is not None and OBSTACLE_TYPES_HERE in written:
-                from pinposture.collision.obstacles import describe_types
-
-                self.help = written.replace(OBSTACLE_TYPES_HERE, describe_types())
+            described = [self, *self.params]
+            written = [each.help for each in described]
+            for each in described:
+                each.help = _with_registered_names(each.help)
             super().format_help(ctx, formatter)
-            self.help = written
+            for each, text in zip(described, written, strict=True):
+                each.help = text
             lines = "".join(f"   $ {example}\n" for example in examples)
             formatter.write(f" Examples:\n\n{lines}\n")
 

@@ -48,7 +48,7 @@ def run(
         str,
         typer.Argument(
             metavar="[TASK|URDF|TEMPLATE]",
-            help="A task file (.toml, .json), a robot description, or a module template.",
+            help="A task file (.toml, .json), a robot description, or a module template: {templates}.",
         ),
     ] = "RyRz",
     arm_options: ArmOptions,

@@ -26,7 +26,7 @@ def run(
     *,
     template: Annotated[
         str | None,
-        typer.Argument(metavar="TEMPLATE", help="Kind of module, such as RyRz; --list shows them."),
+        typer.Argument(metavar="TEMPLATE", help="Kind of module: {templates}; --list describes them."),
     ] = None,
     modules: Annotated[int | None, ARM("Number of modules.", "N", flags="--modules -n")] = None,
     link_lengths: Annotated[

@@ -554,13 +554,7 @@ def _for_joints(option: str, text: str | None) -> float | NDArray[np.float64] | 
 
 ControllerOption = Annotated[
     str,
-    MOTION(
-        "Controller: geodesic (directly, within limits, around obstacles); selection or projection (of "
-        "the thesis) or switching (alternates between them); or, for comparison: joint (joint "
-        "interpolation), pinv (pseudo-inverse), task-constraints (points in its null space), "
-        "extended or augmented (Jacobians), dls (damped least squares), lm (Levenberg-Marquardt).",
-        "NAME",
-    ),
+    MOTION("Controller: {controllers}. Only geodesic plans and avoids obstacles.", "NAME"),
 ]
 
 
@@ -618,8 +612,8 @@ def _controller_named(name: str) -> Controller:
 
 
 CURVE_HELP = (
-    "A .json, .csv or .txt file, or a preset, scaled to the arm: line (1.1 arm lengths) or helix (2.5 turns "
-    "of the arm; with fewer than 20 modules, a turn for every 8)."
+    "A .json, .csv or .txt file, or a preset, scaled to the arm: {curves}. The line has 1.1 arm lengths; the "
+    "helix turns 2.5 times along the arm, with fewer than 20 modules once for every 8."
 )
 CurveOption = Annotated[str, TARGET(CURVE_HELP, "CURVE")]
 ScaleOption = Annotated[

@@ -45,7 +45,8 @@ def run(
     curve: Annotated[
         str | None,
         TARGET(
-            "Show how well the arm can follow this curve, placed at its base: a file, line or helix.", "CURVE"
+            "Show how well the arm can follow this curve, placed at its base: a file, or one of {curves}.",
+            "CURVE",
         ),
     ] = None,
     scale: ScaleOption = 1.0,

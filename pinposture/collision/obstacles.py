@@ -71,9 +71,9 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
     return kind(**values)
 
 
-def describe_types() -> str:
-    """Return the types of obstacles, each with the names that its description may have, in words."""
-    return ", ".join(f"{name} ({', '.join(kind.keys())})" for name, kind in OBSTACLE_TYPES.items())
+def describe_types() -> list[str]:
+    """Return the types of obstacles, each with the names that its description may have."""
+    return [f"{name} ({', '.join(kind.keys())})" for name, kind in OBSTACLE_TYPES.items()]
 
 
 def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:

@@ -32,6 +32,12 @@ ENTRY_POINTS = "pinposture.controllers"
 """Entry point group in which installed packages register their controllers."""
 
 
+def controller_names() -> tuple[str, ...]:
+    """Return the names of all controllers: of the library, of installed packages, and the form of others."""
+    installed = (each.name for each in entry_points(group=ENTRY_POINTS))
+    return (*CONTROLLERS, *installed, "package.module:Class")
+
+
 def controller_named(controller: str | Controller) -> Controller:
     """Return the controller of a name with its defaults; a controller is returned as it is.
 
@@ -70,7 +76,7 @@ def _found(name: str) -> Callable[[], object]:
         return cast(Callable[[], object], offered[name].load())
     home, _, attribute = name.partition(":")
     if not (home and attribute):
-        raise UnknownName("controller", name, (*CONTROLLERS, *offered, "package.module:Class"))
+        raise UnknownName("controller", name, controller_names())
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)

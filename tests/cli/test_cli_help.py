@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pinposture
+from pinposture.arm import TEMPLATES
 from pinposture.collision import Cylinder, Scene
 from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.control import CONTROLLERS
@@ -67,6 +68,23 @@ def test_the_help_of_track_names_everything_that_can_be_named(command):
         assert name in out
     for heading in ("The limits", "The surroundings", "The tip"):
         assert f" {heading} " in out
+
+
+def words_of_help(command, verb):
+    """The words of a help, without the frames around its options."""
+    out = command(verb, "--help", env={"COLUMNS": "200"}).out
+    return " ".join(out.replace("│", " ").split())
+
+
+def test_the_help_names_what_is_registered_and_nothing_else(command, monkeypatch):
+    for registry in (CONTROLLERS, CURVES):
+        monkeypatch.setitem(registry, "new", next(iter(registry.values())))
+    help_of_track = words_of_help(command, "track")
+    assert f"Controller: {', '.join(CONTROLLERS)}, package.module:Class." in help_of_track
+    assert f"scaled to the arm: {', '.join(CURVES)}." in help_of_track
+    assert f"a file, or one of {', '.join(CURVES)}." in words_of_help(command, "inspect")
+    assert f"Kind of module: {', '.join(TEMPLATES)};" in words_of_help(command, "generate")
+    assert f"a module template: {', '.join(TEMPLATES)}." in words_of_help(command, "edit")
 
 
 def scene_in_the_help(command):
