@@ -78,8 +78,8 @@ REGISTERED = {
     "{templates}": ("pinposture.arm", "TEMPLATES"),
     "{types of obstacles}": ("pinposture.collision.obstacles", "describe_types"),
 }
-"""What stands for registered names in the help of verbs and options, and the module and the attribute that has
-them, or returns them: they are imported where the help is printed."""
+"""What stands for registered names in the help of verbs and options, and the module and attribute that has or
+returns them: they are imported where the help is printed."""
 
 
 def _with_registered_names(written: str | None) -> str | None:
@@ -108,7 +108,7 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
                 raise typer.Exit(REFUSED) from error
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
-            described = [self, *self.params]
+            described: list[Any] = [self, *self.params]
             written = [each.help for each in described]
             for each in described:
                 each.help = _with_registered_names(each.help)

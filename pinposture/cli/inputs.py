@@ -554,7 +554,10 @@ def _for_joints(option: str, text: str | None) -> float | NDArray[np.float64] | 
 
 ControllerOption = Annotated[
     str,
-    MOTION("Controller: {controllers}. Only geodesic plans and avoids obstacles.", "NAME"),
+    MOTION(
+        "Controller: {controllers}, or package.module:Class. Only geodesic plans and avoids obstacles.",
+        "NAME",
+    ),
 ]
 
 

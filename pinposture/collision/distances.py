@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
-from pinposture.collision.obstacles import Solid
-from pinposture.collision.shapes import Piece, join_trees
+from pinposture.collision.solids import Piece, Solid, join_trees
 from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, Contacts, JointTree, Pairs
 
 Array = NDArray[np.float64]

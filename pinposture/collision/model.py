@@ -22,9 +22,10 @@ from pinposture.collision.distances import (
     Placements,
     TreeKinematics,
 )
-from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
+from pinposture.collision.obstacles import Obstacle
 from pinposture.collision.scene import USUAL_MARGIN, Scene
 from pinposture.collision.shapes import Sphere
+from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, enumerated, warn_caller
 from pinposture.kernels.arrays import Contacts
 from pinposture.units import length_text
@@ -210,7 +211,7 @@ def _mounted_pairs(objects: CollisionObjects, margin: float) -> set[IndexPair]:
     balls = []
     for body, position in still:
         radius = solids[body].radius if solids[body].round else SMALLEST_LENGTH
-        balls.append(solid(Sphere(tuple(position), radius)))
+        balls.append(Sphere(tuple(position), radius).solid())
     pairs = [(ball, len(balls) + k) for ball in range(len(balls)) for k in range(len(fixed))]
     distances = PairDistances(balls, [0] * len(balls), fixed, pairs)
     near = distances.near(objects.kinematics.place(objects.arm.neutral()), np.nextafter(margin, np.inf)).pairs
@@ -346,12 +347,14 @@ class _Choice(NamedTuple):
     def of(cls, arm: Arm, scene: Scene) -> _Choice:
         """Return the choice for an arm and a scene whose obstacles have not moved yet; it takes long."""
         bodies = bodies_of(arm, scene.arm_radius)
-        named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
+        named = [
+            (name, each) for name, obstacle in scene.obstacles.items() for each in obstacle.geometry.solids()
+        ]
         objects = CollisionObjects(
             arm,
             kinematics=TreeKinematics(arm.model),
             joints=[body.joint for body in bodies],
-            solids=[solid(body.shape) for body in bodies],
+            solids=[body.shape.solid() for body in bodies],
             fixed=[each for _, each in named],
         )
         own = tuple(body.name for body in bodies)
@@ -463,7 +466,7 @@ class CollisionModel:
         changes = {
             number: each
             for name, obstacle in moved.items()
-            for number, each in zip(self._numbers[name], solids(obstacle), strict=True)
+            for number, each in zip(self._numbers[name], obstacle.geometry.solids(), strict=True)
         }
         return self._distances.with_obstacles(changes)
 

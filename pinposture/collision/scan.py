@@ -200,6 +200,7 @@ class Scan(Surface):
     """
 
     type: ClassVar[str] = "scan"
+    convex: ClassVar[bool] = False
     points: Array = field(repr=False)
     faces: NDArray[np.int32] | None = field(default=None, repr=False)
     colors: NDArray[np.uint8] | None = field(default=None, repr=False)

@@ -31,8 +31,6 @@ from pinposture.collision.obstacles import (
     Obstacle,
     displaced,
     obstacle_from_dict,
-    solid,
-    solids,
 )
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
@@ -325,8 +323,10 @@ def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float
         within: the distance between the surfaces [m].
     """
     x, y, z = np.array(center, dtype=np.float64)
-    named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
+    named = [
+        (name, each) for name, obstacle in scene.obstacles.items() for each in obstacle.geometry.solids()
+    ]
     pairs = [(0, 1 + k) for k in range(len(named))]
-    distances = PairDistances([solid(Sphere((x, y, z), radius))], [0], [each for _, each in named], pairs)
+    distances = PairDistances([Sphere((x, y, z), radius).solid()], [0], [each for _, each in named], pairs)
     near = distances.near(Placements(np.eye(3)[None, None], np.zeros((1, 1, 3))), within)
     return tuple(dict.fromkeys(named[k][0] for k in np.sort(distances.second[near.pairs] - 1)))

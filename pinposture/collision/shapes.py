@@ -1,21 +1,20 @@
-"""Shapes of obstacles and of the bodies of an arm, in metres; trees of boxes for meshes and scans."""
+"""Shapes of obstacles and of the bodies of an arm, in metres."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from threading import Lock
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from pinposture import kernels
 from pinposture._validation import (
     LARGEST_LENGTH,
     SMALLEST_LENGTH,
@@ -32,96 +31,14 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.collision.files import Triangles, merge_corners, read_mesh, scale_factor
+from pinposture.collision.solids import Solid, Tree, capsule_around, z_along
 from pinposture.errors import InvalidValue, warn_caller
-from pinposture.kernels.arrays import Trees
+from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
 
 Array = NDArray[np.float64]
 
-MAX_PIECES = 64  # maximum number of pieces, a power of two; a body has one contact with each
 MAX_PLAUSIBLE_WIDTH = 30.0  # width of a surface above which its unit is probably not metres [m]
 MAX_BUILT_MESHES = 256  # maximum number of meshes of a `MeshShape` that are cached
-LEAF_SIZE = 4  # maximum number of points or triangles in a node of the last level
-
-
-class Tree:
-    """Points or triangles in a tree of boxes; see `kernels.bounding_volumes`.
-
-    Attributes:
-        corners: the points, (n, 1, 3), or the triangle corners, (n, 3, 3), in the order of the tree [m].
-        boxes: minimum and maximum corner of each node; the first is unused, (nodes, 2, 3) [m].
-        levels: number of levels.
-        pieces: the nodes that count as obstacles; together they contain each item once.
-    """
-
-    def __init__(self, corners: Array) -> None:
-        """Build the tree of points, (n, 1, 3), or triangles, (n, 3, 3) [m]."""
-        count = len(corners)
-        # so that no node is empty
-        most = count.bit_length() - 1
-        wide = MAX_PIECES.bit_length() - 1
-        deep = (-(-count // LEAF_SIZE) - 1).bit_length()
-        self.levels = 1 + min(max(deep, wide), most)
-        order = np.arange(count)
-        self.boxes = np.zeros((2**self.levels, 2, 3))
-        kernels.build_tree(np.array(corners), order, self.boxes)
-        self.corners = np.ascontiguousarray(corners[order])
-        first = 2 ** min(wide, self.levels - 1)
-        self.pieces = range(first, 2 * first)
-        self._geometries: dict[int, coal.BVHModelOBBRSS] = {}
-        self._lock = Lock()
-
-    def geometry(self, node: int) -> coal.BVHModelOBBRSS:
-        """Return the coal geometry of a node, created on first use; points are degenerate triangles."""
-        with self._lock:
-            if node not in self._geometries:
-                level = node.bit_length() - 1
-                begin, end = ((node - 2**level + k) * len(self.corners) >> level for k in (0, 1))
-                items = self.corners[begin:end]
-                vertices = np.broadcast_to(items, (len(items), 3, 3)).reshape(-1, 3)
-                geometry = coal.BVHModelOBBRSS()
-                geometry.beginModel(len(items), len(vertices))
-                geometry.addVertices(vertices)
-                geometry.addTriangles(np.arange(len(vertices)).reshape(-1, 3))
-                geometry.endModel()
-                self._geometries[node] = geometry
-            return self._geometries[node]
-
-
-Piece: TypeAlias = tuple[Tree, int]
-"""A tree and one of its nodes."""
-
-
-def join_trees(pieces: Sequence[Piece | None]) -> Trees:
-    """Return the trees of obstacles in the form that the kernels use; None: an obstacle without a tree."""
-    trees = list(dict.fromkeys(piece[0] for piece in pieces if piece is not None))
-    rows = {}
-    boxes = 0
-    lengths = {1: 0, 3: 0}
-    for tree in trees:
-        count, corners = tree.corners.shape[:2]
-        rows[tree] = [boxes, 0, tree.levels, lengths[corners], count, int(corners == 1)]
-        boxes = boxes + len(tree.boxes)
-        lengths[corners] = lengths[corners] + count
-    listed = np.zeros((len(pieces), 6), dtype=np.int64)
-    for k, piece in enumerate(pieces):
-        if piece is not None:
-            listed[k] = rows[piece[0]]
-            listed[k, 1] = piece[1]
-    points = [tree.corners[:, 0] for tree in trees if tree.corners.shape[1] == 1]
-    triangles = [tree.corners for tree in trees if tree.corners.shape[1] == 3]
-    return Trees(
-        boxes=_joined([tree.boxes for tree in trees], (2, 3)),
-        points=_joined(points, (3,)),
-        triangles=_joined(triangles, (3, 3)),
-        pieces=listed,
-    )
-
-
-def _joined(arrays: Sequence[Array], shape: tuple[int, ...]) -> Array:
-    """Concatenate arrays into a C-contiguous one; a single one is not copied."""
-    if len(arrays) == 1:
-        return np.ascontiguousarray(arrays[0])
-    return np.concatenate([np.zeros((0, *shape)), *arrays])
 
 
 def is_closed(faces: NDArray[np.integer]) -> bool:
@@ -145,8 +62,11 @@ def _edges(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.bo
 
 
 Own = TypeVar("Own", bound="Surface")
+Same = TypeVar("Same", bound="Described")
+Symmetry: TypeAlias = Literal["none", "axis", "ball"]
 
 UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
 
 CONVEX = 1e-7  # relative tolerance of the volumes of a convex mesh and its hull
 
@@ -157,14 +77,69 @@ class Described:
 
     Attributes:
         type: type name in scene files.
+        handles: names of what is dragged to change its size; see `editor.obstacles.size_handles`.
+        symmetry: which turns of its pose do not change it: about the third axis, or all.
+        bounded: whether it is of finite size.
+        convex: whether it is convex; others are known by their surface.
     """
 
     type: ClassVar[str]
+    handles: ClassVar[tuple[str, ...]] = ()
+    symmetry: ClassVar[Symmetry] = "none"
+    bounded: ClassVar[bool] = True
+    convex: ClassVar[bool] = True
 
     @classmethod
     def keys(cls) -> tuple[str, ...]:
         """Return the names that a description of it may have, beside its type."""
         return tuple(each.name for each in fields(cls))
+
+    @classmethod
+    def of_size(cls, center: Vector, axis: Array, size: float) -> Any:
+        """Return a new one for the editor: its fields are filled by their names, other numbers are the size.
+
+        Args:
+            center: its middle, (3,) [m].
+            axis: unit vector along which it is laid, (3,).
+            size: its radius, or half its width [m].
+        """
+        half = 2.0 * size * axis
+        values = {
+            "center": center,
+            "start": center - half,
+            "end": center + half,
+            "size": np.full(3, 2.0 * size),
+        }
+        names = cls.keys()
+        number = 0.5 * size if "start" in names else size
+        values |= {each.name: number for each in number_fields(cls) if each.default is MISSING}
+        return cls(**{name: value for name, value in values.items() if name in names})
+
+    def changed(self: Same, **values: Any) -> Same:
+        """Return a copy with other values of some attributes.
+
+        Raises:
+            InvalidValue: an invalid value.
+        """
+        return replace(self, **values)
+
+    @property
+    def geometry(self) -> Any:
+        """What distances and pictures are made from: itself, or a mesh that represents it."""
+        return self
+
+    def solids(self) -> list[Solid]:
+        """Return its solids, or the pieces of its surface."""
+        return [self.geometry.solid()]
+
+    def pose(self, near: Array) -> pin.SE3:
+        """Return its pose, world frame: its middle, and the rotation from its axes.
+
+        The third axis is that of shapes with only one. The middle of a half-space is its point nearest to
+        `near`, (3,) [m].
+        """
+        own: Any = self
+        return pin.SE3(np.array(getattr(self, "rotation", UNTURNED)), np.array(own.center))
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
         """Return the shape as JSON-compatible data; see `obstacle_from_dict`.
@@ -189,17 +164,29 @@ class Sphere(Described):
     """
 
     type: ClassVar[str] = "sphere"
+    handles: ClassVar[tuple[str, ...]] = ("radius",)
+    symmetry: ClassVar[Symmetry] = "ball"
     center: Vector
     radius: float
 
     def __post_init__(self) -> None:
         set_fields(self, center=point("center", self.center), radius=length("radius", self.radius))
 
+    def solid(self) -> Solid:
+        """Return it as a solid."""
+        center = np.array(self.center)
+        half = np.full(3, self.radius)
+        geometry = coal.Sphere(self.radius)
+        return Solid(geometry, np.eye(3), center, center, center, self.radius, center, half, SEGMENT, True)
+
 
 @dataclass(frozen=True)
 class Rounded(Described):
     """Base class of capsules and cylinders: a line from start to end, and a radius."""
 
+    handles: ClassVar[tuple[str, ...]] = ("start", "end", "radius")
+    symmetry: ClassVar[Symmetry] = "axis"
+    primitive: ClassVar[int]
     advice: ClassVar[str]
     start: Vector
     end: Vector
@@ -210,6 +197,28 @@ class Rounded(Described):
         set_fields(self, radius=length("radius", self.radius))
         if np.linalg.norm(np.subtract(self.end, self.start)) < SMALLEST_LENGTH:
             raise InvalidValue("end", self.end, f"another point than start; {self.advice}")
+
+    @property
+    def cap(self) -> float:
+        """How far it extends beyond start and end [m]."""
+        return self.radius if self.primitive == SEGMENT else 0.0
+
+    def solid(self) -> Solid:
+        """Return it as a solid."""
+        start = np.array(self.start)
+        end = np.array(self.end)
+        long = float(np.linalg.norm(end - start))
+        half = np.array([self.radius, self.radius, long / 2.0 + self.cap])
+        center = (start + end) / 2.0
+        geometry = (coal.Capsule if self.primitive == SEGMENT else coal.Cylinder)(self.radius, long)
+        turn = z_along(end - start)
+        return Solid(geometry, turn, center, start, end, self.radius, center, half, self.primitive, True)
+
+    def pose(self, near: Array) -> pin.SE3:
+        """Return its pose; the third axis leads from start to end."""
+        start = np.array(self.start)
+        end = np.array(self.end)
+        return pin.SE3(rotation_to(end - start), 0.5 * (start + end))
 
 
 @dataclass(frozen=True)
@@ -223,6 +232,7 @@ class Capsule(Rounded):
     """
 
     type: ClassVar[str] = "capsule"
+    primitive: ClassVar[int] = SEGMENT
     advice: ClassVar[str] = "a capsule without length is a Sphere"
 
 
@@ -237,6 +247,7 @@ class Cylinder(Rounded):
     """
 
     type: ClassVar[str] = "cylinder"
+    primitive: ClassVar[int] = CYLINDER
     advice: ClassVar[str] = "a cylinder has a length"
 
 
@@ -252,6 +263,7 @@ class Box(Described):
     """
 
     type: ClassVar[str] = "box"
+    handles: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     center: Vector
     size: Vector
     rotation: Matrix = UNTURNED
@@ -261,6 +273,15 @@ class Box(Described):
         for axis, edge in enumerate(self.size):
             length(f"size[{axis}]", edge)
         set_fields(self, rotation=rotation("rotation", self.rotation))
+
+    def solid(self) -> Solid:
+        """Return it as a solid."""
+        turn = np.array(self.rotation)
+        center = np.array(self.center)
+        half = np.array(self.size) / 2.0
+        corners = np.array(np.meshgrid(*np.stack([-half, half], axis=1))).reshape(3, 8).T
+        start, end, radius = capsule_around(corners @ turn.T + center)
+        return Solid(coal.Box(*self.size), turn, center, start, end, radius, center, half, BOX, True)
 
 
 @dataclass(frozen=True)
@@ -273,11 +294,27 @@ class HalfSpace(Described):
     """
 
     type: ClassVar[str] = "half_space"
+    handles: ClassVar[tuple[str, ...]] = ("height",)
+    symmetry: ClassVar[Symmetry] = "axis"
+    bounded: ClassVar[bool] = False
     point: Vector
     normal: Vector
 
     def __post_init__(self) -> None:
         set_fields(self, point=point("point", self.point), normal=direction("normal", self.normal))
+
+    def solid(self) -> Solid:
+        """Return it as a solid."""
+        place = np.array(self.point)
+        turn = z_along(np.array(self.normal))
+        geometry = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)  # the points with z <= 0
+        whole = np.full(3, np.inf)
+        return Solid(geometry, turn, place, place, place, np.inf, place, whole, PLANE, True)
+
+    def pose(self, near: Array) -> pin.SE3:
+        """Return the point of the plane that is nearest to another; the third axis is the normal."""
+        normal = np.array(self.normal)
+        return pin.SE3(rotation_to(normal), near - (normal @ (near - self.point)) * normal)
 
 
 class Surface(Described):
@@ -311,11 +348,36 @@ class Surface(Described):
         """The tree of the points or triangles, built on first use."""
         return Tree(self.corners)
 
+    def solids(self) -> list[Solid]:
+        """Return the pieces of the surface."""
+        return [self._piece(node, PIECE) for node in self.tree.pieces]
+
+    def _piece(self, node: int, kind: int) -> Solid:
+        turn = np.array(self.rotation)
+        position = np.array(self.center)
+        low, high = self.tree.boxes[node]
+        radius: float = getattr(self, "point_radius", 0.0)
+        middle = position + turn @ (0.5 * (low + high))
+        half = 0.5 * (high - low) + radius
+        return Solid((self.tree, node), turn, position, middle, middle, radius, middle, half, kind, True)
+
     @cached_property
     def bounds(self) -> Array:
         """Minimum and maximum coordinates in their own frame, (2, 3) [m]."""
         points, _ = self.content
         return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    def changed(self: Own, **values: Any) -> Own:
+        """Return a copy with other values of some attributes, and cached data if only it moves."""
+        if values.keys() <= {"center", "rotation"}:
+            pose = {"center": self.center, "rotation": self.rotation, **values}
+            return self.placed(pose["center"], pose["rotation"])
+        return replace(self, **values)
+
+    def pose(self, near: Array) -> pin.SE3:
+        """Return its pose; its middle is that of its bounds in its own frame."""
+        turn = np.array(self.rotation)
+        return pin.SE3(turn, self.center + turn @ self.bounds.mean(axis=0))
 
     @cached_property
     def _digest(self) -> int:
@@ -429,7 +491,7 @@ class Mesh(Surface):
     faces: NDArray[np.int32] = field(default_factory=_no_faces, repr=False)
     path: Path | None = None
     scale: float = 1.0
-    convex: bool = field(init=False, default=True)
+    convex: bool = field(init=False, default=True)  # type: ignore[misc]
 
     def __post_init__(self) -> None:
         vertices = _finite_points(self.vertices)
@@ -495,6 +557,29 @@ class Mesh(Surface):
         """Whether the mesh encloses a volume."""
         return is_closed(self.faces)
 
+    def solids(self) -> list[Solid]:
+        """Return the hull of a convex mesh; otherwise the pieces of the surface, and what it encloses."""
+        if self.convex:
+            return [self.solid()]
+        return super().solids() + ([self._piece(1, INSIDE)] if self.closed else [])
+
+    def solid(self) -> Solid:
+        """Return the hull of the mesh as a solid."""
+        turn = np.array(self.rotation)
+        center = np.array(self.center)
+        low, high = self.bounds
+        half = (high - low) / 2.0
+        middle = center + turn @ ((high + low) / 2.0)
+        points = coal.StdVec_Vec3s()
+        for vertex in self.vertices:
+            points.append(vertex)
+        faces = coal.StdVec_Triangle()
+        for face in self.faces:
+            faces.append(coal.Triangle(*map(int, face)))
+        start, end, radius = capsule_around(self.vertices @ turn.T + center)
+        geometry = coal.Convex(points, faces)
+        return Solid(geometry, turn, center, start, end, radius, middle, half, BOX, False)
+
 
 class MeshShape(Described):
     """Base class of obstacles whose surface is a mesh that a few numbers describe.
@@ -521,15 +606,8 @@ class MeshShape(Described):
         """Return its mesh in its own frame, without a placement; only a closed mesh has an inside."""
         raise NotImplementedError
 
-    @classmethod
-    def of_size(cls, center: Vector, size: float) -> MeshShape:
-        """Return a new one for the editor: all numbers without a default equal a size [m]."""
-        numbers = {each.name: size for each in number_fields(cls) if each.default is MISSING}
-        made: Any = cls
-        return made(center=center, **numbers)  # type: ignore[no-any-return]
-
     @cached_property
-    def mesh(self) -> Mesh:
+    def geometry(self) -> Mesh:
         """Its mesh in the world frame; those of equal shapes share one tree."""
         own: Any = self
         return _built(replace(own, center=(0.0, 0.0, 0.0), rotation=UNTURNED)).placed(
@@ -547,6 +625,17 @@ def _built(shape: MeshShape) -> Mesh:
     if not mesh.convex:
         _ = mesh.tree  # built once: placed copies keep it
     return mesh
+
+
+def rotation_to(axis: ArrayLike) -> Array:
+    """Return the smallest rotation that turns the third axis to another, (3, 3)."""
+    x, y, z = np.asarray(axis, dtype=np.float64) / np.linalg.norm(np.asarray(axis, dtype=np.float64))
+    if z < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    share = 1.0 / (1.0 + z)
+    return np.array(
+        [[1.0 - share * x * x, -share * x * y, x], [-share * x * y, 1.0 - share * y * y, y], [-x, -y, z]]
+    )
 
 
 def number_fields(kind: Any) -> list[Field[Any]]:

@@ -33,9 +33,8 @@ ENTRY_POINTS = "pinposture.controllers"
 
 
 def controller_names() -> tuple[str, ...]:
-    """Return the names of all controllers: of the library, of installed packages, and the form of others."""
-    installed = (each.name for each in entry_points(group=ENTRY_POINTS))
-    return (*CONTROLLERS, *installed, "package.module:Class")
+    """Return the names of the controllers of the library and of installed packages."""
+    return (*CONTROLLERS, *(each.name for each in entry_points(group=ENTRY_POINTS)))
 
 
 def controller_named(controller: str | Controller) -> Controller:
@@ -76,7 +75,7 @@ def _found(name: str) -> Callable[[], object]:
         return cast(Callable[[], object], offered[name].load())
     home, _, attribute = name.partition(":")
     if not (home and attribute):
-        raise UnknownName("controller", name, controller_names())
+        raise UnknownName("controller", name, ("package.module:Class", *controller_names()))
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import count
 from typing import Any, NamedTuple, TypeAlias
 
@@ -12,16 +12,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import Matrix, Vector, require_known
+from pinposture._validation import Vector, require_known
 from pinposture.arm import Arm
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Scene, Sphere
-from pinposture.collision.obstacles import DIRECTIONS, OBSTACLE_TYPES, PLACES
+from pinposture.collision import HalfSpace, Mesh, Obstacle, Scan, Scene
+from pinposture.collision.obstacles import DIRECTIONS, OBSTACLE_TYPES, PLACES, displaced
 from pinposture.collision.scene import obstacles_around, obstacles_near
-from pinposture.collision.shapes import MeshShape
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.session import Proposal, Session
 from pinposture.errors import InvalidValue, PostureError, TaskError
 from pinposture.task import Task
+from pinposture.viz.body import surface
 
 Array = NDArray[np.float64]
 Change: TypeAlias = Callable[[Obstacle], Obstacle]
@@ -33,6 +33,7 @@ HANDLE_GAP = 0.025  # between an obstacle and the handles that change its size
 MIN_SIZE = 2e-3  # of an obstacle that is resized
 HALF_SPACE_OFFSET = 0.3  # of the handle of a half-space from its middle
 CLEAR_ROOM = 0.05  # between a new obstacle and the arm or other obstacles
+NEW_SIZE = 0.06  # of a new obstacle: see `Described.of_size`
 FLOOR_DEPTH = 0.1  # of a new half-space below the arm
 OFFSETS = (0.2, 0.3, 0.45, 0.65, 0.9, 1.3)  # of a new obstacle sideways from the arm, tried in turn
 
@@ -66,13 +67,6 @@ class ArmScale(NamedTuple):
         return MIN_SIZE * self.length
 
 
-class Pose(NamedTuple):
-    """The pose of an obstacle."""
-
-    position: Array  # of its middle, (3,) [m], world frame
-    rotation: Array  # from its axes to the world's, (3, 3). The third is the axis of obstacles with only one
-
-
 class SizeHandle(NamedTuple):
     """A handle that changes the size of an obstacle."""
 
@@ -80,53 +74,21 @@ class SizeHandle(NamedTuple):
     place: Array  # where it is, (3,) [m], world frame
 
 
-def pose_of(obstacle: Obstacle, scale: ArmScale) -> Pose:
-    """Return the pose of an obstacle."""
-    if isinstance(obstacle, Sphere):
-        return Pose(np.array(obstacle.center), np.eye(3))
-    if isinstance(obstacle, Box | MeshShape):
-        return Pose(np.array(obstacle.center), np.array(obstacle.rotation))
-    if isinstance(obstacle, Mesh | Scan):
-        rotation = np.array(obstacle.rotation)
-        return Pose(obstacle.center + rotation @ _center(obstacle), rotation)
-    if isinstance(obstacle, HalfSpace):
-        normal = np.array(obstacle.normal)
-        height = normal @ (scale.middle - obstacle.point)
-        return Pose(scale.middle - height * normal, rotation_to(normal))
-    start = np.array(obstacle.start)
-    end = np.array(obstacle.end)
-    return Pose(0.5 * (start + end), rotation_to(end - start))
-
-
-def at_pose(obstacle: Obstacle, pose: Pose) -> Obstacle:
+def at_pose(obstacle: Obstacle, pose: pin.SE3, scale: ArmScale) -> Obstacle:
     """Return an obstacle at another pose.
 
     Raises:
         InvalidValue: coordinates out of bounds.
     """
-    position, rotation = pose
-    if isinstance(obstacle, Sphere):
-        return replace(obstacle, center=_rounded(position))
-    if isinstance(obstacle, Box | MeshShape):
-        changes: dict[str, Any] = {"center": _rounded(position), "rotation": _matrix(rotation)}
-        return replace(obstacle, **changes)
-    if isinstance(obstacle, Mesh | Scan):
-        return obstacle.placed(_rounded(position - rotation @ _center(obstacle)), _matrix(rotation))
-    if isinstance(obstacle, HalfSpace):
-        return replace(obstacle, point=_rounded(position), normal=_vector(rotation[:, 2]))
-    half = 0.5 * float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start))) * rotation[:, 2]
-    return replace(obstacle, start=_rounded(position - half), end=_rounded(position + half))
+    here = obstacle.pose(scale.middle)
+    if not obstacle.bounded:
+        obstacle = obstacle.changed(point=here.translation)
+    return _rounded(displaced(obstacle, pose * here.inverse()))
 
 
-def own_shape(obstacle: Obstacle) -> tuple[object, ...]:
-    """Return what the surface of an obstacle depends on in its own frame: its type, and its size."""
-    if isinstance(obstacle, Mesh | Scan):
-        return obstacle.type, obstacle.placed((0.0, 0.0, 0.0))
-    if isinstance(obstacle, Capsule | Cylinder):
-        length = float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))
-        return obstacle.type, obstacle.radius, round(length, COORDINATE_DIGITS - 1)
-    names = (each.name for each in fields(obstacle) if each.name not in (*PLACES, *DIRECTIONS))
-    return obstacle.type, *(getattr(obstacle, name) for name in names)
+def own_shape(obstacle: Obstacle, scale: ArmScale) -> Obstacle:
+    """Return an obstacle in its own frame, in which it changes only with its size: middle at the origin."""
+    return _rounded(at_pose(obstacle, pin.SE3.Identity(), scale), COORDINATE_DIGITS - 1)
 
 
 def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
@@ -139,37 +101,43 @@ def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
     Raises:
         InvalidValue: coordinates out of bounds.
     """
-    by = np.asarray(shift, dtype=np.float64)
-    if isinstance(obstacle, Mesh | Scan):
-        return obstacle.placed(_rounded(obstacle.center + by), obstacle.rotation)
-    places = (name for name in PLACES if hasattr(obstacle, name))
-    changes: dict[str, Any] = {name: _rounded(getattr(obstacle, name) + by) for name in places}
-    return replace(obstacle, **changes)
+    return _rounded(displaced(obstacle, pin.SE3(np.eye(3), np.asarray(shift, dtype=np.float64))))
+
+
+def _rounded(obstacle: Obstacle, digits: int = COORDINATE_DIGITS) -> Obstacle:
+    """Return an obstacle with rounded places, and directions without traces of rounding."""
+    changes: dict[str, Any] = {}
+    for name in (*PLACES, *DIRECTIONS):
+        if hasattr(obstacle, name):
+            value = np.array(getattr(obstacle, name))
+            whole = np.round(value, digits if name in PLACES else 0) + 0.0  # 0 rather than -0
+            changes[name] = whole if name in PLACES else np.where(np.abs(value - whole) < 1e-12, whole, value)
+    return obstacle.changed(**changes)
 
 
 def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
-    """Return the handles that change the size of an obstacle, just outside of it.
+    """Return the handles that change the size of an obstacle, just outside of it: those that its type names.
 
-    A box has them on three faces that meet; those across stay where they are. A ball has one. A cylinder and
-    a capsule have one at each end, and one for the radius. A half-space has one above its surface. Meshes,
-    scans and types that a mesh represents have none.
+    "x", "y" and "z" are on three faces of a box of a `size` that meet; those across stay where they are.
+    "start" and "end" are at the ends of a line, and "radius" is beside it, or beside a `center`. "height" is
+    above a plane with a `point`.
     """
-    pose = pose_of(obstacle, scale)
-    gap = scale.gap
-    if isinstance(obstacle, Box):
-        half = 0.5 * np.array(obstacle.size)
-        places = (pose.position - (half[k] + gap) * pose.rotation[:, k] for k in range(3))
-        return tuple(SizeHandle(name, place) for name, place in zip("xyz", places, strict=True))
-    if isinstance(obstacle, HalfSpace):
-        foot = pose.position - HALF_SPACE_OFFSET * scale.length * pose.rotation[:, 0]
-        return (SizeHandle("height", foot + gap * pose.rotation[:, 2]),)
-    if isinstance(obstacle, Mesh | Scan | MeshShape):
-        return ()
-    radius = SizeHandle("radius", pose.position - (obstacle.radius + gap) * pose.rotation[:, 0])
-    if isinstance(obstacle, Sphere):
-        return (radius,)
-    beyond = (gap + _cap_length(obstacle)) * pose.rotation[:, 2]
-    return SizeHandle("start", obstacle.start - beyond), SizeHandle("end", obstacle.end + beyond), radius
+    pose = obstacle.pose(scale.middle)
+    own: Any = obstacle
+    handles = []
+    for name in obstacle.handles:
+        if name == "height":
+            foot = pose.translation - HALF_SPACE_OFFSET * scale.length * pose.rotation[:, 0]
+            place = foot + scale.gap * pose.rotation[:, 2]
+        elif name in ("start", "end"):
+            sign = -1.0 if name == "start" else 1.0
+            place = getattr(own, name) + sign * (scale.gap + own.cap) * pose.rotation[:, 2]
+        else:
+            axis = 0 if name == "radius" else "xyz".index(name)
+            out = own.radius if name == "radius" else 0.5 * own.size[axis]
+            place = pose.translation - (out + scale.gap) * pose.rotation[:, axis]
+        handles.append(SizeHandle(name, place))
+    return tuple(handles)
 
 
 def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) -> Obstacle:
@@ -184,86 +152,41 @@ def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) 
     Raises:
         InvalidValue: coordinates out of bounds.
     """
-    pose = pose_of(obstacle, scale)
+    pose = obstacle.pose(scale.middle)
     gap = scale.gap
     least = scale.least
-    off = np.asarray(place, dtype=np.float64) - pose.position
-    if isinstance(obstacle, Box):
-        axis = "xyz".index(handle)
-        direction = pose.rotation[:, axis]
-        half = 0.5 * obstacle.size[axis]
-        edge = max(float(half - off @ direction) - gap, least)
-        size = list(obstacle.size)
-        size[axis] = round(edge, COORDINATE_DIGITS)
-        center = pose.position + (half - 0.5 * edge) * direction  # the face across stays where it is
-        return replace(obstacle, center=_rounded(center), size=_vector(np.array(size)))
-    if isinstance(obstacle, HalfSpace):
+    own: Any = obstacle
+    off = np.asarray(place, dtype=np.float64) - pose.translation
+    if handle == "height":
         height = float(off @ pose.rotation[:, 2]) - gap
-        return replace(obstacle, point=_rounded(pose.position + height * pose.rotation[:, 2]))
-    if isinstance(obstacle, Mesh | Scan | MeshShape):
-        return obstacle
-    if isinstance(obstacle, Sphere) or handle == "radius":
+        return _rounded(own.changed(point=pose.translation + height * pose.rotation[:, 2]))
+    if handle == "radius":
         radius = max(float(-off @ pose.rotation[:, 0]) - gap, least)
-        return replace(obstacle, radius=round(radius, COORDINATE_DIGITS))
-    fixed = np.array(obstacle.end if handle == "start" else obstacle.start)
-    axis_vector = np.asarray(place, dtype=np.float64) - fixed
-    length = float(np.linalg.norm(axis_vector))
-    sign = -1.0 if handle == "start" else 1.0
-    direction = axis_vector / length if length > least else sign * pose.rotation[:, 2]
-    end = _rounded(fixed + max(length - gap - _cap_length(obstacle), least) * direction)
-    return replace(obstacle, start=end) if handle == "start" else replace(obstacle, end=end)
+        return own.changed(radius=round(radius, COORDINATE_DIGITS))  # type: ignore[no-any-return]
+    if handle in ("start", "end"):
+        fixed = np.array(own.end if handle == "start" else own.start)
+        axis_vector = np.asarray(place, dtype=np.float64) - fixed
+        length = float(np.linalg.norm(axis_vector))
+        sign = -1.0 if handle == "start" else 1.0
+        direction = axis_vector / length if length > least else sign * pose.rotation[:, 2]
+        return _rounded(own.changed(**{handle: fixed + max(length - gap - own.cap, least) * direction}))
+    axis = "xyz".index(handle)
+    direction = pose.rotation[:, axis]
+    half = 0.5 * own.size[axis]
+    edge = max(float(half - off @ direction) - gap, least)
+    size = np.array(own.size)
+    size[axis] = round(edge, COORDINATE_DIGITS)
+    center = pose.translation + (half - 0.5 * edge) * direction  # the face across stays where it is
+    return _rounded(own.changed(center=center, size=size))
 
 
-def rotation_to(axis: ArrayLike) -> Array:
-    """Return the smallest rotation that turns the third axis to another, (3, 3)."""
-    x, y, z = np.asarray(axis, dtype=np.float64) / np.linalg.norm(np.asarray(axis, dtype=np.float64))
-    if z < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    share = 1.0 / (1.0 + z)
-    return np.array(
-        [[1.0 - share * x * x, -share * x * y, x], [-share * x * y, 1.0 - share * y * y, y], [-x, -y, z]]
-    )
-
-
-def bounding_radius(obstacle: Obstacle) -> float:
-    """Return the radius of an obstacle about its middle [m]; 0 for a half-space."""
-    if isinstance(obstacle, Sphere):
-        return obstacle.radius
-    if isinstance(obstacle, Box):
-        return 0.5 * float(np.linalg.norm(obstacle.size))
-    if isinstance(obstacle, HalfSpace):
+def bounding_radius(obstacle: Obstacle, scale: ArmScale) -> float:
+    """Return the radius of the drawn surface of an obstacle about its middle [m]; 0 for a half-space."""
+    if not obstacle.bounded:
         return 0.0
-    if isinstance(obstacle, MeshShape):
-        return float(np.linalg.norm(obstacle.mesh.vertices, axis=1).max())
-    if isinstance(obstacle, Mesh | Scan):
-        low, high = obstacle.bounds
-        return float(np.linalg.norm(0.5 * (high - low)))
-    half = 0.5 * float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))
-    return half + obstacle.radius if isinstance(obstacle, Capsule) else float(np.hypot(half, obstacle.radius))
-
-
-def _cap_length(obstacle: Capsule | Cylinder) -> float:
-    return obstacle.radius if isinstance(obstacle, Capsule) else 0.0
-
-
-def _center(surface: Mesh | Scan) -> Array:
-    """Return the middle of a mesh or a scan in its own frame, (3,) [m]."""
-    low, high = surface.bounds
-    return np.asarray(0.5 * (low + high))
-
-
-def _rounded(place: Array) -> Vector:
-    return _vector(np.round(place, COORDINATE_DIGITS))
-
-
-def _vector(numbers: Array) -> Vector:
-    x, y, z = (float(each) + 0.0 for each in numbers)  # 0 rather than -0
-    return x, y, z
-
-
-def _matrix(rotation: Array) -> Matrix:
-    x, y, z = (_vector(row) for row in np.where(np.abs(rotation) < 1e-12, 0.0, rotation))
-    return x, y, z
+    vertices = surface(obstacle).vertices
+    away = np.linalg.norm(vertices - obstacle.pose(scale.middle).translation, axis=1)
+    return float(away.max())
 
 
 def new_obstacle_kinds() -> tuple[str, ...]:
@@ -290,34 +213,20 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
     path = _resampled(np.vstack([arm.chain.base, points]))
     up = arm.plane[np.abs(arm.plane[:, 2]).argmax()] if arm.dimension == 2 else np.array([0.0, 0.0, 1.0])
     up = -up if up[2] < 0.0 else up
-    if kind == "half_space":
+    if not OBSTACLE_TYPES[kind].bounded:
         low = float((path @ up).min()) - FLOOR_DEPTH * arm.length
         return HalfSpace(_as_vector(arm.chain.base + (low - arm.chain.base @ up) * up), _as_vector(up))
     axis = np.cross(*arm.plane) if arm.dimension == 2 else up
+    size = round(NEW_SIZE * arm.length, COORDINATE_DIGITS)
     tried: list[tuple[float, Obstacle]] = []
     for center in _candidate_places(arm, path, up):
-        obstacle = _new_solid(kind, center, axis, arm.length)
-        radius = bounding_radius(obstacle)
+        obstacle: Obstacle = OBSTACLE_TYPES[kind].of_size(_as_vector(center), axis, size)
+        radius = bounding_radius(obstacle, ArmScale.of(arm))
         room = float(np.linalg.norm(path - center, axis=1).min()) - radius
         if room >= CLEAR_ROOM * arm.length and _is_free(scene, center, radius + CLEAR_ROOM * arm.length):
             return obstacle
         tried.append((room, obstacle))
     return max(tried, key=lambda each: each[0])[1]
-
-
-def _new_solid(kind: str, center: Array, axis: Array, length: float) -> Obstacle:
-    """Return an obstacle about a centre, along an axis, for an arm of some length [m]."""
-    if kind == "sphere":
-        return Sphere(_as_vector(center), round(0.06 * length, COORDINATE_DIGITS))
-    if kind == "box":
-        edge = round(0.12 * length, COORDINATE_DIGITS)
-        return Box(_as_vector(center), (edge, edge, edge))
-    own = OBSTACLE_TYPES[kind]
-    if issubclass(own, MeshShape):
-        return own.of_size(_as_vector(center), round(0.06 * length, COORDINATE_DIGITS))
-    half = (0.12 if kind == "cylinder" else 0.1) * length * axis
-    ends = _as_vector(center - half), _as_vector(center + half)
-    return (Cylinder if kind == "cylinder" else Capsule)(*ends, round(0.03 * length, COORDINATE_DIGITS))
 
 
 def _candidate_places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
@@ -477,24 +386,20 @@ def _dragged(name: str, obstacle: Obstacle, task: Task, session: Session) -> Sce
         session: what is edited; its proposal is from the last move.
     """
     before = obstacles_of(session.task)[name]
-    here = _placement(obstacle, session.arm)
+    scale = ArmScale.of(session.arm)
+    here = obstacle.pose(scale.middle)
     scene = session.task.scene
-    if scene is None or own_shape(obstacle) != own_shape(before):  # it is being resized
+    if scene is None or own_shape(obstacle, scale) != own_shape(before, scale):  # it is being resized
         return replace(task.effective_scene, velocities={name: (0.0, 0.0, 0.0)})
     velocity = np.zeros(3)
     passed = time.monotonic() - session.asked
     last = None if session.proposal is None else session.proposal.task.scene
     if last is not None and name in last.velocities and 0.0 < passed < DRAG_PAUSE:
-        step = here.translation - _placement(last.obstacles[name], session.arm).translation
+        step = here.translation - last.obstacles[name].pose(scale.middle).translation
         velocity = np.array(last.velocities[name])
         velocity += passed / (passed + DRAG_FILTER_TIME) * (step / passed - velocity)
-    motion = here * _placement(before, session.arm).inverse()
+    motion = here * before.pose(scale.middle).inverse()
     return scene.moved({name: motion}, velocities={name: _as_vector(velocity)})
-
-
-def _placement(obstacle: Obstacle, arm: Arm) -> pin.SE3:
-    pose = pose_of(obstacle, ArmScale.of(arm))
-    return pin.SE3(pose.rotation, pose.position)
 
 
 def edit_obstacle(name: str, key: str, value: object, final: bool, session: Session) -> None:
@@ -503,9 +408,6 @@ def edit_obstacle(name: str, key: str, value: object, final: bool, session: Sess
     def change(obstacle: Obstacle) -> Obstacle:
         if not hasattr(obstacle, key):  # it has become another one since
             raise InvalidValue(f"{key} of {name}", value, f"nothing, of a {obstacle.type}")
-        if isinstance(obstacle, Mesh | Scan) and key in ("center", "rotation"):
-            pose: dict[str, Any] = {"center": obstacle.center, "rotation": obstacle.rotation, key: value}
-            return obstacle.placed(pose["center"], pose["rotation"])
-        return replace(obstacle, **{key: value})  # type: ignore[arg-type]
+        return obstacle.changed(**{key: value})
 
     change_obstacle(name, change, f"changed {name}", final, session)

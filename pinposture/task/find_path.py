@@ -16,7 +16,6 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene, Sphere
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.distances import PairDistances, TreeKinematics
-from pinposture.collision.obstacles import solid, solids
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, OutOfReach, PostureError, ReachError, raise_together
 from pinposture.placement.target import arm_axis
@@ -113,7 +112,7 @@ def find_path(
     if sharpest <= 0.0:
         raise InvalidValue("arm", arm, "an arm whose modules all bend")
     link = float(np.linalg.norm(np.diff(body.at(body.straight()).links, axis=0), axis=1).max())
-    thickness = max((solid(each.shape).radius for each in bodies_of(arm, scene.arm_radius)), default=0.0)
+    thickness = max((each.shape.solid().radius for each in bodies_of(arm, scene.arm_radius)), default=0.0)
     bulge = sharpest * link**2 / 8.0
     space = _FreeSpace(scene, scene.margin + thickness + bulge)
     needed = (
@@ -236,10 +235,10 @@ class _FreeSpace:
         for number, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
             joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"slide_{number}")
         self._kinematics = TreeKinematics(model)
-        pieces = [(name, piece) for name, each in scene.obstacles.items() for piece in solids(each)]
+        pieces = [(name, piece) for name, each in scene.obstacles.items() for piece in each.geometry.solids()]
         fixed = [piece for _, piece in pieces]
         self._names = [name for name, _ in pieces]
-        ball = solid(Sphere((0.0, 0.0, 0.0), radius))
+        ball = Sphere((0.0, 0.0, 0.0), radius).solid()
         self._distances = PairDistances([ball], [joint], fixed, [(0, 1 + k) for k in range(len(fixed))])
         self._empty = not fixed
 

@@ -13,7 +13,6 @@ from scipy.optimize import linprog
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.model import Distances
-from pinposture.collision.obstacles import solid
 from pinposture.errors import InvalidValue, TaskError, warn_caller
 from pinposture.task.reference import Mark, Reference, Way
 from pinposture.units import length_text
@@ -159,7 +158,7 @@ def _gap(body: str, near: Distances, chosen: NDArray[np.int64], margin: float, s
 
 def _in_words(gap: Gap, reference: Reference, scene: Scene, shift: float, row: int) -> str:
     bodies = bodies_of(reference.arm, scene.arm_radius)
-    radius = max(solid(each.shape).radius for each in bodies if each.name == gap.body)
+    radius = max(each.shape.solid().radius for each in bodies if each.name == gap.body)
     return (
         f"the gap at {' and '.join(gap.obstacles)} is too narrow for {gap.body} "
         f"at {reference.times[row]:.4g} s of the plan: "

@@ -16,12 +16,11 @@ from scipy.spatial.transform import Rotation
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
-from pinposture.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Scan, Sphere
+from pinposture.collision import Mesh, Obstacle, Scan
 from pinposture.collision.files import find_mesh, read_mesh
-from pinposture.collision.obstacles import geometry_of
 from pinposture.collision.scan import between_cubes, representatives
-from pinposture.collision.shapes import MeshShape
 from pinposture.errors import FileError, warn_caller
+from pinposture.kernels.arrays import BOX, SEGMENT
 
 Array = NDArray[np.float64]
 
@@ -436,41 +435,29 @@ MAX_SHOWN = 20_000  # maximum number of points drawn of a mesh or scan
 DOT_SIZE = 2e-3  # minimum radius of a point of a cloud, relative to the width of the cloud
 
 
-def is_hollow(obstacle: Obstacle) -> bool:
-    """Return whether an obstacle is a scan or a mesh that may have cavities."""
-    geometry = geometry_of(obstacle)
-    return isinstance(geometry, Scan) or (isinstance(geometry, Mesh) and not geometry.convex)
-
-
-def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan | MeshShape) -> TriangleMesh:
+def surface(obstacle: Obstacle) -> TriangleMesh:
     """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m].
 
     Large scans and meshes are thinned; the points of a cloud become octahedra.
     """
-    if isinstance(obstacle, MeshShape):
-        obstacle = obstacle.mesh
-    if isinstance(obstacle, Sphere):
-        center = np.array(obstacle.center)
-        return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))
-    if isinstance(obstacle, (Capsule, Cylinder)):
-        start = np.array(obstacle.start)
-        radius = obstacle.radius
-        length = float(np.linalg.norm(np.subtract(obstacle.end, start)))
-        if isinstance(obstacle, Capsule):
-            profile = np.vstack([_arc(radius, -1.0, 0.0), _arc(radius, 0.0, 1.0) + (0.0, length)])
-        else:  # rims twice: an edge shared by two faces would be shaded smoothly
-            profile = np.array([[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length]])
-            profile = np.vstack([profile, [[radius, length], [0.0, length]]])
-        return _revolved(start, np.subtract(obstacle.end, start) / length, profile)
-    if not isinstance(obstacle, Box) and is_hollow(obstacle):
-        own = _thinned(obstacle)
-        return TriangleMesh(own.vertices @ np.array(obstacle.rotation).T + obstacle.center, own.faces)
-    if isinstance(obstacle, Box):
-        half = np.array(obstacle.size) / 2.0
-        corners = box_corners(-half, half)
-    else:
-        corners = obstacle.content[0]
-    return hull_surface(corners @ np.array(obstacle.rotation).T + obstacle.center)
+    geometry = obstacle.geometry
+    if not geometry.convex:
+        own = _thinned(geometry)
+        return TriangleMesh(own.vertices @ np.array(geometry.rotation).T + geometry.center, own.faces)
+    solid = geometry.solid()
+    if solid.kind == BOX:
+        corners = box_corners(-solid.half, solid.half) if solid.exact else geometry.content[0]
+        return hull_surface(corners @ solid.rotation.T + solid.position)
+    way = solid.end - solid.start
+    length = float(np.linalg.norm(way))
+    if length == 0.0:
+        return _revolved(solid.start, np.array([0.0, 0.0, 1.0]), _arc(solid.radius, -1.0, 1.0))
+    if solid.kind == SEGMENT:
+        profile = np.vstack([_arc(solid.radius, -1.0, 0.0), _arc(solid.radius, 0.0, 1.0) + (0.0, length)])
+    else:  # rims twice: an edge shared by two faces would be shaded smoothly
+        rims = [[solid.radius, 0.0], [solid.radius, length]]
+        profile = np.array([[0.0, 0.0], rims[0], *rims, rims[1], [0.0, length]])
+    return _revolved(solid.start, way / length, profile)
 
 
 def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:

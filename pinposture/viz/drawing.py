@@ -37,7 +37,6 @@ from pinposture.viz.body import (
     cut_by_plane,
     disc,
     hull_surface,
-    is_hollow,
     merge,
     surface,
     tube,
@@ -364,7 +363,7 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
         else:
             whole = surface(obstacle)
             corners = whole.vertices
-            if is_hollow(obstacle):
+            if not obstacle.geometry.convex:
                 inside = np.all((corners >= region[0]) & (corners <= region[1]), axis=1)
                 shown[name] = ShownObstacle(whole, corners[inside], not inside.all(), hollow=True)
                 continue

@@ -80,7 +80,7 @@ def test_the_help_names_what_is_registered_and_nothing_else(command, monkeypatch
     for registry in (CONTROLLERS, CURVES):
         monkeypatch.setitem(registry, "new", next(iter(registry.values())))
     help_of_track = words_of_help(command, "track")
-    assert f"Controller: {', '.join(CONTROLLERS)}, package.module:Class." in help_of_track
+    assert f"Controller: {', '.join(CONTROLLERS)}, or package.module:Class." in help_of_track
     assert f"scaled to the arm: {', '.join(CURVES)}." in help_of_track
     assert f"a file, or one of {', '.join(CURVES)}." in words_of_help(command, "inspect")
     assert f"Kind of module: {', '.join(TEMPLATES)};" in words_of_help(command, "generate")

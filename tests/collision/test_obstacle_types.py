@@ -18,11 +18,10 @@ import pinposture as pp
 from pinposture._validation import Matrix, Vector
 from pinposture.collision import CollisionModel, Obstacle
 from pinposture.collision.distances import PairDistances, Placements
-from pinposture.collision.obstacles import OBSTACLE_TYPES, displaced, obstacle_from_dict, solid, solids
+from pinposture.collision.obstacles import OBSTACLE_TYPES, displaced, obstacle_from_dict
 from pinposture.collision.shapes import UNTURNED, MeshShape
 from pinposture.editor.obstacles import (
     ArmScale,
-    Pose,
     add_obstacle,
     at_pose,
     change_obstacle,
@@ -32,7 +31,6 @@ from pinposture.editor.obstacles import (
     new_obstacle_kinds,
     obstacles_of,
     own_shape,
-    pose_of,
     resized,
     size_handles,
 )
@@ -88,7 +86,7 @@ class Elbow(MeshShape):
         return pp.Mesh(np.vstack(rings), faces=faces)
 
     @classmethod
-    def of_size(cls, center: Vector, size: float) -> Elbow:
+    def of_size(cls, center: Vector, axis: np.ndarray, size: float) -> Elbow:
         return cls(center, radius=size, width=0.5 * size)
 
 
@@ -109,15 +107,15 @@ def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def distances(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
     """Signed distances of points from an obstacle."""
-    probe = solid(pp.Sphere((0.0, 0.0, 0.0), 1e-6))
-    others = solids(obstacle)
+    probe = pp.Sphere((0.0, 0.0, 0.0), 1e-6).solid()
+    others = obstacle.geometry.solids()
     pairs = PairDistances([probe], [0], others, [(0, 1 + k) for k in range(len(others))])
     places = (Placements(np.eye(3)[None, None], point[None, None]) for point in np.array(points))
     return np.array([pairs.minimum(place)[0] for place in places]) + 1e-6
 
 
 def around(obstacle: Obstacle, count: int = 60) -> np.ndarray:
-    middle = np.array(pose_of(obstacle, ArmScale(np.zeros(3), 1.0)).position)
+    middle = np.array(obstacle.pose(np.zeros(3)).translation)
     return middle + np.random.default_rng(1).uniform(-0.4, 0.4, (count, 3))
 
 
@@ -187,11 +185,11 @@ def test_each_type_moves_as_a_rigid_body(name):
 def test_each_type_keeps_its_shape_where_the_editor_places_it(name):
     scale = ArmScale(np.zeros(3), 1.0)
     obstacle = ALL[name]
-    placed = at_pose(obstacle, Pose(np.array([0.1, 0.2, 0.3]), np.array(TURN)))
+    placed = at_pose(obstacle, pin.SE3(np.array(TURN), np.array([0.1, 0.2, 0.3])), scale)
     assert type(placed) is type(obstacle)
-    assert own_shape(placed) == own_shape(obstacle)
+    assert own_shape(placed, scale) == own_shape(obstacle, scale)
     if name != "half_space":
-        assert pose_of(placed, scale).position == pytest.approx([0.1, 0.2, 0.3], abs=1e-5)
+        assert placed.pose(scale.middle).translation == pytest.approx([0.1, 0.2, 0.3], abs=1e-5)
     for handle in size_handles(obstacle, scale):
         assert isinstance(resized(obstacle, handle.name, handle.place, scale), type(obstacle))
 
@@ -221,6 +219,7 @@ def test_distances_from_new_types_are_those_of_their_solids(name, exact):
 def test_the_editor_adds_moves_changes_and_saves_each_type(kind, tmp_path):
     assert kind in new_obstacle_kinds()
     arm = pp.Arm.from_template("RyRz", modules=6)
+    scale = ArmScale.of(arm)
     session = Session(straight_task(arm))
     points = arm.at(arm.straight()).points
     add_obstacle(kind, points, session)
@@ -229,7 +228,7 @@ def test_the_editor_adds_moves_changes_and_saves_each_type(kind, tmp_path):
     assert first == new_obstacle(kind, arm, points, None)
     change_obstacle(f"{kind}_1", partial(moved, shift=[0.0, 0.0, -0.05]), "moved", True, session)
     second = obstacles_of(session.task)[f"{kind}_1"]
-    assert second != first and own_shape(second) == own_shape(first)
+    assert second != first and own_shape(second, scale) == own_shape(first, scale)
     for each in fields(second):
         if each.type == "float":
             value = 1.1 * getattr(second, each.name)
@@ -254,8 +253,8 @@ def test_a_new_type_that_moves_has_the_clearance_of_one_that_was_there(name):
 
 def test_shapes_that_are_equal_share_a_tree():
     elbow = NEW["elbow"]
-    assert displaced(elbow, pin.SE3(np.eye(3), np.ones(3))).mesh.tree is elbow.mesh.tree
-    assert len(surface(elbow).faces) == len(elbow.mesh.faces)
+    assert displaced(elbow, pin.SE3(np.eye(3), np.ones(3))).geometry.tree is elbow.geometry.tree
+    assert len(surface(elbow).faces) == len(elbow.geometry.faces)
 
 
 def test_new_types_refuse_what_the_others_refuse():
@@ -273,4 +272,4 @@ def test_a_mesh_that_is_placed_already_is_refused():
             return super().build().placed((0.0, 0.0, 1.0))
 
     with pytest.raises(InvalidValue, match=r"center of build\(\) of a cone"):
-        _ = Placed((0, 0, 0), 0.1, 0.2).mesh
+        _ = Placed((0, 0, 0), 0.1, 0.2).geometry

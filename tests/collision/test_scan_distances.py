@@ -19,7 +19,6 @@ from sampling import examples
 import pinposture as pp
 from pinposture.collision import Box, Capsule, CollisionModel, Mesh, Scan, Scene, Sphere
 from pinposture.collision.distances import PairDistances, Placements
-from pinposture.collision.obstacles import solid, solids
 from pinposture.collision.scene import obstacles_around
 
 BALL = geometry('<sphere radius="0.04"/>', "0.1 0 0.01")
@@ -195,8 +194,8 @@ places = st.tuples(coordinates, coordinates, coordinates)
 
 def contact(shape, obstacle):
     """Of a body with the piece, or pieces, of an obstacle: distances, points and normals, nearest first."""
-    pieces = solids(obstacle)
-    pairs = PairDistances([solid(shape)], [0], pieces, [(0, 1 + k) for k in range(len(pieces))])
+    pieces = obstacle.geometry.solids()
+    pairs = PairDistances([shape.solid()], [0], pieces, [(0, 1 + k) for k in range(len(pieces))])
     return pairs.near(HERE, np.inf)
 
 
@@ -280,7 +279,7 @@ def test_capsules_are_as_far_from_surfaces_as_coal_says(seed, count, size):
     scan = Scan(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
     for length in (0.01, 0.3, 3.0):
         start = rng.normal(size=3)
-        body = solid(Capsule(start, start + length * rng.normal(size=3), 0.01))
+        body = Capsule(start, start + length * rng.normal(size=3), 0.01).solid()
         pose = coal.Transform3s(body.rotation, body.position)
         request = coal.DistanceRequest()
         request.gjk_tolerance = 1e-9

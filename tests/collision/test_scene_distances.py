@@ -14,7 +14,6 @@ from sampling import examples
 
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
 from pinposture.collision.distances import Narrow, PairDistances, Placements
-from pinposture.collision.obstacles import solid
 
 BODIES = {
     '<sphere radius="0.05"/>': Sphere((0.5, 0, 0), 0.05),
@@ -108,13 +107,13 @@ HERE = Placements(np.eye(3)[None, None], np.zeros((1, 1, 3)))
 
 def contact(one, other):
     """Distance, point and normal of one solid and another, by the closed forms."""
-    near = PairDistances([solid(one)], [0], [solid(other)], [(0, 1)]).near(HERE, np.inf)
+    near = PairDistances([one.solid()], [0], [other.solid()], [(0, 1)]).near(HERE, np.inf)
     return near.distances[0], near.points[0], near.normals[0]
 
 
 def by_coal(one, other):
     posed = []
-    for each in (solid(one), solid(other)):
+    for each in (one.solid(), other.solid()):
         posed += [each.geometry, coal.Transform3s(each.rotation, each.position)]
     return Narrow().distance(tuple(posed))
 

@@ -7,12 +7,11 @@ from scipy.spatial import ConvexHull
 
 import pinposture as pp
 from pinposture.collision import Obstacle
-from pinposture.collision.obstacles import geometry_of
 
 
 def signed_distance(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
     """Distance of points from an obstacle's surface, negative inside; of a mesh, from its planes."""
-    obstacle = geometry_of(obstacle)
+    obstacle = obstacle.geometry
     if isinstance(obstacle, pp.Sphere):
         return np.linalg.norm(points - obstacle.center, axis=1) - obstacle.radius
     if isinstance(obstacle, pp.HalfSpace):

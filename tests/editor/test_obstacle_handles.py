@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from editor.solid_distances import signed_distance
 from hypothesis import given
@@ -12,16 +13,14 @@ from scipy.spatial.transform import Rotation
 
 import pinposture as pp
 from pinposture.collision import Obstacle
+from pinposture.collision.shapes import rotation_to
 from pinposture.editor.obstacles import (
     COORDINATE_DIGITS,
     ArmScale,
-    Pose,
     at_pose,
     bounding_radius,
     moved,
-    pose_of,
     resized,
-    rotation_to,
     size_handles,
 )
 
@@ -68,9 +67,9 @@ def test_moving_shifts_every_distance(obstacle, shift, seed):
 @examples(150)
 def test_turning_about_the_middle_carries_every_distance_along(obstacle, turn, place, seed):
     points = np.random.default_rng(seed).uniform(-3, 3, (40, 3))
-    pose = pose_of(obstacle, MEASURES)
-    other = at_pose(obstacle, Pose(np.array(place), turn))
-    along = (points - pose.position) @ pose.rotation @ turn.T + place
+    pose = obstacle.pose(MEASURES.middle)
+    other = at_pose(obstacle, pin.SE3(turn, np.array(place)), MEASURES)
+    along = (points - pose.translation) @ pose.rotation @ turn.T + place
     np.testing.assert_allclose(
         signed_distance(other, along), signed_distance(obstacle, points), atol=10 * ROUNDING
     )
@@ -80,7 +79,7 @@ def test_turning_about_the_middle_carries_every_distance_along(obstacle, turn, p
 @examples(100)
 def test_an_obstacle_put_where_it_is_stays(obstacle):
     points = np.random.default_rng(0).uniform(-3, 3, (40, 3))
-    same = at_pose(obstacle, pose_of(obstacle, MEASURES))
+    same = at_pose(obstacle, obstacle.pose(MEASURES.middle), MEASURES)
     np.testing.assert_allclose(
         signed_distance(same, points), signed_distance(obstacle, points), atol=10 * ROUNDING
     )
@@ -107,7 +106,7 @@ def test_handles_are_outside_by_the_gap(obstacle):
 @given(obstacles(), st.floats(0.005, 0.5))
 @examples(150)
 def test_a_handle_follows_the_hand_along_its_axis(obstacle, by):
-    pose = pose_of(obstacle, MEASURES)
+    pose = obstacle.pose(MEASURES.middle)
     for k, grip in enumerate(size_handles(obstacle, MEASURES)):
         if isinstance(obstacle, pp.HalfSpace):
             out = np.array(obstacle.normal)
@@ -156,11 +155,11 @@ def test_an_end_of_a_cylinder_goes_anywhere_and_the_other_stays():
 @examples(100)
 def test_nothing_reaches_beyond_its_reach(obstacle, seed):
     if isinstance(obstacle, pp.HalfSpace):
-        assert bounding_radius(obstacle) == 0.0
+        assert bounding_radius(obstacle, MEASURES) == 0.0
         return
     way = np.random.default_rng(seed).normal(size=(60, 3))
-    way *= (bounding_radius(obstacle) + 1e-9) / np.linalg.norm(way, axis=1)[:, None]
-    outside = signed_distance(obstacle, pose_of(obstacle, MEASURES).position + way)
+    way *= (bounding_radius(obstacle, MEASURES) + 1e-9) / np.linalg.norm(way, axis=1)[:, None]
+    outside = signed_distance(obstacle, obstacle.pose(MEASURES.middle).translation + way)
     assert outside.min() > -1e-9
 
 

@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
+import pinocchio as pin
 import viser
 from collision.test_obstacle_types import NEW
 from editor.edited_tasks import six_modules, task
@@ -24,7 +25,7 @@ from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.editor import edits
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.obstacles import (
-    Pose,
+    ArmScale,
     at_pose,
     change_obstacle,
     insert_obstacle,
@@ -202,7 +203,7 @@ def test_another_kind_under_the_same_name_is_drawn_anew(arm, live, server, desk)
     session.edit(lambda t: t.edited(scene=pp.Scene({"ball": FLOOR})), "another")
     drawing.show(session, live)
     assert set(drawing._drawn) == {"ball"}
-    assert drawing._drawn["ball"].look == ("half_space",)
+    assert drawing._drawn["ball"].look.type == "half_space"
 
 
 def test_the_tab_shows_what_the_selected_obstacle_has(arm, live, server, desk, tmp_path):
@@ -430,7 +431,7 @@ def test_a_mesh_or_a_scan_is_drawn_where_its_corners_are(arm, live, server, desk
     dot = 2.1e-4 if isinstance(mesh, pp.Scan) and mesh.faces is None else 1e-5  # 0.002 of their width
     assert gaps.min(axis=1).max() < dot
     assert gaps.min(axis=0).max() < dot
-    moved_there = at_pose(mesh, Pose(np.array((1.0, 0.0, 0.0)), np.eye(3)))
+    moved_there = at_pose(mesh, pin.SE3(np.eye(3), np.array((1.0, 0.0, 0.0))), ArmScale.of(arm))
     change_obstacle("part", lambda _: moved_there, "moved", True, session)
     drawing.show(session, live)
     assert drawing._drawn["part"].handle is handle  # moved, not sent again

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Obstacle, Sphere
+from pinposture.collision import Box, Obstacle
 from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import number_fields
@@ -44,7 +44,7 @@ from pinposture.editor.ui.parts import (
 from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import TriangleMesh as Surface
-from pinposture.viz.body import is_hollow, surface
+from pinposture.viz.body import surface
 from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
 
 SCAN_POINT_SIZE = 0.003  # of a scan, relative to the arm
@@ -220,7 +220,7 @@ class DrawnObstacle(NamedTuple):
 
     handle: viser.MeshHandle  # what draws it, in its own frame
     obstacle: Obstacle  # as it is drawn
-    look: tuple[object, ...]  # what its surface depends on
+    look: Obstacle  # in its own frame
 
 
 class Obstacles:
@@ -275,20 +275,20 @@ class Obstacles:
     def _draw(self, name: str, obstacle: Obstacle, opacity: float, selected: bool) -> None:
         drawn = self._drawn.get(name)
         if drawn is None or drawn.obstacle is not obstacle:
-            look = obstacles.own_shape(obstacle)
-            pose = obstacles.pose_of(obstacle, self._scale)
-            if drawn is not None and drawn.look[0] != look[0]:  # of another task
+            look = obstacles.own_shape(obstacle, self._scale)
+            pose = obstacle.pose(self._scale.middle)
+            if drawn is not None and drawn.look.type != look.type:  # of another task
                 drawn.handle.remove()
                 drawn = None
             if drawn is None:
-                handle = self._add(name, obstacle, opacity)
+                handle = self._add(name, look, opacity)
             else:
                 handle = drawn.handle
                 if drawn.look != look:
-                    shape = self._surface(obstacle)
+                    shape = self._surface(look)
                     handle.vertices = shape.vertices.astype(np.float32)
                     handle.faces = shape.faces.astype(np.uint32)
-            handle.position = pose.position
+            handle.position = pose.translation
             handle.wxyz = quaternions(pose.rotation)
             drawn = self._drawn[name] = DrawnObstacle(handle, obstacle, look)
         shade = color(SELECTED_COLOR if selected else palette.OBSTACLE)
@@ -307,36 +307,35 @@ class Obstacles:
             opacity=opacity,
             cast_shadow=False,
             receive_shadow=False,
-            side="double" if is_hollow(obstacle) else "front",
+            side="front" if obstacle.geometry.convex else "double",
         )
         handle.on_click(partial(self._on_click, name))
-        if not isinstance(obstacle, HalfSpace):  # a floor is large: the mouse turns the view there
+        if obstacle.bounded:  # a floor is large: the mouse turns the view there
             handle.on_drag(partial(self._on_drag, name))
         return handle
 
     def _surface(self, obstacle: Obstacle) -> Surface:
         """Return the surface of an obstacle in its own frame; of a half-space, a plate."""
-        centered = obstacles.at_pose(obstacle, obstacles.Pose(np.zeros(3), np.eye(3)))
-        if isinstance(centered, HalfSpace):
-            width = HALF_SPACE_WIDTH * self._arm.length
-            thick = HALF_SPACE_THICKNESS * self._arm.length
-            return surface(Box((0.0, 0.0, -0.5 * thick), (width, width, thick)))
-        return surface(centered)
+        if obstacle.bounded:
+            return surface(obstacle)
+        width = HALF_SPACE_WIDTH * self._arm.length
+        thick = HALF_SPACE_THICKNESS * self._arm.length
+        return surface(Box((0.0, 0.0, -0.5 * thick), (width, width, thick)))
 
     def _show_axes(self, name: str, obstacle: Obstacle | None) -> None:
         axes = self._axes
         if obstacle is not None and not self._axes_dragged:
             self._name = name
-            pose = obstacles.pose_of(obstacle, self._scale)
-            put_at(axes, pose.position, 1e-9)
+            pose = obstacle.pose(self._scale.middle)
+            put_at(axes, pose.translation, 1e-9)
             if not _same_rotation(obstacle, axes.wxyz, pose.rotation):
                 axes.wxyz = quaternions(pose.rotation)
             length = self._arm.length
-            radius = obstacles.bounding_radius(obstacle)
+            radius = obstacles.bounding_radius(obstacle, self._scale)
             scale = max(MIN_AXES_SIZE * length, AXES_REACH * min(radius, 0.4 * length))
             if abs(axes.scale - scale) > 1e-9:
                 axes.scale = scale
-            put(axes, disable_rotations=isinstance(obstacle, Sphere))
+            put(axes, disable_rotations=obstacle.symmetry == "ball")
         put(axes, visible=obstacle is not None)
 
     async def _on_click(self, name: str, _: Any) -> None:
@@ -367,11 +366,11 @@ class Obstacles:
     async def _on_axes(self, event: Any) -> None:
         if event.client_id is None or (event.phase != "start" and not self._axes_dragged):
             return
-        pose = obstacles.Pose(np.array(self._axes.position), _matrix(self._axes.wxyz))
+        pose = pin.SE3(_matrix(self._axes.wxyz), np.array(self._axes.position))
         final = event.phase == "end"
         self._axes_dragged = not final
         if event.phase != "start":
-            change = partial(obstacles.at_pose, pose=pose)
+            change = partial(obstacles.at_pose, pose=pose, scale=self._scale)
             self._post_change("axes", self._name, change, f"moved {self._name}", final)
 
     def _post_change(self, key: str, name: str, change: obstacles.Change, what: str, final: bool) -> None:
@@ -383,7 +382,7 @@ class Obstacles:
 def _same_rotation(obstacle: Obstacle, wxyz: Array, rotation: Array) -> bool:
     """Return whether axes are turned as an obstacle is, apart from turns about its axis of symmetry."""
     own = _matrix(wxyz)
-    if isinstance(obstacle, (Capsule, Cylinder, HalfSpace)):
+    if obstacle.symmetry == "axis":
         return bool(np.allclose(own[:, 2], rotation[:, 2], atol=1e-5))
     return bool(np.allclose(own, rotation, atol=1e-7))
 
