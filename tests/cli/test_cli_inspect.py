@@ -105,7 +105,7 @@ def test_reach_is_the_farthest_that_the_tip_gets_from_the_base(command):
     assert np.linalg.norm(about["control_points"][-1]["position"]) == pytest.approx(math.hypot(0.2, 0.2))
     assert about["reach"] == pytest.approx(0.3)
     assert about["length"] == pytest.approx(0.3)
-    assert "reach       0.3 m" in command("inspect", "-", input=text).out
+    assert "reach       300 mm" in command("inspect", "-", input=text).out
 
 
 def test_it_says_why_the_modules_were_cut_so(command, arm_file):
