@@ -50,8 +50,8 @@ def spread_calls(modules: Mapping[str, Module]) -> list[str]:
     found = []
     for where, node in _nodes(modules):
         if isinstance(node, ast.Call) and any(isinstance(each, ast.Starred) for each in node.args):
-            name = ast.unparse(node.func).rpartition(".")[2]
-            if name in kernels:
+            of, _, name = ast.unparse(node.func).rpartition(".")
+            if name in kernels and of == ("" if ".kernels." in where else "kernels"):
                 found.append(f"{where}: {ast.unparse(node)}")
     return found
 

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from pinposture.motion import Motion, Trajectory
     from pinposture.motion.joint_trajectory import JointTrajectory
 
-GOAL, BAG = NAMED_FORMATS = ("follow-joint-trajectory", "rosbag")
+GOAL = "follow-joint-trajectory"
+BAG = "rosbag"
+NAMED_FORMATS = (GOAL, BAG)
 """Formats that a file suffix does not determine."""
 
 
