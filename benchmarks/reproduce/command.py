@@ -166,7 +166,7 @@ def _print(done: Reproduction) -> None:
         for name, run in figure.runs.items()
     ]
     if runs:
-        print_table(("figure", "controller", "posture error [m]", "steps", "ending", "shows"), runs)
+        print_table(("figure", "controller", "posture error", "steps", "ending", "shows"), runs)
     claims = done.results["claims"]
     if claims:
         own = list(dict.fromkeys(name for claim in claims for name in claim["own"]))

@@ -112,8 +112,22 @@ class Target:
 
         Returns:
             The vectors from the points to their targets, of the same shape [m], world axes.
+
+        Raises:
+            InvalidValue: the points are not finite numbers of this shape.
         """
-        return np.asarray((self.points - points) * self.has_target[:, None])
+        allowed = f"finite coordinates, (m, 3) or (s, m, 3), with m = {len(self.points)}"
+        try:
+            given = np.asarray(points, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise InvalidValue("points", points, allowed) from None
+        if given.ndim not in (2, 3) or given.shape[-2:] != self.points.shape:
+            raise InvalidValue("points", points, allowed)
+        found = (self.points - given) * self.has_target[:, None]
+        flat = found.ravel()
+        if not math.isfinite(flat @ flat):
+            raise InvalidValue("points", points, allowed)
+        return found
 
     def distances(self, points: Array) -> Array:
         """Return the distances of control points, as for `errors`, from their targets, (m,) or (s, m) [m]."""

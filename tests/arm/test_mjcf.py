@@ -683,7 +683,7 @@ def test_a_difference_from_mujoco_is_refused(monkeypatch: pytest.MonkeyPatch) ->
         return real(robot, name, kind, parent, child, placement)
 
     monkeypatch.setattr(mjcf, "add_joint", moved)
-    with pytest.raises(URDFError, match=r"link '.*': would be 1e-06 m and .* from where MuJoCo places it"):
+    with pytest.raises(URDFError, match=r"link '.*': would be 0.001 mm and .* from where MuJoCo places it"):
         pp.Arm.load(two_joints())
     monkeypatch.undo()
     motion = mjcf.add_motion

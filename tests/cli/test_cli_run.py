@@ -164,7 +164,7 @@ def test_a_curve_longer_than_the_arm_is_noted_unless_it_may_be_trimmed(command, 
     task.write_text(TASK.replace("trim = true\n", ""))
     said = command("run", task)
     assert (said.code, said.err.count("\n")) == (0, 1)
-    assert said.err.startswith("note: keyframe 2 'bowed': the arm takes the first 0.")
+    assert said.err.startswith("note: keyframe 2 'bowed': the arm takes the first 202 mm")
     left = float(re.search(r"largest distance from its curve (\S+) mm, curve moved", said.out)[1])
     assert 1e-3 * left == pytest.approx(
         0.2 * np.sin((np.pi - 2.0) / 2.0), rel=0.05

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 import pinposture as pp
 from pinposture.placement.points import place_sequentially, taken_exactly
+from pinposture.units import length_text
 
 
 def hinges(*axes, low=-2.5, high=2.5):
@@ -140,7 +141,7 @@ def test_points_that_the_arm_cannot_take_are_not(moved: int) -> None:
     target = pp.fit_points(arm, points)
     assert 1e-4 < target.residual.max() < 0.05  # the fit comes close all the same
     assert "local minimum" in target.approximate
-    assert f"{target.residual.max():.3g} m" in target.approximate
+    assert length_text(target.residual.max()) in target.approximate
     run = pp.track(arm, pp.Target.from_points(arm, points), arm.straight(), max_steps=800)
     assert run.status == "stalled"
     assert "local minimum" in run.reason

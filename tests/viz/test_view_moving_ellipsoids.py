@@ -20,6 +20,7 @@ from viz.ellipsoid_shapes import gram, levels, planar, some_run, spatial
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import playback
 from pinposture.viz.meshcat import add_ellipsoids
@@ -222,7 +223,7 @@ def test_the_page_holds_the_ellipsoids_their_tracks_and_a_legend(tmp_path):
     for path in paths:
         assert [track["name"] for track in clips[path]] == [".position", ".quaternion", ".scale"]
         assert [track["name"] for track in clips[f"{path}/<object>"]] == [".material.color"]
-    assert f"1 m/rad drawn as {drawn_length(arm, [2, 5]):g} m" in text
+    assert f"1 m/rad drawn as {length_text(drawn_length(arm, [2, 5]))}" in text
     assert all(f"index {meaning}" in text and color in text for color, meaning in INDEX_LABELS.items())
 
 

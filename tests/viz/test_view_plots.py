@@ -19,6 +19,7 @@ from sampling import cases
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
+from pinposture.units import length_text
 from pinposture.viz import palette, plot_active_points, plot_point_errors, plot_posture_error, plot_postures
 from pinposture.viz.body import backbone
 
@@ -78,7 +79,7 @@ def test_posture_error_panel_shows_every_step_and_writes_both_ends():
     np.testing.assert_array_equal(ax.get_lines()[0].get_ydata(), run.posture_error)
     np.testing.assert_array_equal(ax.get_lines()[0].get_xdata(), np.arange(run.steps + 1))
     written = [text.get_text() for text in ax.texts]
-    assert written == [f"{run.posture_error[0]:.3g} m", f"{run.posture_error[-1]:.3g} m"]
+    assert written == [length_text(run.posture_error[0]), length_text(run.posture_error[-1])]
     assert "[m]" in ax.get_ylabel()
 
 
