@@ -254,7 +254,14 @@ IN_LOOPS = (
     *("Arm.integrate", "Arm.difference", "Arm.require_near", "CollisionModel.contacts_along"),
     *("CollisionModel.count_movers", "CollisionModel.nearest", "CollisionModel.minimum_along"),
     *("CollisionModel.minimum_on_motions", "Projection.step_with", "Projection.posture_control_matrix"),
-    *("Geodesic.start", "Geodesic.objective", "Geodesic.keep_clear", "follow", "retime"),
+    *(
+        "Geodesic.start",
+        "Geodesic.objective",
+        "Geodesic.keep_clear",
+        "Geodesic.with_offset",
+        "follow",
+        "retime",
+    ),
 )
 """What solvers call on values that they have checked."""
 ON_OTHERS = ("Arm", "Curve", "Controller", "Target", "Tangents.of_curve", "Tracker.step")

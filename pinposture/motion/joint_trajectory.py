@@ -429,8 +429,8 @@ class JointTrajectory:
             InvalidValue: a continuous joint is farther than half a radian from the first row, apart from full
                 turns; or the joints are not those of the arm.
         """
-        given = finite_vector("positions", positions, arm.nv)
         matched = self.matched(arm)
+        given = finite_vector("positions", positions, arm.nv)
         first = matched.positions[0]
         turns = np.where(arm.kinematics.endless, np.rint((given - first) / FULL_TURN), 0.0)
         off = np.where(arm.kinematics.endless, np.abs(given - first - FULL_TURN * turns), 0.0)

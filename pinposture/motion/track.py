@@ -210,7 +210,8 @@ def cycles_between(arm: Arm, start: Array, target: Target, limits: Limits) -> fl
         np.where(arm.slides, arm.length, np.pi) if target.q is None else arm.difference(start, target.q)
     )
     distance = np.abs(distance)
-    cycles = distance / bounds.bound
+    with np.errstate(over="ignore"):  # a tiny limit: infinitely many
+        cycles = distance / bounds.bound
     if bounds.brake is not None:  # from rest to rest, at full speed in between if the way is long enough
         cruising = distance >= bounds.bound**2 / bounds.brake
         cycles = np.where(
@@ -462,13 +463,17 @@ def track(
     run = move(max_steps, callback)
     if run.status == "max_steps":
         advice = f"{RAISE_STEPS} continue"
-        most = ample_steps(arm, start, target, limits)
-        if run.steps < most and _goes_on_fast(controller, run.scene):
+        most = min(ample_steps(arm, start, target, limits), MOST_UNSEEN_STEPS)
+        within = run.steps < most and cycles_between(arm, start, target, limits) <= most
+        if within and _goes_on_fast(controller, run.scene):
             advice = _advise_on_steps(move(most, None))
         run = replace(run, reason=f"{run.reason}; {advice}")
     logger.info("%s: %s after %d steps: %s", controller.name, run.status, run.steps, run.reason)
     return run
 
+
+MOST_UNSEEN_STEPS = 20_000
+"""Most steps for which a run that is out of steps goes on, unseen, to find how many it needs: seconds."""
 
 NO_CONFIGURATION = "the target has no configuration: fit_points finds one, and Switching can then use it"
 
