@@ -161,7 +161,7 @@ def test_an_arm_whose_description_is_another_one_is_refused():
     arm = arm_named("placed")
     other = pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
     mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
-    with pytest.raises(URDFError, match=r"control point 'module_06'.* differs by 0\.000\d+ m between MuJoCo"):
+    with pytest.raises(URDFError, match=r"control point 'module_06'.* differs by 0\.\d+ mm between MuJoCo"):
         sim.build_plant_model(mixed)
 
 
