@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -115,7 +116,7 @@ def run(
     1 if not, 2 if it could not start or be saved.
     """
     from pinposture.motion import track
-    from pinposture.motion.track import usual_max_steps
+    from pinposture.motion.track import name_enough_steps, usual_max_steps
 
     controller_options.check(**vars(tip_options))
     limits = limit_options.read()
@@ -127,18 +128,10 @@ def run(
     target = placement_options.place(arm, curve, surroundings)
     check_directory(output)  # before the run, which would be lost otherwise
     most = usual_max_steps(arm, begin.q, target, limits) if steps is None else steps
+    move = partial(track, arm, target, begin.q, chosen, limits, surroundings, tolerance=tolerance)
     with step_progress(target, most) as callback:
-        motion = track(
-            arm,
-            target,
-            begin.q,
-            chosen,
-            limits=limits,
-            scene=surroundings,
-            max_steps=most,
-            tolerance=tolerance,
-            callback=callback,
-        )
+        motion = move(max_steps=most, callback=callback)
+    motion = name_enough_steps(motion, chosen, lambda steps: move(max_steps=steps))
     files, failure = write_files([] if output is None else run_files(motion, output))
     summary = {**summarize(motion), "tip": None if task is None else tip_off(task, motion)}
     asked: dict[str, object] = {"urdf": urdf, "curve": curve, "start": start, "seed": seed}

@@ -32,8 +32,7 @@ class Tree:
     def __init__(self, corners: Array) -> None:
         """Build the tree of points, (n, 1, 3), or triangles, (n, 3, 3) [m]."""
         count = len(corners)
-        # so that no node is empty
-        most = count.bit_length() - 1
+        most = count.bit_length() - 1  # so that no node is empty
         wide = MAX_PIECES.bit_length() - 1
         deep = (-(-count // LEAF_SIZE) - 1).bit_length()
         self.levels = 1 + min(max(deep, wide), most)

@@ -27,9 +27,8 @@ logger = logging.getLogger(__name__)
 Request: TypeAlias = Callable[[Session], None]
 
 MAX_REQUESTS = 1000  # that wait; only a program sends more, and those are dropped
-# between two updates of the page, at least and at most [s]
-FRAME_TIME = 1.0 / 60.0
-MAX_FRAME_TIME = 0.25
+FRAME_TIME = 1.0 / 60.0  # least time between two updates of the page [s]
+MAX_FRAME_TIME = 0.25  # most time between them [s]
 
 
 class Editor:

@@ -325,9 +325,8 @@ Edit: TypeAlias = Callable[[Task], Task]
 
 NEW_KEYFRAME_GAP = 1.0  # from the keyframe before to a new one [s]
 MIN_GAP = 0.05  # between keyframes [s], if the control cycle allows it
-# digits of stored times; differences that count as none [s]
-TIME_DIGITS = 9
-TIME_TOLERANCE = 1e-9
+TIME_DIGITS = 9  # of stored times
+TIME_TOLERANCE = 1e-9  # differences of times that count as none [s]
 
 
 def times_of(task: Task) -> list[float]:

@@ -33,9 +33,8 @@ TIME_KEYS = (("sec", "nanosec"), ("secs", "nsecs"))  # of times in ROS 2 and ROS
 POLL = 0.05  # between two looks for more lines [s]
 MAX_LINE = 2**20  # bytes of a line; longer ones are cut off
 CUT_LINE = 200  # bytes that are kept of a line that is cut off
-# bytes that are read at once, and before lines are returned
-CHUNK = 2**16
-MAX_READ = 2**23
+CHUNK = 2**16  # bytes that are read at once
+MAX_READ = 2**23  # bytes that are read before lines are returned
 MAX_LINES_READ = 1000  # of many lines at once; older ones are read only for joints that these lack
 MAX_JOINTS_NAMED = 6  # in a complaint
 

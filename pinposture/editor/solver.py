@@ -305,9 +305,8 @@ class Solver:
         self._verdict = Verdict(None)
         self._lag: float | None = None
         self._last_target: tuple[Arm, Target] | None = None
-        # when it moved, arrived, or was asked last [s]
         self._steps = 0
-        self._moved = time.monotonic()
+        self._moved = time.monotonic()  # when it moved, arrived, or was asked last [s]
         self._dq = np.zeros(first.arm.nv)
         self._fault = ""
         self._live = self._look(first.arm.at(start))

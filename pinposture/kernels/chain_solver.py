@@ -936,9 +936,8 @@ def _interior_point(
         if not held[u]:
             low[u] = start / (x[u] - lower[u])
             high[u] = start / (upper[u] - x[u])
-    # fraction of the initial mismatch of multipliers and gradient
     iterations = 0
-    mismatch = 1.0
+    mismatch = 1.0  # fraction of the initial mismatch of multipliers and gradient
     while iterations < MAX_ITERATIONS:
         gap = 0.0
         for u in range(n):

@@ -20,9 +20,8 @@ from pinposture.kernels.compiled import compiled, subkernel
 # dual function), maximal at the solution. Newton steps with a line search find it: the chain is solved once
 # more for each relevant row, and a small dense system, the Schur complement, gives the step.
 
-# maximum number of Newton steps, and of halvings of each
-MAX_STEPS = 60
-MAX_HALVINGS = 4
+MAX_STEPS = 60  # maximum number of Newton steps
+MAX_HALVINGS = 4  # maximum number of halvings of each
 
 MIN_SHARE_OF_GAIN = 1e-4  # fraction of the expected gain at which a step is accepted
 

@@ -246,9 +246,8 @@ def _bound_motions(
     """Fill in the motion of joints, and bounds of how far bodies move until either end."""
     tree, carriers, _ = arm
     rotations, origins, ends = placed
-    # sums of |dq|
     joints = bounds[0]
-    turned = np.empty(len(tree.parents))
+    turned = np.empty(len(tree.parents))  # sums of |dq|
     for i in range(9):
         joints[0, i] = drift[i] if i < 3 else 0.0
     turned[0] = 0.0
@@ -266,9 +265,8 @@ def _bound_motions(
         own[4] = v[4]
         own[5] = v[5]
         length = np.sqrt(x * x + y * y + z * z)
-        # bounds of angular speed and acceleration
-        spin = v[7]
-        speed_up = v[8]
+        spin = v[7]  # bound of the angular speed
+        speed_up = v[8]  # bound of the angular acceleration
         size = 0.0
         slides = tree.kinds[joint] == 1
         if tree.kinds[joint] < 2:

@@ -24,9 +24,8 @@ ZERO_PIVOT = 1e-60
 """Replaces zeros on the diagonal of L, so that it has an inverse; its square does not underflow."""
 
 LARGEST_BASIS = 400  # number of Lanczos vectors after which the search restarts from the best result
-# maximum number of restarts, and number of bisections of an eigenvalue
-MAX_RESTARTS = 20
-BISECTIONS = 60
+MAX_RESTARTS = 20  # maximum number of restarts
+BISECTIONS = 60  # number of bisections of an eigenvalue
 
 Twist = tuple[float, float, float, float, float, float]
 """Linear and angular velocity."""

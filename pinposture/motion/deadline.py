@@ -106,9 +106,8 @@ class PlannedStep:
         self._arm = arm
         self._shared_arm = Shared(arm)
         self._request: Request | None = None
-        # this plan; the one before
-        self._outdated = False
-        self._interrupted = False
+        self._outdated = False  # this plan
+        self._interrupted = False  # the plan before
         self.controller = controller
         self._process = BackgroundProcess(partial(_prepare, self._shared_arm, self._shared))
 

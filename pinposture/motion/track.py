@@ -448,50 +448,64 @@ def track(
     if max_steps is None:
         max_steps = usual_max_steps(arm, start, target, limits)
 
-    def move(most: int, callback: Callback | None) -> Trajectory:
-        loop = ControlLoop(arm, start, target, controller, limits, scene)
-        status, reason = loop.run(target, tolerance, most, callback)
-        loop.brake_to_rest()
-        if status == "converged":  # at rest it may be nearer
-            reason = _describe_arrival(arm, loop.record.mean_error, tolerance)
-        if status in ("stalled", "max_steps"):
-            reason = describe_blocked_goal(arm, target, scene) + reason
-            if target.q is None and not isinstance(controller, Geodesic):
-                reason += f"; {NO_CONFIGURATION}"
-        return loop.record.trajectory(arm, controller, limits, status, reason)
+    loop = ControlLoop(arm, start, target, controller, limits, scene)
+    status, reason = loop.run(target, tolerance, max_steps, callback)
+    loop.brake_to_rest()
+    if status == "converged":  # at rest it may be nearer
+        reason = _describe_arrival(arm, loop.record.mean_error, tolerance)
+    if status in ("stalled", "max_steps"):
+        reason = describe_blocked_goal(arm, target, scene) + reason
+        if target.q is None and not isinstance(controller, Geodesic):
+            reason += f"; {NO_CONFIGURATION}"
+    if status == "max_steps":
+        reason += f"; {RAISE_STEPS} {CONTINUE}"
+    logger.info("%s: %s after %d steps: %s", controller.name, status, loop.record.steps, reason)
+    return loop.record.trajectory(arm, controller, limits, status, reason)
 
-    run = move(max_steps, callback)
-    if run.status == "max_steps":
-        advice = f"{RAISE_STEPS} continue"
-        most = min(ample_steps(arm, start, target, limits), MOST_UNSEEN_STEPS)
-        within = run.steps < most and cycles_between(arm, start, target, limits) <= most
-        if within and _goes_on_fast(controller, run.scene):
-            advice = _advise_on_steps(move(most, None))
-        run = replace(run, reason=f"{run.reason}; {advice}")
-    logger.info("%s: %s after %d steps: %s", controller.name, run.status, run.steps, run.reason)
-    return run
-
-
-MOST_UNSEEN_STEPS = 20_000
-"""Most steps for which a run that is out of steps goes on, unseen, to find how many it needs: seconds."""
 
 NO_CONFIGURATION = "the target has no configuration: fit_points finds one, and Switching can then use it"
 
+CONTINUE = "continue"
+"""End of the advice on a run that is out of steps, as long as nobody knows how many are enough."""
+
+MOST_UNSEEN_STEPS = 20_000
+"""Most steps with which a run that is out of steps is made again to find how many it needs: seconds."""
+
+
+def name_enough_steps(
+    run: Trajectory, controller: Controller, again: Callable[[int], Trajectory]
+) -> Trajectory:
+    """Name a number of steps that is enough, in the reason of a run that is out of steps.
+
+    The run is made again with more of them, for people who wait for one result. It is not worth while for a
+    controller that may plan in each step.
+
+    Args:
+        run: the run; another one than that is returned as it is.
+        controller: its controller.
+        again: makes the run again with another `max_steps`.
+    """
+    if run.status != "max_steps" or not _goes_on_fast(controller, run.scene):
+        return run
+    most = min(ample_steps(run.arm, run.q[0], run.target, run.limits), MOST_UNSEEN_STEPS)
+    direct = cycles_between(run.arm, run.q[0], run.target, run.limits)
+    if max(direct, run.steps + 1) > most:
+        return run
+    longer = again(most)
+    if longer.converged:
+        advice = f"{RAISE_STEPS} {longer.steps}"
+    elif longer.status == "max_steps":
+        advice = f"{RAISE_STEPS} more than {longer.steps}"
+    else:
+        advice = f"more steps do not help: after {longer.steps} it {ENDINGS[longer.status]}: {longer.reason}"
+    return replace(run, reason=run.reason.removesuffix(f"{RAISE_STEPS} {CONTINUE}") + advice)
+
 
 def _goes_on_fast(controller: Controller, scene: Scene | None) -> bool:
-    """Whether it is worth finding out how many steps a run needs; with tasks in a scene, each may plan."""
+    """Whether a controller plans at most once; with tasks in a scene, each step may."""
     if isinstance(controller, Geodesic):
         return scene is None or not controller.tasks
     return isinstance(controller, JointInterpolation)
-
-
-def _advise_on_steps(longer: Trajectory) -> str:
-    """Return advice on a run that ran out of steps, given the same run with more of them."""
-    if longer.converged:
-        return f"{RAISE_STEPS} {longer.steps}"
-    if longer.status == "max_steps":
-        return f"{RAISE_STEPS} more than {longer.steps}"
-    return f"more steps do not help: after {longer.steps} it {ENDINGS[longer.status]}: {longer.reason}"
 
 
 def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ from pinposture.errors import (
     warn_caller,
 )
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
-from pinposture.motion.track import RunRecord, in_scene, track, usual_max_steps
+from pinposture.motion.track import RunRecord, in_scene, name_enough_steps, track, usual_max_steps
 from pinposture.motion.trajectory import Trajectory, smallest_distance
 from pinposture.placement import Target
 
@@ -208,16 +209,18 @@ def _run_quietly(
 def _run(setting: _Setting, target: Target, start: Array) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Compute one run; return its entries in the columns of `Batch` and, if motions are kept, its arrays."""
     try:
-        run = track(
+        move = partial(
+            track,
             setting.arm,
             target,
             start,
             setting.controller,
             setting.limits,
             setting.scene,
-            setting.max_steps,
-            setting.tolerance,
+            tolerance=setting.tolerance,
         )
+        run = move(max_steps=setting.max_steps)
+        run = name_enough_steps(run, setting.controller, lambda steps: move(max_steps=steps))
     except ControllerError:  # a mistake in the code of the user
         raise
     except PostureError as error:

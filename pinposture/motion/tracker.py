@@ -238,7 +238,7 @@ class Tracker:
         self._arrival = Arrival(arm.length)
         self._pursuit = Hindrance(arm, self._feedback.averaging_time)
         self._evasion = Hindrance(arm, self._feedback.averaging_time)
-        self._clearance: tuple[Scene, Array, float] | None = None
+        self._clearance: tuple[Scene, Array, Closest] | None = None
         self._timeout = timeout
         self._target: Target | None = None
         self._age = 0.0
@@ -496,8 +496,9 @@ class Tracker:
         known = self._feedback.compensates and displacement is not None and self.scene is not None
         distances = None
         if known and self.scene is not None and not self.scene.velocities:
-            close = self._clearance is not None and self._clearance[1] is self._feedback.measured
-            distance = self._clearance[2] if close and self._clearance is not None else self.scene.margin
+            distance = self.scene.margin
+            if self._clearance is not None and self._clearance[1] is self._feedback.measured:
+                distance = self._clearance[2].distance
             distances = {"missing clearance": max(0.0, self.scene.margin - distance)}
         self._evasion.move(distances if decision.evading else None, dt)
         pursues = limited and decision.compensated is not None and error is not None
@@ -511,12 +512,11 @@ class Tracker:
         self._evasion.restart()
 
     def _describe_hindrance(self, missed: str, hindrance: Hindrance) -> str:
-        """Say what the arm has missed, for how long, and what the measured arm is closest to."""
+        """Say what the arm has missed, for how long, and what the measured arm was closest to."""
         text = f"obstacles hinder the arm: {missed} for {hindrance.patience:.3g} s"
-        measured = self._feedback.measured
-        if self.scene is None or measured is None:
+        if self._clearance is None:
             return text
-        closest = CollisionModel(self.arm, self.scene).minimum(self.arm.configuration(measured))
+        closest = self._clearance[2]
         return f"{text}; {describe_distance(closest.pair or (), closest.distance)}"
 
     def _is_at_rest(self) -> bool:
@@ -679,7 +679,7 @@ class Tracker:
         if measured is not None and self._feedback.compensates and self._may_be_close(measured):
             model = CollisionModel(self.arm, self.scene)
             closest = model.minimum(self.arm.configuration(measured))
-            self._clearance = self.scene, measured, closest.distance
+            self._clearance = (self.scene, measured, closest)
             found += self._describe_clearance(closest)
         return tuple(dict.fromkeys(found))
 
@@ -687,9 +687,9 @@ class Tracker:
         """Return whether the arm may be too close at joint positions (nv,), given the last distance."""
         if self._clearance is None or self._clearance[0] is not self.scene or self.scene is None:
             return True
-        _, before, distance = self._clearance
+        _, before, closest = self._clearance
         arms = np.where(self.arm.slides, 1.0, LONGEST_ARM * self.arm.length)
-        return bool(distance - np.abs(positions - before) @ arms < self.scene.margin)
+        return bool(closest.distance - np.abs(positions - before) @ arms < self.scene.margin)
 
     def _describe_clearance(self, closest: Closest) -> tuple[str, ...]:
         margin = 0.0 if self.scene is None else self.scene.margin

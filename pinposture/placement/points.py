@@ -60,9 +60,8 @@ MIN_POINT_DAMPING = 1e-12
 MAX_POINT_DAMPING = 1e6
 """Bounds on the damping of a fit, relative to its mean stiffness."""
 
-# damping factors after better and worse steps
-POINT_DAMPING_DOWN = 0.2
-POINT_DAMPING_UP = 5.0
+POINT_DAMPING_DOWN = 0.2  # factor of the damping after a better step
+POINT_DAMPING_UP = 5.0  # factor of the damping after a worse step
 
 WEAK_MOTION = 0.3
 """Noise-induced joint motion, in `Arm.joint_units`, at which a measurement gets half its weight. Along

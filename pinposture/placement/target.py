@@ -116,18 +116,11 @@ class Target:
         Raises:
             InvalidValue: the points are not finite numbers of this shape.
         """
-        allowed = f"finite coordinates, (m, 3) or (s, m, 3), with m = {len(self.points)}"
-        try:
-            given = np.asarray(points, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
-            raise InvalidValue("points", points, allowed) from None
+        given = finite_array("points", points)
         if given.ndim not in (2, 3) or given.shape[-2:] != self.points.shape:
-            raise InvalidValue("points", points, allowed)
-        found = (self.points - given) * self.has_target[:, None]
-        flat = found.ravel()
-        if not math.isfinite(flat @ flat):
-            raise InvalidValue("points", points, allowed)
-        return found
+            allowed = f"(m, 3) or (s, m, 3), with m = {len(self.points)}"
+            raise InvalidValue("points (shape)", given.shape, allowed)
+        return np.asarray((self.points - given) * self.has_target[:, None])
 
     def distances(self, points: Array) -> Array:
         """Return the distances of control points, as for `errors`, from their targets, (m,) or (s, m) [m]."""
@@ -186,8 +179,7 @@ class Target:
         self.check(arm)
         if self.q is None or self.curve is None:
             return
-        distances = np.linalg.norm(arm.at(self.q).compiled.points - self.points, axis=1)
-        missed = float(distances[self.has_target].mean())
+        missed = self.mean_distance(arm.at(self.q).compiled.points)
         allowed = MAX_POSTURE_ERROR * arm.length
         if missed > allowed:
             name = "mean distance of target.points from the posture of this arm at target.q [m]"

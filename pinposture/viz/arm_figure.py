@@ -161,9 +161,8 @@ def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellip
 
 def _number_points(panel: PosturePanel, points: Array, base: Array, offset: float) -> None:
     """Write the numbers of control points beside the arm without overlap, starting with the last."""
-    # text in space has three coordinates
     screen = panel.screen
-    ax = cast(Any, panel.ax)
+    ax = cast(Any, panel.ax)  # text in space has three coordinates
     flat = np.vstack([base, points]) @ screen.T
     size = float(np.ptp(flat, axis=0).max())
     ahead = np.vstack([flat[1:], flat[-1:]]) - np.vstack([flat[:1], flat[:-1]])

@@ -469,9 +469,8 @@ def pose_tracks(path: str, times: Array, positions: Array, turns: Array) -> list
     ]
 
 
-# time for which the first and the last posture are held [s]
-REST_BEFORE = 0.6
-REST_AFTER = 1.6
+REST_BEFORE = 0.6  # time for which the first posture is held [s]
+REST_AFTER = 1.6  # time for which the last posture is held [s]
 MIN_DURATION = 2.0  # minimum duration of a run; short ones are shown more slowly [s]
 MAX_DURATION = 60.0  # maximum duration of a motion in time; longer ones are shown faster [s]
 

@@ -168,9 +168,8 @@ def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> N
 
 
 ELLIPSOID_OPACITY = 0.5
-# radii of a hoop and its wire, relative to that of a control point
-HOOP_RADIUS = 1.35
-WIRE_RADIUS = 0.14
+HOOP_RADIUS = 1.35  # radius of a hoop, relative to that of a control point
+WIRE_RADIUS = 0.14  # radius of its wire, relative to that of a control point
 HOOP_SIDES = 32  # number of sides of the polygon that approximates a hoop
 LINE_RADIUS = 0.25  # radius of lines through targets, relative to `link_radius`
 

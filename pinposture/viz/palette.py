@@ -49,9 +49,8 @@ ACTIVE = "#E69F00"  # a control point in the active control set
 IDLE = "#FFFFFF"  # an inactive control point
 
 OBSTACLE = "#94897A"
-# opacity of obstacles: of a few, and of many behind each other
-SEE_THROUGH = 0.45
-SHEER = 0.18
+SEE_THROUGH = 0.45  # opacity of a few obstacles
+SHEER = 0.18  # opacity of many obstacles behind each other
 
 # Manipulability ellipsoids with index 0, a quarter of `REGULAR_INDEX`, and `REGULAR_INDEX` or more.
 SINGULAR = "#CC2A1E"
@@ -228,9 +227,8 @@ def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any)
     bar.outline.set_visible(False)
 
 
-# [inch]; 1200 pixels wide at the default resolution
-FIGURE_WIDTH = 12.0
-FIGURE_HEIGHT = 7.2
+FIGURE_WIDTH = 12.0  # [inch]; 1200 pixels at the default resolution
+FIGURE_HEIGHT = 7.2  # [inch]
 
 
 def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:

@@ -404,9 +404,8 @@ def _merge_close_names(
 
 
 MIN_PLACES = 3  # motions with fewer named places are shown with intermediate postures
-# widths of the legend above the postures and of its symbols [characters]
-LEGEND_WIDTH = 84
-HANDLE_WIDTH = 8
+LEGEND_WIDTH = 84  # width of the legend above the postures [characters]
+HANDLE_WIDTH = 8  # width of its symbols [characters]
 MAX_DETOURS = 2  # maximum number of detours in a title
 
 

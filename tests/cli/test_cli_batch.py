@@ -112,11 +112,11 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
     original = module.track
     begun = []
 
-    def track(*given):
+    def track(*given, **named):
         begun.append(given)
         if len(begun) == 2:
             raise pp.PostureError("no way")
-        return original(*given)
+        return original(*given, **named)
 
     monkeypatch.setattr(module, "track", track)
     result = command("batch", arm_file, "--curve", "helix", "--count", 3, *SHORT, "--json")

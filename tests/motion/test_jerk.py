@@ -95,9 +95,8 @@ def test_a_long_motion_of_one_joint_takes_little_longer_than_the_shortest(
 def test_the_filter_is_a_moving_average_that_arrives(arm: pp.Arm) -> None:
     rng = np.random.default_rng(0)
     limits = limited(75.0)
-    # 2 * 5 / (75 * 0.01), rounded up
     jerk_filter = JerkFilter(arm, limits)
-    cycles = 14
+    cycles = 14  # 2 * 5 / (75 * 0.01), rounded up
     assert jerk_filter.cycles == cycles
     given_steps = np.concatenate([rng.normal(size=(40, arm.nv)), np.zeros((cycles - 1, arm.nv))])
     kernel = np.full(cycles, 1.0 / cycles)

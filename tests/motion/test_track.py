@@ -17,8 +17,10 @@ from sampling import examples
 from scipy.spatial.transform import Rotation
 
 import pinposture as pp
+from pinposture.control import controller_named
 from pinposture.curve import HELIX, LINE
 from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.motion.track import name_enough_steps
 from pinposture.motion.trajectory import path_length_ratio
 
 START = 0.4 * np.sin(np.arange(40))
@@ -261,8 +263,12 @@ def test_the_number_of_steps_that_a_short_run_names_is_enough(seed, controller, 
     scene = pp.Scene({"ball": pp.Sphere((0.3, 0.3, 0.3), 0.01)}) if around else None
     if controller == "joint":
         scene = None
-    asked = partial(pp.track, arm, target, rng.uniform(-1.0, 1.0, arm.nv), controller, limits, scene)
+    start = rng.uniform(-1.0, 1.0, arm.nv)
+    chosen = controller_named(controller)
+    asked = partial(pp.track, arm, target, start, chosen, limits, scene)
     short = asked(max_steps=3)
+    assert short.reason.endswith("; raise max_steps to continue")
+    short = name_enough_steps(short, chosen, lambda steps: asked(max_steps=steps))
     needed = re.findall(r"; raise max_steps to (\d+)$", short.reason)
     assert needed or "more steps do not help: after " in short.reason
     for number in map(int, needed):
@@ -273,7 +279,9 @@ def test_the_number_of_steps_that_a_short_run_names_is_enough(seed, controller, 
 def test_a_run_that_more_steps_do_not_help_says_so() -> None:
     arm = template_arm("Rz", 5, (0.2,))
     closed = pp.Target.from_configuration(arm, [0.0, np.pi / 2, np.pi / 2, np.pi / 2, 0.0])
-    run = pp.track(arm, closed, arm.straight(), scene=pp.Scene(), max_steps=2)
+    chosen = pp.Geodesic()
+    asked = partial(pp.track, arm, closed, arm.straight(), chosen, scene=pp.Scene())
+    run = name_enough_steps(asked(max_steps=2), chosen, lambda steps: asked(max_steps=steps))
     assert run.status == "max_steps"
     assert re.search(
         r"; more steps do not help: after \d+ it stalled: the target posture is in collision", run.reason

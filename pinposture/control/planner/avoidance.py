@@ -238,6 +238,8 @@ class Avoidance:
         previous: Array | None = None,
         offset: Array | None = None,
     ) -> None:
+        if offset is not None and offset.shape != (objective.arm.nv,):
+            raise InvalidValue("offset (shape)", offset.shape, f"({objective.arm.nv},) for this arm")
         self.clearance = clearance
         self.margin = clearance.scene.margin
         self.offset = offset

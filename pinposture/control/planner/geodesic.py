@@ -9,6 +9,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import finite_array
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
@@ -99,6 +100,10 @@ class Geodesic:
         object.__setattr__(self, "tasks", tasks)
         if not (self.scene is None or isinstance(self.scene, Scene)):
             raise InvalidValue("scene", self.scene, "a Scene(...), or None")
+        if self.offset is not None:
+            given = finite_array("offset", self.offset, (None,))
+            if not isinstance(self.offset, np.ndarray):
+                object.__setattr__(self, "offset", given)
 
     def with_scene(self, scene: Scene | None) -> Geodesic:
         """Return this controller in another scene."""

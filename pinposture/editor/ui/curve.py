@@ -42,15 +42,13 @@ from pinposture.viz.drawing import link_radius
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
-# straight pieces of the curve, and of those of other keyframes
-CURVE_PIECES = 240
-OTHER_PIECES = 64
+CURVE_PIECES = 240  # straight pieces of the curve
+OTHER_PIECES = 64  # of the curves of other keyframes
 BALL_RADIUS = 1.8  # of a control point of the curve, relative to that of the bars of the arm
 GRID = 0.02  # first step of the grid, relative to the arm
 AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
-# green below, red above; relative to a module length
-SMALL_ERROR = 1e-3
-LARGE_ERROR = 0.3
+SMALL_ERROR = 1e-3  # green below it; relative to a module length
+LARGE_ERROR = 0.3  # red above it; relative to a module length
 LINE_ERROR = 1e-2  # from which on a line leads to the target, relative to a module length
 BALL_COLOR = palette.mixed(palette.SPARE[0], palette.START, 0.6)  # of control points of the curve
 SELECTED_BALL_COLOR = palette.mixed(palette.START, palette.TARGET, 0.45)  # of those that are selected

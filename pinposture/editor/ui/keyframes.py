@@ -41,9 +41,8 @@ class KeyframesTab:
         gui = server.gui
         self._states = states if states is not None and states.arm is arm else None
         self._present = arm.straight()
-        # the first row; which keyframe of how many was selected
-        self._first = 0
-        self._shown = (-1, -1)
+        self._first = 0  # the first row
+        self._shown = (-1, -1)  # which keyframe of how many was selected
         self._index = 0
         self._phases = PhaseControls(server, arm, PhasePlanner(post), post)
         self._above = gui.add_button("", icon=viser.Icon.CHEVRON_UP, color="gray", visible=False)

@@ -37,16 +37,13 @@ LIVE_SPAN = 10.0  # of the trace of the live arm [s]
 MAX_GAP = 1.0  # in the trace of the live arm, after which it starts anew [s]
 MAX_ROWS = 600  # of a trace; of more, the largest of neighbours stand for them
 MILLI = 1e3
-# between two plots of a motion, and of the live arm [s]
-MOTION_PERIOD = 0.1
-LIVE_PERIOD = 0.3
-# the same after a browser connects, and how many [s]
-SETTLING_PERIOD = 3.0
-SETTLING_PLOTS = 2
+MOTION_PERIOD = 0.1  # between two plots of a motion [s]
+LIVE_PERIOD = 0.3  # between two plots of the live arm [s]
+SETTLING_PERIOD = 3.0  # between two plots after a browser connects [s]
+SETTLING_PLOTS = 2  # number of these
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
-# the latter of two lines [pixels]
-PLOT_HEIGHT = 90
-LEGEND_HEIGHT = 30
+PLOT_HEIGHT = 90  # [pixels]
+LEGEND_HEIGHT = 30  # of two lines [pixels]
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
 MAX_SHARE = 1.2  # of limits that is shown
 OUTSIDE = 1e3  # value of lines outside of the picture
@@ -54,21 +51,17 @@ SPEED_COLOR = palette.SPARE[2]
 ACCELERATION_COLOR = palette.SPARE[0]
 NO_TIMES = np.zeros(0)
 
-# of the panel; from the edges of the picture [pixels]
-PANEL_WIDTH = 440
-PANEL_HEIGHT = 274
-PANEL_GAP = 8
-# page height up to which the panel has no plot; its height [pixels]
-LOW_PAGE = 700
-LOW_PANEL_HEIGHT = 150
+PANEL_WIDTH = 440  # [pixels]
+PANEL_HEIGHT = 274  # [pixels]
+PANEL_GAP = 8  # from the edges of the picture [pixels]
+LOW_PAGE = 700  # page height up to which the panel has no plot [pixels]
+LOW_PANEL_HEIGHT = 150  # of the panel without a plot [pixels]
 ROOM_BEHIND = 0.15  # the end of the motion, on the timeline, relative to its duration
 MIN_LENGTH = 1.0  # of the timeline [s]
-# about how many times are written at it; and can be dragged to
-TICKS = 7
-DRAG_STEPS = 100
-# keyframes with numbers at the timeline; and in all, of all laps
-MAX_NUMBERED = 24
-MAX_DRAWN = 300
+TICKS = 7  # about how many times are written at the timeline
+DRAG_STEPS = 100  # about how many times can be dragged to
+MAX_NUMBERED = 24  # keyframes with numbers at the timeline
+MAX_DRAWN = 300  # keyframes at the timeline, of all laps
 LATER_LAP_OPACITY = 0.6  # of keyframes in laps after the first
 
 
@@ -387,9 +380,8 @@ class TimeAxis:
     """
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
-        # of the axis [s]
         self._post = post
-        self._length = 1.0
+        self._length = 1.0  # of the axis [s]
         self._passes: list[DrawnPass] = []
         self._known: tuple[Task, Motion | None] | None = None
         self._gestures = 0  # each is answered by a new drawing, with the keyframes where they are

@@ -176,9 +176,8 @@ Array = NDArray[np.float64]
 HANDLE_RADIUS = 2.0  # relative to that of the bars of the arm
 MIN_AXES_SIZE = 0.16  # of the axes that move and turn the selected obstacle, relative to the arm
 AXES_REACH = 1.5  # of these axes, relative to the obstacle
-# of the plate drawn for a half-space, relative to the arm
-HALF_SPACE_WIDTH = 1.6
-HALF_SPACE_THICKNESS = 0.01
+HALF_SPACE_WIDTH = 1.6  # of the plate drawn for a half-space, relative to the arm
+HALF_SPACE_THICKNESS = 0.01  # of that plate, relative to the arm
 SELECTED_COLOR = palette.mixed(palette.OBSTACLE, palette.START, 0.55)
 HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of the curve
 CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
@@ -209,9 +208,8 @@ def number_labels() -> dict[str, str]:
     return labels
 
 
-# of shown directions and angles [deg]
-NORMAL_DIGITS = 4
-ANGLE_DIGITS = 2
+NORMAL_DIGITS = 4  # of shown directions
+ANGLE_DIGITS = 2  # of shown angles [deg]
 FINER_DIGITS = 3  # more of radii and margins than of coordinates: they are small
 
 
