@@ -116,13 +116,13 @@ def tracker(arm: pp.Arm, controller: Any, limits: pp.Limits, scene: pp.Scene | N
     )
 
 
-def of_run(run: pp.Trajectory) -> Found:
+def of_run(run: pp.Run) -> Found:
     """What is kept of a run."""
     kept = {"q": run.q, "errors": run.point_errors}
     return {**kept, "clearance": run.clearance} if run.scene is not None else kept
 
 
-def of_motion(motion: pp.Motion) -> Found:
+def of_motion(motion: pp.Trajectory) -> Found:
     """What is kept of a motion in time."""
     return {**of_run(motion.run), "time": motion.time, "plan": motion.plan_time, "targets": motion.targets}
 

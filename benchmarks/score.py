@@ -25,7 +25,7 @@ from benchmarks.studies.clutter import dense_clearance
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.errors import FileError
-from pinposture.motion.trajectory import path_length_ratio
+from pinposture.motion.run import path_length_ratio
 from pinposture.storage import parse_json, read_text, write_text
 
 Array = NDArray[np.float64]

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from pinposture.control.reach import ReachedPosture, reach
     from pinposture.curve import Curve
     from pinposture.errors import PostureError, PostureWarning
-    from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory, load, save
+    from pinposture.motion import Batch, JointTrajectory, Run, Tracker, Trajectory, load, save
     from pinposture.motion.track import track
     from pinposture.motion.track_many import track_many
     from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
@@ -92,13 +92,13 @@ __all__ = [
     "Limits",
     "Mesh",
     "ModuleTemplate",
-    "Motion",
     "Phase",
     "PointFilter",
     "PostureError",
     "PostureWarning",
     "Projection",
     "ReachedPosture",
+    "Run",
     "Scan",
     "Scene",
     "Selection",
@@ -174,7 +174,7 @@ _PACKAGES = {
     "motion": (
         "Batch",
         "JointTrajectory",
-        "Motion",
+        "Run",
         "Tracker",
         "Trajectory",
         "load",

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pinposture.control import Limits
     from pinposture.control.reach import ReachedPosture
     from pinposture.curve import Curve
-    from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory
+    from pinposture.motion import Batch, JointTrajectory, Run, Tracker, Trajectory
     from pinposture.placement import Target
     from pinposture.task import Task
 
@@ -85,7 +85,7 @@ def show_target(target: Target) -> str:
     return _page("Target", rows, None)
 
 
-def show_run(run: Trajectory) -> str:
+def show_run(run: Run) -> str:
     """Return a run as HTML: how it ended, and the figure of `plot`."""
     from pinposture.viz import plot
     from pinposture.viz.palette import controller_name
@@ -105,7 +105,7 @@ def show_run(run: Trajectory) -> str:
     return _page(f"Run of {run.arm.name} by {controller_name(run)}", rows, plot(run))
 
 
-def show_motion(motion: Motion) -> str:
+def show_motion(motion: Trajectory) -> str:
     """Return a motion in time as HTML: how it ended, and the figure of `plot`."""
     from pinposture.viz import plot
 
@@ -235,8 +235,8 @@ def show_reached(posture: ReachedPosture) -> str:
 SHOWN: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("pinposture.arm.arm", "Arm", show_arm),
     ("pinposture.placement.target", "Target", show_target),
-    ("pinposture.motion.trajectory", "Trajectory", show_run),
-    ("pinposture.motion.trajectory", "Motion", show_motion),
+    ("pinposture.motion.run", "Run", show_run),
+    ("pinposture.motion.trajectory", "Trajectory", show_motion),
     ("pinposture.motion.joint_trajectory", "JointTrajectory", show_joints),
     ("pinposture.motion.batch", "Batch", show_batch),
     ("pinposture.motion.tracker", "Tracker", show_tracker),
@@ -255,16 +255,16 @@ def _point(position: np.ndarray) -> str:
     return f"({', '.join(f'{value:.4g}' for value in position.round(6) + 0.0)}) m"
 
 
-def _duration(run: Trajectory) -> list[tuple[str, str]]:
+def _duration(run: Run) -> list[tuple[str, str]]:
     """Return the row on the duration of a run, if it has a cycle time."""
     if run.limits.dt is None:
         return []
     return [("duration", f"{run.steps * run.limits.dt:.4g} s")]
 
 
-def _clearance(run: Trajectory) -> list[tuple[str, str]]:
+def _clearance(run: Run) -> list[tuple[str, str]]:
     """Return the row on the smallest clearance of a run, if it was in a scene."""
-    from pinposture.motion.trajectory import closest
+    from pinposture.motion.run import closest
 
     found = closest(run)
     if found is None or found["pair"] is None:

@@ -106,7 +106,7 @@ def accelerations(arm: pp.Arm, q: np.ndarray, limits: pp.Limits) -> np.ndarray:
     return np.asarray(np.abs(changes / (limits.acceleration * limits.dt**2)).max(axis=1))
 
 
-def check_output(run: pp.Trajectory) -> None:
+def check_output(run: pp.Run) -> None:
     """No step exceeds the limit of acceleration unless it is named; no more does the stop at the end."""
     over = accelerations(run.arm, run.q, run.limits) > 1.0 + ALLOWED
     exceeding = over[:-1]

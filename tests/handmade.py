@@ -9,7 +9,7 @@ from benchmarks.harness import Row
 from benchmarks.reproduce.runs import Descent, Steps
 
 
-def made(arm, q, target=None, active=None, **fields) -> pp.Trajectory:
+def made(arm, q, target=None, active=None, **fields) -> pp.Run:
     """A run through configurations q, towards control points `target` (or the last posture)."""
     q = np.asarray(q, dtype=float)
     steps, m = len(q) - 1, arm.n_modules
@@ -38,7 +38,7 @@ def made(arm, q, target=None, active=None, **fields) -> pp.Trajectory:
         "violated_constraints": np.full(steps, ""),
         "clearance": np.full(steps + 1, np.inf),
     }
-    return pp.Trajectory(**{**known, **fields})
+    return pp.Run(**{**known, **fields})
 
 
 def one(

@@ -226,6 +226,7 @@ SUBJECTS: dict[str, Callable[[], Any]] = {
     "ModuleTemplate": lambda: pp.template("RyRz"),
     "PointFilter": lambda: pp.PointFilter(an_arm(), 0.02, 1e-4),
     "Projection": pp.Projection,
+    "Run": lambda: pp.track(an_arm(), a_target(), np.full(6, 0.1)),
     "Scan": lambda: pp.Scan(examples()["Scan.points"]),
     "Scene": lambda: examples()["scene"],
     "Selection": pp.Selection,
@@ -234,12 +235,11 @@ SUBJECTS: dict[str, Callable[[], Any]] = {
     "Tangents": lambda: pp.Tangents(np.array([(1.0, 0.0, 0.0)] * 3)),
     "Target": a_target,
     "Tracker": lambda: pp.Tracker(an_arm(), limits=examples()["limits"]),
-    "Trajectory": lambda: pp.track(an_arm(), a_target(), np.full(6, 0.1)),
 }
 """Objects whose methods are called."""
 
 RESULTS = (
-    *("Batch", "Trajectory", "Motion", "JointTrajectory", "ReachedPosture", "JointPath", "TimedPath"),
+    *("Batch", "Run", "Trajectory", "JointTrajectory", "ReachedPosture", "JointPath", "TimedPath"),
     *("ArmState", "JointLimits", "Step", "Ellipsoid", "Feasibility", "PostureError", "PostureWarning"),
 )
 """What functions return; users do not make them."""

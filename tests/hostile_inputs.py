@@ -56,14 +56,14 @@ def a_target() -> pp.Target:
 
 
 @cache
-def a_run() -> pp.Trajectory:
+def a_run() -> pp.Run:
     scene = pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)}, margin=0.01)
     limits = pp.Limits(step=None, dt=0.05, velocity=1.0, acceleration=5.0)
     return pp.track(an_arm(), a_target(), np.zeros(6), limits=limits, scene=scene)
 
 
 @cache
-def a_motion() -> pp.Motion:
+def a_motion() -> pp.Trajectory:
     keyframes = [pp.Keyframe(joints=(0.0,) * 6), pp.Keyframe(joints=(0.1,) * 6, duration=0.3)]
     return pp.move_through(an_arm(), keyframes, limits=pp.Limits(step=None, dt=0.05, velocity=1.0))
 
@@ -209,7 +209,7 @@ def load_result(content: Any) -> Any:
         return vars(result), result.sampled(0.02).positions
     if isinstance(result, pp.Batch):
         return result.final_error, str(result), [run.q for run in result]
-    run = result.run if isinstance(result, pp.Motion) else result
+    run = result.run if isinstance(result, pp.Trajectory) else result
     if result.faults:
         return run.q, run.point_errors
     trajectory = result.joint_trajectory()

@@ -88,12 +88,12 @@ def read(path: Path) -> Any:
 
 def say(result: Any) -> dict[str, np.ndarray]:
     """What a result says in numbers: configurations, kinematics there, limits, times."""
-    if isinstance(result, pp.Motion):
+    if isinstance(result, pp.Trajectory):
         told = {"time": result.time, "targets": result.targets, "accelerations": result.accelerations}
         return {**say(result.run), **told}
     if isinstance(result, pp.Batch):
         return {f"{k} {name}": value for k, run in enumerate(result) for name, value in say(run).items()}
-    if isinstance(result, pp.Trajectory):
+    if isinstance(result, pp.Run):
         told = {name: getattr(result, name) for name in ("q", "point_errors", "clearance")}
         told |= {"dt": np.array(result.limits.dt), "target": result.target.points}
         return told | _kinematics(result.arm, result.q[-1])

@@ -67,15 +67,15 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
     assert not (tmp_path / "not").exists()
 
 
-@pytest.mark.parametrize("kind", [pp.Trajectory, pp.Motion, pp.Batch, Simulation])
+@pytest.mark.parametrize("kind", [pp.Run, pp.Trajectory, pp.Batch, Simulation])
 @pytest.mark.parametrize("name", ["x.h5", "x.txt", "x.npz.bak", "x.5"])
 def test_no_ending_but_its_own_is_taken_or_lengthened(kind: type, name: str, tmp_path: Path) -> None:
     arm = pp.Arm.from_template("RyRz", 1)
     goal = pp.Target.from_configuration(arm, [0.1, 0.1])
     run = pp.track(arm, goal, arm.neutral(), "joint", pp.Limits(dt=0.1))
     made = {
-        pp.Trajectory: lambda: run,
-        pp.Motion: lambda: pp.Motion(
+        pp.Run: lambda: run,
+        pp.Trajectory: lambda: pp.Trajectory(
             run, run.points, run.point_errors >= 0.0, 0.1 * np.arange(run.steps + 1.0), 0, 0.1 * run.steps
         ),
         pp.Batch: lambda: pp.track_many(arm, goal, arm.neutral(), "joint"),

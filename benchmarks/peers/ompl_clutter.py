@@ -25,7 +25,7 @@ from benchmarks.studies.clutter import RUN_LIMITS, dense_clearance
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel
 from pinposture.control import plan
-from pinposture.motion.trajectory import path_length_ratio
+from pinposture.motion.run import path_length_ratio
 
 SIMPLIFY, RANGE, RESOLUTION = 2.0, 1.0, 0.05
 """Time to simplify [s], longest edge of the trees, and distance between two states that are checked, as the

@@ -20,7 +20,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import NullFormatter
 
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
+from pinposture.motion import Run
 from pinposture.units import ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.panels import (
@@ -49,7 +49,7 @@ SHOWN_POSTURES = 14
 """Number of intermediate postures shown; the first ones are closer together than the last."""
 
 
-def draw_final_postures(runs: Mapping[str, Trajectory], title: str, width: float | None = None) -> Figure:
+def draw_final_postures(runs: Mapping[str, Run], title: str, width: float | None = None) -> Figure:
     """Draw initial posture, target curve and final postures, as Figures 6.3, 6.5 and 6.7.
 
     A second panel shows only target and final postures, which may be much smaller than the initial one.
@@ -79,7 +79,7 @@ def draw_final_postures(runs: Mapping[str, Trajectory], title: str, width: float
     return _finished(figure, width)
 
 
-def draw_errors(runs: Mapping[str, Trajectory], title: str, width: float | None = None) -> Figure:
+def draw_errors(runs: Mapping[str, Run], title: str, width: float | None = None) -> Figure:
     """Draw control point errors, posture error and number of control points, as Figures 6.4, 6.6 and 6.8.
 
     Each run has its own row; rows share their scales.
@@ -110,9 +110,9 @@ def draw_errors(runs: Mapping[str, Trajectory], title: str, width: float | None 
 
 
 def draw_planar(
-    runs: Mapping[str, Trajectory],
+    runs: Mapping[str, Run],
     title: str,
-    compared: Mapping[str, Trajectory] | None = None,
+    compared: Mapping[str, Run] | None = None,
     width: float | None = None,
 ) -> Figure:
     """Draw all panels for runs of a planar arm, as Figures 6.9 to 6.12.
@@ -205,10 +205,10 @@ def _share_steps(panels: Sequence[Axes]) -> None:
 def _draw_progress(
     figure: Figure,
     place: SubplotSpec,
-    run: Trajectory,
+    run: Run,
     name: str,
     letter: int,
-    compared: Mapping[str, Trajectory],
+    compared: Mapping[str, Run],
     color: str,
 ) -> tuple[Axes, Axes]:
     """Draw posture error above number of points and index; return the axes of both."""
@@ -233,7 +233,7 @@ def _draw_progress(
     return error, points
 
 
-def _draw_way(run: Trajectory, ax: Axes, color: str) -> None:
+def _draw_way(run: Run, ax: Axes, color: str) -> None:
     """Draw the final posture and the target, with some intermediate postures."""
     panel = PosturePanel(run.arm, ax)
     steps = np.unique(np.geomspace(1, max(run.steps, 1), SHOWN_POSTURES).round().astype(np.intp))
@@ -269,7 +269,7 @@ def _finished(figure: Figure, width: float | None) -> Figure:
     return figure
 
 
-def _change(run: Trajectory) -> str:
+def _change(run: Run) -> str:
     return " -> ".join(length_text(run.posture_error[row], run.arm.length) for row in (0, -1))
 
 
@@ -278,7 +278,7 @@ def _head(ax: Axes, text: str, letter: int) -> None:
     ax.set_title(words, fontsize=9, loc="left", color=palette.INK)
 
 
-def _first(runs: Mapping[str, Trajectory]) -> Trajectory:
+def _first(runs: Mapping[str, Run]) -> Run:
     if not runs:
         raise InvalidValue("runs", dict(runs), "at least one run")
     return next(iter(runs.values()))

@@ -40,7 +40,7 @@ from benchmarks.reproduce.runs import (
 from pinposture._validation import require_known, require_positive, require_whole
 from pinposture.control import Controller
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
+from pinposture.motion import Run
 from pinposture.motion.processes import Progress, check_jobs, in_order
 from pinposture.storage import check_writable, write_bytes, write_table, write_text
 
@@ -102,8 +102,8 @@ class FigureRuns(NamedTuple):
     """
 
     about: ThesisFigure
-    runs: Mapping[str, Trajectory]
-    compared: Mapping[str, Trajectory]
+    runs: Mapping[str, Run]
+    compared: Mapping[str, Run]
     seed: int
 
     @property
@@ -236,7 +236,7 @@ def describe_figure(figure: FigureRuns) -> dict[str, Any]:
     }
 
 
-def _described(name: str, run: Trajectory) -> dict[str, Any]:
+def _described(name: str, run: Run) -> dict[str, Any]:
     errors = run.posture_error
     return {
         "controller": name.lower(),

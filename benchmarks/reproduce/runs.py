@@ -22,7 +22,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.control import Controller, Limits, Projection, Selection, Switching
 from pinposture.control.thesis.sections import SectionEdges, best_branch
 from pinposture.kernels.arrays import Screws
-from pinposture.motion import Trajectory, track
+from pinposture.motion import Run, track
 from pinposture.motion.track import Callback
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Descent(NamedTuple):
     points_rose: int
 
 
-def separation(run: Trajectory, twin: Trajectory) -> float:
+def separation(run: Run, twin: Run) -> float:
     """Return the largest distance of a control point between two runs at the same step, per arm length.
 
     A run that has ended stays at its last posture.
@@ -86,12 +86,12 @@ def separation(run: Trajectory, twin: Trajectory) -> float:
     return float(np.linalg.norm(ours - theirs, axis=2).max()) / run.arm.length
 
 
-def states_before_steps(run: Trajectory) -> list[ArmState]:
+def states_before_steps(run: Run) -> list[ArmState]:
     """Return the state of the arm before each step."""
     return [run.arm.at(q) for q in run.q[:-1]]
 
 
-def per_step(run: Trajectory, states: Sequence[ArmState]) -> Steps:
+def per_step(run: Run, states: Sequence[ArmState]) -> Steps:
     """Measure each step of a run, given the states before them."""
     dq = run.displacements
     return Steps(
@@ -102,7 +102,7 @@ def per_step(run: Trajectory, states: Sequence[ArmState]) -> Steps:
     )
 
 
-def asked_steps(run: Trajectory, dq: Array) -> Array:
+def asked_steps(run: Run, dq: Array) -> Array:
     """Return the largest |dq| that each step requested before scaling to the step limit, (steps,) [rad or m].
 
     A step that was not scaled but clipped at position limits counts as clipped; `dq` are the displacements.
@@ -136,7 +136,7 @@ def set_changes(active: NDArray[np.bool_]) -> Array:
     return np.concatenate([np.zeros(len(active) - len(either)), differ / np.maximum(either, 1)])
 
 
-def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
+def descent(run: Run, states: Sequence[ArmState]) -> Descent:
     """Count the steps on which errors rose, and those on which even a short step would have raised them."""
     slack = STEADY * run.arm.length
     rises = np.greater(np.diff(run.point_errors, axis=0), slack / run.arm.n_modules)  # (steps, m)
@@ -173,7 +173,7 @@ def error_slopes(state: ArmState, goals: Array, placed: NDArray[np.bool_], dq: A
 
 
 def deficient_steps(
-    run: Trajectory, states: Sequence[ArmState], dropped: Sequence[tuple[int, ...]]
+    run: Run, states: Sequence[ArmState], dropped: Sequence[tuple[int, ...]]
 ) -> tuple[int, int]:
     """Count the steps whose control set has a posture control matrix of less than full row rank.
 
@@ -337,7 +337,7 @@ def run_one(
     max_steps: int = THESIS_STEPS,
     nudged: bool = False,
     callback: Callback | None = None,
-) -> Trajectory:
+) -> Run:
     """Compute the run of one seed, or its twin; `callback` is as in `track`.
 
     Raises:
@@ -369,11 +369,11 @@ def measure(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS) -> Row:
 
 
 def measured(
-    run: Trajectory,
+    run: Run,
     batch: RunSet,
     seed: int,
     dropped: Sequence[tuple[int, ...]],
-    twin: Trajectory | None = None,
+    twin: Run | None = None,
 ) -> Row:
     """Measure a run; `dropped` are the control points dropped in each step.
 

@@ -145,7 +145,7 @@ reached: mean point error after tracking from a random start by joint interpolat
 steps: steps of that run.
 switching, switching_steps: the same after at most 300 steps of Switching from the same start.
 geodesic, geodesic_steps: the same after at most 300 steps of Geodesic, the default.
-qp_status: how the Geodesic run ended, as `Trajectory.status`.
+qp_status: how the Geodesic run ended, as `Run.status`.
 path_length_ratio: its path length of all control points relative to straight lines.
 qp_within_limits: whether all its configurations were within the joint limits.
 within_limits: whether all configurations of all three runs were.

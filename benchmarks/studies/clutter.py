@@ -25,8 +25,8 @@ from pinposture.cli.inputs import MOST_RUNS, MOTION
 from pinposture.cli.output import examples, print_note
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, plan
-from pinposture.motion import Trajectory, track
-from pinposture.motion.trajectory import path_length_ratio
+from pinposture.motion import Run, track
+from pinposture.motion.run import path_length_ratio
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,7 +104,7 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
     )
 
 
-def run_problem(problem: Problem, controller: str | Controller = "geodesic") -> Trajectory:
+def run_problem(problem: Problem, controller: str | Controller = "geodesic") -> Run:
     """Run a problem within velocity and acceleration limits."""
     arm, start, target, scene = problem
     return track(arm, target, start, controller, RUN_LIMITS, scene=scene, max_steps=MAX_RUN_STEPS)
@@ -210,7 +210,7 @@ def run(
         print_note(f"wrote {save_html(arm, motion, (folder or Path()) / f'{name}.html')}")
 
 
-def draw_clutter(runs: Mapping[str, Trajectory]) -> Figure:
+def draw_clutter(runs: Mapping[str, Run]) -> Figure:
     """Draw a run for each kind of clutter: start, goal and postures between them."""
     from matplotlib.figure import Figure
 

@@ -74,7 +74,7 @@ ARMS: dict[str, Callable[[], pp.Arm]] = {
 }
 
 
-def keeps_all_limits(arm: pp.Arm, run: pp.Trajectory) -> bool:
+def keeps_all_limits(arm: pp.Arm, run: pp.Run) -> bool:
     """Whether all joints of the description are within their own limits, whatever moves them."""
     if not arm.couplings:
         return all(arm.within_limits(q) for q in run.q)

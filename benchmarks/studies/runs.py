@@ -14,7 +14,7 @@ from benchmarks.harness import Case, Problem, Row, Study
 from pinposture.arm import Arm
 from pinposture.control import Controller, Limits
 from pinposture.errors import PostureError
-from pinposture.motion import Trajectory, track
+from pinposture.motion import Run, track
 from pinposture.motion.processes import Progress
 
 STEP = 0.1
@@ -60,9 +60,7 @@ def measure_controller(problem: Problem, controller: Controller) -> Row:
     return measure_run(run, controller.name, perf_counter() - began)
 
 
-def drive(
-    problem: Problem, controller: str | Controller = "geodesic", tolerance: float = TOLERANCE
-) -> Trajectory:
+def drive(problem: Problem, controller: str | Controller = "geodesic", tolerance: float = TOLERANCE) -> Run:
     """Run a controller: |dq| <= `STEP`, at most `MAX_STEPS` steps.
 
     It has converged when the mean point error is within the tolerance, relative to the arm length.
@@ -80,12 +78,12 @@ def drive(
     )
 
 
-def measure_run(run: Trajectory, controller: str, seconds: float = 0.0) -> Row:
+def measure_run(run: Run, controller: str, seconds: float = 0.0) -> Row:
     """Measure a run by a controller, given its wall time [s].
 
     Returns:
         controller: name of the controller.
-        status: how the run ended, as `Trajectory.status`.
+        status: how the run ended, as `Run.status`.
         reason: explanation of the status on one line.
         steps: number of steps.
         error: mean point error at the end, relative to the arm length.
@@ -120,7 +118,7 @@ def measure_run(run: Trajectory, controller: str, seconds: float = 0.0) -> Row:
     )
 
 
-def final_error(run: Trajectory) -> float:
+def final_error(run: Run) -> float:
     """Return the mean point error at the end of a run, relative to the arm length."""
     return float(run.mean_error[-1]) / run.arm.length
 
@@ -130,7 +128,7 @@ def one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _violation(run: Trajectory) -> float:
+def _violation(run: Run) -> float:
     """Return the largest violation of position limits of joints on the chain, in `Arm.joint_units`."""
     arm = run.arm
     own, positions = arm.columns, np.array([arm.positions(q) for q in run.q])
@@ -200,7 +198,7 @@ def _outcome_of(max_steps: int, problem: Problem, controller: Controller) -> Row
     return outcome(run, controller.name)
 
 
-def outcome(run: Trajectory, controller: str) -> Row:
+def outcome(run: Run, controller: str) -> Row:
     """Summarise a run.
 
     Returns:
@@ -210,7 +208,7 @@ def outcome(run: Trajectory, controller: str) -> Row:
         ratio: the latter relative to the former; 0 if that was zero.
         mean_share: mean point error at the end, relative to the arm length.
         steps: number of steps.
-        status: how the run ended, as `Trajectory.status`.
+        status: how the run ended, as `Run.status`.
         first_points: active control points at the first step; 0 if there was none.
         last_points: active control points at the last step; 0 if there was none.
         rising: share of steps on which the posture error rose.

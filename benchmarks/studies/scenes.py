@@ -30,7 +30,7 @@ from pinposture.cli.inputs import MOST_RUNS, MOTION
 from pinposture.cli.output import examples
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic
-from pinposture.motion import Trajectory
+from pinposture.motion import Run
 from pinposture.placement import Target
 
 SAMPLES_OF_A_STEP = 10
@@ -82,7 +82,7 @@ def _measure(drawn: Drawn, controller: Controller) -> Row:
     return measure_scene_run(run, situation, refused, perf_counter() - began)
 
 
-def measure_scene_run(run: Trajectory, situation: Situation, refused: int = 0, seconds: float = 0.0) -> Row:
+def measure_scene_run(run: Run, situation: Situation, refused: int = 0, seconds: float = 0.0) -> Row:
     """Measure a run, given the number of rejected draws and the wall time [s].
 
     Distances are computed again, independently of the run.
@@ -90,7 +90,7 @@ def measure_scene_run(run: Trajectory, situation: Situation, refused: int = 0, s
     Returns:
         refused: number of starts and targets rejected as not clear enough.
         reachable: whether the target configuration keeps the margin.
-        status: how the run ended, as `Trajectory.status`.
+        status: how the run ended, as `Run.status`.
         reason: explanation of the status on one line.
         blamed: obstacles, or bodies of the arm, named in the reason, separated by commas.
         steps: number of steps.

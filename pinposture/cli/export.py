@@ -19,7 +19,7 @@ from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
-    from pinposture.motion import Motion, Trajectory
+    from pinposture.motion import Run, Trajectory
     from pinposture.motion.joint_trajectory import JointTrajectory
 
 GOAL = "follow-joint-trajectory"
@@ -75,7 +75,7 @@ def run(
     A motion that did not converge, exceeds its limits, or penetrates something is rejected unless --force is
     given. The summary lists the largest velocity and acceleration, from rest to rest.
     """
-    from pinposture.motion import Motion
+    from pinposture.motion import Trajectory
     from pinposture.storage import check_writable
 
     check_form(output, form)
@@ -90,7 +90,7 @@ def run(
     if coupled:
         trajectory = trajectory.with_coupled(kept.arm)
     _write(trajectory, output, form, kept.arm)
-    limits = (kept.run if isinstance(kept, Motion) else kept).limits
+    limits = (kept.run if isinstance(kept, Trajectory) else kept).limits
     if limits.acceleration is None:
         most = _in_words(trajectory)["acceleration"]
         print_warning(
@@ -127,12 +127,12 @@ def _write(trajectory: JointTrajectory, output: Path, form: str, arm: Arm) -> No
         save(trajectory, output)
 
 
-def _joint_trajectory(moved: Trajectory | Motion, dt: float | None, force: bool) -> JointTrajectory:
+def _joint_trajectory(moved: Run | Trajectory, dt: float | None, force: bool) -> JointTrajectory:
     """Return the joint trajectory of a saved motion, which has its own time, or of a saved run."""
-    from pinposture.motion import Motion
+    from pinposture.motion import Trajectory
     from pinposture.motion.joint_trajectory import step_duration
 
-    if isinstance(moved, Motion):
+    if isinstance(moved, Trajectory):
         step_duration(dt, moved.dt)  # rejects another duration
         return moved.joint_trajectory(force)
     return moved.joint_trajectory(dt, force)

@@ -21,7 +21,7 @@ from pinposture.units import length_text
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from pinposture.motion import Motion, Trajectory
+    from pinposture.motion import Run, Trajectory
     from pinposture.motion.track import Callback
     from pinposture.placement import Target
 
@@ -287,7 +287,7 @@ def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> s
     """Describe the smallest distance.
 
     Args:
-        clearance: the result of `pinposture.motion.trajectory.closest`.
+        clearance: the result of `pinposture.motion.run.closest`.
         dt: duration of a step [s]; None: count steps.
     """
     if clearance["pair"] is None:
@@ -345,7 +345,7 @@ FOR_ROBOTS = ("csv", "json")
 """The formats that are intended for robots."""
 
 
-def run_files(motion: Trajectory, directory: Path) -> list[File]:
+def run_files(motion: Run, directory: Path) -> list[File]:
     """Return the files of a run in a directory."""
     from pinposture.motion import save
 
@@ -356,7 +356,7 @@ def run_files(motion: Trajectory, directory: Path) -> list[File]:
     ]
 
 
-def motion_files(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> list[File]:
+def motion_files(motion: Trajectory, directory: Path, formats: Sequence[str] = FORMATS) -> list[File]:
     """Return the files of a motion in time in a directory, in some of `FORMATS`.
 
     If the motion has faults, formats for robots are omitted, with a note on stderr.
@@ -432,21 +432,21 @@ def modification_time(path: Path) -> int:
 
 def _is_kept(path: Path) -> bool:
     """Return whether a file contains a run or motion; exported joint trajectories do not count."""
-    from pinposture.motion import Motion, Trajectory
+    from pinposture.motion import Run, Trajectory
     from pinposture.motion.files import kind_of
 
-    return kind_of(path) in (Trajectory, Motion)
+    return kind_of(path) in (Run, Trajectory)
 
 
-def load_kept(path: Path) -> Trajectory | Motion:
+def load_kept(path: Path) -> Run | Trajectory:
     """Read a run or motion; raise FileError if the file is missing or contains neither."""
-    from pinposture.motion import Motion, Trajectory, load
+    from pinposture.motion import Run, Trajectory, load
     from pinposture.motion.files import kind_of
 
-    return load(path, Motion) if kind_of(path) is Motion else load(path, Trajectory)
+    return load(path, Trajectory) if kind_of(path) is Trajectory else load(path, Run)
 
 
-def write_plot(motion: Trajectory | Motion, path: Path) -> None:
+def write_plot(motion: Run | Trajectory, path: Path) -> None:
     """Write the plot of a run or motion as PNG, regardless of the file name."""
     from pinposture.storage import write_figure
     from pinposture.viz import plot
@@ -454,7 +454,7 @@ def write_plot(motion: Trajectory | Motion, path: Path) -> None:
     write_figure(path, plot(motion))
 
 
-def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> None:
+def write_animation(motion: Run | Trajectory, path: Path, ellipsoids: Sequence[int] = ()) -> None:
     """Write the animation of a run or motion, with ellipsoids of control points, as one HTML file."""
     from pinposture.viz import save_html
 

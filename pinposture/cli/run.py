@@ -39,7 +39,7 @@ from pinposture.storage import write_text
 from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
-    from pinposture.motion import Motion
+    from pinposture.motion import Trajectory
     from pinposture.task import Reference, Task
 
 _RESULT = re.compile(r"motion\.[a-z]+")
@@ -249,13 +249,13 @@ def _kept_in(folder: Folder) -> Iterator[None]:
         raise
 
 
-def summarize_motion(motion: Motion) -> dict[str, Any]:
+def summarize_motion(motion: Trajectory) -> dict[str, Any]:
     """Summarize a motion as JSON-compatible data; lengths in metres, times in seconds.
 
     Errors are those along the plan, from its start to its end. The posture error, and the final error, is the
     sum of the distances of the control points from their targets, the mean error is their mean.
     """
-    from pinposture.motion.trajectory import closest, ending, largest_shares
+    from pinposture.motion.run import closest, ending, largest_shares
 
     run = motion.run
     begun = motion.start_index

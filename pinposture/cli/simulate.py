@@ -34,7 +34,7 @@ from pinposture.units import error_text, length_text
 if TYPE_CHECKING:
     from pinposture.arm import Arm
     from pinposture.collision import Scene
-    from pinposture.motion import JointTrajectory, Motion, Trajectory
+    from pinposture.motion import JointTrajectory, Run, Trajectory
     from pinposture.sim import Servos, Simulation
 
 SIMULATION = "simulation.npz"
@@ -135,7 +135,7 @@ def simulation_files(simulation: Simulation, directory: Path) -> list[File]:
 
 def _read(
     path: Path, urdf: str | None, arm_options: ArmOptions
-) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
+) -> tuple[Arm, Run | Trajectory | JointTrajectory]:
     """Read the arm and its motion."""
     from pinposture.motion import JointTrajectory, load
     from pinposture.motion.files import kind_of
@@ -157,7 +157,7 @@ def _read(
 
 def _simulate_closed(
     arm: Arm,
-    motion: Trajectory | Motion | JointTrajectory,
+    motion: Run | Trajectory | JointTrajectory,
     servos: Servos,
     gravity: bool,
     dt: float | None,
@@ -168,18 +168,18 @@ def _simulate_closed(
 ) -> Simulation:
     """Simulate a motion as in `simulate`, but driven by the streaming controller."""
     from pinposture.control import Limits
-    from pinposture.motion import Motion, Tracker, Trajectory
+    from pinposture.motion import Run, Tracker, Trajectory
     from pinposture.sim import set_points, simulate_closed
 
     asked = set_points(arm, motion, dt)
-    kept = motion.run if isinstance(motion, Motion) else motion
+    kept = motion.run if isinstance(motion, Trajectory) else motion
     # A run has one target; a motion in time has one for each moment.
-    targets = motion.target if isinstance(motion, Trajectory) else asked.targets(arm)
+    targets = motion.target if isinstance(motion, Run) else asked.targets(arm)
     limits = Limits(dt=asked.dt)
-    if isinstance(kept, Trajectory):
+    if isinstance(kept, Run):
         limits = replace(kept.limits, dt=asked.dt)
         scene = kept.scene if scene is None else scene
-    if isinstance(motion, Motion):  # it keeps its limits: following it does not require early braking
+    if isinstance(motion, Trajectory):  # it keeps its limits: following it does not require early braking
         limits = replace(limits, acceleration=None, jerk=None)
     duration = asked.dt * (len(asked.positions) - 1) + hold
     start = arm.configuration(asked.positions[0])

@@ -47,7 +47,7 @@ from pinposture.units import error_text, length_text
 if TYPE_CHECKING:
     from pinposture.arm import ArmState
     from pinposture.control import EndEffector
-    from pinposture.motion import Trajectory
+    from pinposture.motion import Run
 
 
 @examples(
@@ -228,7 +228,7 @@ def _placement(values: list[float]) -> Any:
     return pin.SE3(pin.rpy.rpyToMatrix(*values[3:]), np.array(values[:3]))
 
 
-def tip_off(task: EndEffector, motion: Trajectory) -> dict[str, float | None]:
+def tip_off(task: EndEffector, motion: Run) -> dict[str, float | None]:
     """Return the error of the tip task at the end of a run.
 
     Returns:
@@ -249,14 +249,14 @@ WORDY = 200
 """Maximum number of printed characters of a violated constraint."""
 
 
-def summarize(motion: Trajectory) -> dict[str, Any]:
+def summarize(motion: Run) -> dict[str, Any]:
     """Summarize a run as JSON-compatible data; lengths in metres.
 
     The start, final and lowest errors are sums over the control points.
     """
     import numpy as np
 
-    from pinposture.motion.trajectory import closest, ending, largest_shares
+    from pinposture.motion.run import closest, ending, largest_shares
 
     target = motion.target
     errors = motion.posture_error

@@ -17,7 +17,7 @@ from pinposture.errors import InvalidValue
 from pinposture.storage import require_suffix
 
 if TYPE_CHECKING:
-    from pinposture.motion import Motion, Trajectory
+    from pinposture.motion import Run, Trajectory
 
 
 @examples(
@@ -78,7 +78,7 @@ def run(
 
 
 def show(
-    motion: Trajectory | Motion,
+    motion: Run | Trajectory,
     open_browser: bool,
     announce: Callable[[str], object],
     ellipsoids: Sequence[int] = (),

@@ -16,7 +16,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scan, Scene
 from pinposture.editor.solver import VerdictCache
 from pinposture.errors import PostureError
-from pinposture.motion.trajectory import CONTACT_TOLERANCE
+from pinposture.motion.run import CONTACT_TOLERANCE
 from pinposture.task import Keyframe
 
 Array = NDArray[np.float64]

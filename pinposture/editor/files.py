@@ -27,7 +27,7 @@ from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
 from pinposture.errors import FileError, PostureError
-from pinposture.motion import Motion, save
+from pinposture.motion import Trajectory, save
 from pinposture.placement.target import arm_axis
 from pinposture.storage import settled
 from pinposture.task import Keyframe, Task
@@ -356,7 +356,7 @@ class ExportKind(NamedTuple):
 
     suffix: str  # of the file name
     noun: str  # what the file is, in words
-    write: Callable[[Motion, Path], object]  # writes a motion to a path
+    write: Callable[[Trajectory, Path], object]  # writes a motion to a path
 
 
 class Export(NamedTuple):
@@ -367,7 +367,7 @@ class Export(NamedTuple):
     summary: str  # what it is and how long the motion is, in words
 
 
-def export(motion: Motion, kind: str, stem: str) -> Export:
+def export(motion: Trajectory, kind: str, stem: str) -> Export:
     """Export a motion, as `pinposture run` and `pinposture export` do.
 
     Args:
@@ -397,11 +397,11 @@ def export(motion: Motion, kind: str, stem: str) -> Export:
     )
 
 
-def _write_joints(motion: Motion, path: Path) -> None:
+def _write_joints(motion: Trajectory, path: Path) -> None:
     save(motion.joint_trajectory(), path)
 
 
-def _write_picture(motion: Motion, path: Path) -> None:
+def _write_picture(motion: Trajectory, path: Path) -> None:
     from pinposture.viz import plot  # slow to import
 
     picture = io.BytesIO()
@@ -409,7 +409,7 @@ def _write_picture(motion: Motion, path: Path) -> None:
     path.write_bytes(picture.getvalue())
 
 
-def _write_animation(motion: Motion, path: Path) -> None:
+def _write_animation(motion: Trajectory, path: Path) -> None:
     from pinposture.viz import save_html
 
     save_html(motion.arm, motion, path)

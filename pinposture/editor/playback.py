@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pinposture.arm import ArmState
 from pinposture.editor.solver import Live, at_limit, errors_of
 from pinposture.errors import InvalidValue, PostureError
-from pinposture.motion import Motion
+from pinposture.motion import Trajectory
 from pinposture.placement import Target
 from pinposture.task import Task
 
@@ -32,7 +32,7 @@ class Rehearsed(NamedTuple):
     """The motion of a task."""
 
     task: Task
-    motion: Motion | None  # its motion; None if there is none
+    motion: Trajectory | None  # its motion; None if there is none
     reason: str = ""  # why there is none; empty if there is one
 
 
@@ -161,7 +161,7 @@ class Playback:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.rehearsal = Rehearsal()
-        self.motion: Motion | None = None
+        self.motion: Trajectory | None = None
         self.playing = False
         self.waiting = False
         self.loop = False
@@ -346,7 +346,7 @@ class Playback:
         self._since = self._clock()
 
 
-def moment_of(motion: Motion, at: float) -> Moment:
+def moment_of(motion: Trajectory, at: float) -> Moment:
     """Return a motion at any time; between two cycles, joints move at constant speed.
 
     Args:
@@ -367,7 +367,7 @@ def moment_of(motion: Motion, at: float) -> Moment:
     return Moment(state, Target(state.points + off, motion.target_mask[row].astype(np.float64)), row)
 
 
-def _report(motion: Motion | None, reason: str) -> tuple[str, str]:
+def _report(motion: Trajectory | None, reason: str) -> tuple[str, str]:
     """Return the message on a motion, and its kind."""
     if motion is None:
         return f"no motion: {reason}", "error"

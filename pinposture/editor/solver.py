@@ -30,7 +30,7 @@ from pinposture.errors import (
 )
 from pinposture.motion import Tracker
 from pinposture.motion.deadline import NOT_DONE
-from pinposture.motion.trajectory import CONTACT_TOLERANCE
+from pinposture.motion.run import CONTACT_TOLERANCE
 from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.keyframe import resolve_keyframe

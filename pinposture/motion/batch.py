@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import CONTACT_TOLERANCE, RAISE_STEPS, Trajectory
+from pinposture.motion.run import CONTACT_TOLERANCE, RAISE_STEPS, Run
 from pinposture.placement import Target
 from pinposture.units import error_text, length_text
 
@@ -39,7 +39,7 @@ class Motions:
 
     Attributes:
         offsets: first configuration of each run, and the total number, (count + 1,).
-        q, clearance: as in `Trajectory`, a row for each configuration.
+        q, clearance: as in `Run`, a row for each configuration.
         active, index, sigma_min, sigma_max, rows, scale, clipped, error_increasing: likewise, a row per step.
         method, switched, violated_constraints: likewise, (all steps,), as indices of `texts`.
         texts: the distinct texts.
@@ -65,7 +65,7 @@ class Motions:
         make_read_only(*vars(self).values())
 
     def arrays_of(self, number: int, arm: Arm, target: Target) -> dict[str, NDArray[Any]]:
-        """Return the arrays of the `Trajectory` of a run, given its index, 0-based, arm and target."""
+        """Return the arrays of the `Run` of a run, given its index, 0-based, arm and target."""
         whole = slice(int(self.offsets[number]), int(self.offsets[number + 1]))
         steps = slice(whole.start - number, whole.stop - number - 1)
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name)[whole] for name in CONFIGURATION_ARRAYS}
@@ -77,7 +77,7 @@ class Motions:
         return arrays
 
 
-def run_arrays(run: Trajectory) -> dict[str, NDArray[Any]]:
+def run_arrays(run: Run) -> dict[str, NDArray[Any]]:
     """Return the arrays of a run that `concatenate_runs` takes."""
     return {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS + TEXT_ARRAYS}
 
@@ -107,7 +107,7 @@ FAILED = "failed"
 class Batch:
     """Many runs of one arm, in the order of their starts and targets.
 
-    `batch[i]` is run i as a `Trajectory`, 0-based, if the motions were kept; `len(batch)` is the number of
+    `batch[i]` is run i as a `Run`, 0-based, if the motions were kept; `len(batch)` is the number of
     runs, count below.
 
     A run that an error ends, for instance because the controller does not support its target, has the status
@@ -121,7 +121,7 @@ class Batch:
         scene: the obstacles; None: none.
         max_steps: largest number of steps after which a run stopped.
         tolerance: mean point error at which a run converged [m].
-        status: as `Trajectory.status`, or "failed", (count,).
+        status: as `Run.status`, or "failed", (count,).
         reason: why each run ended, (count,).
         steps: number of steps, (count,).
         start_error: posture error at the start, (count,) [m].
@@ -163,14 +163,14 @@ class Batch:
     def __len__(self) -> int:
         return len(self.status)
 
-    def __getitem__(self, number: int) -> Trajectory:
+    def __getitem__(self, number: int) -> Run:
         number = self._checked_number(number)
         if self.motions is None:
             allowed = '"motions" in track_many; the ends alone are in q_start and q_final'
             raise InvalidValue("keep", "ends", allowed)
         target = self.target(number)
         arrays = self.motions.arrays_of(number, self.arm, target)
-        return Trajectory(
+        return Run(
             arm=self.arm,
             target=target,
             controller=self.controller,
@@ -181,7 +181,7 @@ class Batch:
             **arrays,
         )
 
-    def __iter__(self) -> Iterator[Trajectory]:
+    def __iter__(self) -> Iterator[Run]:
         return (self[number] for number in range(len(self)))
 
     def _checked_number(self, number: int) -> int:

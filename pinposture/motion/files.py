@@ -29,7 +29,8 @@ from pinposture.motion.joint_files import (
     write_table,
 )
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.trajectory import ENDINGS, Motion, Trajectory, Waypoint
+from pinposture.motion.run import ENDINGS, Run
+from pinposture.motion.trajectory import Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.placement.target import Moved
 from pinposture.storage import with_suffix, write_bytes
@@ -87,7 +88,7 @@ def register(form: Format) -> None:
 def save(result: Any, path: str | Path) -> Path:
     """Write a result to a file atomically.
 
-    A `Trajectory`, `Motion`, `Batch` or `Simulation` is written as a `.npz` archive that includes the arm,
+    A `Run`, `Trajectory`, `Batch` or `Simulation` is written as a `.npz` archive that includes the arm,
     the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless; ".csv"
     omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`, with times in
     whole nanoseconds, as are ".yaml" and ".yml", with the same text.
@@ -136,7 +137,7 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
 
     Args:
         path: the file.
-        kind: the expected class: `Trajectory`, `Motion`, `Batch`, `Simulation` or `JointTrajectory`; any if
+        kind: the expected class: `Run`, `Trajectory`, `Batch`, `Simulation` or `JointTrajectory`; any if
             None.
 
     Raises:
@@ -291,7 +292,7 @@ def _check_postures(arm: Arm, arrays: Mapping[str, NDArray[Any]]) -> None:
 _RUN_ARRAYS = (*CONFIGURATION_ARRAYS, "points", "point_errors", *STEP_ARRAYS, *TEXT_ARRAYS)
 
 
-def _pack_run(run: Trajectory) -> tuple[About, Arrays]:
+def _pack_run(run: Run) -> tuple[About, Arrays]:
     about, arrays = _pack_limits(run.limits)
     arrays |= {name: getattr(run, name) for name in _RUN_ARRAYS}
     for name in _TARGET_ARRAYS:
@@ -313,7 +314,7 @@ def _pack_run(run: Trajectory) -> tuple[About, Arrays]:
     return about, arrays
 
 
-def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
+def _unpack_run(about: About, arrays: Arrays) -> Run:
     target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
     arm = Arm.from_dict(about["arm"])
     steps = len(arrays["active"])
@@ -330,7 +331,7 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
     check_arrays(arrays, {"target_points": (m, 3), "target_weights": (m,)})
     _check_postures(arm, arrays)
     require_known("status", about["status"], ENDINGS)
-    return Trajectory(
+    return Run(
         arm=arm,
         target=Target(
             **target,
@@ -354,7 +355,7 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
 _TIMED_ARRAYS = ("targets", "target_mask", "plan_time")
 
 
-def _pack_motion(motion: Motion) -> tuple[About, Arrays]:
+def _pack_motion(motion: Trajectory) -> tuple[About, Arrays]:
     about, arrays = _pack_run(motion.run)
     about["motion"] = {
         "start_index": motion.start_index,
@@ -365,7 +366,7 @@ def _pack_motion(motion: Motion) -> tuple[About, Arrays]:
     return about, arrays | {f"motion_{name}": getattr(motion, name) for name in _TIMED_ARRAYS}
 
 
-def _unpack_motion(about: About, arrays: Arrays) -> Motion:
+def _unpack_motion(about: About, arrays: Arrays) -> Trajectory:
     run = _unpack_run(about, arrays)
     timed = about["motion"]
     if run.limits.dt is None:
@@ -375,7 +376,7 @@ def _unpack_motion(about: About, arrays: Arrays) -> Motion:
     check_arrays(
         arrays, {"motion_targets": (rows, m, 3), "motion_target_mask": (rows, m), "motion_plan_time": (rows,)}
     )
-    return Motion(
+    return Trajectory(
         run=run,
         **{name: arrays[f"motion_{name}"] for name in _TIMED_ARRAYS},
         start_index=timed["start_index"],
@@ -552,11 +553,11 @@ _NO_RUN = {
     "pinposture-motion": "contains a motion in time; its run is pp.load(file).run",
 }
 _NO_MOTION = {
-    "pinposture-run": "contains a run without times; pp.load(file) returns it as a Trajectory",
+    "pinposture-run": "contains a run without times; pp.load(file) returns it as a Run",
     "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
 }
 _JOINTS = "pinposture-joint-trajectory"
-register(Format("pinposture-run", 5, Trajectory, "run", _pack_run, _unpack_run, _NO_RUN))
-register(Format("pinposture-motion", 3, Motion, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
+register(Format("pinposture-run", 5, Run, "run", _pack_run, _unpack_run, _NO_RUN))
+register(Format("pinposture-motion", 3, Trajectory, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
 register(Format("pinposture-batch", 4, Batch, "batch", _pack_batch, _unpack_batch, {}))
 register(Format(_JOINTS, 1, JointTrajectory, "joint trajectory", _pack_joints, _unpack_joints, {}))

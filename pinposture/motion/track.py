@@ -19,11 +19,7 @@ from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import JerkFilter, require_limits
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.motion.trajectory import (
-    ENDINGS,
-    RAISE_STEPS,
-    Trajectory,
-)
+from pinposture.motion.run import ENDINGS, RAISE_STEPS, Run
 from pinposture.placement import Target
 from pinposture.units import length_text
 
@@ -125,16 +121,14 @@ class RunRecord:
             self._idle = 0.0
         return self._idle
 
-    def trajectory(
-        self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
-    ) -> Trajectory:
+    def run(self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str) -> Run:
         """Return the run so far, with messages on steps that exceed limits."""
         steps = self._steps
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
             row[list(step.active)] = True
         notes = [step.diagnostics for step in steps]
-        run = Trajectory(
+        run = Run(
             arm=arm,
             target=self._target,
             controller=repr(controller),
@@ -401,7 +395,7 @@ def track(
     max_steps: int | None = None,
     tolerance: float | None = None,
     callback: Callback | None = None,
-) -> Trajectory:
+) -> Run:
     """Drive the arm from a configuration to a target posture.
 
     Args:
@@ -460,7 +454,7 @@ def track(
     if status == "max_steps":
         reason += f"; {RAISE_STEPS} {CONTINUE}"
     logger.info("%s: %s after %d steps: %s", controller.name, status, loop.record.steps, reason)
-    return loop.record.trajectory(arm, controller, limits, status, reason)
+    return loop.record.run(arm, controller, limits, status, reason)
 
 
 NO_CONFIGURATION = "the target has no configuration: fit_points finds one, and Switching can then use it"
@@ -472,9 +466,7 @@ MOST_UNSEEN_STEPS = 20_000
 """Most steps with which a run that is out of steps is made again to find how many it needs: seconds."""
 
 
-def name_enough_steps(
-    run: Trajectory, controller: Controller, again: Callable[[int], Trajectory]
-) -> Trajectory:
+def name_enough_steps(run: Run, controller: Controller, again: Callable[[int], Run]) -> Run:
     """Name a number of steps that is enough, in the reason of a run that is out of steps.
 
     The run is made again with more of them, for people who wait for one result. It is not worth while for a

@@ -25,8 +25,8 @@ from pinposture.errors import (
     warn_caller,
 )
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
+from pinposture.motion.run import Run, smallest_distance
 from pinposture.motion.track import RunRecord, in_scene, name_enough_steps, track, usual_max_steps
-from pinposture.motion.trajectory import Trajectory, smallest_distance
 from pinposture.placement import Target
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def _lost_run(
     return _recorded(setting, _failed_run(setting, target, start, error))
 
 
-def _recorded(setting: _Setting, run: Trajectory) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _recorded(setting: _Setting, run: Run) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the entries of a run in the columns of `Batch` and, if motions are kept, its arrays."""
     closest = smallest_distance(run)
     ends = {
@@ -255,8 +255,8 @@ def _recorded(setting: _Setting, run: Trajectory) -> tuple[dict[str, Any], dict[
     return ends, run_arrays(run) if setting.keep == "motions" else {}
 
 
-def _failed_run(setting: _Setting, target: Target, start: Array, error: PostureError) -> Trajectory:
+def _failed_run(setting: _Setting, target: Target, start: Array, error: PostureError) -> Run:
     """Return a run without steps that an error ended."""
     reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
     record = RunRecord(target, setting.arm.at(start), setting.scene)
-    return record.trajectory(setting.arm, setting.controller, setting.limits, FAILED, reason)
+    return record.run(setting.arm, setting.controller, setting.limits, FAILED, reason)

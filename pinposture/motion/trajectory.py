@@ -1,40 +1,24 @@
-"""Results of runs and of motions in time: configurations, status, and faults such as exceeded limits."""
+"""Trajectories: motions in time towards moving targets, and how they passed their waypoints."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture._validation import make_read_only
 from pinposture.arm import Arm
-from pinposture.collision import Closest, CollisionModel, Scene
-from pinposture.collision.model import Pair, arm_alone
-from pinposture.control import Limits
-from pinposture.control.controller import CONSTRAINTS
+from pinposture.collision import CollisionModel
 from pinposture.control.limits import cycle_of
-from pinposture.errors import MotionError
-from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
-from pinposture.placement import Target
-from pinposture.placement.target import Moved, distance_from_curve
-from pinposture.units import length_text
-
-# Velocities and accelerations relative to limits, computed from the configurations of a motion.
+from pinposture.motion.joint_trajectory import JointTrajectory
+from pinposture.motion.run import Run, joint_shares, require_no_faults
+from pinposture.placement.target import Moved
 
 Array = NDArray[np.float64]
-
-LIMIT_TOLERANCE = 1e-9
-"""Relative excess over a limit that is attributed to rounding."""
-
-POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-"""Relative rounding error of a difference of joint positions."""
 
 NO_SLOWDOWN = 5e-3
 """Relative excess over the planned time that is attributed to whole cycles."""
@@ -43,462 +27,6 @@ OFF_THE_PATH = "an obstacle keeps the arm off the planned path"
 
 HOLDING_SHARE = 0.85
 """Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
-
-
-class LimitViolation(NamedTuple):
-    """Violations of velocity, acceleration and jerk limits in a motion.
-
-    Attributes:
-        steps: the violating steps, 0-based. The stop at the end belongs to the last step.
-        words: message on the limit that is exceeded most in each of them.
-        worst: the step with the largest ratio of a value to its limit.
-        ratio: that ratio.
-        text: summary of the violations.
-    """
-
-    steps: tuple[int, ...]
-    words: tuple[str, ...]
-    worst: int
-    ratio: float
-    text: str
-
-
-def limit_shares(run: Trajectory) -> tuple[Array | None, Array | None]:
-    """Return the largest velocities, (steps,), and accelerations, (steps + 1,), relative to their limits.
-
-    The arm is at rest before and after. None if no joint has a limit.
-    """
-    speeds, accelerations, _ = _joint_shares(run)
-    bounds = run.limits.for_arm(run.arm)
-    limited = bool(np.any(np.isfinite(bounds.bound)))
-    largest = None if bounds.acceleration is None else accelerations.max(axis=1)
-    return speeds.max(axis=1) if limited else None, largest
-
-
-def largest_shares(run: Trajectory) -> dict[str, float | None]:
-    """Return the largest speed, acceleration and jerk relative to their limits; None without a limit."""
-    bounds = run.limits.for_arm(run.arm)
-    limits = {"speed": bounds.bound, "acceleration": bounds.acceleration, "jerk": bounds.jerk}
-    return {
-        kind: None if limit is None or np.all(np.isinf(limit)) else float(shares.max(initial=0.0))
-        for (kind, limit), shares in zip(limits.items(), _joint_shares(run), strict=True)
-    }
-
-
-def find_limit_violation(run: Trajectory) -> LimitViolation | None:
-    """Return the violations of velocity, acceleration and jerk limits in a run, from and to rest."""
-    if not run.steps:
-        return None
-    bounds = run.limits.for_arm(run.arm)
-    kinds = ("velocity", "acceleration", "jerk")
-    shares = _joint_shares(run)
-    for each in shares[1:]:
-        each[run.steps - 1] = each[run.steps - 1 :].max(axis=0)
-    rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
-    largest = (bounds.bound, bounds.acceleration, bounds.jerk)
-    over = np.stack(
-        [
-            each[: run.steps] - (0.0 if most is None else 2.0**order * rounding / most)
-            for order, (each, most) in enumerate(zip(shares, largest, strict=True))
-        ]
-    )
-    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + LIMIT_TOLERANCE)
-    if not len(steps):
-        return None
-    words = []
-    ratios = []
-    for step in steps:
-        kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
-        ratios.append(float(shares[kind][step, joint]))
-        name = run.arm.joint_names[joint]
-        words.append(f"{kinds[kind]} limit: joint {name!r} exceeds it by a factor of {ratios[-1]:.4g}")
-    most = int(np.argmax(ratios))
-    number = len(steps)
-    worst = int(steps[most])
-    count = f"{number} step" + ("s" if number > 1 else "")
-    text = f"limits are exceeded in {count}, most in step {worst + 1} (of {run.steps}): {words[most]}"
-    return LimitViolation(tuple(int(step) for step in steps), tuple(words), worst, ratios[most], text)
-
-
-def _joint_shares(run: Trajectory) -> tuple[Array, Array, Array]:
-    """Return joint speeds, accelerations and jerks, (steps + 0, 1 and 2, nv), relative to their limits.
-
-    The arm is at rest before and after. Without a limit, the ratio is zero.
-    """
-    bounds = run.limits.for_arm(run.arm)
-    values = run.displacements
-    shares = []
-    for most in (bounds.bound, bounds.acceleration, bounds.jerk):
-        shares.append(np.abs(values) / (np.inf if most is None else most))
-        values = np.diff(np.pad(values, ((1, 1), (0, 0))), axis=0)
-    return shares[0], shares[1], shares[2]
-
-
-# How runs, motions and simulations end, and whether a motion may be sent to a robot.
-
-ENDINGS: Mapping[str, str] = MappingProxyType(
-    {
-        "converged": "converged",
-        "stalled": "stalled",
-        "no_control_points": "found no control point that it may move",
-        "max_steps": "ran out of steps",
-        "stopped": "was stopped",
-        "missed": "missed a target",
-        "unstable": "became unstable",
-        "failed": "failed",
-    }
-)
-"""Statuses of motions, and their descriptions in messages.
-
-"converged": the arm reached its target. "stalled": no step reduces the error. "no_control_points": the
-controller found none that it can move. "max_steps": no steps or cycles are left. "stopped": by the user.
-"missed": a simulation ended with the arm away from its target, or a motion passed a keyframe at a distance.
-"unstable": the simulation diverged. "failed": an error ended the run.
-"""
-
-RAISE_STEPS = "raise max_steps to"
-"""How advice on a run that ran out of steps begins; the number of steps that is enough follows."""
-
-CONTACT_TOLERANCE = 1e-6
-"""Largest penetration that is attributed to rounding, in arm lengths."""
-
-HOW_TO_KEEP_CLEAR = "in a scene, such as Scene(), the arm keeps clear of itself"
-"""Advice on a motion without a scene that penetrates itself."""
-
-
-class Excess(Protocol):
-    """What a motion exceeds."""
-
-    @property
-    def text(self) -> str:
-        """A clause that says it."""
-
-
-class FinishedMotion:
-    """A motion that has ended, and whether it may be sent to a robot.
-
-    Attributes:
-        arm: the arm.
-        status: how the motion ended, one of `ENDINGS`.
-        reason: why it ended.
-        q: configurations, (N, nq).
-        clearance: smallest distance at each, (N,) [m]; negative in penetration, infinite without a scene.
-        scene: the obstacles; None: none.
-    """
-
-    arm: Arm
-    status: str
-    reason: str
-    q: Array
-    clearance: Array
-    scene: Scene | None
-
-    @property
-    def excess(self) -> Excess | None:
-        """Limits that the motion exceeds; None if there are none."""
-        raise NotImplementedError
-
-    @property
-    def converged(self) -> bool:
-        """Whether the arm is at its target at the end, within the tolerance."""
-        return self.status == "converged"
-
-    @cached_property
-    def faults(self) -> tuple[str, ...]:
-        """Why the motion should not be sent to a robot; empty if it may be.
-
-        It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path,
-        or bodies penetrate each other. Without a scene, the parts of the arm must not penetrate each other
-        either; with self-collision off in the scene, they may.
-        """
-        if self.converged:
-            return self._faults_before_end
-        others = (what for what in self._faults_before_end if what not in self.reason)
-        return f"it {ENDINGS[self.status]}: {self.reason}", *others
-
-    @property
-    def verdict(self) -> str:
-        """Whether it converged, its faults and why it ended, in one line."""
-        there = "reached the target" if self.converged else "did not reach the target"
-        but = "".join(f", but {what}" for what in self._faults_before_end if what not in self.reason)
-        return f"{there} ({self.status}){but}: {self.reason}"
-
-    @cached_property
-    def _faults_before_end(self) -> tuple[str, ...]:
-        """Clauses on exceeded limits and the deepest penetration."""
-        found = [] if self.excess is None else [self.excess.text]
-        deepest = find_penetration(self)
-        if deepest is not None:
-            found.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
-        return tuple(found)
-
-
-class Penetration(NamedTuple):
-    """The deepest penetration in a motion.
-
-    Attributes:
-        pair: names of the two bodies, or of the body and the obstacle.
-        depth: how deep they are inside each other [m].
-        row: the row of the motion.
-    """
-
-    pair: Pair
-    depth: float
-    row: int
-
-    def __str__(self) -> str:
-        when = f"after {self.row} steps" if self.row else "at the start"
-        return f"{' and '.join(self.pair)} penetrate by {1e3 * self.depth:.3g} mm {when}"
-
-
-def find_penetration(motion: FinishedMotion) -> Penetration | None:
-    """Return the deepest penetration in a motion, of an obstacle or of the arm itself; None if there is none.
-
-    Verdicts, exports and the editor all judge collisions of a finished motion by it.
-    """
-    arm = motion.arm
-    least = smallest_distance(motion)
-    if least.pair is None or least.distance >= -CONTACT_TOLERANCE * arm.length:
-        return None
-    clearance = motion.clearance
-    if motion.scene is None:
-        model = CollisionModel(arm, arm_alone(arm))
-        clearance = np.array([model.minimum(q).distance for q in motion.q])
-    return Penetration(least.pair, -least.distance, int(clearance.argmin()))
-
-
-def smallest_distance(motion: FinishedMotion) -> Closest:
-    """Return the smallest distance in a motion and its pair; without a scene, of parts of the arm."""
-    if motion.scene is None:
-        return _minimum_in(motion, arm_alone(motion.arm))
-    row = int(motion.clearance.argmin())
-    pair = CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair
-    return Closest(float(motion.clearance[row]), pair)
-
-
-def _minimum_in(motion: FinishedMotion, scene: Scene) -> Closest:
-    """Return the smallest distance in a scene at the rows of a motion."""
-    arm = motion.arm
-    start = motion.q[0]
-    offsets = np.array([arm.difference(start, q) for q in motion.q])
-    return CollisionModel(arm, scene).minimum_along(start, offsets)
-
-
-def require_no_faults(motion: FinishedMotion, force: bool) -> None:
-    """Raise MotionError if a motion has faults, unless `force` is True."""
-    if motion.faults and not force:
-        raise MotionError(motion.faults)
-
-
-def ending(motion: FinishedMotion) -> dict[str, Any]:
-    """Return how a motion ended, as data for JSON."""
-    told = {name: getattr(motion, name) for name in ("verdict", "status", "converged", "reason")}
-    return {**told, "faults": list(motion.faults)}
-
-
-def closest(motion: FinishedMotion) -> dict[str, Any] | None:
-    """Return the smallest clearance of a motion, as data for JSON.
-
-    Returns:
-        None without a scene; else "smallest" and "final" [m], the names of the closest "pair" (None if there
-        is none), "after_steps", the "margin" that had to be kept [m], and "smallest" and "pair" again, both
-        "to_obstacles" and "to_itself" (None if the scene has no obstacles, or self-collision is off).
-    """
-    scene = motion.scene
-    if scene is None:
-        return None
-    after = int(motion.clearance.argmin())
-    obstacles = _minimum_in(motion, scene.without_self_collision()) if scene.obstacles else None
-    itself = _minimum_in(motion, scene.without_obstacles()) if scene.self_collision else None
-    return {
-        **_closest_as_data(smallest_distance(motion)),
-        "final": float(motion.clearance[-1]),
-        "after_steps": after,
-        "margin": scene.margin,
-        "to_obstacles": None if obstacles is None else _closest_as_data(obstacles),
-        "to_itself": None if itself is None else _closest_as_data(itself),
-    }
-
-
-def _closest_as_data(closest: Closest) -> dict[str, Any]:
-    """Return a smallest distance and its pair as data for JSON."""
-    return {"smallest": closest.distance, "pair": None if closest.pair is None else list(closest.pair)}
-
-
-def path_length_ratio(points: NDArray[np.float64]) -> float:
-    """Return the length of the paths of all control points relative to the direct distances.
-
-    Args:
-        points: control points of a motion, (steps + 1, m, 3) [m].
-
-    Returns:
-        1 for straight lines, more for detours; 1 also if all points end where they started.
-    """
-    paths = float(np.linalg.norm(np.diff(points, axis=0), axis=2).sum())
-    direct = float(np.linalg.norm(points[-1] - points[0], axis=1).sum())
-    return max(paths / direct, 1.0) if direct > 1e-12 * paths else 1.0
-
-
-# The result of a run.
-
-
-class Switch(NamedTuple):
-    """A change of method.
-
-    Attributes:
-        step: the first step of the new method, 0-based.
-        method: name of the new method.
-        reason: why the controller switched to it.
-    """
-
-    step: int
-    method: str
-    reason: str
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory(FinishedMotion):
-    """A motion of an arm towards a target posture.
-
-    Rows of the arrays over configurations begin with the start; rows over steps with the first step.
-
-    Attributes:
-        arm: the arm that moved.
-        target: the target posture.
-        controller: name and parameters of the controller.
-        limits: the limits of each step.
-        status: how it ended, such as "converged", "stalled" or "max_steps": one of `ENDINGS`; see
-            `pinposture.motion.trajectory`.
-        reason: why the run ended.
-        q: configurations, (steps + 1, nq).
-        points: control points, (steps + 1, m, 3) [m], world frame.
-        point_errors: distance of each control point from its target, (steps + 1, m) [m]; 0 if it has none.
-        active: which control points were active, (steps, m).
-        index: smallest manipulability index of the active set, (steps,).
-        sigma_min: smallest singular value of the posture control matrix, (steps,) [m/rad].
-        sigma_max: largest singular value of the posture control matrix, (steps,) [m/rad].
-        rows: rows of the posture control matrix, (steps,).
-        scale: factor by which the step was shortened to meet the step limit, (steps,).
-        clipped: which joints were clipped at a position limit, (steps, nv).
-        method: method of the controller, (steps,) names; empty if it has only one.
-        switched: why it switched to that method, (steps,) sentences; empty if it did not.
-        error_increasing: whether the posture error may rise in the step, to leave a local minimum, (steps,).
-        violated_constraints: messages on constraints that the step violates because not all can be met, and
-            on velocity and acceleration limits that the motion exceeds, (steps,) lines; usually empty. See
-            `violated_steps`.
-        clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
-            in penetration, infinite without a scene.
-        scene: the obstacles; None: none.
-    """
-
-    arm: Arm
-    target: Target
-    controller: str
-    limits: Limits
-    status: str
-    reason: str
-    q: Array
-    points: Array
-    point_errors: Array
-    active: NDArray[np.bool_]
-    index: Array
-    sigma_min: Array
-    sigma_max: Array
-    rows: NDArray[np.intp]
-    scale: Array
-    clipped: NDArray[np.bool_]
-    method: NDArray[np.str_]
-    switched: NDArray[np.str_]
-    error_increasing: NDArray[np.bool_]
-    violated_constraints: NDArray[np.str_]
-    clearance: Array
-    scene: Scene | None = None
-
-    def __post_init__(self) -> None:
-        make_read_only(*vars(self).values())
-
-    @property
-    def steps(self) -> int:
-        """Number of steps taken."""
-        return len(self.active)
-
-    @cached_property
-    def displacements(self) -> Array:
-        """Joint displacement of each step, (steps, nv) [rad or m]."""
-        moved = [self.arm.difference(a, b) for a, b in pairwise(self.q)]
-        return np.reshape(moved, (self.steps, self.arm.nv))
-
-    @cached_property
-    def posture_error(self) -> Array:
-        """Sum of the distances of the control points from their targets, (steps + 1,) [m]."""
-        return np.asarray(self.point_errors.sum(axis=1))
-
-    @cached_property
-    def mean_error(self) -> Array:
-        """Mean distance of the control points with a target from it, (steps + 1,) [m]."""
-        return self.posture_error / max(int(np.count_nonzero(self.target.has_target)), 1)
-
-    @cached_property
-    def distance_from_curve(self) -> float | None:
-        """Largest distance of the links from the curve of the target at the end [m]; None without a curve.
-
-        `Target.distance_from_curve` is that of the target posture.
-        """
-        if self.target.curve is None:
-            return None
-        return distance_from_curve(self.arm, self.q[-1], self.target.curve)
-
-    @cached_property
-    def path_length_ratio(self) -> float:
-        """Length of the paths of all control points relative to the direct distances from start to end."""
-        return path_length_ratio(self.points)
-
-    @cached_property
-    def excess(self) -> LimitViolation | None:
-        """Violations of velocity, acceleration and jerk limits; None if there are none."""
-        return find_limit_violation(self)
-
-    @cached_property
-    def violated_steps(self) -> dict[str, NDArray[np.intp]]:
-        """Steps in which each violated constraint is violated, 0-based, by its name in `CONSTRAINTS`."""
-        named = [
-            {line.partition(":")[0] for line in lines.splitlines()} for lines in self.violated_constraints
-        ]
-        steps = {name: np.flatnonzero([name in names for names in named]) for name in CONSTRAINTS}
-        return {name: found for name, found in steps.items() if len(found)}
-
-    @cached_property
-    def active_sets(self) -> tuple[tuple[int, ...], ...]:
-        """Active control set of each step, indices of control points, 0-based."""
-        return tuple(tuple(int(k) for k in np.flatnonzero(row)) for row in self.active)
-
-    @cached_property
-    def switches(self) -> tuple[Switch, ...]:
-        """Switches between methods of the controller."""
-        changes = np.flatnonzero(self.switched != "")
-        return tuple(Switch(int(k), str(self.method[k]), str(self.switched[k])) for k in changes)
-
-    def joint_trajectory(self, dt: float | None = None, force: bool = False) -> JointTrajectory:
-        """Return the run as a joint trajectory for export.
-
-        Args:
-            dt: duration of a step [s]; that of the limits if None.
-            force: True to return it despite its `faults`.
-
-        Raises:
-            MotionError: it has faults.
-            InvalidValue: neither `dt` nor the limits give a duration, or they differ.
-        """
-        step = step_duration(dt, self.limits.dt)
-        require_no_faults(self, force)
-        return JointTrajectory.from_configurations(self.arm, self.q, step)
-
-    def __repr__(self) -> str:
-        texts = [length_text(error, self.arm.length) for error in self.mean_error[[0, -1]]]
-        return f"Trajectory({self.status}, {self.steps} steps, mean point error {' -> '.join(texts)})"
-
-
-# Motions in time.
 
 
 class Waypoint(NamedTuple):
@@ -534,8 +62,8 @@ class Waypoint(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """A motion in time towards moving targets.
+class Trajectory:
+    """A trajectory: a motion in time towards moving targets.
 
     Rows begin with the start. The arm is at rest there, and at the end unless `reason` says otherwise.
 
@@ -552,7 +80,7 @@ class Motion:
         deviations: messages on where the arm left the planned path or fell behind.
     """
 
-    run: Trajectory
+    run: Run
     targets: Array
     target_mask: NDArray[np.bool_]
     plan_time: Array
@@ -667,7 +195,7 @@ class Motion:
 
     @cached_property
     def _shares(self) -> tuple[Array, Array, Array]:
-        return _joint_shares(self.run)
+        return joint_shares(self.run)
 
     @cached_property
     def mean_error(self) -> Array:
@@ -702,4 +230,6 @@ class Motion:
 
     def __repr__(self) -> str:
         slower = f", {self.slowdown}" if self.converged and self.slowdown else ""
-        return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.waypoints)} waypoints)"
+        return (
+            f"Trajectory({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.waypoints)} waypoints)"
+        )

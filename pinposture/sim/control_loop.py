@@ -12,7 +12,7 @@ from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
-from pinposture.motion import JointTrajectory, Motion, Trajectory
+from pinposture.motion import JointTrajectory, Run, Trajectory
 from pinposture.placement import Target
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
@@ -21,7 +21,7 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-AnyMotion: TypeAlias = "Trajectory | Motion | JointTrajectory | ArrayLike"
+AnyMotion: TypeAlias = "Run | Trajectory | JointTrajectory | ArrayLike"
 """A run, a motion in time, a joint trajectory, or configurations (N, nq)."""
 
 Progress = Callable[[int, int], object]
@@ -64,8 +64,8 @@ def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoint
     Raises:
         InvalidValue: the motion does not fit the arm, or its sampling period is unknown.
     """
-    if isinstance(motion, Motion | Trajectory):
-        run = motion.run if isinstance(motion, Motion) else motion
+    if isinstance(motion, Trajectory | Run):
+        run = motion.run if isinstance(motion, Trajectory) else motion
         timed = run.joint_trajectory(dt, force=True)
     elif isinstance(motion, JointTrajectory):
         timed = motion if dt is None else motion.sampled(dt)
@@ -137,8 +137,8 @@ def simulate(
     require_positive("hold", hold, zero=True)
     if tolerance is not None:
         require_positive("tolerance", tolerance)
-    if scene is None and isinstance(motion, Trajectory | Motion):
-        scene = (motion.run if isinstance(motion, Motion) else motion).scene
+    if scene is None and isinstance(motion, Run | Trajectory):
+        scene = (motion.run if isinstance(motion, Trajectory) else motion).scene
     sampled = set_points(arm, motion, dt)
     held = np.repeat(sampled.positions[-1:], 1 + int(np.ceil(hold / sampled.dt - 1e-9)), axis=0)
     rows = np.concatenate([sampled.positions, held])

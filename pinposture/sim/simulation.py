@@ -13,7 +13,7 @@ from pinposture._validation import make_read_only, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.motion.files import Format, check_arrays, register
-from pinposture.motion.trajectory import FinishedMotion, closest, ending
+from pinposture.motion.run import Outcome, closest, ending
 from pinposture.sim.model import Servos
 from pinposture.units import length_text
 
@@ -42,7 +42,7 @@ class PathDeviation(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation(FinishedMotion):
+class Simulation(Outcome):
     """The motion of a simulated arm. The first row is the start, the others are the ends of control cycles.
 
     Attributes:
@@ -53,7 +53,7 @@ class Simulation(FinishedMotion):
         dt: duration of a control cycle [s].
         timestep: physics step [s].
         status: "converged" if the arm is at its goal at the end, "missed" if not, "unstable" if a joint ran
-            away; the rows end before that. See `pinposture.motion.trajectory`.
+            away; the rows end before that. See `pinposture.motion.run`.
         reason: explanation of the status.
         commanded: configurations of the set points of the servos, (N, nq).
         q: configurations of the arm, (N, nq).

@@ -28,8 +28,9 @@ from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.motion.run import Run
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
-from pinposture.motion.trajectory import Motion, Trajectory, Waypoint
+from pinposture.motion.trajectory import Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.storage import settled
 from pinposture.task.follow_leader import Leader, follow_leader
@@ -266,7 +267,7 @@ class Task(TaskParts):
         self,
         reference: Reference | None = None,
         progress: Callable[[float, float], object] | None = None,
-    ) -> Motion:
+    ) -> Trajectory:
         """Perform the motion; see `perform`.
 
         Args:
@@ -539,7 +540,7 @@ def perform(
     q0: ArrayLike | None = None,
     tolerance: float | None = None,
     progress: Progress | None = None,
-) -> Motion:
+) -> Trajectory:
     """Move an arm along a reference, within its limits.
 
     The arm first moves to the start of the reference, unless it is there. Then the plan advances in real
@@ -579,7 +580,7 @@ def perform(
     guide = ReferencePath(reference, limits)
     loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress)
-    motion = performance.motion(*performance.run())
+    motion = performance.trajectory(*performance.run())
     status = motion.run.status
     reason = motion.run.reason
     logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * motion.steps, reason)
@@ -595,7 +596,7 @@ def move_through(
     q0: ArrayLike | None = None,
     continuity: Literal["velocity", "acceleration"] = "velocity",
     repeat: int = 1,
-) -> Motion:
+) -> Trajectory:
     """Move through keyframes at their times: `keyframe_reference` and `perform` in one call.
 
     Args:
@@ -661,12 +662,12 @@ class _Performance:
         ended = self._look_ahead(controller) if isinstance(controller, Geodesic) else self._lead()
         return self._go_to(self.guide.end) if ended is None else ended
 
-    def motion(self, status: str, reason: str) -> Motion:
+    def trajectory(self, status: str, reason: str) -> Trajectory:
         """Return everything so far as a result; "missed" if only the last of its postures was reached."""
         reference = self.guide.reference
         loop = self.loop
         places = np.array(self._places)
-        run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
+        run = loop.record.run(loop.arm, loop.controller, loop.limits, status, reason)
         nexts = [*(mark.row for mark in reference.marks[1:]), np.inf]
         waypoints = tuple(
             self._waypoint(mark, until, places, run)
@@ -675,7 +676,7 @@ class _Performance:
         if status == "converged" and any(waypoint.missed for waypoint in waypoints):
             reason = f"{self._describe_missed(waypoints)}; at the end, {run.reason}"
             run = replace(run, status="missed", reason=reason)
-        return Motion(
+        return Trajectory(
             run=run,
             targets=np.array([target.points for target in self._targets]),
             target_mask=np.array([target.has_target for target in self._targets]),
@@ -686,7 +687,7 @@ class _Performance:
             deviations=tuple(self._notes),
         )
 
-    def _waypoint(self, mark: Mark, until: float, places: Array, run: Trajectory) -> Waypoint:
+    def _waypoint(self, mark: Mark, until: float, places: Array, run: Run) -> Waypoint:
         """Return how a named place was passed, before the next one, which is at `until`.
 
         That is at the first step at which the arm is near it; at the step nearest in time if it never is.

@@ -8,7 +8,7 @@ from pinposture._validation import require_known
 from pinposture.arm import Arm, ControlPoints
 from pinposture.collision import Scene
 from pinposture.errors import InvalidValue
-from pinposture.motion import Motion, Tracker, Trajectory
+from pinposture.motion import Run, Tracker, Trajectory
 from pinposture.placement import Target
 from pinposture.viz.arm_figure import plot_arm
 from pinposture.viz.drawing import require_type, visual_model
@@ -49,7 +49,7 @@ VIEWERS = ("meshcat", "foxglove")
 
 def view(
     arm: Arm,
-    run: Trajectory | Motion | Tracker | None = None,
+    run: Run | Trajectory | Tracker | None = None,
     target: Target | None = None,
     viewer: str = "meshcat",
     open_browser: bool = False,
@@ -97,9 +97,9 @@ def view(
     """
     require_known("viewer", viewer, VIEWERS)
     require_type("scene", scene, Scene, type(None))
-    if isinstance(run, Trajectory | Motion):
-        scene = scene or (run.run.scene if isinstance(run, Motion) else run.scene)
-    if target is None and isinstance(run, Trajectory):
+    if isinstance(run, Run | Trajectory):
+        scene = scene or (run.run.scene if isinstance(run, Trajectory) else run.scene)
+    if target is None and isinstance(run, Run):
         target = run.target
     if viewer == "foxglove":
         if np.size(ellipsoids):

@@ -21,7 +21,7 @@ from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import HalfSpace, Scene
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
-from pinposture.motion import JointTrajectory, Motion, Trajectory
+from pinposture.motion import JointTrajectory, Run, Trajectory
 from pinposture.placement import Target
 from pinposture.viz import palette
 from pinposture.viz.body import (
@@ -182,7 +182,7 @@ SHOWN_BY: dict[type | tuple[type, ...], str] = {
     Arm: "pp.plot_arm(arm) and pp.view(arm) show an arm",
     Target: "pp.view(arm, target=target) shows a target",
     Curve: "pp.resolve_targets(arm, curve) makes a target of a curve",
-    (Trajectory, Motion): "pp.plot(run) and pp.view(run.arm, run) show a run",
+    (Run, Trajectory): "pp.plot(run) and pp.view(run.arm, run) show a run",
     JointTrajectory: "pp.plot(trajectory) shows it; `show` of pp.view(arm) plays its configurations(arm)",
     np.ndarray: "pp.plot_arm(arm, q) shows a configuration",
     (np.ndarray, list): "pp.plot(pp.JointTrajectory.from_configurations(arm, q, dt)) shows a log",
@@ -204,10 +204,10 @@ SAME_ARM = 1e-6
 """Largest distance of control points of the same arm loaded twice, in arm lengths."""
 
 
-def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | None) -> None:
+def require_fitting(arm: Arm, run: Run | Trajectory | None, target: Target | None) -> None:
     """Raise InvalidValue unless these are an arm, a run or motion and a target that fit each other."""
     require_type("arm", arm, Arm)
-    require_type("run", run, Trajectory, Motion, type(None))
+    require_type("run", run, Run, Trajectory, type(None))
     require_type("target", target, Target, type(None))
     if run is not None and run.q.shape[1] != arm.nq:
         raise InvalidValue("run.q (shape)", run.q.shape, f"(steps + 1, {arm.nq}) for this arm")
@@ -274,7 +274,7 @@ def visual_model(arm: Arm) -> pin.GeometryModel:
     return model
 
 
-def scene_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
+def scene_points(arm: Arm, run: Run | None, target: Target | None) -> Array:
     """Return the points that should be in view: motion and target, (n, 3) [m], world frame."""
     points = [arm.chain.base[None]]
     if run is not None:
@@ -489,8 +489,8 @@ class Timeline:
         speedup: playback speed relative to the motion; 1 is real time.
     """
 
-    run: Trajectory
-    motion: Motion | None
+    run: Run
+    motion: Trajectory | None
     rows: NDArray[np.intp]
     times: Array
     end: float
@@ -508,7 +508,7 @@ class Timeline:
         return np.concatenate([[0.0], self.times, [self.end]])
 
 
-def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timeline:
+def playback(shown: Run | Trajectory, fps: float, max_frames: int) -> Timeline:
     """Choose the configurations to show: all, or as many as allowed, evenly spaced.
 
     A motion is shown in real time, or 2, 5, 10, ... times as fast if that exceeds `MAX_DURATION`.
@@ -525,7 +525,7 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timelin
     if not (np.isfinite(fps) and 0.0 < fps <= 120.0):
         raise InvalidValue("fps", fps, "a number above 0, at most 120 [1/s]")
     require_whole("max_frames", max_frames, 2)
-    if isinstance(shown, Motion):
+    if isinstance(shown, Trajectory):
         return _motion_playback(shown, float(fps), max_frames)
     count = min(shown.steps + 1, max_frames)
     fps = min(fps, max(count - 1, 1) / MIN_DURATION)
@@ -534,7 +534,7 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timelin
     return Timeline(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
 
 
-def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Timeline:
+def _motion_playback(motion: Trajectory, fps: float, max_frames: int) -> Timeline:
     """Choose the rows of a motion to show and their times, with 1 / `fps` as the unit of time."""
     factors = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
     end = float(motion.time[-1])
@@ -583,7 +583,7 @@ def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Tra
 NO_SIZE = 1e-3  # size of a hoop without a target
 
 
-def moving_target_tracks(motion: Motion, playback: Timeline) -> list[Track]:
+def moving_target_tracks(motion: Trajectory, playback: Timeline) -> list[Track]:
     """Return the tracks of the target hoops, which move, appear and disappear."""
     held = playback.key_rows
     times = playback.key_times
@@ -661,6 +661,6 @@ def _shortest_rotations(before: Array, after: Array) -> Rotation:
     return turns
 
 
-def targeted_points(motion: Motion) -> NDArray[np.intp]:
+def targeted_points(motion: Trajectory) -> NDArray[np.intp]:
     """Return the 0-based indices of control points that have a target at some time."""
     return np.asarray(np.flatnonzero(motion.target_mask.any(axis=0)))

@@ -22,7 +22,7 @@ from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue, ViewerError
-from pinposture.motion import Motion, Tracker, Trajectory
+from pinposture.motion import Run, Tracker, Trajectory
 from pinposture.motion.ros import world_frame
 from pinposture.placement import Target
 from pinposture.viz import drawing, palette
@@ -49,7 +49,7 @@ class FoxgloveViewer(Viewer):
     def __init__(
         self,
         arm: Arm,
-        run: Trajectory | Motion | Tracker | None,
+        run: Run | Trajectory | Tracker | None,
         target: Target | None,
         fps: float,
         url: str | None,

@@ -35,7 +35,7 @@ from pinposture.arm.kinematics import without_repeats
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
 from pinposture.errors import InvalidValue, ViewerError
-from pinposture.motion import Motion, Trajectory
+from pinposture.motion import Run, Trajectory
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
 from pinposture.units import length_text
@@ -221,7 +221,7 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
         add(viewer, f"{ROOT}/target/points", merge(dots), palette.TARGET)
 
 
-def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[palette.Place]) -> None:
+def add_moving_targets(viewer: Visualizer, motion: Trajectory, places: Sequence[palette.Place]) -> None:
     """Draw the targets at the start of a motion, and thin lines through the targets at named places."""
     arm = motion.arm
     radius = drawing.link_radius(motion.arm)
@@ -380,7 +380,7 @@ class Viewer:
     def __init__(
         self,
         arm: Arm,
-        run: Trajectory | Motion | None,
+        run: Run | Trajectory | None,
         target: Target | None,
         fps: float,
         url: str | None,
@@ -492,7 +492,7 @@ def _step_text(shown: Timeline, row: int) -> str:
     return text
 
 
-def _motion_text(motion: Motion, row: int) -> str:
+def _motion_text(motion: Trajectory, row: int) -> str:
     """Describe a configuration of a motion."""
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
     if palette.is_slowed(motion):
@@ -505,7 +505,7 @@ def _motion_text(motion: Motion, row: int) -> str:
     return f"{text}, {_errors_text(motion.run, row)}"
 
 
-def _errors_text(run: Trajectory, row: int) -> str:
+def _errors_text(run: Run, row: int) -> str:
     """Describe the errors of the control points in a configuration of a run."""
     mean = length_text(run.mean_error[row], run.arm.length)
     largest = length_text(run.point_errors[row].max(), run.arm.length)
@@ -592,7 +592,7 @@ class AnimationPage:
 
 def animate(
     arm: Arm,
-    run: Trajectory | Motion,
+    run: Run | Trajectory,
     target: Target | None = None,
     fps: float = 20.0,
     max_frames: int | None = None,
@@ -617,18 +617,18 @@ def animate(
         InvalidValue: a run of another arm, or an invalid `fps`, `max_frames` or choice of control points.
         UnknownName: an unknown control point.
     """
-    drawing.require_type("run", run, Trajectory, Motion)
-    target = run.target if target is None and isinstance(run, Trajectory) else target
+    drawing.require_type("run", run, Run, Trajectory)
+    target = run.target if target is None and isinstance(run, Run) else target
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)
     if max_frames is None:
-        max_frames = MAX_MOTION_FRAMES if isinstance(run, Motion) else MAX_RUN_FRAMES
+        max_frames = MAX_MOTION_FRAMES if isinstance(run, Trajectory) else MAX_RUN_FRAMES
     return AnimationPage(_page_html(arm, playback(run, fps, max_frames), target, points))
 
 
 def save_html(
     arm: Arm,
-    run: Trajectory | Motion,
+    run: Run | Trajectory,
     path: str | Path,
     target: Target | None = None,
     fps: float = 20.0,

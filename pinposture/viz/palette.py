@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import registry
-from pinposture.motion import Motion, Trajectory
-from pinposture.motion.trajectory import ENDINGS
+from pinposture.motion import Run, Trajectory
+from pinposture.motion.run import ENDINGS
 from pinposture.units import BELOW_ROUNDING, length_text
 
 START = "#0072B2"  # initial posture
@@ -66,7 +66,7 @@ FAINT = "#DDDDDD"  # grid lines
 
 
 def controller_color(controller: str) -> str:
-    """Return the colour of a controller, given by name or by its description in a trajectory."""
+    """Return the colour of a controller, given by name or by its description in a run."""
     return CONTROLLER_COLORS.get(controller.partition("(")[0].strip().lower(), FINAL)
 
 
@@ -264,22 +264,22 @@ LAP = re.compile(r", lap \d+$")  # in the name of a keyframe of a repeated tour
 SLOWED = 1.001  # duration relative to the plan above which a motion counts as slowed
 
 
-def placement_text(run: Trajectory | Motion) -> str:
+def placement_text(run: Run | Trajectory) -> str:
     """Describe how curves were moved from their original placement; empty if none was moved."""
-    if isinstance(run, Motion):
+    if isinstance(run, Trajectory):
         placed = (f"{LAP.sub('', place.name)} {place.moved}" for place in run.waypoints if place.moved)
         moved = dict.fromkeys(placed)  # once for all laps
         return f"curves: {', '.join(moved)}" if moved else ""
     return f"curve {run.target.moved} to the base of the arm" if run.target.moved else ""
 
 
-def controller_name(run: Trajectory) -> str:
+def controller_name(run: Run) -> str:
     """Return the name of the controller of a run, without its parameters."""
     named = re.match(r"<?(?:[\w<>]+\.)*(\w+)", run.controller)  # a repr, perhaps that of any object
     return named[1] if named else "The run"
 
 
-def controller_text(run: Trajectory) -> str:
+def controller_text(run: Run) -> str:
     """Return the name of the controller of a run, and the parameters that are not at their defaults."""
     given = _parameters(run.controller)
     usual = registry.CONTROLLERS.get(given.get("name", "").strip("'"))
@@ -313,7 +313,7 @@ def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator
             yield f"{words} {', '.join(classes) or plain}"
 
 
-def limits_text(run: Trajectory) -> str:
+def limits_text(run: Run) -> str:
     """Return the limits of the steps of a run in words."""
     limits = run.limits
     slides = run.arm.slides[run.arm.columns]
@@ -336,14 +336,14 @@ def limits_text(run: Trajectory) -> str:
     return f"limits: {', '.join(found) or 'joint positions only'}"
 
 
-def ending_text(run: Trajectory) -> str:
+def ending_text(run: Run) -> str:
     """Return how and when a run ended, in seconds or steps, as a phrase that follows the controller name."""
     if run.limits.dt is not None:
         return f"{ENDINGS[run.status]} after {run.limits.dt * run.steps:.4g} s"
     return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
 
 
-def motion_ending_text(motion: Motion) -> str:
+def motion_ending_text(motion: Trajectory) -> str:
     """Return how and when a motion ended, and how much it was slowed if it reached its end."""
     text = f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s"
     if motion.plan_time[-1] < motion.planned or not is_slowed(motion):
@@ -352,7 +352,7 @@ def motion_ending_text(motion: Motion) -> str:
     return f"{text}, {since}{motion.time_scale:.3g} times as long as planned"
 
 
-def is_slowed(motion: Motion) -> bool:
+def is_slowed(motion: Trajectory) -> bool:
     """Return whether a motion was noticeably slowed."""
     return motion.time_scale > SLOWED
 
@@ -376,7 +376,7 @@ class Place(NamedTuple):
     color: str
 
 
-def shown_places(motion: Motion) -> list[Place]:
+def shown_places(motion: Trajectory) -> list[Place]:
     """Return the places that a motion reached, in order; at most `MAX_PLACES`, evenly spaced."""
     reached = [(place.name, place.row) for place in motion.waypoints if place.row is not None]
     if len(reached) > MAX_PLACES:
@@ -386,7 +386,7 @@ def shown_places(motion: Motion) -> list[Place]:
     return [Place(_shorten(name), row, color) for (name, row), color in zip(reached, colors, strict=True)]
 
 
-def group_alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
+def group_alike(motion: Trajectory, places: Sequence[Place]) -> list[list[Place]]:
     """Group places with the same posture, ordered by the first place of each group."""
     points = motion.run.points
     tolerance = SAME_POSTURE * motion.arm.length

@@ -15,8 +15,8 @@ from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
 from pinposture.errors import InvalidValue
-from pinposture.motion import JointTrajectory, Motion, Trajectory
-from pinposture.motion.trajectory import closest, limit_shares
+from pinposture.motion import JointTrajectory, Run, Trajectory
+from pinposture.motion.run import closest, limit_shares
 from pinposture.units import BELOW_ROUNDING, ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
@@ -31,7 +31,7 @@ from pinposture.viz.postures import (
 Array = NDArray[np.float64]
 
 
-def places_of(run: Trajectory) -> Array:
+def places_of(run: Run) -> Array:
     """Return where the configurations of a run are on a horizontal axis, (steps + 1,).
 
     These are times [s] if the run has a cycle time, else numbers of steps.
@@ -39,7 +39,7 @@ def places_of(run: Trajectory) -> Array:
     return np.arange(run.steps + 1, dtype=np.float64) * (run.limits.dt or 1.0)
 
 
-def format_run_axes(ax: Axes, run: Trajectory, label: str) -> None:
+def format_run_axes(ax: Axes, run: Run, label: str) -> None:
     """Format axes over the time of a run, or over its steps if it has no cycle time; see `places_of`."""
     if run.limits.dt is None:
         palette.format_step_axes(ax, label)
@@ -56,18 +56,18 @@ def _note(ax: Axes, text: str) -> None:
     ax.set_title(text, fontsize=8, loc="right", color=palette.INK)
 
 
-def has_singular_values(run: Trajectory) -> bool:
+def has_singular_values(run: Run) -> bool:
     """Return whether the controller inverted a posture control matrix."""
     return bool(np.any(run.sigma_max > 0.0))
 
 
-def chooses_points(run: Trajectory) -> bool:
+def chooses_points(run: Run) -> bool:
     """Return whether the active control points changed, or their conditioning was recorded."""
     counts = run.active.sum(axis=1)
     return not run.steps or has_singular_values(run) or bool(np.any(counts != counts[0]))
 
 
-def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
+def plot_posture_error(run: Run, ax: Axes, color: str | None = None, label: str | None = None) -> None:
     """Plot the posture error [m] over time or steps, annotated with its first and last values.
 
     Args:
@@ -79,16 +79,16 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
     _plot_errors([(run, label, color)], ax, "posture error [m]", lambda run: run.posture_error)
 
 
-def plot_mean_error(run: Trajectory, ax: Axes) -> None:
+def plot_mean_error(run: Run, ax: Axes) -> None:
     """Plot the mean error of the control points [m], annotated as by `plot_posture_error`."""
     _plot_errors([(run, None, None)], ax, "mean point error [m]", lambda run: run.mean_error)
 
 
 def _plot_errors(
-    runs: Sequence[tuple[Trajectory, str | None, str | None]],
+    runs: Sequence[tuple[Run, str | None, str | None]],
     ax: Axes,
     name: str,
-    errors: Callable[[Trajectory], Array],
+    errors: Callable[[Run], Array],
 ) -> None:
     """Plot an error of runs, each with its label and colour, then annotate their first and last values."""
     colors = [palette.controller_color(run.controller) if color is None else color for run, _, color in runs]
@@ -104,14 +104,14 @@ def _plot_errors(
             _mark_error(ax, run, errors(run), run.steps, color)
 
 
-def _mark_error(ax: Axes, run: Trajectory, errors: Array, row: int, color: str) -> None:
+def _mark_error(ax: Axes, run: Run, errors: Array, row: int, color: str) -> None:
     """Annotate the first or the last error [m] of a run."""
     place = float(places_of(run)[row])
     floor = ROUNDING * run.arm.length
     palette.mark_value(ax, place, float(errors[row]), color, "end" if row else "start", floor)
 
 
-def plot_point_errors(run: Trajectory, ax: Axes) -> None:
+def plot_point_errors(run: Run, ax: Axes) -> None:
     """Plot the error [m] of every control point with a target over time or steps.
 
     Lines are coloured by the position of the control point along the arm, with a colour bar.
@@ -133,7 +133,7 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
         _note(ax, f"{m - len(targeted)} of {m} control points have no target")
 
 
-def plot_active_points(run: Trajectory, ax: Axes) -> None:
+def plot_active_points(run: Run, ax: Axes) -> None:
     """Plot the number of active control points in each step, and their conditioning.
 
     A second axis shows the smallest singular value of the posture control matrix [m/rad], if there is one.
@@ -150,7 +150,7 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
         _plot_on_second_axis(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
 
 
-def plot_points_and_index(run: Trajectory, ax: Axes, color: str | None = None) -> None:
+def plot_points_and_index(run: Run, ax: Axes, color: str | None = None) -> None:
     """Plot the number of active control points in each step and, if recorded, the manipulability index."""
     color = palette.controller_color(run.controller) if color is None else color
     plot_point_count(run, ax, color)
@@ -159,7 +159,7 @@ def plot_points_and_index(run: Trajectory, ax: Axes, color: str | None = None) -
         _plot_on_second_axis(run, ax, run.index, "manipulability index")
 
 
-def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None, place: float = 0.0) -> None:
+def plot_point_count(run: Run, ax: Axes, color: str | None = None, place: float = 0.0) -> None:
     """Plot the number of active control points in each step; lines at other places lie beside each other."""
     color = palette.controller_color(run.controller) if color is None else color
     style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker(run.steps)}
@@ -169,7 +169,7 @@ def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None, place:
     palette.scale_counts(ax, run.arm.n_modules)
 
 
-def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
+def _plot_on_second_axis(run: Run, ax: Axes, values: Array, label: str) -> None:
     """Plot a value per step as a dashed line with its own axis on the right."""
     other = ax.twinx()
     style: dict[str, Any] = {"lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker(run.steps), "ms": 3}
@@ -180,7 +180,7 @@ def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -
     other.spines[["top", "left", "bottom"]].set_visible(False)
 
 
-def plot_used_points(run: Trajectory, ax: Axes, color: str | None = None) -> None:
+def plot_used_points(run: Run, ax: Axes, color: str | None = None) -> None:
     """Draw a dot for each active control point in each step."""
     color = palette.controller_color(run.controller) if color is None else color
     steps, points = np.nonzero(run.active)
@@ -194,7 +194,7 @@ def plot_used_points(run: Trajectory, ax: Axes, color: str | None = None) -> Non
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
-def mark_projection(run: Trajectory, ax: Axes) -> None:
+def mark_projection(run: Run, ax: Axes) -> None:
     """Mark the steps that a switching controller left to Projection, by red dots on the axis."""
     places = places_of(run)[1:][run.method == "projection"]
     _mark_on_axis(ax, places, "projection", marker="o", ms=3.2, mew=0.0)
@@ -208,13 +208,13 @@ def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **styl
 MAX_REASON_LENGTH = 44  # maximum length of a constraint in a legend [characters]
 
 
-def has_clearance(run: Trajectory) -> bool:
+def has_clearance(run: Run) -> bool:
     """Return whether a clearance was recorded."""
     return run.scene is not None and bool(np.isfinite(run.clearance).any())
 
 
 def plot_clearance(
-    run: Trajectory,
+    run: Run,
     ax: Axes,
     color: str | None = None,
     label: str | None = None,
@@ -257,7 +257,7 @@ def plot_clearance(
     add_legend(ax)
 
 
-def mark_rising_steps(run: Trajectory, ax: Axes) -> None:
+def mark_rising_steps(run: Run, ax: Axes) -> None:
     """Shade the steps of a run in which the controller allows the posture error to rise."""
     places = places_of(run)
     steps = np.flatnonzero(run.error_increasing)
@@ -270,7 +270,7 @@ def mark_rising_steps(run: Trajectory, ax: Axes) -> None:
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **style)
 
 
-def mark_violations(run: Trajectory, ax: Axes) -> None:
+def mark_violations(run: Run, ax: Axes) -> None:
     """Mark steps that violate constraints on the axis; the legend quotes the first violation."""
     places = places_of(run)
     steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
@@ -299,7 +299,7 @@ MIN_NAME_DISTANCE = 18.0  # [pt]
 DASHES = (0, (4, 2))
 
 
-def plot_error(motion: Motion, ax: Axes) -> None:
+def plot_error(motion: Trajectory, ax: Axes) -> None:
     """Plot the mean and largest error of the control points of a motion over time, with violated constraints.
 
     Errors below rounding are not shown.
@@ -335,7 +335,7 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     add_legend(ax)
 
 
-def plot_joint_rates(motion: Motion, ax: Axes) -> None:
+def plot_joint_rates(motion: Trajectory, ax: Axes) -> None:
     """Plot the largest joint speed and acceleration relative to their limits, if there are limits."""
     speeds, accelerations = limit_shares(motion.run)
     largest = 1.0
@@ -353,7 +353,7 @@ def plot_joint_rates(motion: Motion, ax: Axes) -> None:
     add_legend(ax)
 
 
-def plot_plan_time(motion: Motion, ax: Axes) -> None:
+def plot_plan_time(motion: Trajectory, ax: Axes) -> None:
     """Plot plan time over real time, as executed and as planned."""
     begin = float(motion.time[motion.start_index])
     plan = [0.0, begin, begin + motion.planned]
@@ -409,11 +409,11 @@ HANDLE_WIDTH = 8  # width of its symbols [characters]
 MAX_DETOURS = 2  # maximum number of detours in a title
 
 
-def plot_motion(motion: Motion) -> Figure:
+def plot_motion(motion: Trajectory) -> Figure:
     """Plot a motion in time in one figure; see `pinposture.viz.plot`."""
     run = motion.run
     time = motion.time
-    draws: list[Callable[[Motion, Axes], None]] = [plot_error]
+    draws: list[Callable[[Trajectory, Axes], None]] = [plot_error]
     if any(share is not None for share in limit_shares(run)):
         draws.append(plot_joint_rates)
     if palette.is_slowed(motion):
@@ -439,7 +439,7 @@ def plot_motion(motion: Motion) -> Figure:
     return figure
 
 
-def plot_places(motion: Motion, ax: Axes) -> None:
+def plot_places(motion: Trajectory, ax: Axes) -> None:
     """Draw the postures at the named places of a motion, from pale to dark, and their targets.
 
     Raises:
@@ -501,7 +501,7 @@ def plot_joints(trajectory: JointTrajectory) -> Figure:
     return figure
 
 
-def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
+def plot(run: Run | Trajectory | JointTrajectory) -> Figure:
     """Plot a run in one figure: postures, mean and single point errors, active points, clearance.
 
     Active points are omitted if the controller does not choose any, clearance if there was no scene. For a
@@ -522,11 +522,11 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
     Raises:
         InvalidValue: none of these types.
     """
-    if isinstance(run, Motion):
+    if isinstance(run, Trajectory):
         return plot_motion(run)
     if isinstance(run, JointTrajectory):
         return plot_joints(run)
-    require_type("run", run, Trajectory, Motion, JointTrajectory)
+    require_type("run", run, Run, Trajectory, JointTrajectory)
     draws = [plot_mean_error, plot_point_errors]
     if chooses_points(run):
         draws.append(plot_active_points)
@@ -550,7 +550,7 @@ def plot(run: Trajectory | Motion | JointTrajectory) -> Figure:
     return figure
 
 
-def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
+def plot_comparison(runs: Mapping[str, Run]) -> Figure:
     """Plot several runs to one target in one figure: postures, mean errors, active points, clearance.
 
     Args:
@@ -565,7 +565,7 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     if not (isinstance(runs, Mapping) and runs):
         raise InvalidValue("runs", runs, "at least one run by its label, as in {label: run, ...}")
     for label, run in runs.items():
-        require_type(f"runs[{label!r}]", run, Trajectory)
+        require_type(f"runs[{label!r}]", run, Run)
     first_label, first = next(iter(runs.items()))
     for label, run in runs.items():
         same = run.target.points.shape == first.target.points.shape

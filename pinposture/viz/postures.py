@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from pinposture.arm import Arm, Ellipsoid
 from pinposture.collision import Scene
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
+from pinposture.motion import Run
 from pinposture.placement import Target
 from pinposture.units import length_text
 from pinposture.viz import palette
@@ -315,7 +315,7 @@ def _draw_sections(panel: PosturePanel, solids: Sequence[Array]) -> None:
             ax.fill(*rim.T, fill=False, ls=(0, (1, 2)), **edge)
 
 
-def plot_postures(run: Trajectory, ax: Axes) -> None:
+def plot_postures(run: Run, ax: Axes) -> None:
     """Draw the postures at the start and end of a run, and the target.
 
     Args:
@@ -328,7 +328,7 @@ def plot_postures(run: Trajectory, ax: Axes) -> None:
     draw_runs([(run, "final posture", palette.controller_color(run.controller))], ax)
 
 
-def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
+def draw_runs(runs: Sequence[tuple[Run, str, str]], ax: Axes) -> None:
     """Draw several runs of one arm to one target; each distinct start is drawn once.
 
     Args:
@@ -351,7 +351,7 @@ def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, frameon=False, ncols=3)
 
 
-def evenly_spaced_rows(run: Trajectory) -> NDArray[np.intp]:
+def evenly_spaced_rows(run: Run) -> NDArray[np.intp]:
     """Return up to eight inner rows of `run.q` at about equal motions of the control points."""
     moved = np.linalg.norm(np.diff(run.points, axis=0), axis=2).mean(axis=1)
     path = np.concatenate([[0.0], np.cumsum(moved)])
@@ -359,9 +359,7 @@ def evenly_spaced_rows(run: Trajectory) -> NDArray[np.intp]:
     return np.unique(rows[(rows > 0) & (rows < run.steps)])
 
 
-def draw_intermediate_postures(
-    panel: PosturePanel, run: Trajectory, color: str, rows: NDArray[np.intp]
-) -> None:
+def draw_intermediate_postures(panel: PosturePanel, run: Run, color: str, rows: NDArray[np.intp]) -> None:
     """Draw the postures at given rows of `run.q` as pale lines."""
     pale: dict[str, Any] = {"color": color, "lw": 0.7, "alpha": 0.35, "zorder": 1}
     for k, row in enumerate(rows):

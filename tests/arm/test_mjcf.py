@@ -730,7 +730,7 @@ def test_an_arm_from_mjcf_is_saved_with_its_description(tmp_path: Path) -> None:
     saved = pp.save(run, tmp_path / "run.npz")
     assert pp.Arm.from_spec(arm.spec).joint_names == arm.joint_names  # which names the file
     file.unlink()
-    again = pp.load(saved, pp.Trajectory)
+    again = pp.load(saved, pp.Run)
     np.testing.assert_array_equal(again.q, run.q)
     q = np.full(4, 0.3)
     np.testing.assert_array_equal(again.arm.at(q).points, arm.at(q).points)

@@ -43,7 +43,7 @@ def test_the_mean_is_over_points_that_have_a_target(arm):
     target = pp.Target.from_points(arm, np.zeros((3, 3)), [1.0, 0.0, 1.0])
     errors = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.2]])
     run = made(arm, np.zeros((2, 3)), point_errors=errors, target=np.zeros((3, 3)))
-    run = pp.Trajectory(**{**vars(run), "target": target})
+    run = pp.Run(**{**vars(run), "target": target})
     found = measure_run(run, "lm")
     assert found.error == pytest.approx(0.15 / 0.45)
     assert found.peak == 1.0  # there was no error to begin with
@@ -89,7 +89,7 @@ def test_slides_are_measured_in_their_unit_and_steps_against_the_limit_of_each_j
 def test_the_turn_is_that_between_start_and_target(arm):
     target = pp.Target.from_configuration(arm, [1.0, 1.0, -0.5])
     run = made(arm, np.array([[0.0, -0.5, 0.0], [0.1, 0.0, 0.0]]))
-    run = pp.Trajectory(**{**vars(run), "target": target})
+    run = pp.Run(**{**vars(run), "target": target})
     assert measure_run(run, "joint").turn == pytest.approx(2.5)
 
 

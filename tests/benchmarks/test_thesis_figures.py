@@ -28,7 +28,7 @@ def planar() -> pp.Arm:
     return template_arm("Rz", 8, (0.1,))
 
 
-def run_of(arm, controller, steps=12, straight=False) -> pp.Trajectory:
+def run_of(arm, controller, steps=12, straight=False) -> pp.Run:
     rng = np.random.default_rng(7)
     target = pp.Target.from_configuration(arm, rng.uniform(-0.4, 0.4, arm.nv))
     q = np.full(arm.nv, 0.0) if straight else rng.uniform(-0.4, 0.4, arm.nv)
@@ -36,22 +36,22 @@ def run_of(arm, controller, steps=12, straight=False) -> pp.Trajectory:
 
 
 @pytest.fixture(scope="session")
-def selection() -> pp.Trajectory:
+def selection() -> pp.Run:
     return run_of(spatial(), "selection")
 
 
 @pytest.fixture(scope="session")
-def projection() -> pp.Trajectory:
+def projection() -> pp.Run:
     return run_of(spatial(), "projection", 9)
 
 
 @pytest.fixture(scope="session")
-def flat_selection() -> pp.Trajectory:
+def flat_selection() -> pp.Run:
     return run_of(planar(), "selection")
 
 
 @pytest.fixture(scope="session")
-def flat_projection() -> pp.Trajectory:
+def flat_projection() -> pp.Run:
     return run_of(planar(), "projection", 6)
 
 
@@ -75,7 +75,7 @@ def shows(ax, values) -> bool:
     return any(np.array_equal(line.get_ydata(), values) for line in ax.get_lines())
 
 
-def marked(run, method) -> pp.Trajectory:
+def marked(run, method) -> pp.Run:
     """The run as if its controller had several methods."""
     return replace(run, method=np.array(method))
 

@@ -23,7 +23,7 @@ def test_a_start_in_degrees_is_refused_with_the_option_that_takes_it(command, ar
     np.savetxt(tmp_path / "q.csv", DEGREES)
     for given in (start, tmp_path / "q.csv"):
         assert command(*asked, "--start", given, "--degrees").code == 1
-        found = pp.load(tmp_path / "run.npz", pp.Trajectory).q[0]
+        found = pp.load(tmp_path / "run.npz", pp.Run).q[0]
         np.testing.assert_allclose(found, DEGREES * np.pi / 180.0, rtol=1e-15)
     named = command(*asked, "--start", "smooth", "--degrees")
     assert (named.code, "only with numbers" in named.err) == (2, True)

@@ -13,7 +13,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.trajectory import Motion
+from pinposture.motion.trajectory import Trajectory
 
 STEPS = 11
 
@@ -21,7 +21,7 @@ STEPS = 11
 @pytest.fixture(scope="module")
 def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of `STEPS` steps of 0.02 s, with a limit of speed, that gets there."""
-    arm = pp.load(run_directory / "run.npz", pp.Trajectory).arm
+    arm = pp.load(run_directory / "run.npz", pp.Run).arm
     target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.17))
     limits = pp.Limits(step=None, velocity=1.5, dt=0.02)
     run = pp.track(arm, target, arm.neutral(), limits=limits)
@@ -37,7 +37,7 @@ def test_a_run_is_written_in_the_format_of_the_name(command, run_directory, tmp_
     assert result.code == 0
     assert result.err.splitlines()[2:] == [f"wrote {file}"]
     assert "12 joints, 21 points, 1 s" in result.out
-    run = pp.load(run_directory / "run.npz", pp.Trajectory)
+    run = pp.load(run_directory / "run.npz", pp.Run)
     found = pp.load(file, JointTrajectory).matched(run.arm)
     np.testing.assert_array_equal(found.configurations(run.arm), run.q)
     np.testing.assert_allclose(found.time, 0.05 * np.arange(21), atol=1e-9)
@@ -57,7 +57,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
     file = tmp_path / "motion.json"
     result = command("export", timed_run, "-o", file, "--json")
     summary = json.loads(result.out)
-    run = pp.load(timed_run, pp.Trajectory)
+    run = pp.load(timed_run, pp.Run)
     steps = np.diff(run.q, axis=0)
     changes = np.diff(np.pad(steps, ((1, 1), (0, 0))), axis=0)
     assert summary.pop("largest_speed") == {"rad/s": pytest.approx(np.abs(steps).max() / 0.02)}
@@ -81,7 +81,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
 
 
 def test_a_run_with_an_acceleration_limit_is_written_without_a_warning(command, timed_run, tmp_path) -> None:
-    run = pp.load(timed_run, pp.Trajectory)
+    run = pp.load(timed_run, pp.Run)
     limits = pp.Limits(step=None, velocity=1.5, dt=0.02, acceleration=80.0)
     pp.save(dataclasses.replace(run, limits=limits), tmp_path / "run.npz")
     assert command("export", tmp_path, "-o", tmp_path / "a.csv").err == f"wrote {tmp_path / 'a.csv'}\n"
@@ -90,10 +90,10 @@ def test_a_run_with_an_acceleration_limit_is_written_without_a_warning(command, 
 def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
     command, timed_run, run_directory, tmp_path
 ) -> None:
-    run = pp.load(timed_run, pp.Trajectory)
+    run = pp.load(timed_run, pp.Run)
     rows, m = run.point_errors.shape
     there = np.tile(run.target.points, (rows, 1, 1))
-    motion = Motion(run, there, np.ones((rows, m), dtype=bool), 0.02 * np.arange(rows), 0, 0.22)
+    motion = Trajectory(run, there, np.ones((rows, m), dtype=bool), 0.02 * np.arange(rows), 0, 0.22)
     shutil.copy(run_directory / "run.npz", tmp_path)
     # A file of that name that holds something else does not count.
     pp.save(run.joint_trajectory(), tmp_path / "motion.npz")
@@ -108,7 +108,7 @@ def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
 
 
 def test_a_run_that_exceeds_a_limit_is_written_only_by_force(command, timed_run, tmp_path) -> None:
-    run = pp.load(timed_run, pp.Trajectory)
+    run = pp.load(timed_run, pp.Run)
     limits = pp.Limits(dt=0.02, acceleration=1.0)  # tighter than what it was made with
     pp.save(dataclasses.replace(run, limits=limits), tmp_path / "run.npz")
     asked = ("export", tmp_path, "-o", tmp_path / "a.csv")

@@ -86,7 +86,7 @@ def test_what_is_kept_is_what_the_file_asks_for_and_loads(command, task, tmp_pat
     assert sorted(result.err.splitlines()) == [
         f"wrote {out / f'motion.{kind}'}" for kind in ("csv", "json", "npz")
     ]
-    motion = pp.load(out / "motion.npz", pp.Motion)
+    motion = pp.load(out / "motion.npz", pp.Trajectory)
     expected = pp.Task.load(task).perform()
     np.testing.assert_array_equal(motion.q, expected.q)
     np.testing.assert_array_equal(motion.plan_time, expected.plan_time)
@@ -299,7 +299,7 @@ def test_a_view_comes_last(command, task, monkeypatch):
     shown = []
     monkeypatch.setattr("pinposture.cli.run.show", lambda motion, *_: shown.append(motion))
     assert command("run", task, "--view").code == 0
-    assert [type(motion) for motion in shown] == [pp.Motion]
+    assert [type(motion) for motion in shown] == [pp.Trajectory]
 
 
 def test_notes_on_the_arm_are_told(command, task, tmp_path):

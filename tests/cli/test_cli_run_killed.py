@@ -124,7 +124,7 @@ def check(out: Path) -> list[str]:
         if name == "status.json":
             json.loads((out / name).read_text())
         elif name == "motion.npz":
-            assert pp.load(out / name, pp.Motion).converged
+            assert pp.load(out / name, pp.Trajectory).converged
         else:
             rows = pp.load(out / name, pp.JointTrajectory).positions
             assert len(rows) > 20

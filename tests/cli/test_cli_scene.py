@@ -36,7 +36,7 @@ def track(command, arm_file, tmp_path, no_pictures):
         asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "-o", tmp_path)
         result = command(*asked, *options, "--json")
         assert result.code == 0, result.err
-        return json.loads(result.out), pp.load(tmp_path / "run.npz", pp.Trajectory)
+        return json.loads(result.out), pp.load(tmp_path / "run.npz", pp.Run)
 
     return run
 
@@ -51,7 +51,7 @@ def passed(command, arm_file, scene_file, tmp_path_factory):
         asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--scene", scene_file)
         result = command(*asked, "-o", path, "--json")
     assert result.code == 0, result.err
-    return json.loads(result.out), pp.load(path / "run.npz", pp.Trajectory)
+    return json.loads(result.out), pp.load(path / "run.npz", pp.Run)
 
 
 def to_ball(points):
@@ -106,7 +106,7 @@ def test_a_scan_beside_the_file_is_kept_clear_of_and_stays_with_the_run(track, c
     clearances = [to_ball(state).min() for state in run.points]
     assert MARGIN - 2e-3 < min(clearances) < 0.05
     (tmp_path / "ball.xyz").unlink()
-    again = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    again = pp.load(tmp_path / "run.npz", pp.Run)
     np.testing.assert_allclose(again.scene.obstacles["seen"].points, points, atol=1e-9)
 
 
@@ -145,7 +145,7 @@ def test_what_gave_way_is_told_with_the_step(command, arm_file, tmp_path, no_pic
     # Some joints begin outside what the margin leaves, 0.24 rad on either side.
     asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--position-margin", 2.9)
     summary = json.loads(command(*asked, "-o", tmp_path, "--json").out)
-    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    run = pp.load(tmp_path / "run.npz", pp.Run)
     assert summary["violated_constraints"][0]["step"] == 0
     assert "position limit: joint 'm01_j2_z'" in summary["violated_constraints"][0]["what"][0]
     assert {each["step"]: each["what"] for each in summary["violated_constraints"]} == {

@@ -16,7 +16,7 @@ from pinposture.sim import Simulation
 @pytest.fixture(scope="module")
 def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with a run of 10 cycles of 0.02 s."""
-    arm = pp.load(run_directory / "run.npz", pp.Trajectory).arm
+    arm = pp.load(run_directory / "run.npz", pp.Run).arm
     target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.1))
     limits = pp.Limits(dt=0.02, acceleration=20.0)
     run = pp.track(arm, target, arm.neutral(), limits=limits, max_steps=10)
@@ -57,7 +57,7 @@ def test_exported_joints_are_simulated_with_the_arm_that_is_named(
     command, timed_run, arm_file, tmp_path, suffix
 ):
     file = tmp_path / f"joints.{suffix}"
-    pp.save(pp.load(timed_run / "run.npz", pp.Trajectory).joint_trajectory(), file)
+    pp.save(pp.load(timed_run / "run.npz", pp.Run).joint_trajectory(), file)
     loops = [["--closed"], []] if suffix == "csv" else [[]]
     for loop in loops:
         result = command("simulate", file, "--urdf", arm_file, "--hold", 0.1, "--json", *loop)
@@ -69,7 +69,7 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
     weak = tmp_path / "weak.urdf"
     weak.write_text(arm_file.read_text().replace('effort="100.0"', 'effort="0.01"'))
     file = tmp_path / "joints.csv"
-    pp.save(pp.load(timed_run / "run.npz", pp.Trajectory).joint_trajectory(), file)
+    pp.save(pp.load(timed_run / "run.npz", pp.Run).joint_trajectory(), file)
     result = command("simulate", file, "--urdf", weak, "--hold", 1)
     assert result.code == 1  # the arm hangs down
     assert result.out.startswith("verdict")
@@ -103,7 +103,7 @@ def test_what_cannot_be_is_told_in_one_line(
     command, timed_run, run_directory, arm_file, tmp_path, arguments, reason
 ):
     table = tmp_path / "joints.csv"
-    pp.save(pp.load(timed_run / "run.npz", pp.Trajectory).joint_trajectory(), table)
+    pp.save(pp.load(timed_run / "run.npz", pp.Run).joint_trajectory(), table)
     named = {"RUN": timed_run, "UNTIMED": run_directory, "ARM": arm_file, "CSV": table}
     result = command("simulate", *(named.get(each, each) for each in arguments))
     assert (result.code, result.out) == (2, "")

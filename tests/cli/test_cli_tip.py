@@ -28,7 +28,7 @@ def track(command, arm_file, tmp_path, no_pictures):
         asked = ("track", arm_file, "--curve", "line", "--start", START, "--steps", 80, "-o", tmp_path)
         result = command(*asked, *options, "--json")
         assert result.code in (0, 1), result.err  # the shape may have to give way to the tip
-        return json.loads(result.out)["tip"], pp.load(tmp_path / "run.npz", pp.Trajectory)
+        return json.loads(result.out)["tip"], pp.load(tmp_path / "run.npz", pp.Run)
 
     return run
 
@@ -96,7 +96,7 @@ def test_haste_takes_joints_straight_there(command, arm_file, tmp_path, no_pictu
         excess.append(
             json.loads(command("track", arm_file, "--curve", "helix", *options).out)["path_length_ratio"]
         )
-        q = pp.load(tmp_path / "run.npz", pp.Trajectory).q
+        q = pp.load(tmp_path / "run.npz", pp.Run).q
     assert excess[0] < excess[1]
     way = q[-1] - q[0]  # of the hasty one: close to a straight line through joint space
     aside = (q - q[0]) - np.outer((q - q[0]) @ way, way) / (way @ way)

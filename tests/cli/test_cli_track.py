@@ -24,7 +24,7 @@ def track(command, arm_file, *options):
 @pytest.mark.usefixtures("no_pictures")
 def test_the_summary_describes_the_run_that_was_kept(command, arm_file, tmp_path):
     summary = track(command, arm_file, "--steps", 10, "-o", tmp_path / "out")
-    run = pp.load(tmp_path / "out" / "run.npz", pp.Trajectory)
+    run = pp.load(tmp_path / "out" / "run.npz", pp.Run)
     errors = [np.linalg.norm(points - run.target.points, axis=1).sum() for points in run.points]
     assert summary["steps"] == len(run.q) - 1 == 10
     assert summary["start_error"] == pytest.approx(errors[0])
@@ -70,7 +70,7 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
     first, last = (summary[key] / 6 for key in ("start_error", "final_error"))
     said = f"mean {length_text(first)} at the start, {length_text(last)}, "
     assert facts["point errors"].startswith(said)
-    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    run = pp.load(tmp_path / "run.npz", pp.Run)
     largest = np.linalg.norm(run.points[-1] - run.target.points, axis=1).max()
     assert facts["point errors"].endswith(f"; largest {length_text(largest)}")
     assert summary["largest_error"] == pytest.approx(largest)
@@ -87,7 +87,7 @@ def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
 def test_options_reach_the_run(command, arm_file, tmp_path):
     options = ("--controller", "projection", "--step-limit", 0.02, "--roll", 0.5, "--placement", "align")
     track(command, arm_file, *options, "--steps", 8, "-o", tmp_path)
-    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    run = pp.load(tmp_path / "run.npz", pp.Run)
     assert run.controller.startswith("Projection")
     assert np.abs(np.diff(run.q, axis=0)).max() == pytest.approx(0.02)
     target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], roll=0.5, placement="align")
@@ -126,9 +126,7 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
 ):
     summary = track(command, arm_file, "--method", method, "--steps", 1, "-o", tmp_path)
     target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], method=method, placement="align")
-    np.testing.assert_allclose(
-        pp.load(tmp_path / "run.npz", pp.Trajectory).target.points, target.points, atol=1e-12
-    )
+    np.testing.assert_allclose(pp.load(tmp_path / "run.npz", pp.Run).target.points, target.points, atol=1e-12)
     assert summary["placed_by"] == target.method != "auto"
     distances = target.curve.nearest(target.points)[1]
     assert summary["largest_residual"] == pytest.approx(distances.max(), rel=1e-3, abs=1e-7)
@@ -140,7 +138,7 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
 @pytest.mark.usefixtures("no_pictures")
 def test_the_summary_tells_how_far_the_whole_arm_is_from_the_curve(command, arm_file, tmp_path):
     summary = track(command, arm_file, "--steps", 3, "-o", tmp_path)
-    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    run = pp.load(tmp_path / "run.npz", pp.Run)
     corners = [run.arm.chain.base]
     for k, joints in enumerate(run.arm.chain.module_slices):
         corners += [*run.arm.at(run.q[-1]).forward.origins[joints], run.points[-1][k]]
@@ -170,7 +168,7 @@ def test_the_largest_residual_is_that_of_the_points_that_have_a_place(command, a
 @pytest.mark.usefixtures("no_pictures")
 def test_modules_end_at_links_that_are_named(command, arm_file, tmp_path):
     track(command, arm_file, "--modules", "m02_l2,m04_l2,tip", "--steps", 1, "-o", tmp_path)
-    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    run = pp.load(tmp_path / "run.npz", pp.Run)
     named = pp.Arm.load(arm_file, modules=["m02_l2", "m04_l2", "tip"])
     assert run.arm.module_joints == named.module_joints
     assert run.arm.n_modules == 3
@@ -211,7 +209,7 @@ def test_named_starts_are_those_of_the_library(command, arm_file, tmp_path):
     free = ("--seed", 9, "--steps", 1, "--no-self-collision")
     for start, q in expected.items():
         track(command, arm_file, "--start", start, *free, "-o", tmp_path / start)
-        np.testing.assert_array_equal(pp.load(tmp_path / start / "run.npz", pp.Trajectory).q[0], q)
+        np.testing.assert_array_equal(pp.load(tmp_path / start / "run.npz", pp.Run).q[0], q)
 
 
 @pytest.mark.parametrize("start", ["random", "smooth"])
@@ -248,7 +246,7 @@ def test_a_start_is_the_same_from_numbers_and_from_every_kind_of_file(command, a
     for number, start in enumerate([*files, ",".join(map(repr, q.tolist()))]):
         out = tmp_path / str(number)
         track(command, arm_file, "--start", start, "--steps", 1, "-o", out)
-        np.testing.assert_array_equal(pp.load(out / "run.npz", pp.Trajectory).q[0], q)
+        np.testing.assert_array_equal(pp.load(out / "run.npz", pp.Run).q[0], q)
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -260,7 +258,7 @@ def test_a_continuous_joint_may_be_given_as_one_angle_or_as_cosine_and_sine(comm
     pairs = np.column_stack([np.cos(angles), np.sin(angles)]).ravel()
     for values, out in ((angles, tmp_path / "angles"), (pairs, tmp_path / "pairs")):
         track(command, file, "--start", ",".join(map(repr, values.tolist())), "--steps", 1, "-o", out)
-        np.testing.assert_allclose(pp.load(out / "run.npz", pp.Trajectory).q[0], pairs, atol=1e-12)
+        np.testing.assert_allclose(pp.load(out / "run.npz", pp.Run).q[0], pairs, atol=1e-12)
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -271,7 +269,7 @@ def test_a_curve_from_a_file_is_followed(command, arm_file, tmp_path):
         "track", arm_file, "--curve", tmp_path / "c.csv", "--steps", 2, "-o", tmp_path / "out", "--json"
     )
     assert result.code == 1  # in two steps it does not get there
-    x, y, z = pp.load(tmp_path / "out" / "run.npz", pp.Trajectory).target.points.T
+    x, y, z = pp.load(tmp_path / "out" / "run.npz", pp.Run).target.points.T
     np.testing.assert_allclose(y, 0.5 * x**2, atol=1e-5)
     np.testing.assert_allclose(z, 0, atol=1e-6)
 
@@ -382,7 +380,7 @@ def test_a_region_leaves_the_other_points_free(command, arm_file, tmp_path):
     asked = ("track", arm_file, "--curve", "helix", "--region", "3-5", "-o", tmp_path / "out")
     found = json.loads(command(*asked, "--json").out)
     assert (found["placed_points"], found["control_points"]) == (3, 6)
-    kept = pp.load(tmp_path / "out" / "run.npz", pp.Trajectory)
+    kept = pp.load(tmp_path / "out" / "run.npz", pp.Run)
     np.testing.assert_array_equal(np.flatnonzero(kept.target.has_target), [2, 3, 4])
 
 

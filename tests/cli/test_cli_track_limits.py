@@ -12,10 +12,10 @@ SLACK = 1e-9
 
 @pytest.fixture
 def track(command, arm_file, tmp_path, no_pictures):
-    def run(*options) -> pp.Trajectory:
+    def run(*options) -> pp.Run:
         result = command("track", arm_file, "--curve", "helix", "--steps", 40, "-o", tmp_path, *options)
         assert result.code in (0, 1), result.err  # some limits leave too little time
-        return pp.load(tmp_path / "run.npz", pp.Trajectory)
+        return pp.load(tmp_path / "run.npz", pp.Run)
 
     return run
 
@@ -40,7 +40,7 @@ def test_the_summary_has_what_the_motion_takes_of_each_limit(command, arm_file, 
     asked = ("--acceleration", 5, "--jerk", 30, "--dt", 0.05, "--steps", 400, "-o", tmp_path)
     out = command("track", arm_file, "--curve", "helix", *asked).out
     facts = {line[:15].strip(): line[15:].strip() for line in out.splitlines()}
-    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    run = pp.load(tmp_path / "run.npz", pp.Run)
     moved = np.pad(np.diff(run.q, axis=0), ((2, 2), (0, 0)))
     rates = {}
     for order, (kind, most) in enumerate({"speed": 0.1 / 0.05, "acceleration": 5.0, "jerk": 30.0}.items()):

@@ -15,7 +15,7 @@ import pinposture as pp
 from pinposture.cli.output import FORMATS, find_kept, load_kept, motion_files, write_files
 from pinposture.cli.run import motion_in_words, summarize_motion
 from pinposture.errors import FileError
-from pinposture.motion.trajectory import Motion, Waypoint
+from pinposture.motion.trajectory import Trajectory, Waypoint
 
 
 def around_a_ball() -> pp.Scene:
@@ -45,7 +45,7 @@ def test_of_a_directory_with_both_the_newer_one_is_taken_and_named(both, newer):
     file, chosen = find_kept(both)
     assert file == both / newer
     assert chosen.startswith(newer)
-    assert isinstance(load_kept(file), Motion if newer == "motion.npz" else pp.Trajectory)
+    assert isinstance(load_kept(file), Trajectory if newer == "motion.npz" else pp.Run)
 
 
 def test_one_file_alone_needs_no_words(tmp_path):
@@ -99,7 +99,7 @@ def test_the_command_plays_a_motion_until_ctrl_c(command, both, monkeypatch):
     monkeypatch.setattr("pinposture.cli.view.wait", wait)
     result = command("view", both / "motion.npz", "--no-browser", "--ellipsoids", "5")
     assert (result.code, result.out) == (0, f"{Viewer.url}\n")
-    assert shown == [(Motion, False, (4,)), "play", "close"]
+    assert shown == [(Trajectory, False, (4,)), "play", "close"]
 
 
 def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
@@ -111,7 +111,7 @@ def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
         f"motion.{kind}" for kind in FORMATS
     )
     assert list(files)[-1] == "npz"
-    np.testing.assert_array_equal(pp.load(files["npz"], Motion).q, motion.q)
+    np.testing.assert_array_equal(pp.load(files["npz"], Trajectory).q, motion.q)
     message = json.loads(Path(files["json"]).read_text(encoding="utf-8"))
     # It stands still for a cycle before and after.
     assert len(message["points"]) == motion.steps + 3

@@ -39,17 +39,17 @@ def posture(arm: pp.Arm, seed: int, amplitude: float = 0.6) -> np.ndarray:
     return smooth_configuration(arm, np.random.default_rng(seed), amplitude)
 
 
-def stints(run: pp.Trajectory) -> list[tuple[str, int]]:
+def stints(run: pp.Run) -> list[tuple[str, int]]:
     return [(name, len(list(steps))) for name, steps in groupby(run.method.tolist())]
 
 
 @pytest.fixture(scope="module")
-def hard(long: pp.Arm) -> pp.Trajectory:
+def hard(long: pp.Arm) -> pp.Run:
     """A run from which Selection alone and Projection alone do not get to the helix."""
     return pp.track(long, pp.resolve_targets(long, HELIX), posture(long, 10, 0.9), "switching", max_steps=400)
 
 
-def test_it_gets_where_neither_part_gets_alone(long: pp.Arm, hard: pp.Trajectory) -> None:
+def test_it_gets_where_neither_part_gets_alone(long: pp.Arm, hard: pp.Run) -> None:
     alone = [
         pp.track(long, hard.target, hard.q[0], name, max_steps=400) for name in ("selection", "projection")
     ]
@@ -57,7 +57,7 @@ def test_it_gets_where_neither_part_gets_alone(long: pp.Arm, hard: pp.Trajectory
     assert all(run.point_errors[-1].mean() > 1e-3 * long.length for run in alone)
 
 
-def test_each_step_is_one_of_the_method_that_it_names(long: pp.Arm, hard: pp.Trajectory) -> None:
+def test_each_step_is_one_of_the_method_that_it_names(long: pp.Arm, hard: pp.Run) -> None:
     """Selection's steps are Selection's; Projection's are those towards the target or towards a waypoint."""
     method = pp.Switching()
     aims = []
@@ -79,7 +79,7 @@ def test_each_step_is_one_of_the_method_that_it_names(long: pp.Arm, hard: pp.Tra
     assert not all(aims)
 
 
-def test_every_change_of_method_is_recorded_with_its_reason(hard: pp.Trajectory) -> None:
+def test_every_change_of_method_is_recorded_with_its_reason(hard: pp.Run) -> None:
     changes = [k + 1 for k, (a, b) in enumerate(pairwise(hard.method)) if a != b]
     assert [switch.step for switch in hard.switches] == changes
     assert len(changes) > 2
@@ -88,7 +88,7 @@ def test_every_change_of_method_is_recorded_with_its_reason(hard: pp.Trajectory)
         assert expected in switch.reason
 
 
-def test_the_stints_of_projection_double_so_that_it_cannot_chatter(hard: pp.Trajectory) -> None:
+def test_the_stints_of_projection_double_so_that_it_cannot_chatter(hard: pp.Run) -> None:
     # Some last longer, because Selection finds no control points when they are over; the last one may be cut.
     lengths = [length for name, length in stints(hard) if name == "projection"]
     assert len(lengths) > 2
@@ -121,7 +121,7 @@ def test_without_a_known_configuration_every_stint_is_short_and_aims_at_the_targ
     assert all(length <= 5 for name, length in stints(run)[:-1] if name == "projection")
 
 
-def _is_escape(run: pp.Trajectory, k: int) -> bool:
+def _is_escape(run: pp.Run, k: int) -> bool:
     step = pp.Switching().projection.step(run.arm.at(run.q[k]), run.target)
     return not np.allclose(step.dq, run.q[k + 1] - run.q[k], atol=1e-12)
 

@@ -12,7 +12,7 @@ import pinposture as pp
 from pinposture.editor.playback import Rehearsal, Rehearsed
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver
-from pinposture.motion import Motion, Trajectory
+from pinposture.motion import Run, Trajectory
 from pinposture.task import Keyframe, Task
 
 L = 0.2
@@ -62,7 +62,7 @@ def short(**values: object) -> Task:
 
 
 @cache
-def moved() -> Motion:
+def moved() -> Trajectory:
     """The motion of such a task."""
     return short().perform()
 
@@ -81,14 +81,14 @@ def live_of(session: Session) -> Live:
     return Solver(session.problem, session.arm.straight()).live
 
 
-def by_hand(arm: pp.Arm, q: np.ndarray, off: np.ndarray, dt: float = 0.1) -> Motion:
+def by_hand(arm: pp.Arm, q: np.ndarray, off: np.ndarray, dt: float = 0.1) -> Trajectory:
     """A motion through configurations (N, nq), whose points miss their targets by `off`, (N, m, 3)."""
     rows = len(q)
     m = arm.n_modules
     points = np.array([arm.at(row).points for row in q])
     target = pp.Target(points[-1], np.ones(m))
     steps = rows - 1
-    run = Trajectory(
+    run = Run(
         arm=arm,
         target=target,
         controller="geodesic",
@@ -112,4 +112,4 @@ def by_hand(arm: pp.Arm, q: np.ndarray, off: np.ndarray, dt: float = 0.1) -> Mot
         clearance=np.full(rows, np.inf),
     )
     asked = np.ones((rows, m), dtype=np.bool_)
-    return Motion(run, points + off, asked, dt * np.arange(rows), 0, dt * steps)
+    return Trajectory(run, points + off, asked, dt * np.arange(rows), 0, dt * steps)

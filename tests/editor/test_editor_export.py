@@ -12,14 +12,14 @@ from played import four_modules, moved
 import pinposture as pp
 from pinposture.editor.files import EXPORT_KINDS, export
 from pinposture.errors import MotionError, UnknownName
-from pinposture.motion import JointTrajectory, Motion
+from pinposture.motion import JointTrajectory, Trajectory
 
 
 def test_the_archive_is_the_motion(tmp_path: Path) -> None:
     made = export(moved(), "npz", "walk")
     assert made.name == "walk.npz"
     (tmp_path / made.name).write_bytes(made.content)
-    loaded = pp.load(tmp_path / made.name, Motion)
+    loaded = pp.load(tmp_path / made.name, Trajectory)
     for field in ("q", "targets", "plan_time", "mean_error"):
         np.testing.assert_array_equal(getattr(loaded, field), getattr(moved(), field))
     assert [place.name for place in loaded.waypoints] == [place.name for place in moved().waypoints]

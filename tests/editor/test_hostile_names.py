@@ -25,7 +25,7 @@ import pinposture as pp
 from pinposture import editor as package
 from pinposture.editor import Editor
 from pinposture.editor.ui.keyframes import rename
-from pinposture.motion import Motion
+from pinposture.motion import Trajectory
 from pinposture.task import Keyframe, Task
 from pinposture.viz.meshcat import _viewer_script
 
@@ -98,7 +98,7 @@ def hostile_scene() -> pp.Scene:
     return pp.Scene(balls, self_collision=True)
 
 
-def hostile_motion() -> Motion:
+def hostile_motion() -> Trajectory:
     """A motion of such an arm in such a scene, past places with such names."""
     return some_motion(arm=hostile_arm(), scene=hostile_scene(), names=(HOSTILE, *MARKS[2:]))
 

@@ -12,7 +12,7 @@ import pytest
 from played import bent_spline, done, half_line, moved, short
 
 from pinposture.editor.playback import Rehearsal
-from pinposture.motion import Motion
+from pinposture.motion import Trajectory
 from pinposture.task import Keyframe, Task
 
 
@@ -25,7 +25,7 @@ class Gate:
         self.finished: list[str] = []
         moved()  # computed before `perform` is replaced
 
-        def perform(task: Task, reference: object, progress: Callable[[float, float], object]) -> Motion:
+        def perform(task: Task, reference: object, progress: Callable[[float, float], object]) -> Trajectory:
             del reference
             self.begun.release()
             assert self.open.acquire(timeout=30.0)
@@ -127,7 +127,7 @@ def test_a_task_that_cannot_be_tells_which_keyframe_and_why(from_a_file: bool, t
 
 
 def test_a_fault_is_told_and_not_waited_for_in_vain(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any, **__: Any) -> Motion:
+    def fail(*_: Any, **__: Any) -> Trajectory:
         raise RuntimeError("lost a screw")
 
     monkeypatch.setattr(Task, "perform", fail)

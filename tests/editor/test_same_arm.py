@@ -16,7 +16,7 @@ from pinposture.cli.app import app
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Solver
 from pinposture.errors import PostureWarning
-from pinposture.motion import Motion
+from pinposture.motion import Trajectory
 from pinposture.task import Task
 
 TASKS = Path(__file__).parents[2] / "examples" / "tasks"
@@ -76,7 +76,7 @@ def assert_same(bench: Bench, folder: Path, *keyframes: int) -> None:
     played = edited.perform()
     ended = CliRunner().invoke(app, ["run", str(path), "-o", str(out)])
     assert ended.exit_code == 0, ended.output
-    ran = pp.load(out / "motion.npz", Motion)
+    ran = pp.load(out / "motion.npz", Trajectory)
     assert np.array_equal(ran.q, played.q)
     marks = loaded.reference().marks
     for keyframe in keyframes:

@@ -97,7 +97,7 @@ def test_numbers_of_numpy_are_numbers(arm: pp.Arm, goal: pp.Target, tmp_path) ->
     limits = pp.Limits(step=np.float32(0.1), dt=np.float32(0.5), position_margin=np.float32(0.01))
     method = pp.Selection(gain=np.int64(1), null_gain=np.float32(0.5))
     run = pp.track(arm, goal, np.full(8, 0.1), method, limits, max_steps=np.int64(3))
-    again = pp.load(pp.save(run, tmp_path / "run.npz"), pp.Trajectory)
+    again = pp.load(pp.save(run, tmp_path / "run.npz"), pp.Run)
     assert again.limits == limits
     assert hash(again.limits) == hash(limits)
     assert limits != pp.Limits(step=np.full(8, 0.1))
@@ -138,7 +138,7 @@ def test_damaged_runs_are_file_errors(arm: pp.Arm, goal: pp.Target, tmp_path) ->
             broken[place] ^= int(rng.integers(1, 256))
         path.write_bytes(bytes(broken))
         try:
-            pp.load(path, pp.Trajectory)
+            pp.load(path, pp.Run)
         except FileError:
             continue
     with np.load(pp.save(run, path)) as stored:
@@ -146,4 +146,4 @@ def test_damaged_runs_are_file_errors(arm: pp.Arm, goal: pp.Target, tmp_path) ->
     for name, value in {"q": np.zeros((2, 2)), "about": np.array(json.dumps({"format": "?"}))}.items():
         np.savez(path, **(arrays | {name: value}))
         with pytest.raises(FileError):
-            pp.load(path, pp.Trajectory)
+            pp.load(path, pp.Run)

@@ -46,7 +46,7 @@ def scene() -> pp.Scene:
     return pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)})
 
 
-def assert_same_run(one: pp.Trajectory, other: pp.Trajectory) -> None:
+def assert_same_run(one: pp.Run, other: pp.Run) -> None:
     """Everything that a run has, to the last bit."""
     assert vars(one).keys() >= {"q", "points", "reason", "violated_constraints"}
     for name, value in vars(other).items():

@@ -170,7 +170,7 @@ def test_files_that_are_no_batches_are_named(batch: pp.Batch, tmp_path: Path) ->
     with pytest.raises(FileError, match=r"'pinposture-run'.*allowed: 'pinposture-batch'"):
         pp.load(pp.save(batch[0], tmp_path / "run.npz"), pp.Batch)
     with pytest.raises(FileError, match="contains many runs"):
-        pp.load(pp.save(batch, tmp_path / "batch.npz"), pp.Trajectory)
+        pp.load(pp.save(batch, tmp_path / "batch.npz"), pp.Run)
 
 
 @examples(40)

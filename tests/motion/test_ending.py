@@ -14,7 +14,7 @@ import pinposture as pp
 from pinposture.control import Memory
 from pinposture.editor.files import export
 from pinposture.errors import MotionError
-from pinposture.motion.trajectory import ENDINGS
+from pinposture.motion.run import ENDINGS
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def goal(arm: pp.Arm) -> pp.Target:
     return pp.Target.from_configuration(arm, np.full(8, 0.3))
 
 
-def swept(arm: pp.Arm, goal: pp.Target, steps: int, scene: pp.Scene | None = None) -> pp.Trajectory:
+def swept(arm: pp.Arm, goal: pp.Target, steps: int, scene: pp.Scene | None = None) -> pp.Run:
     """A run by a controller that looks at no scene."""
     return pp.track(arm, goal, arm.neutral(), "joint", pp.Limits(dt=0.1), scene, max_steps=steps)
 
@@ -132,7 +132,7 @@ class TestAnArmThatClosesOnItself:
     def frames(self) -> tuple[pp.Keyframe, ...]:
         return pp.Keyframe(joints=tuple(self.arm.straight())), pp.Keyframe(joints=tuple(self.q), time=3.0)
 
-    def track(self, scene: pp.Scene | None, controller: str = "geodesic") -> pp.Trajectory:
+    def track(self, scene: pp.Scene | None, controller: str = "geodesic") -> pp.Run:
         return pp.track(self.arm, self.goal, self.arm.straight(), controller, self.limits, scene)
 
     def check(self, faults: tuple[str, ...], row: int) -> None:

@@ -14,7 +14,7 @@ from pinposture.arm import smooth_configuration
 from pinposture.collision import CollisionModel
 from pinposture.control.limits import JerkFilter
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import find_limit_violation
+from pinposture.motion.run import find_limit_violation
 from pinposture.units import length_text
 
 pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")

@@ -324,7 +324,7 @@ def test_a_duration_that_is_missing_or_contradicts_is_refused(
         short_run(hinges, known).joint_trajectory(given_)
 
 
-def short_run(hinges: pp.Arm, dt: float | None) -> pp.Trajectory:
+def short_run(hinges: pp.Arm, dt: float | None) -> pp.Run:
     target = pp.Target.from_configuration(hinges, np.full(4, 0.5))
     return pp.track(hinges, target, hinges.neutral(), limits=pp.Limits(dt=dt), max_steps=2)
 

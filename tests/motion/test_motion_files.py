@@ -18,7 +18,7 @@ from sampling import examples
 import pinposture as pp
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.files import kind_of
-from pinposture.motion.trajectory import Motion
+from pinposture.motion.trajectory import Trajectory
 from pinposture.task import Mark, Reference, perform
 
 LIMITS = pp.Limits(step=None, velocity=np.full(8, 1.5), dt=0.05, acceleration=30.0, position_margin=0.01)
@@ -31,7 +31,7 @@ def arm() -> pp.Arm:
 
 def motion_of(
     arm: pp.Arm, controller: str = "geodesic", ball: bool = False, stop: int | None = None
-) -> Motion:
+) -> Trajectory:
     s = np.linspace(0.0, 1.0, 31)[:, None]
     offsets = s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * np.linspace(0.2, -0.5, arm.nv)
     weights = np.ones((31, 4))
@@ -53,16 +53,16 @@ def motion_of(
 
 
 @pytest.fixture(scope="module")
-def motion(arm: pp.Arm) -> Motion:
+def motion(arm: pp.Arm) -> Trajectory:
     return motion_of(arm)
 
 
 @pytest.fixture(scope="module")
-def content(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def content(motion: Trajectory, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return pp.save(motion, tmp_path_factory.mktemp("motion") / "motion.npz").read_bytes()
 
 
-def assert_equal(one: Motion, other: Motion) -> None:
+def assert_equal(one: Trajectory, other: Trajectory) -> None:
     """All of it: arrays to the last bit and of the same kind, numbers, words, and the run within."""
     for pair in ((one, other), (one.run, other.run)):
         for field in fields(pair[1]):
@@ -104,25 +104,25 @@ def test_a_file_gives_everything_back(arm: pp.Arm, kind: str, tmp_path: Path) ->
     motion = motion_of(arm, **KINDS[kind])
     path = pp.save(motion, tmp_path / "deep" / "done")
     assert path == tmp_path / "deep" / "done.npz" and list(path.parent.iterdir()) == [path]
-    loaded = pp.load(path, Motion)
+    loaded = pp.load(path, Trajectory)
     assert_equal(loaded, motion)
     again = pp.save(loaded, tmp_path / "again.npz")
-    assert_equal(pp.load(again, Motion), motion)
+    assert_equal(pp.load(again, Trajectory), motion)
 
 
-def test_a_motion_pickles(motion: Motion) -> None:
+def test_a_motion_pickles(motion: Trajectory) -> None:
     assert_equal(pickle.loads(pickle.dumps(motion)), motion)
 
 
-def test_its_arrays_are_not_to_be_written_to(motion: Motion, tmp_path: Path) -> None:
-    loaded = pp.load(pp.save(motion, tmp_path / "motion"), Motion)
+def test_its_arrays_are_not_to_be_written_to(motion: Trajectory, tmp_path: Path) -> None:
+    loaded = pp.load(pp.save(motion, tmp_path / "motion"), Trajectory)
     for each in (motion, loaded):
         for array in (each.targets, each.target_mask, each.plan_time, each.q):
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 0
 
 
-def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, tmp_path: Path) -> None:
+def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Trajectory, tmp_path: Path) -> None:
     target = pp.Target.from_configuration(arm, np.full(8, 0.2))
     whole = pp.save(motion, tmp_path / "motion")
     run = pp.save(motion.run, tmp_path / "run")
@@ -130,20 +130,22 @@ def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, t
         pp.track_many(arm, [target], [arm.neutral()], "geodesic", LIMITS, max_steps=3), tmp_path / "batch"
     )
     joints = pp.save(motion.joint_trajectory(force=True), tmp_path / "joints.npz")
-    kinds = {whole: Motion, run: pp.Trajectory, batch: pp.Batch, joints: pp.JointTrajectory}
+    kinds = {whole: Trajectory, run: pp.Run, batch: pp.Batch, joints: pp.JointTrajectory}
     assert {path: type(pp.load(path)) for path in kinds} == {path: kind_of(path) for path in kinds} == kinds
-    for path, reader in ((run, "as a Trajectory"), (batch, "as a Batch")):
+    for path, reader in ((run, "as a Run"), (batch, "as a Batch")):
         with pytest.raises(FileError, match=reader):
-            pp.load(path, Motion)
+            pp.load(path, Trajectory)
     with pytest.raises(FileError, match=r"contains a motion in time; its run is pp.load\(file\)\.run"):
-        pp.load(whole, pp.Trajectory)
+        pp.load(whole, pp.Run)
     with pytest.raises(FileError):
         pp.load(whole, pp.Batch)
-    assert pp.load(run, pp.Trajectory).status == motion.run.status
+    assert pp.load(run, pp.Run).status == motion.run.status
 
 
-def test_what_has_no_format_is_neither_saved_nor_loaded(arm: pp.Arm, motion: Motion, tmp_path: Path) -> None:
-    with pytest.raises(InvalidValue, match=r"result is .*allowed: Trajectory, Motion.*Simulation; curves"):
+def test_what_has_no_format_is_neither_saved_nor_loaded(
+    arm: pp.Arm, motion: Trajectory, tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidValue, match=r"result is .*allowed: Run, Trajectory.*Simulation; curves"):
         pp.save(arm, tmp_path / "arm")
     with pytest.raises(FileError, match="joint_trajectory"):
         pp.save(motion.run, tmp_path / "run.csv")
@@ -155,15 +157,15 @@ def test_what_has_no_format_is_neither_saved_nor_loaded(arm: pp.Arm, motion: Mot
     assert kind_of(tmp_path / "other.npz") is None
 
 
-def test_what_is_missing_or_no_such_file_is_named(motion: Motion, tmp_path: Path) -> None:
+def test_what_is_missing_or_no_such_file_is_named(motion: Trajectory, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="no such file"):
-        pp.load(tmp_path / "nowhere.npz", Motion)
+        pp.load(tmp_path / "nowhere.npz", Trajectory)
     with pytest.raises(FileError, match="is a directory; name a file in it"):
         pp.load(tmp_path)
     for name, text in (("empty.npz", b""), ("text.npz", b"not an archive"), ("zip.npz", b"PK\x03\x04")):
         (tmp_path / name).write_bytes(text)
         with pytest.raises(FileError, match=name):
-            pp.load(tmp_path / name, Motion)
+            pp.load(tmp_path / name, Trajectory)
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FileError):
         pp.save(motion, tmp_path / "file" / "motion.npz")
@@ -184,13 +186,13 @@ def repacked(content: bytes, tmp_path: Path, **changed: object) -> Path:
     return path
 
 
-def test_arrays_that_do_not_fit_are_refused(content: bytes, motion: Motion, tmp_path: Path) -> None:
-    assert_equal(pp.load(repacked(content, tmp_path), Motion), motion)
+def test_arrays_that_do_not_fit_are_refused(content: bytes, motion: Trajectory, tmp_path: Path) -> None:
+    assert_equal(pp.load(repacked(content, tmp_path), Trajectory), motion)
     for name in ("motion_targets", "motion_target_mask", "motion_plan_time"):
         whole = getattr(motion, name.removeprefix("motion_"))
         for wrong in (None, whole[:-1], np.zeros(3), whole[..., None]):
             with pytest.raises(FileError, match=r"changed\.npz"):
-                pp.load(repacked(content, tmp_path, **{name: wrong}), Motion)
+                pp.load(repacked(content, tmp_path, **{name: wrong}), Trajectory)
 
 
 def test_a_file_without_a_cycle_or_with_an_unknown_version_or_status_is_refused(
@@ -202,19 +204,19 @@ def test_a_file_without_a_cycle_or_with_an_unknown_version_or_status_is_refused(
     for key in ("dt", "motion"):
         spoilt = {**about, key: None}
         with pytest.raises(FileError):
-            pp.load(repacked(content, tmp_path, about=np.array(json.dumps(spoilt))), Motion)
+            pp.load(repacked(content, tmp_path, about=np.array(json.dumps(spoilt))), Trajectory)
     newer = np.array(json.dumps({**about, "version": 99}))
     with pytest.raises(FileError, match="99"):
-        pp.load(repacked(content, tmp_path, about=newer), Motion)
+        pp.load(repacked(content, tmp_path, about=newer), Trajectory)
     ended = np.array(json.dumps({**about, "status": "finished"}))
     with pytest.raises(FileError, match="no status is called 'finished'"):
-        pp.load(repacked(content, tmp_path, about=ended), Motion)
+        pp.load(repacked(content, tmp_path, about=ended), Trajectory)
 
 
 @given(data=st.data())
 @examples(30)
 def test_a_damaged_file_is_refused_or_whole(
-    data: st.DataObject, content: bytes, motion: Motion, tmp_path_factory: pytest.TempPathFactory
+    data: st.DataObject, content: bytes, motion: Trajectory, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "damaged.npz"
     at = data.draw(st.integers(0, len(content) - 1))
@@ -225,7 +227,7 @@ def test_a_damaged_file_is_refused_or_whole(
         spoilt[at] ^= data.draw(st.integers(1, 255))
         path.write_bytes(bytes(spoilt))
     try:
-        loaded = pp.load(path, Motion)
+        loaded = pp.load(path, Trajectory)
     except FileError as error:
         assert "damaged.npz" in str(error)
     else:
@@ -247,7 +249,7 @@ def test_a_damaged_file_is_refused_or_whole(
 )
 @pytest.mark.filterwarnings("ignore:invalid value")
 def test_arrays_of_other_content_are_refused(
-    name: str, change: Any, says: str, motion: Motion, tmp_path: Path
+    name: str, change: Any, says: str, motion: Trajectory, tmp_path: Path
 ) -> None:
     stored = dict(np.load(pp.save(motion.run, tmp_path / "run.npz")))
     if change is None:
@@ -260,7 +262,7 @@ def test_arrays_of_other_content_are_refused(
     assert says in str(caught.value)
 
 
-def test_joint_trajectories_of_a_motion_keep_its_rows_and_rest_at_both_ends(motion: Motion) -> None:
+def test_joint_trajectories_of_a_motion_keep_its_rows_and_rest_at_both_ends(motion: Trajectory) -> None:
     joints = motion.joint_trajectory()
     assert len(joints.time) == motion.steps + 3
     np.testing.assert_allclose(np.diff(joints.time), 0.05)

@@ -20,8 +20,8 @@ import pinposture as pp
 from pinposture.control import controller_named
 from pinposture.curve import HELIX, LINE
 from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.motion.run import path_length_ratio
 from pinposture.motion.track import name_enough_steps
-from pinposture.motion.trajectory import path_length_ratio
 
 START = 0.4 * np.sin(np.arange(40))
 
@@ -32,12 +32,12 @@ def arm() -> pp.Arm:
 
 
 @pytest.fixture(scope="module")
-def run(arm: pp.Arm) -> pp.Trajectory:
+def run(arm: pp.Arm) -> pp.Run:
     target = pp.resolve_targets(arm, HELIX, roll=0.4)
     return pp.track(arm, target, START, "projection", max_steps=40)
 
 
-def test_a_run_records_what_happened(arm: pp.Arm, run: pp.Trajectory) -> None:
+def test_a_run_records_what_happened(arm: pp.Arm, run: pp.Run) -> None:
     assert run.q.shape == (run.steps + 1, 40)
     assert run.point_errors.shape == run.points.shape[:2] == (run.steps + 1, 20)
     assert len(run.active_sets) == len(run.index) == len(run.sigma_min) == run.steps
@@ -92,7 +92,7 @@ def test_every_other_ending_says_why(arm: pp.Arm) -> None:
     np.testing.assert_array_equal(seen[-1][1], stopped.q[-1])
 
 
-def test_the_same_run_twice_is_the_same_run(arm: pp.Arm, run: pp.Trajectory) -> None:
+def test_the_same_run_twice_is_the_same_run(arm: pp.Arm, run: pp.Run) -> None:
     again = pp.track(arm, run.target, START, "projection", max_steps=40)
     np.testing.assert_array_equal(again.q, run.q)
 
@@ -106,11 +106,11 @@ def test_the_library_logs_and_prints_nothing(
     assert "converged after 0 steps" in caplog.text
 
 
-def test_a_file_gives_everything_back(arm: pp.Arm, run: pp.Trajectory, tmp_path: object) -> None:
+def test_a_file_gives_everything_back(arm: pp.Arm, run: pp.Run, tmp_path: object) -> None:
     path = pp.save(run, tmp_path / "deep" / "run")
     assert path.name == "run.npz"
     assert [file.name for file in path.parent.iterdir()] == ["run.npz"]
-    loaded = pp.load(path, pp.Trajectory)
+    loaded = pp.load(path, pp.Run)
     arrays = [name for name, value in vars(run).items() if isinstance(value, np.ndarray)]
     assert len(arrays) >= 10
     for name in arrays:
@@ -124,24 +124,24 @@ def test_a_file_gives_everything_back(arm: pp.Arm, run: pp.Trajectory, tmp_path:
     np.testing.assert_array_equal(repeated.q, run.q)
 
 
-def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) -> None:
+def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Run) -> None:
     with pytest.raises(FileError, match="no such file"):
-        pp.load(tmp_path / "missing.npz", pp.Trajectory)
+        pp.load(tmp_path / "missing.npz", pp.Run)
     text = tmp_path / "text.npz"
     text.write_text("hello")
     with pytest.raises(FileError, match=r"not a saved run \(it is no \.npz archive\)"):
-        pp.load(text, pp.Trajectory)
+        pp.load(text, pp.Run)
     table = pp.save(run.joint_trajectory(0.1, force=True), tmp_path / "joints.csv")
     with pytest.raises(FileError, match=r"not a saved run; .* reads joint trajectories"):
-        pp.load(table, pp.Trajectory)
+        pp.load(table, pp.Run)
     other = tmp_path / "other.npz"
     np.savez(other, q=np.zeros(3))
     with pytest.raises(FileError, match="not a saved run"):
-        pp.load(other, pp.Trajectory)
+        pp.load(other, pp.Run)
     cut = pp.save(run, tmp_path / "cut.npz")
     cut.write_bytes(cut.read_bytes()[:2000])
     with pytest.raises(FileError, match="not a saved run"):
-        pp.load(cut, pp.Trajectory)
+        pp.load(cut, pp.Run)
     blocked = tmp_path / "file"
     blocked.write_text("")
     with pytest.raises(FileError, match="is a file"):

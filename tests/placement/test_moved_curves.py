@@ -73,7 +73,7 @@ def test_a_curve_that_is_taken_from_elsewhere_is_said(arm: pp.Arm) -> None:
 def test_it_stays_with_the_target_and_with_what_is_saved(arm: pp.Arm, tmp_path: Path) -> None:
     target = pp.resolve_targets(arm, line(0.5, 0.0, 0.5), placement="align")
     run = pp.track(arm, target.region(0, 3), arm.neutral(), max_steps=2)
-    assert pp.load(pp.save(run, tmp_path / "run"), pp.Trajectory).target.moved == target.moved
+    assert pp.load(pp.save(run, tmp_path / "run"), pp.Run).target.moved == target.moved
     other = pp.Target.from_points(arm, target.points)
     batch = pp.track_many(arm, [target, other], [arm.neutral()] * 2, max_steps=2)
     kept = pp.load(pp.save(batch, tmp_path / "batch"), pp.Batch)

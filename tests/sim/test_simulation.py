@@ -34,7 +34,7 @@ def four_modules() -> pp.Arm:
 
 
 @cache
-def some_run() -> pp.Trajectory:
+def some_run() -> pp.Run:
     arm = four_modules()
     target = pp.Target.from_configuration(arm, ROWS[-1])
     return pp.track(arm, target, arm.neutral(), limits=pp.Limits(dt=DT, acceleration=10.0))

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 import pinposture as pp
-from pinposture.motion.trajectory import Motion
+from pinposture.motion.trajectory import Trajectory
 from pinposture.task import Mark, Reference
 
 ROUNDING = 1e-9
@@ -73,7 +73,7 @@ def random_reference(
     return reference_through(arm, [drawn(arm, rng, share) for _ in range(stops)], seconds, rows)
 
 
-def check_motion(motion: Motion, limits: pp.Limits, margin_from: int = 0) -> None:
+def check_motion(motion: Trajectory, limits: pp.Limits, margin_from: int = 0) -> None:
     """Limits on everything that leaves, from rest to rest, and a clock that never runs ahead.
 
     Args:
@@ -105,7 +105,7 @@ def check_motion(motion: Motion, limits: pp.Limits, margin_from: int = 0) -> Non
     check_clock(motion)
 
 
-def check_clock(motion: Motion) -> None:
+def check_clock(motion: Trajectory) -> None:
     """The clock begins at zero, never goes back, and never ahead of time; places are passed in order."""
     dt = motion.dt
     clock = motion.plan_time
@@ -128,7 +128,7 @@ def check_clock(motion: Motion) -> None:
             assert place.row == motion.start_index or clock[place.row - 1] < place.planned
 
 
-def off_the_reference(motion: Motion, reference: Reference) -> np.ndarray:
+def off_the_reference(motion: Trajectory, reference: Reference) -> np.ndarray:
     """Largest distance of a control point from where the plan has it by the clock, (steps + 1,) [m].
 
     Between rows the plan is taken to be straight, so that rows have to be close for this to be small.

@@ -24,7 +24,7 @@ def loaded() -> pp.Task:
 
 
 @cache
-def performed() -> tuple[Reference, pp.Motion]:
+def performed() -> tuple[Reference, pp.Trajectory]:
     reference = loaded().reference()
     return reference, loaded().perform(reference)
 

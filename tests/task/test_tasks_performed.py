@@ -18,7 +18,7 @@ FOLDER = Path(__file__).parents[2] / "examples" / "tasks"
 class Done(NamedTuple):
     task: pp.Task
     reference: pp.Reference
-    motion: pp.Motion
+    motion: pp.Trajectory
 
 
 def done(path: Path, *changes: tuple[str, str]) -> Done:

@@ -346,7 +346,7 @@ def test_repetitions_that_make_no_sense_are_refused(arm: pp.Arm) -> None:
 # Speeds of keyframes.
 
 
-def largest_shares(motion: pp.Motion, velocity: float) -> list[float]:
+def largest_shares(motion: pp.Trajectory, velocity: float) -> list[float]:
     """Largest joint speed on the way to each place but the first, relative to the limit."""
     rows = [place.row for place in motion.waypoints]
     moved = np.array([pin.difference(motion.arm.model, a, b) for a, b in pairwise(motion.q)])
@@ -496,7 +496,7 @@ def sharp(hold: float = 0.0) -> tuple[pp.Arm, list[Keyframe]]:
     return arm, [*tour, Keyframe(line(arm), duration=1.0)]
 
 
-def nearest_miss(motion: pp.Motion, joints: np.ndarray, seconds: tuple[float, float]) -> float:
+def nearest_miss(motion: pp.Trajectory, joints: np.ndarray, seconds: tuple[float, float]) -> float:
     """Smallest mean distance of the control points from a configuration within a time [m]."""
     arm = motion.arm
     wanted = arm.at(arm.configuration(joints)).points

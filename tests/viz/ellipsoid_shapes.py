@@ -35,7 +35,7 @@ def levels(points: np.ndarray, arm: pp.Arm, q: np.ndarray, point: int, scale: fl
 
 
 @cache
-def some_run(arm: pp.Arm, steps: int = 40) -> pp.Trajectory:
+def some_run(arm: pp.Arm, steps: int = 40) -> pp.Run:
     """A smooth motion from almost straight to strongly bent."""
     goal = np.random.default_rng(4).uniform(-1.2, 1.2, arm.nv)
     run = pp.track(arm, pp.Target.from_configuration(arm, goal), np.zeros(arm.nv), "projection", max_steps=1)

@@ -8,7 +8,7 @@ import numpy as np
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.motion.trajectory import Motion, Waypoint
+from pinposture.motion.trajectory import Trajectory, Waypoint
 
 LIMITS = pp.Limits(step=None, dt=0.05, velocity=2.0, acceleration=30.0)
 
@@ -32,7 +32,7 @@ def some_motion(
     start_index: int = 0,
     names: tuple[str, ...] = ("straight", "S", "coil"),
     off: float = 1e-3,
-) -> Motion:
+) -> Trajectory:
     """A motion from one posture to another and on to a third.
 
     Its targets are `off` [m] beside the control points in every row. Its clock runs evenly, so that it takes
@@ -83,4 +83,4 @@ def some_motion(
     ]
     aside = points + off * np.array([0.0, 0.0, 1.0])
     asked = np.ones((steps + 1, arm.n_modules), dtype=bool)
-    return Motion(run, aside, asked, clock, start_index, planned, tuple(passed))
+    return Trajectory(run, aside, asked, clock, start_index, planned, tuple(passed))

@@ -18,7 +18,7 @@ from viz.motions import LIMITS, around_a_ball, five_modules, some_motion
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import Motion
+from pinposture.motion.trajectory import Trajectory
 from pinposture.viz.body import backbone
 from pinposture.viz.panels import plot_places
 
@@ -37,7 +37,7 @@ def draw(figure: Figure) -> None:
 
 
 @cache
-def slowed() -> Motion:
+def slowed() -> Trajectory:
     return some_motion(planned=1.5, start_index=10)
 
 

@@ -15,7 +15,7 @@ from viz.commands import recorded_commands
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
-from pinposture.motion.trajectory import Motion, Waypoint
+from pinposture.motion.trajectory import Trajectory, Waypoint
 from pinposture.viz.body import body_poses
 from pinposture.viz.drawing import REST_BEFORE, arm_tracks, hoop_turns, moving_target_tracks, playback
 from pinposture.viz.meshcat import add_moving_targets
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:dt is .* long for a control cycl
 
 
 @cache
-def known_motion(steps: int = 60, dt: float = 0.05) -> Motion:
+def known_motion(steps: int = 60, dt: float = 0.05) -> Trajectory:
     return some_motion(steps, limits=pp.Limits(step=None, dt=dt))
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from viz.commands import recorded_commands
 
-from pinposture import Arm, Target, Trajectory, track
+from pinposture import Arm, Run, Target, track
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
 from pinposture.viz.body import body_poses
@@ -26,7 +26,7 @@ def four_modules() -> Arm:
 
 
 @cache
-def some_run(steps: int = 25) -> Trajectory:
+def some_run(steps: int = 25) -> Run:
     """A run whose active sets are known, so that colours can be told from them."""
     arm = four_modules()
     rng = np.random.default_rng(0)

@@ -17,13 +17,13 @@ from pinposture.viz.panels import mark_rising_steps, mark_violations
 
 
 @cache
-def free_run() -> pp.Trajectory:
+def free_run() -> pp.Run:
     arm = template_arm("RyRz", 4, (0.1, 0.1))
     target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.3))
     return pp.track(arm, target, np.zeros(arm.nv), "projection", max_steps=12)
 
 
-def in_scene(clearance=None, **fields) -> pp.Trajectory:
+def in_scene(clearance=None, **fields) -> pp.Run:
     free = free_run()
     scene = pp.Scene({"ball": pp.Sphere((0.4, 0.3, 0.0), 0.05)}, margin=0.02)
     clearance = np.linspace(0.1, 0.03, free.steps + 1) if clearance is None else np.asarray(clearance)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import umsgpack
 
-from pinposture import Arm, Curve, Target, Trajectory, resolve_targets, save_html, track
+from pinposture import Arm, Curve, Run, Target, resolve_targets, save_html, track
 from pinposture.errors import FileError, InvalidValue
 from pinposture.units import length_text
 from pinposture.viz.body import body_poses
@@ -53,7 +53,7 @@ class Page(HTMLParser):
         return [umsgpack.unpackb(base64.b64decode(packed)) for packed in self.constant("commands")]
 
 
-def spatial_run(steps: int = 12) -> Trajectory:
+def spatial_run(steps: int = 12) -> Run:
     arm = Arm.from_template("RyRz", modules=6)
     target = resolve_targets(arm, Curve.helix(0.1, 0.3, 1.0), placement="align")
     start = arm.configuration(np.random.default_rng(0).uniform(-0.3, 0.3, arm.nv))
@@ -205,7 +205,7 @@ def test_a_run_of_another_arm_is_refused(tmp_path):
     other = Target.from_configuration(Arm.from_template("RyRz", modules=5), np.zeros(10))
     with pytest.raises(InvalidValue, match=r"target\.points"):
         save_html(run.arm, run, tmp_path / "run.html", target=other)
-    with pytest.raises(InvalidValue, match=r"run is .*Target.*allowed: a Trajectory"):
+    with pytest.raises(InvalidValue, match=r"run is .*Target.*allowed: a Run"):
         save_html(run.arm, run.target, tmp_path / "run.html")
     longer = Arm.from_template("RyRz", run.arm.n_modules, link_lengths=[0.04, 0.03])  # as many joints
     with pytest.raises(InvalidValue, match=r"^run\.arm is Arm.*allowed: the arm that is given, Arm"):

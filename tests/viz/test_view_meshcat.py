@@ -21,7 +21,7 @@ def arm() -> pp.Arm:
     return template_arm("RyRz", 3)
 
 
-def some_run() -> pp.Trajectory:
+def some_run() -> pp.Run:
     arm = template_arm("RyRz", 3)
     rng = np.random.default_rng(0)
     target = pp.Target.from_configuration(arm, rng.uniform(-0.5, 0.5, arm.nv))

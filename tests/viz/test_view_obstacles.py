@@ -51,7 +51,7 @@ def scene() -> pp.Scene:
     return pp.Scene({name: obstacle for name, (obstacle, *_) in SOLIDS.items()})
 
 
-def still(arm: pp.Arm, scene: pp.Scene | None, angle: float = 0.1) -> pp.Trajectory:
+def still(arm: pp.Arm, scene: pp.Scene | None, angle: float = 0.1) -> pp.Run:
     """A short run as if it had been made in a scene."""
     target = pp.Target.from_configuration(arm, np.full(arm.nv, angle))
     run = pp.track(arm, target, np.zeros(arm.nv), "projection", max_steps=3)

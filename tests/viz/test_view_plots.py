@@ -41,14 +41,14 @@ def helix() -> pp.Target:
     return pp.resolve_targets(six_modules(), pp.Curve.helix(0.1, 0.3, 1.0), placement="align")
 
 
-def run_to(target: pp.Target, start=None, controller="projection", steps=15, arm=None) -> pp.Trajectory:
+def run_to(target: pp.Target, start=None, controller="projection", steps=15, arm=None) -> pp.Run:
     arm = arm or six_modules()
     start = np.random.default_rng(0).uniform(-0.4, 0.4, arm.nv) if start is None else start
     return pp.track(arm, target, start, controller, max_steps=steps)
 
 
 @cache
-def some_run() -> pp.Trajectory:
+def some_run() -> pp.Run:
     return run_to(helix())
 
 
@@ -253,7 +253,7 @@ def test_text_that_looks_like_mathematics_is_shown_as_it_is():
     draw(pp.plot(replace(run, controller="Odd($\\frac$)")))
 
 
-def with_errors(change: Callable[[np.ndarray], np.ndarray]) -> pp.Trajectory:
+def with_errors(change: Callable[[np.ndarray], np.ndarray]) -> pp.Run:
     return replace(some_run(), point_errors=change(some_run().point_errors))
 
 
@@ -381,17 +381,17 @@ def test_several_runs_in_one_panel_all_fit():
 @pytest.mark.parametrize(
     ("show", "words"),
     [
-        (lambda: pp.plot(helix()), r"run is Target.*a Trajectory or .*pp\.view\(arm, target=target\)"),
+        (lambda: pp.plot(helix()), r"run is Target.*a Run or .*pp\.view\(arm, target=target\)"),
         (lambda: pp.plot(six_modules()), r"run is Arm.*pp\.plot_arm\(arm\)"),
-        (lambda: pp.plot([some_run()]), r"run is \[Traj.*pp\.plot_comparison"),
+        (lambda: pp.plot([some_run()]), r"run is \[Run.*pp\.plot_comparison"),
         (lambda: pp.plot("run.npz"), r"run is 'run.npz'.*pp\.load"),
-        (lambda: pp.plot_arm(some_run()), r"arm is Traj.*an Arm; pp\.plot\(run\)"),
+        (lambda: pp.plot_arm(some_run()), r"arm is Run.*an Arm; pp\.plot\(run\)"),
         (lambda: pp.plot_comparison([some_run()]), r"runs is \[.*\{label: run"),
-        (lambda: pp.plot_comparison({"a": six_modules()}), r"runs\['a'\] is Arm.*a Trajectory; pp\.plot_arm"),
+        (lambda: pp.plot_comparison({"a": six_modules()}), r"runs\['a'\] is Arm.*a Run; pp\.plot_arm"),
         (lambda: pp.view(helix()), r"arm is Target.*an Arm; pp\.view\(arm, target=target\)"),
         (lambda: pp.view(six_modules(), helix()), r"run is Target.*or None; pp\.view\(arm, target=target\)"),
         (lambda: pp.view(six_modules(), scene="a.toml"), r"scene is 'a.toml'.*pp\.Scene\.load"),
-        (lambda: pp.animate(six_modules(), None), "run is not given; allowed: a Trajectory or a Motion"),
+        (lambda: pp.animate(six_modules(), None), "run is not given; allowed: a Run or a Trajectory"),
         (
             lambda: pp.animate(six_modules(), some_run(), pp.Curve.line((0, 0), (1, 0))),
             "target is Curve.*resolve",

@@ -17,7 +17,7 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
 from pinposture.errors import PostureError
-from pinposture.motion import Motion
+from pinposture.motion import Trajectory
 from pinposture.task import Task
 
 logger = logging.getLogger(__name__)
@@ -224,7 +224,7 @@ class ExportButtons:
         self._queue.append(RequestedExport(kind, client, session.whole, stem))
         session.playback.rehearse(session.whole)
 
-    def _export(self, wanted: RequestedExport, motion: Motion) -> None:
+    def _export(self, wanted: RequestedExport, motion: Trajectory) -> None:
         kind = "error"
         try:
             made = export(motion, wanted.kind, wanted.stem)

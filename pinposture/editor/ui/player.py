@@ -25,8 +25,8 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, limits_per_step
 from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
 from pinposture.editor.ui.parts import Post, on_change, on_choice, put, round_number
-from pinposture.motion import Motion
-from pinposture.motion.trajectory import limit_shares
+from pinposture.motion import Trajectory
+from pinposture.motion.run import limit_shares
 from pinposture.task import Task
 from pinposture.units import length_text
 from pinposture.viz import palette
@@ -88,7 +88,7 @@ class Trace(NamedTuple):
         )
 
 
-def trace_of(motion: Motion) -> Trace:
+def trace_of(motion: Trajectory) -> Trace:
     """Return the trace of a motion."""
     speeds, accelerations = limit_shares(motion.run)
     times = motion.time
@@ -186,7 +186,7 @@ class Plots:
     def __init__(self, server: viser.ViserServer, tab: viser.GuiTabHandle, length: float) -> None:
         self._recent = Recent()
         self._length = length
-        self._known: tuple[Motion, Trace, Array] | None = None
+        self._known: tuple[Trajectory, Trace, Array] | None = None
         self._due = 0.0
         self._color = palette.FINAL
         self._jitter = False
@@ -383,7 +383,7 @@ class TimeAxis:
         self._post = post
         self._length = 1.0  # of the axis [s]
         self._passes: list[DrawnPass] = []
-        self._known: tuple[Task, Motion | None] | None = None
+        self._known: tuple[Task, Trajectory | None] | None = None
         self._gestures = 0  # each is answered by a new drawing, with the keyframes where they are
         self._moving, self._strip = (server.gui.add_html("", order=1.0) for _ in range(2))
         on_change(server.gui.add_text("", "", order=1.0), self._take)
@@ -579,7 +579,7 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     return max(playback.lasting, *(each.place.time for each in drawn)), drawn[:MAX_DRAWN]
 
 
-def _within_phases(task: EditedPhase, motion: Motion) -> list[DrawnPass]:
+def _within_phases(task: EditedPhase, motion: Trajectory) -> list[DrawnPass]:
     """Return the keyframes of a phase in the motion of all phases."""
     passes = passes_of(task)
     begin = float(motion.time[min(int(np.searchsorted(motion.plan_time, task.begins)), motion.steps)])

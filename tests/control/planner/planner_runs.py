@@ -38,7 +38,7 @@ class Case(NamedTuple):
     target: pp.Target
     limits: pp.Limits
 
-    def track(self, **options: object) -> pp.Trajectory:
+    def track(self, **options: object) -> pp.Run:
         return pp.track(self.arm, self.target, self.start, limits=self.limits, **options)
 
 
