@@ -23,7 +23,6 @@ from pinposture.arm import ArmState
 from pinposture.control.controller import (
     Controller,
     Memory,
-    SingularValues,
     Step,
     stack_rows,
     step_within,
@@ -148,13 +147,13 @@ class Baseline(ABC):
         # Joints off the chain have zero columns, but singular vectors only up to rounding error.
         moved = asked.dq * state.arm.joint_units * state.arm.moved
         limited = limits.apply(state, moved, previous)
-        return step_within(
-            limited,
-            asked.points,
-            manipulability=float(state.manipulability()[0, np.array(asked.points) + 1].min()),
-            spectrum=SingularValues(float(asked.sigma.min()), float(asked.sigma.max())),
-            rows=asked.rows,
-        )
+        info = {
+            "manipulability": float(state.manipulability()[0, np.array(asked.points) + 1].min()),
+            "sigma_min": float(asked.sigma.min()),
+            "sigma_max": float(asked.sigma.max()),
+            "rows": asked.rows,
+        }
+        return step_within(limited, asked.points, info=info)
 
     @abstractmethod
     def _unlimited_step(self, state: ArmState, target: Target) -> UnlimitedStep | str:
@@ -260,7 +259,7 @@ class LevenbergMarquardt(Baseline):
     Each step solves (J^T W J + lambda I) dq = J^T W e, with W = diag(weights) / length^2 of the arm and
     lambda = e^T W e / 2 + bias: cautious far from the target, nearly Gauss-Newton near it, always regular.
 
-    The singular values of its diagnostics are those of diag(weights)^(1/2) J.
+    The singular values that it reports are those of diag(weights)^(1/2) J.
 
     Attributes:
         bias: damping that remains at the target, in squared arm lengths [1/rad^2].
@@ -294,7 +293,7 @@ class TaskConstraints(Baseline):
     require more than the null space allows; then the step is the least-squares one, and it is huge where they
     nearly do, because nothing is damped.
 
-    The singular values of its diagnostics are those of J and of J_c (I - J^+J).
+    The singular values that it reports are those of J and of J_c (I - J^+J).
 
     Attributes:
         constraints: maximum number of other control points to move; None for as many as (2.9) allows.
@@ -363,7 +362,7 @@ class ExtendedJacobian(Baseline):
     unless `restore` is set. J_e is singular where J is, and also where extrema merge or are flat (algorithmic
     singularities). Near these, steps are huge; at one the arm is held.
 
-    The singular values of its diagnostics are those of J_e, see `system`.
+    The singular values that it reports are those of J_e, see `system`.
 
     Attributes:
         objective: the function to keep extremal, see `objectives.OBJECTIVES`.

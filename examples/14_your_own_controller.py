@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import pinposture as pp
-from pinposture.control import CONTROLLERS, Diagnostics, Memory, Step
+from pinposture.control import CONTROLLERS, Step
 from pinposture.units import length_text
 
 
@@ -29,8 +29,9 @@ class JacobianTranspose:
         moved = np.einsum("kdu,u->kd", state.jacobians, gradient)  # how the points would move along it
         length = np.sum(gradient**2) / max(np.sum(moved**2), 1e-30)  # where the linearised error is least
         limited = limits.apply(state, self.gain * length * gradient, before)
-        how = Diagnostics(clipped=limited.clipped, scale=limited.scale)
-        return Step(limited.dq, tuple(np.flatnonzero(target.has_target)), how, Memory(limited.dq))
+        active = tuple(np.flatnonzero(target.has_target))
+        info = {"scale": limited.scale, "length": length}  # become columns of `run.info`
+        return Step(limited.dq, active, limited.clipped, info=info)
 
 
 def main() -> None:

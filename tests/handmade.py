@@ -26,19 +26,20 @@ def made(arm, q, target=None, active=None, **fields) -> pp.Run:
         "points": points,
         "point_errors": np.linalg.norm(points - goals, axis=2),
         "active": np.ones((steps, m), dtype=bool) if active is None else np.array(active, dtype=bool),
-        "index": np.full(steps, 0.5),
-        "sigma_min": np.full(steps, 0.1),
-        "sigma_max": np.full(steps, 1.0),
-        "rows": np.full(steps, 2, dtype=np.intp),
-        "scale": np.ones(steps),
         "clipped": np.zeros((steps, arm.nv), dtype=bool),
-        "method": np.full(steps, ""),
-        "switched": np.full(steps, ""),
         "error_increasing": np.zeros(steps, dtype=bool),
         "violated_constraints": np.full(steps, ""),
         "clearance": np.full(steps + 1, np.inf),
+        "info": {
+            "manipulability": np.full(steps, 0.5),
+            "sigma_min": np.full(steps, 0.1),
+            "sigma_max": np.full(steps, 1.0),
+            "rows": np.full(steps, 2, dtype=np.intp),
+            "scale": np.ones(steps),
+        },
     }
-    return pp.Run(**{**known, **fields})
+    info = {**known["info"], **fields.pop("info", {})}
+    return pp.Run(**{**known, **fields, "info": info})
 
 
 def one(

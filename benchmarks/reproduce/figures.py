@@ -226,7 +226,7 @@ def _draw_progress(
     if not compared:  # otherwise the other runs may be much longer
         error.set_xlabel("")
         error.tick_params(labelbottom=False)
-    if (run.method == "projection").any():
+    if (run.reported("method", "") == "projection").any():
         mark_projection(run, points)
         points.set_xlabel(f"{points.get_xlabel()} (red: steps by Projection)", fontsize=9)
     _head(error, f"{name}: posture error, points, index", letter)

@@ -202,11 +202,13 @@ def figure_tables(figure: FigureRuns) -> dict[str, list[Sequence[object]]]:
         ]
         for name, run in every.items():
             used = run.active.sum(axis=1)
+            indices = run.reported("manipulability", 0.0)
+            methods = run.reported("method", "")
             for step, errors in enumerate(run.point_errors):
                 values: tuple[object, ...] = ("", "", "")  # there is no step before the first
                 if step:
-                    by_projection = int(run.method[step - 1] == "projection")
-                    values = (used[step - 1], run.index[step - 1], by_projection)
+                    by_projection = int(methods[step - 1] == "projection")
+                    values = (used[step - 1], indices[step - 1], by_projection)
                 rows.append((name, step, run.posture_error[step], *values, *errors))
         found[f"{figure.stem}.csv"] = rows
     if figure.about.layout != "errors":
@@ -238,6 +240,7 @@ def describe_figure(figure: FigureRuns) -> dict[str, Any]:
 
 def _described(name: str, run: Run) -> dict[str, Any]:
     errors = run.posture_error
+    methods = run.reported("method", "")
     return {
         "controller": name.lower(),
         "parameters": run.controller,
@@ -253,8 +256,8 @@ def _described(name: str, run: Run) -> dict[str, Any]:
         "reason": run.reason,
         "posture_error": errors.tolist(),
         "active_points": run.active.sum(axis=1).tolist(),
-        "manipulability_index": run.index.tolist(),
-        "by_projection": (run.method == "projection").tolist() if run.method.any() else None,
+        "manipulability_index": run.reported("manipulability", 0.0).tolist(),
+        "by_projection": (methods == "projection").tolist() if methods.any() else None,
     }
 
 

@@ -110,7 +110,9 @@ def asked_steps(run: Run, dq: Array) -> Array:
     done = np.abs(dq).max(axis=1, initial=0.0)
     # The largest joint motion of a scaled step is the limit, even if that joint was then clipped.
     limit = 0.0 if run.limits.step is None else float(np.max(run.limits.step))
-    return np.asarray(np.where(run.scale < 1.0, np.maximum(done, limit), done) / run.scale)
+    scale = run.reported("scale", 1.0)
+    scale = np.where(scale > 0.0, scale, 1.0)  # steps that the loop took itself were not scaled
+    return np.asarray(np.where(scale < 1.0, np.maximum(done, limit), done) / scale)
 
 
 def nearness(state: ArmState) -> float:
@@ -180,9 +182,10 @@ def deficient_steps(
     The set is that of the conditions, with the points (0-based) that were then dropped in each step because
     the matrix was too close to singular. The second number is that of the steps with dropped points.
     """
-    size = np.maximum(run.rows, run.arm.nv)
-    full = run.sigma_min > size * np.finfo(float).eps * run.sigma_max
-    deficient = (run.rows > 0) & ~full
+    rows = run.reported("rows", 0)
+    size = np.maximum(rows, run.arm.nv)
+    full = run.reported("sigma_min", 0.0) > size * np.finfo(float).eps * run.reported("sigma_max", 0.0)
+    deficient = (rows > 0) & ~full
     for i, points in enumerate(dropped):
         if points:
             chosen = sorted({*np.flatnonzero(run.active[i]).tolist(), *points})
@@ -360,10 +363,9 @@ def run_one(
 
 def measure(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS) -> Row:
     """Run one seed, and its twin if it has one, and measure what claims are judged by."""
-    dropped: list[tuple[int, ...]] = []
-    run = run_one(
-        batch, seed, max_steps, callback=lambda _, __, step: dropped.append(step.diagnostics.dropped)
-    )
+    run = run_one(batch, seed, max_steps)
+    none = np.zeros_like(run.active)
+    dropped = [tuple(np.flatnonzero(row).tolist()) for row in run.info.get("dropped", none)]
     twin = run_one(batch, seed, max_steps, nudged=True) if batch.twins else None
     return measured(run, batch, seed, dropped, twin)
 
@@ -410,7 +412,7 @@ def measured(
         dropping=dropping,
         path_length_ratio=run.path_length_ratio,
         steps=per_step(run, states),
-        by_projection=float(np.mean(run.method == "projection")) if run.steps else 0.0,
+        by_projection=float(np.mean(run.reported("method", "") == "projection")) if run.steps else 0.0,
         separation=None if twin is None else separation(run, twin),
         goal_nearness=None if goal is None else nearness(run.arm.at(goal)),
     )

@@ -172,7 +172,7 @@ def _switched(blind: bool, problem: Problem, controller: pp.Switching) -> Row:
         target = replace(target, q=None)
     run = pp.track(arm, target, start, controller, max_steps=SWITCHING_STEPS)
     mean = run.posture_error[-1] / int(run.target.has_target.sum())
-    share = float(np.mean(run.method == "projection")) if run.steps else 0.0
+    share = float(np.mean(run.reported("method", "") == "projection")) if run.steps else 0.0
     return Row(arrived=bool(mean <= 0.01 * arm.length), by_projection=share)
 
 

@@ -1,6 +1,6 @@
 """How the arm moves: limits, the planner and its controller, the methods of the thesis, and tasks."""
 
-from pinposture.control.controller import Controller, Diagnostics, Memory, Step
+from pinposture.control.controller import Controller, Memory, Step
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBox
 from pinposture.control.planner.follow import GeodesicMemory, PathProgress, follow
@@ -21,7 +21,6 @@ __all__ = [
     "CONTROLLERS",
     "ControlTask",
     "Controller",
-    "Diagnostics",
     "EndEffector",
     "Geodesic",
     "GeodesicMemory",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import UserDict
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
@@ -25,78 +26,29 @@ OWN = "pinposture."
 """Prefix of the module names of this library."""
 
 
-class Spectrum(Protocol):
-    """Extreme singular values of a matrix; may be computed lazily."""
-
-    @property
-    def smallest(self) -> float:
-        """Smallest singular value."""
-
-    @property
-    def largest(self) -> float:
-        """Largest singular value."""
-
-
-class SingularValues(NamedTuple):
-    """Extreme singular values, already computed."""
-
-    smallest: float
-    largest: float
+Info = bool | int | float | str | NDArray[Any]
+"""What a controller may report beside a step: a number, text, or an array of one shape in all steps."""
 
 
 CONSTRAINTS = ("position limit", "velocity limit", "acceleration limit", "jerk limit", "margin")
 """Names of the constraints that a step can violate."""
 
 
-class Diagnostics(NamedTuple):
-    """Diagnostics of a step.
+class LazyInfo(UserDict[str, Any]):
+    """Values by name; those that are functions without arguments are called when they are first read.
 
-    Attributes:
-        clipped: which joints were clipped at a position limit, (nv,).
-        reason: why the arm does not move; empty if it does.
-        manipulability: smallest manipulability index of an active point, relative to the base and to the
-            previous active point, in [0, 1]; for Projection, that of a section within its manipulability
-            space. 0 if no control point is active.
-        spectrum: singular values of the posture control matrix; None if it is empty or not formed.
-        rows: number of rows of the posture control matrix.
-        dropped: control points that met their conditions but were dropped because the stacked matrix was too
-            close to singular, 0-based.
-        scale: factor by which the step was shortened to meet the step limit, in (0, 1], or to avoid
-            obstacles, in [0, 1].
-        method: method that computed the step, if the controller has several; else empty.
-        switched: why the controller switched to that method in this step; empty if it did not.
-        error_increasing: whether the posture error rises in this step, or may rise because the step leaves a
-            local minimum.
-        violated_constraints: messages on the constraints that this step violates because not all could be
-            met, in the order in which they were relaxed. Each begins with a name of `CONSTRAINTS`.
-        near: messages naming the distances to obstacles that limit the step.
-        following_path: whether the step makes progress along a path to the target, on which the posture
-            error may rise.
+    Singular values take as long as the step itself, and only a record reads them.
     """
 
-    clipped: NDArray[np.bool_]
-    reason: str = ""
-    manipulability: float = 0.0
-    spectrum: Spectrum | None = None
-    rows: int = 0
-    dropped: tuple[int, ...] = ()
-    scale: float = 1.0
-    method: str = ""
-    switched: str = ""
-    error_increasing: bool = False
-    violated_constraints: tuple[str, ...] = ()
-    near: tuple[str, ...] = ()
-    following_path: bool = False
+    def __getitem__(self, name: str) -> Info:
+        value = self.data[name]
+        if callable(value):
+            value = value()
+            self.data[name] = value
+        return cast(Info, value)
 
-    @property
-    def sigma_min(self) -> float:
-        """Smallest singular value of the posture control matrix [m/rad]; 0 if it is empty."""
-        return 0.0 if self.spectrum is None else self.spectrum.smallest
-
-    @property
-    def sigma_max(self) -> float:
-        """Largest singular value of the posture control matrix [m/rad]; 0 if it is empty."""
-        return 0.0 if self.spectrum is None else self.spectrum.largest
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,26 +75,64 @@ class Memory:
         return replace(self, dq=other.dq, stopping=other.stopping)
 
 
+NO_INFO: Mapping[str, Info] = {}
+"""What most controllers report beside their steps."""
+
+
 class Step(NamedTuple):
-    """One control step.
+    """One control step; `Step(dq)` is one, the other fields are optional.
 
     Attributes:
         dq: joint displacement within the limits, (nv,) [rad or m].
         active: the active control set: indices of control points, 0-based, increasing.
-        diagnostics: diagnostics of the step.
+        clipped: which joints were clipped at a position limit, (nv,); without it, `next_step` adds that none
+            were.
+        reason: why the arm does not move; empty if it does.
+        error_increasing: whether the posture error rises in this step, or may rise because the step leaves a
+            local minimum.
+        violated_constraints: messages on the constraints that this step violates because not all could be
+            met, in the order in which they were relaxed. Each begins with a name of `CONSTRAINTS`.
+        near: messages naming the distances to obstacles that limit the step.
+        following_path: whether the step makes progress along a path to the target, on which the posture
+            error may rise.
+        info: what else the controller reports: numbers, texts or arrays by name, which a run records as
+            columns, `Run.info`. The methods of the thesis report the smallest "manipulability" index of an
+            active point, relative to the base and to the previous active point, in [0, 1] (for Projection,
+            that of a section within its manipulability space); "sigma_min" and "sigma_max", the extreme
+            singular values of the posture control matrix [m/rad], and its number of "rows"; "scale", the
+            factor by which the step was shortened to meet the step limit, in (0, 1]. Selection also reports
+            the control points "dropped" because the stacked matrix was too close to singular, (m,); Switching
+            its "method", and why it "switched" to that in this step.
         memory: the memory to pass to the next step; without one, `next_step` adds `Memory(dq)`.
     """
 
     dq: Array
-    active: tuple[int, ...]
-    diagnostics: Diagnostics
-    memory: Memory = cast(Memory, None)  # a run only meets steps to which one was added
+    active: tuple[int, ...] = ()
+    clipped: NDArray[np.bool_] = cast("NDArray[np.bool_]", None)  # a run only meets steps that have it
+    reason: str = ""
+    error_increasing: bool = False
+    violated_constraints: tuple[str, ...] = ()
+    near: tuple[str, ...] = ()
+    following_path: bool = False
+    info: Mapping[str, Info] = NO_INFO
+    memory: Memory = cast(Memory, None)  # likewise
 
 
-def step_within(limited: LimitedStep, active: Iterable[int] = (), **diagnostics: Any) -> Step:
-    """Return a step from its limited displacement, its active points, and further fields of `Diagnostics`."""
-    known = Diagnostics(limited.clipped, scale=limited.scale, **diagnostics)
-    return Step(limited.dq, tuple(active), known, Memory(limited.dq))
+def step_within(
+    limited: LimitedStep,
+    active: Iterable[int] = (),
+    reason: str = "",
+    info: Mapping[str, Info | Callable[[], Info]] = NO_INFO,
+) -> Step:
+    """Return a step from its limited displacement, of which it reports the scale beside `info`."""
+    return Step(
+        limited.dq,
+        tuple(active),
+        limited.clipped,
+        reason,
+        info=LazyInfo({"scale": limited.scale, **info}),
+        memory=Memory(limited.dq),
+    )
 
 
 class Controller(Protocol):
@@ -206,10 +196,12 @@ def next_step(
     except Exception as error:
         raise ControllerError(type(controller).__qualname__, _described(error)) from error
     if not isinstance(step, Step):
-        allowed = "a Step, for instance Step(limited.dq, (), Diagnostics(limited.clipped), None)"
+        allowed = "a Step, for instance Step(limited.dq, clipped=limited.clipped)"
         raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
     if not type(controller).__module__.startswith(OWN):  # ours are tested for this; checks cost time
         _require_valid(controller, state, step)
+    if step.clipped is None:
+        step = step._replace(clipped=np.zeros(state.arm.nv, dtype=np.bool_))
     return step if step.memory is not None else step._replace(memory=Memory(step.dq))
 
 
@@ -226,23 +218,37 @@ def _described(error: Exception) -> str:
 
 def _require_valid(controller: Controller, state: ArmState, step: Step) -> None:
     """Raise InvalidValue unless the fields of a step have the right types and fit the arm."""
-    dq, active, diagnostics, remembered = step
+    dq = step.dq
+    active = step.active
     nv = state.arm.nv
     if not (
         isinstance(dq, np.ndarray) and dq.shape == (nv,) and (isfinite(dq @ dq) or np.isfinite(dq).all())
     ):
         allowed = f"an array of {nv} finite numbers, as `limits.apply(state, dq).dq`"
         raise _invalid(controller, "dq", dq, allowed)
-    if not isinstance(diagnostics, Diagnostics) or np.shape(diagnostics.clipped) != (nv,):
-        allowed = "Diagnostics(clipped=...), as `limits.apply(state, dq).clipped`"
-        raise _invalid(controller, "diagnostics", diagnostics, allowed)
     if not isinstance(active, tuple) or (
         active and not 0 <= min(active) <= max(active) < state.arm.n_modules
     ):
         allowed = f"a tuple of control points from 0 to {state.arm.n_modules - 1}; () if none are active"
         raise _invalid(controller, "active", active, allowed)
-    if not (remembered is None or isinstance(remembered, Memory)):
-        raise _invalid(controller, "memory", remembered, "a Memory(dq), or a class derived from it; or None")
+    if step.clipped is not None and np.shape(step.clipped) != (nv,):
+        allowed = f"{nv} times True or False, as `limits.apply(state, dq).clipped`; None if no joint was"
+        raise _invalid(controller, "clipped", step.clipped, allowed)
+    if not isinstance(step.reason, str):
+        raise _invalid(controller, "reason", step.reason, "text; empty if the arm moves")
+    for field in ("violated_constraints", "near"):
+        texts = getattr(step, field)
+        if not (isinstance(texts, tuple) and all(isinstance(text, str) for text in texts)):
+            raise _invalid(controller, field, texts, "a tuple of texts; () if there are none")
+    if not isinstance(step.info, Mapping):
+        raise _invalid(controller, "info", step.info, 'a mapping, as {"sigma_min": 0.1}')
+    for name, value in step.info.items():
+        if not (isinstance(name, str) and name.isidentifier()):
+            raise _invalid(controller, "info (name)", name, "a name of letters, digits and underscores")
+        if np.asarray(value).dtype.kind not in "biufU":
+            raise _invalid(controller, f"info[{name!r}]", value, "a number, text, or an array of them")
+    if not (step.memory is None or isinstance(step.memory, Memory)):
+        raise _invalid(controller, "memory", step.memory, "a Memory(dq), or a class derived from it; or None")
 
 
 def _invalid(controller: Controller, field: str, value: object, allowed: str) -> InvalidValue:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -20,81 +20,27 @@ from pinposture.motion.run import CONTACT_TOLERANCE, RAISE_STEPS, Run
 from pinposture.placement import Target
 from pinposture.units import error_text, length_text
 
-# The motions of many runs, concatenated.
+# The motions of many runs, as arrays.
 
 Array = NDArray[np.float64]
-Text = NDArray[np.intp]
+Arrays = dict[str, NDArray[Any]]
 
 CONFIGURATION_ARRAYS = ("q", "clearance")
-STEP_ARRAYS = ("active", "index", "sigma_min", "sigma_max", "rows", "scale", "clipped", "error_increasing")
-TEXT_ARRAYS = ("method", "switched", "violated_constraints")
+STEP_ARRAYS = ("active", "clipped", "error_increasing", "violated_constraints")
+
+INFO = "info_"
+"""Prefix of the names of arrays of `Run.info`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Motions:
-    """The concatenated motions of a batch of `count` runs.
-
-    Run i has the configurations `offsets[i]` to `offsets[i + 1] - 1`, the first of which is its start. It has
-    one step less, so its steps begin at `offsets[i] - i`. Points and their errors are computed from q.
-
-    Attributes:
-        offsets: first configuration of each run, and the total number, (count + 1,).
-        q, clearance: as in `Run`, a row for each configuration.
-        active, index, sigma_min, sigma_max, rows, scale, clipped, error_increasing: likewise, a row per step.
-        method, switched, violated_constraints: likewise, (all steps,), as indices of `texts`.
-        texts: the distinct texts.
-    """
-
-    offsets: NDArray[np.intp]
-    q: Array
-    clearance: Array
-    active: NDArray[np.bool_]
-    index: Array
-    sigma_min: Array
-    sigma_max: Array
-    rows: NDArray[np.intp]
-    scale: Array
-    clipped: NDArray[np.bool_]
-    error_increasing: NDArray[np.bool_]
-    method: Text
-    switched: Text
-    violated_constraints: Text
-    texts: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        make_read_only(*vars(self).values())
-
-    def arrays_of(self, number: int, arm: Arm, target: Target) -> dict[str, NDArray[Any]]:
-        """Return the arrays of the `Run` of a run, given its index, 0-based, arm and target."""
-        whole = slice(int(self.offsets[number]), int(self.offsets[number + 1]))
-        steps = slice(whole.start - number, whole.stop - number - 1)
-        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name)[whole] for name in CONFIGURATION_ARRAYS}
-        arrays |= {name: getattr(self, name)[steps] for name in STEP_ARRAYS}
-        for name in TEXT_ARRAYS:
-            arrays[name] = np.array([self.texts[k] for k in getattr(self, name)[steps]], dtype=np.str_)
-        arrays["points"] = np.array([arm.at(q).compiled.points for q in arrays["q"]])
-        arrays["point_errors"] = target.distances(arrays["points"])
-        return arrays
+def run_arrays(run: Run) -> Arrays:
+    """Return the arrays of a run that its arm and target do not give."""
+    arrays = {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS}
+    return arrays | {f"{INFO}{name}": column for name, column in run.info.items()}
 
 
-def run_arrays(run: Run) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a run that `concatenate_runs` takes."""
-    return {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS + TEXT_ARRAYS}
-
-
-def concatenate_runs(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
-    """Concatenate at least one run, each as `run_arrays` returns it."""
-    sizes = [len(run["q"]) for run in runs]
-    stacked: dict[str, Any] = {
-        name: np.concatenate([run[name] for run in runs]) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS
-    }
-    numbers: dict[str, int] = {}
-    for name in TEXT_ARRAYS:
-        # An array of texts would be as wide as the longest; nearly all are empty or repeated.
-        said = (str(text) for run in runs for text in run[name])
-        stacked[name] = np.array([numbers.setdefault(text, len(numbers)) for text in said], dtype=np.intp)
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
-    return Motions(offsets=offsets, texts=tuple(numbers), **stacked)
+def info_of(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+    """Return `Run.info` from the arrays of a run."""
+    return {name.removeprefix(INFO): each for name, each in arrays.items() if name.startswith(INFO)}
 
 
 # The result of many runs of one arm.
@@ -134,7 +80,7 @@ class Batch:
         closest: names of the two that are that close, joined by "and", (count,); "" if there are none.
         q_start: configurations at the start, (count, nq).
         q_final: configurations at the end, (count, nq).
-        motions: the motions; None if only the ends were kept.
+        motions: the arrays of each run, as `run_arrays` returns them; None if only the ends were kept.
     """
 
     arm: Arm
@@ -155,10 +101,12 @@ class Batch:
     closest: NDArray[np.str_]
     q_start: Array
     q_final: Array
-    motions: Motions | None = None
+    motions: tuple[Arrays, ...] | None = None
 
     def __post_init__(self) -> None:
         make_read_only(*vars(self).values())
+        for arrays in self.motions or ():
+            make_read_only(*arrays.values())
 
     def __len__(self) -> int:
         return len(self.status)
@@ -169,7 +117,8 @@ class Batch:
             allowed = '"motions" in track_many; the ends alone are in q_start and q_final'
             raise InvalidValue("keep", "ends", allowed)
         target = self.target(number)
-        arrays = self.motions.arrays_of(number, self.arm, target)
+        arrays = self.motions[number]
+        points = np.array([self.arm.at(q).compiled.points for q in arrays["q"]])
         return Run(
             arm=self.arm,
             target=target,
@@ -178,7 +127,10 @@ class Batch:
             status=str(self.status[number]),
             reason=str(self.reason[number]),
             scene=self.scene,
-            **arrays,
+            points=points,
+            point_errors=target.distances(points),
+            info=info_of(arrays),
+            **{name: arrays[name] for name in CONFIGURATION_ARRAYS + STEP_ARRAYS},
         )
 
     def __iter__(self) -> Iterator[Run]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, overload
@@ -20,7 +19,7 @@ from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue
-from pinposture.motion.batch import CONFIGURATION_ARRAYS, STEP_ARRAYS, TEXT_ARRAYS, Batch, Motions
+from pinposture.motion.batch import CONFIGURATION_ARRAYS, INFO, STEP_ARRAYS, Batch, info_of, run_arrays
 from pinposture.motion.joint_files import (
     check_format,
     read_ros_message,
@@ -237,7 +236,7 @@ def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
     return Moved(tuple(translation), tuple(rotation))
 
 
-_TEXTS = frozenset({"status", "reason", "closest"})
+_TEXTS = frozenset({"status", "reason", "closest", "violated_constraints"})
 _FLAGS = frozenset({"active", "clipped", "error_increasing", "motion_target_mask"})
 
 COMPARED_ROWS = 500
@@ -247,15 +246,12 @@ SAME_POINTS = 1e-6
 """Largest difference of control points that counts as rounding, in arm lengths."""
 
 
-def check_arrays(
-    arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]], texts: Collection[str] = ()
-) -> None:
+def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Raise InvalidValue unless arrays have the expected shapes and types.
 
     Args:
         arrays: the arrays, by name.
         shapes: the shapes that some of them must have.
-        texts: names of arrays of text, beside the usual ones; others hold numbers or flags.
     """
     for name, expected in shapes.items():
         array = arrays[name]
@@ -266,7 +262,7 @@ def check_arrays(
         if name in _FLAGS:
             kinds = "b"
             allowed = "True or False"
-        elif name in _TEXTS or name in texts:
+        elif name in _TEXTS:
             kinds = "U"
             allowed = "text"
         if array.dtype.kind not in kinds:
@@ -289,12 +285,12 @@ def _check_postures(arm: Arm, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 # Runs.
 
-_RUN_ARRAYS = (*CONFIGURATION_ARRAYS, "points", "point_errors", *STEP_ARRAYS, *TEXT_ARRAYS)
+_RUN_ARRAYS = (*CONFIGURATION_ARRAYS, "points", "point_errors", *STEP_ARRAYS)
 
 
 def _pack_run(run: Run) -> tuple[About, Arrays]:
     about, arrays = _pack_limits(run.limits)
-    arrays |= {name: getattr(run, name) for name in _RUN_ARRAYS}
+    arrays |= run_arrays(run) | {"points": run.points, "point_errors": run.point_errors}
     for name in _TARGET_ARRAYS:
         value = getattr(run.target, name)
         if value is not None:
@@ -327,7 +323,8 @@ def _unpack_run(about: About, arrays: Arrays) -> Run:
         "active": (steps, m),
         "clipped": (steps, arm.nv),
     }
-    check_arrays(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS}, TEXT_ARRAYS)
+    check_arrays(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS})
+    _check_info(arrays, steps)
     check_arrays(arrays, {"target_points": (m, 3), "target_weights": (m,)})
     _check_postures(arm, arrays)
     require_known("status", about["status"], ENDINGS)
@@ -346,8 +343,17 @@ def _unpack_run(about: About, arrays: Arrays) -> Run:
         controller=about["controller"],
         status=about["status"],
         reason=about["reason"],
+        info=info_of(arrays),
         **{name: arrays[name] for name in _RUN_ARRAYS},
     )
+
+
+def _check_info(arrays: Mapping[str, NDArray[Any]], steps: int) -> None:
+    """Raise InvalidValue unless each array of `Run.info` has a row of numbers or texts per step."""
+    for name, column in arrays.items():
+        if name.startswith(INFO) and (column.shape[:1] != (steps,) or column.dtype.kind not in "biufU"):
+            found = f"{column.dtype} {column.shape}"
+            raise InvalidValue(name, found, f"{steps} rows of numbers or texts")
 
 
 # Motions.
@@ -404,7 +410,6 @@ _BATCH_ARRAYS = (
     "q_start",
     "q_final",
 )
-_MOTIONS_ARRAYS = tuple(field.name for field in fields(Motions) if field.name != "texts")
 
 
 def _pack_batch(batch: Batch) -> tuple[About, Arrays]:
@@ -412,9 +417,8 @@ def _pack_batch(batch: Batch) -> tuple[About, Arrays]:
     arrays |= {name: getattr(batch, name) for name in _BATCH_ARRAYS}
     target_arrays, about_targets = _pack_targets(batch.targets)
     arrays |= target_arrays
-    motions = batch.motions
-    if motions is not None:
-        arrays |= {f"motion_{name}": getattr(motions, name) for name in _MOTIONS_ARRAYS}
+    if batch.motions is not None:
+        arrays |= _pack_motions(batch.motions)
     about |= {
         "arm": batch.arm.to_dict(),
         "targets": about_targets,
@@ -422,16 +426,12 @@ def _pack_batch(batch: Batch) -> tuple[About, Arrays]:
         "scene": None if batch.scene is None else batch.scene.to_dict(),
         "max_steps": batch.max_steps,
         "tolerance": batch.tolerance,
-        "texts": None if motions is None else list(motions.texts),
+        "motions": batch.motions is not None,
     }
     return about, arrays
 
 
 def _unpack_batch(about: About, arrays: Arrays) -> Batch:
-    motions = None
-    if about["texts"] is not None:
-        kept: dict[str, Any] = {name: arrays[f"motion_{name}"] for name in _MOTIONS_ARRAYS}
-        motions = Motions(**kept, texts=tuple(about["texts"]))
     columns: dict[str, Any] = {name: arrays[name] for name in _BATCH_ARRAYS}
     batch = Batch(
         arm=Arm.from_dict(about["arm"]),
@@ -441,11 +441,60 @@ def _unpack_batch(about: About, arrays: Arrays) -> Batch:
         scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
         max_steps=about["max_steps"],
         tolerance=about["tolerance"],
-        motions=motions,
+        motions=_unpack_motions(arrays) if about["motions"] else None,
         **columns,
     )
     _check_batch(batch)
     return batch
+
+
+def _pack_motions(motions: Sequence[Arrays]) -> Arrays:
+    """Return the arrays of runs end to end, and which runs have each; texts once, and their numbers."""
+    sizes = [len(run["q"]) for run in motions]
+    arrays: Arrays = {"motion_offsets": np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)}
+    for name in dict.fromkeys(name for run in motions for name in run):
+        parts = [run[name] for run in motions if name in run]
+        if any(part.dtype.kind == "U" for part in parts):
+            # An array of texts would be as wide as the longest; nearly all are empty or repeated.
+            numbers: dict[str, int] = {}
+            parts = [
+                np.array(
+                    [numbers.setdefault(str(text), len(numbers)) for text in part.flat], dtype=np.intp
+                ).reshape(part.shape)
+                for part in parts
+            ]
+            arrays[f"texts_{name}"] = np.array(list(numbers), dtype=np.str_)
+        arrays[f"motion_{name}"] = np.concatenate(parts)
+        arrays[f"motion_has_{name}"] = np.array([name in run for run in motions])
+    return arrays
+
+
+def _unpack_motions(arrays: Arrays) -> tuple[Arrays, ...]:
+    """Return the arrays of each run from the result of `_pack_motions`."""
+    offsets = arrays["motion_offsets"]
+    sizes = np.diff(offsets)
+    motions: tuple[Arrays, ...] = tuple({} for _ in sizes)
+    for key in arrays:
+        if not key.startswith("motion_has_"):
+            continue
+        name = key.removeprefix("motion_has_")
+        has = arrays[key]
+        values = arrays[f"motion_{name}"]
+        texts = arrays.get(f"texts_{name}")
+        if has.shape != sizes.shape:
+            raise InvalidValue(key, has.shape, f"True or False for each of {len(sizes)} runs")
+        rows = np.where(has, sizes - (name not in CONFIGURATION_ARRAYS), 0)
+        if rows.min(initial=0) < 0 or len(values) != rows.sum():
+            raise InvalidValue("offsets", offsets, f"those of runs with {len(values)} rows of {name}")
+        if texts is not None:
+            if np.any((values < 0) | (values >= len(texts))):
+                raise InvalidValue(name, values, f"numbers of texts from 0 to {len(texts) - 1}")
+            values = texts[values]
+        ends = np.cumsum(rows)
+        for run, has_it, end, count in zip(motions, has, ends, rows, strict=True):
+            if has_it:
+                run[name] = values[end - count : end]
+    return motions
 
 
 def _pack_targets(targets: Sequence[Target]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -515,21 +564,15 @@ def _check_batch(batch: Batch) -> None:
     motions = batch.motions
     if motions is None:
         return
-    check_arrays(vars(motions), {"offsets": (count + 1,)})
-    if motions.offsets[0] != 0 or np.any(np.diff(motions.offsets) != batch.steps + 1):
-        raise InvalidValue("offsets", motions.offsets, "those of runs of so many steps")
-    rows = int(motions.offsets[-1])
-    steps = rows - count
-    n_texts = len(motions.texts)
-    shapes: dict[str, tuple[int, ...]] = {name: (steps,) for name in STEP_ARRAYS + TEXT_ARRAYS}
-    shapes |= {"q": (rows, arm.nq), "clearance": (rows,)}
-    shapes |= {"active": (steps, arm.n_modules), "clipped": (steps, arm.nv)}
-    check_arrays(vars(motions), shapes)
-    require_finite("q", motions.q)
-    for name in TEXT_ARRAYS:
-        numbers = getattr(motions, name)
-        if np.any((numbers < 0) | (numbers >= n_texts)):
-            raise InvalidValue(name, numbers, f"numbers of texts from 0 to {n_texts - 1}")
+    if len(motions) != count:
+        raise InvalidValue("numbers of motions and runs", (len(motions), count), "as many")
+    for arrays, steps in zip(motions, batch.steps.tolist(), strict=True):
+        shapes: dict[str, tuple[int, ...]] = {name: (steps,) for name in STEP_ARRAYS}
+        shapes |= {"q": (steps + 1, arm.nq), "clearance": (steps + 1,)}
+        shapes |= {"active": (steps, arm.n_modules), "clipped": (steps, arm.nv)}
+        check_arrays(arrays, shapes)
+        require_finite("q", arrays["q"])
+        _check_info(arrays, steps)
 
 
 # Joint trajectories as arrays, exact to the last bit.
@@ -557,7 +600,7 @@ _NO_MOTION = {
     "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
 }
 _JOINTS = "pinposture-joint-trajectory"
-register(Format("pinposture-run", 5, Run, "run", _pack_run, _unpack_run, _NO_RUN))
-register(Format("pinposture-motion", 3, Trajectory, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
-register(Format("pinposture-batch", 4, Batch, "batch", _pack_batch, _unpack_batch, {}))
+register(Format("pinposture-run", 6, Run, "run", _pack_run, _unpack_run, _NO_RUN))
+register(Format("pinposture-motion", 4, Trajectory, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
+register(Format("pinposture-batch", 5, Batch, "batch", _pack_batch, _unpack_batch, {}))
 register(Format(_JOINTS, 1, JointTrajectory, "joint trajectory", _pack_joints, _unpack_joints, {}))

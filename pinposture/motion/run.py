@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -366,20 +366,15 @@ class Run(Outcome):
         points: control points, (steps + 1, m, 3) [m], world frame.
         point_errors: distance of each control point from its target, (steps + 1, m) [m]; 0 if it has none.
         active: which control points were active, (steps, m).
-        index: smallest manipulability index of the active set, (steps,).
-        sigma_min: smallest singular value of the posture control matrix, (steps,) [m/rad].
-        sigma_max: largest singular value of the posture control matrix, (steps,) [m/rad].
-        rows: rows of the posture control matrix, (steps,).
-        scale: factor by which the step was shortened to meet the step limit, (steps,).
         clipped: which joints were clipped at a position limit, (steps, nv).
-        method: method of the controller, (steps,) names; empty if it has only one.
-        switched: why it switched to that method, (steps,) sentences; empty if it did not.
         error_increasing: whether the posture error may rise in the step, to leave a local minimum, (steps,).
         violated_constraints: messages on constraints that the step violates because not all can be met, and
             on velocity and acceleration limits that the motion exceeds, (steps,) lines; usually empty. See
             `violated_steps`.
         clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
             in penetration, infinite without a scene.
+        info: what else the controller reported, by name, with a row per step; see `Step.info`. A step that
+            does not report a value has 0, False or an empty text.
         scene: the obstacles; None: none.
     """
 
@@ -393,21 +388,15 @@ class Run(Outcome):
     points: Array
     point_errors: Array
     active: NDArray[np.bool_]
-    index: Array
-    sigma_min: Array
-    sigma_max: Array
-    rows: NDArray[np.intp]
-    scale: Array
     clipped: NDArray[np.bool_]
-    method: NDArray[np.str_]
-    switched: NDArray[np.str_]
     error_increasing: NDArray[np.bool_]
     violated_constraints: NDArray[np.str_]
     clearance: Array
+    info: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     scene: Scene | None = None
 
     def __post_init__(self) -> None:
-        make_read_only(*vars(self).values())
+        make_read_only(*vars(self).values(), *self.info.values())
 
     @property
     def steps(self) -> int:
@@ -466,9 +455,24 @@ class Run(Outcome):
 
     @cached_property
     def switches(self) -> tuple[Switch, ...]:
-        """Switches between methods of the controller."""
-        changes = np.flatnonzero(self.switched != "")
-        return tuple(Switch(int(k), str(self.method[k]), str(self.switched[k])) for k in changes)
+        """Switches between methods of the controller; empty if it has only one."""
+        reasons = self.reported("switched", "")
+        methods = self.reported("method", "")
+        return tuple(Switch(int(k), str(methods[k]), str(reasons[k])) for k in np.flatnonzero(reasons != ""))
+
+    def reported(self, name: str, default: float | str) -> NDArray[Any]:
+        """Return a number or text that the controller reported of each step, (steps,).
+
+        Args:
+            name: its name in `info`.
+            default: what there is in each step if the controller did not report it, or something else of
+                that name.
+        """
+        column = self.info.get(name)
+        alike = column is not None and (column.dtype.kind == "U") == isinstance(default, str)
+        if column is None or not alike or column.shape != (self.steps,):
+            return np.full(self.steps, default)
+        return column
 
     def joint_trajectory(self, dt: float | None = None, force: bool = False) -> JointTrajectory:
         """Return the run as a joint trajectory for export.

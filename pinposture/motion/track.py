@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,8 +15,8 @@ from pinposture._validation import require_instance, require_positive, require_w
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
-from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
-from pinposture.control.controller import Memory, SingularValues, next_step
+from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
+from pinposture.control.controller import Info, Memory, next_step
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import JerkFilter, require_limits
 from pinposture.errors import InvalidValue, enumerated, warn_caller
@@ -47,6 +48,7 @@ class RunRecord:
         self._distances_of = None if scene is None or scene.empty else CollisionModel(start.arm, scene)
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
+        self._reported: dict[str, tuple[tuple[int, ...], str]] = {}
         self._last = start
         self._q = [start.q]
         self._points = [start.compiled.points]
@@ -99,10 +101,8 @@ class RunRecord:
             target: the new target, if it has changed.
         """
         self._target = self._target if target is None else target
-        note = step.diagnostics
-        spectrum = SingularValues(note.sigma_min, note.sigma_max)  # computed now, to keep no state in memory
-        self._steps.append(step._replace(diagnostics=note._replace(spectrum=spectrum)))
-        if not note.following_path:
+        self._steps.append(step._replace(info=self._checked_info(step.info)))
+        if not step.following_path:
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
@@ -110,6 +110,17 @@ class RunRecord:
         self._last = state
         self._now = self._point_errors(state)
         self._errors.append(self._now)
+
+    def _checked_info(self, info: Mapping[str, Info]) -> dict[str, Info]:
+        """Return what a controller reports, read now; each value must be like those of the steps before."""
+        values = dict(info)  # computed now, to keep no state in memory
+        for name, value in values.items():
+            array = np.asarray(value)
+            like = (array.shape, "text" if array.dtype.kind == "U" else "numbers")
+            known = self._reported.setdefault(name, like)
+            if like != known:
+                raise InvalidValue(f"info[{name!r}]", value, f"{known[1]} of shape {known[0]}, as before")
+        return values
 
     def travel_without_progress(self, share: float) -> float:
         """Return the joint travel since the posture error last fell by a share below its minimum [rad].
@@ -127,7 +138,6 @@ class RunRecord:
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
             row[list(step.active)] = True
-        notes = [step.diagnostics for step in steps]
         run = Run(
             arm=arm,
             target=self._target,
@@ -139,19 +149,13 @@ class RunRecord:
             points=np.array(self._points),
             point_errors=np.array(self._errors),
             active=active,
-            index=np.array([note.manipulability for note in notes]),
-            sigma_min=np.array([note.sigma_min for note in notes]),
-            sigma_max=np.array([note.sigma_max for note in notes]),
-            rows=np.array([note.rows for note in notes], dtype=np.intp),
-            scale=np.array([note.scale for note in notes]),
-            clipped=np.array([note.clipped for note in notes], dtype=bool).reshape(len(steps), arm.nv),
-            method=np.array([note.method for note in notes], dtype=np.str_),
-            switched=np.array([note.switched for note in notes], dtype=np.str_),
-            error_increasing=np.array([note.error_increasing for note in notes], dtype=bool),
+            clipped=np.array([step.clipped for step in steps], dtype=bool).reshape(len(steps), arm.nv),
+            error_increasing=np.array([step.error_increasing for step in steps], dtype=bool),
             violated_constraints=np.array(
-                ["\n".join(note.violated_constraints[:MAX_CONSTRAINTS]) for note in notes], dtype=np.str_
+                ["\n".join(step.violated_constraints[:MAX_CONSTRAINTS]) for step in steps], dtype=np.str_
             ),
             clearance=np.array(self._distances),
+            info=_as_columns([step.info for step in steps]),
             scene=self._scene,
         )
         if run.excess is None:
@@ -162,6 +166,12 @@ class RunRecord:
         return replace(
             run, reason=f"{reason}; {run.excess.text}", violated_constraints=np.array(relaxed, dtype=np.str_)
         )
+
+
+def _as_columns(reports: Sequence[Mapping[str, Info]]) -> dict[str, NDArray[Any]]:
+    """Return what steps report as columns by name: 0, False or "" for a step that does not report it."""
+    absent = {name: np.zeros_like(value) for report in reports for name, value in report.items()}
+    return {name: np.array([report.get(name, none) for report in reports]) for name, none in absent.items()}
 
 
 Callback = Callable[[int, ArmState, Step], object]
@@ -281,7 +291,7 @@ class ControlLoop:
         self.state = self.ahead = self.arm.at(self.arm.integrate(self.state.q, dq))
         if self.filter.cycles > 1:
             rises = self.record.error_rises_at(self.state)
-            step = step._replace(dq=dq, diagnostics=step.diagnostics._replace(error_increasing=rises))
+            step = step._replace(dq=dq, error_increasing=rises)
             self.ahead = self.arm.at(self.arm.integrate(self.state.q, self.filter.ahead))
         self.record.append(self.state, step, self.limits.travel(self.state), target)
 
@@ -304,13 +314,13 @@ class ControlLoop:
             if status:
                 break
             step = self.compute_step(target)
-            if step.diagnostics.reason and self.filter.moving:
+            if step.reason and self.filter.moving:
                 self.brake()  # let the jerk filter settle first
                 continue
-            if step.diagnostics.reason:
+            if step.reason:
                 # With active points but no step, the controller is stuck.
                 status = "stalled" if step.active else "no_control_points"
-                reason = step.diagnostics.reason
+                reason = step.reason
                 break
             self.take_step(step)
             number = self.record.steps
@@ -333,8 +343,7 @@ class ControlLoop:
         memory = before.braked(self.limits, self.ahead)
         rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.ahead.q, memory.dq)))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
-        note = Diagnostics(still, error_increasing=rises)
-        self.take_step(Step(memory.dq, (), note, memory))
+        self.take_step(Step(memory.dq, (), still, error_increasing=rises, memory=memory))
 
     def _cannot_stop(self) -> bool:
         """Whether the arm cannot stop in the next step."""
@@ -365,8 +374,8 @@ def _describe_arrival(arm: Arm, mean: float, tolerance: float) -> str:
 
 def describe_binding_limits(arm: Arm, step: Step) -> str:
     """Return a clause naming the joint limits and distances that limited a step."""
-    held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
-    held += step.diagnostics.near
+    held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.clipped)]
+    held += step.near
     return f"; held by {enumerated(held, MAX_NAMED_LIMITS)}" if held else ""
 
 

@@ -24,7 +24,7 @@ from pinposture.errors import (
     no_warnings,
     warn_caller,
 )
-from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
+from pinposture.motion.batch import FAILED, Batch, run_arrays
 from pinposture.motion.run import Run, smallest_distance
 from pinposture.motion.track import RunRecord, in_scene, name_enough_steps, track, usual_max_steps
 from pinposture.placement import Target
@@ -147,7 +147,7 @@ def track_many(
         scene=scene,
         max_steps=int(most),
         tolerance=float(tolerance),
-        motions=concatenate_runs(motions) if keep == "motions" else None,
+        motions=tuple(motions) if keep == "motions" else None,
         **{name: np.array([each[name] for each in ends]) for name in ends[0]},
     )
     failed = np.flatnonzero(batch.status == FAILED)

@@ -88,10 +88,10 @@ class Report(NamedTuple):
         tracking_error: largest distance of a measured joint position from where drives with a lag of up to
             half a second would be, in `Arm.joint_units`; None without a usable measurement.
         target_age: sum of cycle times since the target was set [s]; None without a target.
-        violated_constraints: constraints that the step violates, as in `Diagnostics`, and the margin to
+        violated_constraints: constraints that the step violates, as in `Step`, and the margin to
             obstacles if the measured arm has lost it.
-        step: the step that was sent, with the diagnostics of the controller; None if it computed none. With a
-            limit of jerk, `dq` and `diagnostics.error_increasing` are those after the filter, as in runs.
+        step: the step that was sent, and what the controller says of it; None if it computed none. With a
+            limit of jerk, `dq` and `error_increasing` are those after the filter, as in runs.
         time: how long `Tracker.step` took [s].
         overran: whether that is longer than the nominal cycle time.
     """
@@ -460,7 +460,7 @@ class Tracker:
         if state is not None and aim is not None:
             try:
                 step, memory = self._steps.compute(state, aim, limits, memory)
-                computed = NOT_DONE if step is None else step.diagnostics.reason
+                computed = NOT_DONE if step is None else step.reason
                 reason = feedback.reason or computed
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # unusable input, such as a target without a configuration
@@ -492,7 +492,7 @@ class Tracker:
             self._evasion.rest(displacement, dt)
             return
         step = decision.step
-        limited = step is not None and bool(step.diagnostics.near) and not step.diagnostics.following_path
+        limited = step is not None and bool(step.near) and not step.following_path
         known = self._feedback.compensates and displacement is not None and self.scene is not None
         distances = None
         if known and self.scene is not None and not self.scene.velocities:
@@ -594,7 +594,7 @@ class Tracker:
         error = None if target is None or points is None else target.mean_distance(points)
         status, reason = self._judge_status(feedback, decision, dq, error)
         age = None if target is None else self._age
-        relaxed = () if step is None else step.diagnostics.violated_constraints
+        relaxed = () if step is None else step.violated_constraints
         relaxed += self._lost_limits(relaxed) + self._lost_clearance()
         period = cycle_of(self._limits)
         duration = min(max(passed, MIN_CYCLE * period), period)
@@ -606,7 +606,7 @@ class Tracker:
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
 
     def _describe_sent(self, feedback: FeedbackState, decision: Decision, dq: Array) -> Step | None:
-        """Return the step dq that was sent, with diagnostics; None if the controller computed none."""
+        """Return the step dq that was sent, as the controller described it; None if it computed none."""
         step = decision.step
         aim = decision.compensated or self._target
         command = self._feedback.command
@@ -616,7 +616,7 @@ class Tracker:
         after = self.arm.at(command).compiled
         most = ERROR_ROUNDING * self.arm.length
         rises = aim.mean_distance(after.points) > aim.mean_distance(before.compiled.points) + most
-        return step._replace(dq=np.array(dq), diagnostics=step.diagnostics._replace(error_increasing=rises))
+        return step._replace(dq=np.array(dq), error_increasing=rises)
 
     def _judge_status(
         self, feedback: FeedbackState, decision: Decision, dq: Array, error: float | None

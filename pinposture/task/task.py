@@ -825,7 +825,7 @@ class _Performance:
                 ahead = step.memory.progress if isinstance(step.memory, GeodesicMemory) else None
                 if ahead is None or not ahead.timed.scheduled:
                     break
-                if step.diagnostics.reason and not ahead.arrived:
+                if step.reason and not ahead.arrived:
                     break
                 if begun + ahead.place >= mark.row:
                     if self._leaves_path(step, begun + ahead.place):
@@ -896,7 +896,7 @@ class _Performance:
             if not (behind and patient):
                 loop.record.set_target(shown)
             step = loop.compute_step(target)
-            if step.diagnostics.reason:
+            if step.reason:
                 loop.brake()
             else:
                 loop.take_step(step)

@@ -488,7 +488,8 @@ def _step_text(shown: Timeline, row: int) -> str:
         count = int(run.active[min(row, run.steps - 1)].sum())
         text += f", {count} of {run.arm.n_modules} control points active"
         if run.switches:
-            text += f" by {run.method[min(row, run.steps - 1)].capitalize()}"
+            methods = run.reported("method", "")
+            text += f" by {str(methods[min(row, run.steps - 1)]).capitalize()}"
     return text
 
 

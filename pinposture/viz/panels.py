@@ -58,7 +58,7 @@ def _note(ax: Axes, text: str) -> None:
 
 def has_singular_values(run: Run) -> bool:
     """Return whether the controller inverted a posture control matrix."""
-    return bool(np.any(run.sigma_max > 0.0))
+    return bool(np.any(run.reported("sigma_max", 0.0) > 0.0))
 
 
 def chooses_points(run: Run) -> bool:
@@ -147,7 +147,7 @@ def plot_active_points(run: Run, ax: Axes) -> None:
     if not run.steps:
         _note(ax, "no step was taken")
     if has_singular_values(run):
-        _plot_on_second_axis(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
+        _plot_on_second_axis(run, ax, run.reported("sigma_min", 0.0), r"$\sigma_{\min}$ [m/rad]")
 
 
 def plot_points_and_index(run: Run, ax: Axes, color: str | None = None) -> None:
@@ -156,7 +156,7 @@ def plot_points_and_index(run: Run, ax: Axes, color: str | None = None) -> None:
     plot_point_count(run, ax, color)
     ax.yaxis.label.set_color(color)
     if has_singular_values(run) or not run.steps:
-        _plot_on_second_axis(run, ax, run.index, "manipulability index")
+        _plot_on_second_axis(run, ax, run.reported("manipulability", 0.0), "manipulability index")
 
 
 def plot_point_count(run: Run, ax: Axes, color: str | None = None, place: float = 0.0) -> None:
@@ -196,7 +196,7 @@ def plot_used_points(run: Run, ax: Axes, color: str | None = None) -> None:
 
 def mark_projection(run: Run, ax: Axes) -> None:
     """Mark the steps that a switching controller left to Projection, by red dots on the axis."""
-    places = places_of(run)[1:][run.method == "projection"]
+    places = places_of(run)[1:][run.reported("method", "") == "projection"]
     _mark_on_axis(ax, places, "projection", marker="o", ms=3.2, mew=0.0)
 
 

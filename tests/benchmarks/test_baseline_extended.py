@@ -116,8 +116,8 @@ def test_the_step_is_newtons_for_an_extremum_under_the_task(kind: str, objective
             right = np.concatenate([-restore * projected(state, objective), 1e-3 * errors])
             expected = np.linalg.solve(bordered, right)[:n] * arm.joint_units
             step = ExtendedJacobian(objective, gain=1e-3, restore=restore).step(state, target, FREE)
-            assert not step.diagnostics.reason
-            if not step.diagnostics.clipped.any():
+            assert not step.reason
+            if not step.clipped.any():
                 np.testing.assert_allclose(step.dq, expected, atol=1e-4 * np.abs(expected).max())
                 checked += 1
     assert checked >= 4
@@ -223,11 +223,11 @@ def test_where_there_is_no_inverse_it_stands_and_says_why() -> None:
     target = pp.Target.from_points(planar(), state_of(planar(), 1).points)
     straight = ExtendedJacobian().step(planar().at(planar().straight()), target)
     assert not straight.dq.any()
-    assert "end-effector is singular" in straight.diagnostics.reason
+    assert "end-effector is singular" in straight.reason
     # Without limits, the distance from them is no objective: flat everywhere.
     endless = pp.Arm.from_modules([pp.ModuleTemplate("C", (pp.JointSpec("z", "continuous"),), (0.1,))] * 4)
     state = endless.at(endless.configuration(np.array([0.3, 0.9, 0.5, 1.1])))
     flat = ExtendedJacobian("joint_limits").step(state, target)
     assert not flat.dq.any()
-    assert "no single extremum" in flat.diagnostics.reason
+    assert "no single extremum" in flat.reason
     assert replace(ExtendedJacobian(), objective="manipulability").step(state, target).dq.any()

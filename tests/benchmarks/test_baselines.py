@@ -81,7 +81,7 @@ def test_pseudo_inverse_is_the_formula(kind: str, seed: int, objective: str | No
     np.testing.assert_allclose(in_units(state, step), expected, atol=1e-9)
     np.testing.assert_allclose(jacobian @ in_units(state, step), 0.6 * errors, atol=1e-9)
     assert step.active == (arm.n_modules - 1,)
-    assert step.diagnostics.rows == arm.dimension
+    assert step.info["rows"] == arm.dimension
 
 
 def test_the_null_space_improves_the_objective_while_the_end_effector_stands() -> None:
@@ -115,7 +115,7 @@ def test_the_end_effector_is_the_last_point_that_has_a_target(spatial: pp.Arm) -
         step = method.step(state, target, FREE)
         assert step.active == (4,)
         jacobian, errors = stacked(state, target, [4])
-        if not step.diagnostics.clipped.any():
+        if not step.clipped.any():
             np.testing.assert_allclose(jacobian @ step.dq, errors, atol=1e-9)
         assert not step.dq[10:].any()
     assert TaskConstraints().step(state, target, FREE).active == (1, 3, 4)
@@ -141,9 +141,9 @@ def test_augmented_is_the_pseudo_inverse_of_everything(kind: str, seed: int, few
     regular = sigma[sigma > 1e-10 * sigma[0]]
     np.testing.assert_allclose(in_units(state, step), expected, atol=1e-10 / regular[-1] ** 2)
     rows = min(arm.dimension * len(points), arm.nv)
-    assert step.diagnostics.rows == arm.dimension * len(points)
-    assert step.diagnostics.sigma_max == pytest.approx(sigma[0], rel=1e-9)
-    assert step.diagnostics.sigma_min == pytest.approx(sigma[:rows].min(), rel=1e-6, abs=1e-14)
+    assert step.info["rows"] == arm.dimension * len(points)
+    assert step.info["sigma_max"] == pytest.approx(sigma[0], rel=1e-9)
+    assert step.info["sigma_min"] == pytest.approx(sigma[:rows].min(), rel=1e-6, abs=1e-14)
 
 
 @pytest.mark.parametrize("kind", ARMS)
@@ -250,7 +250,7 @@ def test_the_straight_arm_is_left_by_those_that_can(spatial: pp.Arm) -> None:
     jacobian, errors = stacked(state, target, [6])
     step = PseudoInverse().step(state, target, FREE)
     np.testing.assert_allclose(jacobian @ step.dq, errors * [0, 1, 1], atol=1e-12)
-    assert "singular" in ExtendedJacobian().step(state, target).diagnostics.reason
+    assert "singular" in ExtendedJacobian().step(state, target).reason
     for name in ("augmented", "dls", "lm"):
         assert controller_named(name).step(state, target).dq.any()
 

@@ -111,7 +111,7 @@ def test_steps_uphill_are_told_by_their_first_direction_alone():
 
 def test_matrices_of_less_than_full_rank_are_counted_and_empty_ones_are_not():
     q = np.zeros((4, 3))
-    run = made(flat(), q, sigma_min=np.array([0.0, 0.0, 1e-3]), rows=np.array([4, 0, 4]))
+    run = made(flat(), q, info={"sigma_min": np.array([0.0, 0.0, 1e-3]), "rows": np.array([4, 0, 4])})
     states = runs.states_before_steps(run)
     assert runs.deficient_steps(run, states, [(), (), ()]) == (1, 0)
 
@@ -122,7 +122,7 @@ def test_points_that_were_dropped_count_for_the_rank():
     arm = flat()
     q = np.array([[0.3, 0.4, 0.5]] * 3)
     active = [[0, 0, 1], [0, 0, 1]]
-    run = made(arm, q, active=active, rows=np.array([2, 2]))
+    run = made(arm, q, active=active, info={"rows": np.array([2, 2])})
     states = runs.states_before_steps(run)
     assert runs.deficient_steps(run, states, [(1,), ()]) == (1, 1)
     run = made(template_arm("Rz", 4, (0.1,)), np.full((2, 4), 0.4), active=[[0, 0, 0, 1]])
@@ -139,7 +139,7 @@ def test_what_was_asked_is_what_would_be_done_without_a_limit(controller):
     steps = runs.per_step(run, runs.states_before_steps(run))
     for k in range(run.steps):
         free = controller_named(controller).step(arm.at(run.q[k]), target, pp.Limits(step=None))
-        assert not free.diagnostics.clipped.any()
+        assert not free.clipped.any()
         assert steps.asked[k] == pytest.approx(np.abs(free.dq).max(), rel=1e-6)
 
 

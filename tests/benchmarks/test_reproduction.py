@@ -55,7 +55,7 @@ def test_numbers_of_a_figure_are_those_of_its_runs():
     assert told["posture_error"] == run.posture_error.tolist()
     assert told["start"] == run.q[0].tolist()
     assert told["active_points"] == run.active.sum(axis=1).tolist()
-    assert told["by_projection"] == (run.method == "projection").tolist()
+    assert told["by_projection"] == (run.info["method"] == "projection").tolist()
     assert (told["steps"], told["status"], told["start_error"]) == (4, "max_steps", run.posture_error[0])
     assert told["parameters"] == run.controller != told["controller"] == "switching"
     assert [each["controller"] for each in figure["compared"]] == ["selection", "projection"]

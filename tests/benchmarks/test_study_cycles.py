@@ -11,7 +11,7 @@ from arms import template_arm
 import pinposture as pp
 from benchmarks.cases.families import Subject
 from benchmarks.studies.cycles import CLOSE, cycle_drift, study_cycles
-from pinposture.control.controller import Diagnostics, Step
+from pinposture.control.controller import Step
 from pinposture.errors import InvalidValue, UnknownName
 
 
@@ -43,8 +43,7 @@ class Slipping:
         self.seen.append(1)
         dq = target.q - state.q
         dq[-1] = self.slip
-        none = Diagnostics(np.zeros(len(dq), dtype=bool))
-        return Step(dq, (0,), none, None)
+        return Step(dq, (0,))
 
 
 def test_drift_is_how_far_the_worst_joint_is_from_where_it_began() -> None:

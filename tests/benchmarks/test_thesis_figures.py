@@ -77,7 +77,7 @@ def shows(ax, values) -> bool:
 
 def marked(run, method) -> pp.Run:
     """The run as if its controller had several methods."""
-    return replace(run, method=np.array(method))
+    return replace(run, info={**run.info, "method": np.array(method)})
 
 
 def test_points_used_are_dots_at_their_steps(selection):
@@ -98,7 +98,7 @@ def test_points_and_index_have_axes_of_their_own(selection):
     plot_points_and_index(selection, ax)
     assert shows(ax, selection.active.sum(axis=1))
     (other,) = [twin for twin in ax.figure.axes if twin is not ax]
-    assert shows(other, selection.index)
+    assert shows(other, selection.info["manipulability"])
     assert (ax.get_ylabel(), other.get_ylabel()) == ("active control points", "manipulability index")
     alone = panel()
     plot_point_count(selection, alone)
@@ -191,7 +191,7 @@ def test_a_planar_figure_shows_everything_about_its_runs(flat_selection, flat_pr
         assert palette.controller_color(run.controller) in colors
         on_the_way = backbone(arm, run.q[1])
         assert any(np.array_equal(line.get_ydata(), on_the_way[:, 1]) for line in final.get_lines())
-        assert any(shows(ax, run.index) for ax in figure.axes)
+        assert any(shows(ax, run.info["manipulability"]) for ax in figure.axes)
     words = "\n".join(text.get_text() for ax in figure.axes for text in ax.texts)
     assert length_text(flat_projection.posture_error[-1], arm.length) in words
     assert draw(figure).shape[1] == 1200

@@ -86,7 +86,7 @@ def test_who_has_nowhere_to_go_brakes_first(name: str) -> None:
     left = [np.abs(speed).max()]
     for _ in range(4):
         step = controller_named(name).step(arm.at(q), nowhere, limits, memory)
-        assert step.diagnostics.reason
+        assert step.reason
         expected = np.sign(memory.dq) * np.maximum(np.abs(memory.dq) - 0.03, 0.0)
         np.testing.assert_allclose(step.dq, expected, atol=1e-15)
         q = arm.integrate(q, step.dq)
@@ -112,7 +112,7 @@ def test_switching_keeps_it_where_projection_cannot_move(known: bool) -> None:
     steps = np.diff(run.q, axis=0, prepend=folded[None])
     assert np.all(np.abs(np.diff(steps, axis=0)) <= 0.003 + ALLOWED)
     assert np.abs(steps).max() > 0.01  # several times what one step may change
-    assert ("projection" in run.method) == known
+    assert ("projection" in run.info["method"]) == known
 
 
 def test_joints_stop_at_the_end_of_the_way_that_they_were_asked_to_go() -> None:

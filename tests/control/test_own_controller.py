@@ -13,11 +13,11 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.control import CONTROLLERS, Diagnostics, Memory, Step, controller_named, registry
+from pinposture.control import CONTROLLERS, Memory, Step, controller_named, registry
 from pinposture.errors import ControllerError, InvalidValue, UnknownName
 
 MODULE = """
-from pinposture.control import Diagnostics, Step
+from pinposture.control import Step
 
 
 class Still:
@@ -25,7 +25,7 @@ class Still:
 
     def step(self, state, target, limits=None, memory=None):
         held = limits.hold(state)
-        return Step(held.dq, (), Diagnostics(held.clipped, "it never moves"), None)
+        return Step(held.dq, clipped=held.clipped, reason="it never moves")
 
 
 class Picky(Still):
@@ -118,25 +118,27 @@ def test_a_name_can_be_added_and_a_package_can_bring_one(folder, monkeypatch):
     assert {"mine", "theirs", "geodesic"} <= set(caught.value.allowed)
 
 
-def diagnostics(size=8):
-    return Diagnostics(clipped=np.zeros(size, dtype=bool))
-
-
 @pytest.mark.parametrize(
     ("returned", "words"),
     [
         (np.zeros(8), r"Returning.step\(\.\.\.\) \(returned\) is array.*a Step"),
         (None, "is not given.*a Step"),
-        ((np.zeros(8), (), diagnostics(), None), "a Step"),
-        (Step([0.0] * 8, (), diagnostics(), None), r"\.dq is \[0.0"),
-        (Step(np.zeros(3), (), diagnostics(), None), "dq.*8 finite numbers"),
-        (Step(np.zeros((8, 1)), (), diagnostics(), None), "dq.*8 finite numbers"),
-        (Step(np.full(8, np.nan), (), diagnostics(), None), "dq.*8 finite numbers"),
-        (Step(np.zeros(8), (), None, None), "diagnostics is not given"),
-        (Step(np.zeros(8), (), diagnostics(3), None), "diagnostics.*clipped"),
-        (Step(np.zeros(8), None, diagnostics(), None), "active is not given.*0 to 3"),
-        (Step(np.zeros(8), (4,), diagnostics(), None), r"active is \(4,\)"),
-        (Step(np.zeros(8), (), diagnostics(), {"dq": 0}), "memory is {'dq': 0}.*Memory"),
+        ((np.zeros(8), ()), "a Step"),
+        (Step([0.0] * 8), r"\.dq is \[0.0"),
+        (Step(np.zeros(3)), "dq.*8 finite numbers"),
+        (Step(np.zeros((8, 1))), "dq.*8 finite numbers"),
+        (Step(np.full(8, np.nan)), "dq.*8 finite numbers"),
+        (Step(np.zeros(8), clipped=np.zeros(3, dtype=bool)), "clipped.*8 times True or False"),
+        (Step(np.zeros(8), reason=None), "reason is not given.*text"),
+        (Step(np.zeros(8), violated_constraints="margin"), "violated_constraints is 'margin'.*tuple"),
+        (Step(np.zeros(8), near=(1,)), "near.*tuple of texts"),
+        (Step(np.zeros(8), info=["sigma"]), "info.*a mapping"),
+        (Step(np.zeros(8), info={"a b": 1.0}), r"info \(name\) is 'a b'.*letters"),
+        (Step(np.zeros(8), info={"how": None}), r"info\['how'\] is not given.*a number, text"),
+        (Step(np.zeros(8), info={"how": [object()]}), r"info\['how'\].*a number, text"),
+        (Step(np.zeros(8), None), "active is not given.*0 to 3"),
+        (Step(np.zeros(8), (4,)), r"active is \(4,\)"),
+        (Step(np.zeros(8), memory={"dq": 0}), "memory is {'dq': 0}.*Memory"),
     ],
 )
 def test_a_step_that_is_none_is_refused_with_what_was_allowed(arm, returned, words):
@@ -175,7 +177,7 @@ def test_a_step_may_leave_its_memory_out(arm):
         name = "short"
 
         def step(self, state, target, limits=None, memory=None):
-            return Step(np.full(8, 0.01), (), diagnostics())
+            return Step(np.full(8, 0.01))
 
     target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
     assert pp.track(arm, target, arm.straight(), Short(), max_steps=2).steps == 2
@@ -189,10 +191,74 @@ def test_a_step_without_memory_is_remembered_for_the_controller(arm):
 
         def step(self, state, target, limits=None, memory=None):
             seen.append(memory)
-            return Step(np.full(8, 0.01), (0, 3), diagnostics(), None)
+            return Step(np.full(8, 0.01), (0, 3))
 
     target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
     run = pp.track(arm, target, arm.straight(), Forgetful(), max_steps=2)
     assert run.steps == 2
     assert isinstance(seen[1], Memory)
     np.testing.assert_array_equal(seen[1].dq, np.full(8, 0.01))
+
+
+@dataclass
+class Reporting:
+    """Moves a little and reports what it is told to, one report a step."""
+
+    reports: list[dict[str, object]]
+    name: str = "reporting"
+
+    def step(self, state, target, limits=None, memory=None):
+        return Step(np.full(8, 0.01), info=self.reports.pop(0))
+
+
+def reported(arm, *reports):
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    return pp.track(arm, target, arm.straight(), Reporting(list(reports)), max_steps=len(reports))
+
+
+def test_what_a_controller_reports_becomes_a_column(arm, tmp_path):
+    first = {"gain": 0.5, "count": 3, "mode": "far", "edges": np.array([1.0, 2.0])}
+    run = reported(arm, first, {"gain": np.inf, "mode": "near the end"}, {"near": True})
+    expected = {
+        "gain": [0.5, np.inf, 0.0],
+        "count": [3, 0, 0],
+        "mode": ["far", "near the end", ""],
+        "edges": [[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]],
+        "near": [False, False, True],
+    }
+    batch = pp.track_many(
+        arm,
+        run.target,
+        [arm.straight()] * 2,
+        Reporting([first, {}, {"more": 1.0}, {}]),
+        max_steps=2,
+        jobs=1,
+    )
+    saved = pp.load(pp.save(run, tmp_path / "run.npz"))
+    for each in (run, saved):
+        assert {name: column.tolist() for name, column in each.info.items()} == expected
+        assert not any(column.flags.writeable for column in each.info.values())
+    again = pp.load(pp.save(batch, tmp_path / "batch.npz"))
+    for each in (batch, again):
+        assert [set(run.info) for run in each] == [set(first), {"more"}]
+        assert each[0].info["mode"].tolist() == ["far", ""]
+        assert each[1].info["more"].tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("second", "words"),
+    [
+        ({"how": np.zeros(2)}, r"info\['how'\].*numbers of shape \(\), as before"),
+        ({"how": "well"}, r"info\['how'\] is 'well'; allowed: numbers of shape"),
+    ],
+)
+def test_a_report_of_another_kind_than_before_is_refused(arm, second, words):
+    with pytest.raises(InvalidValue, match=words):
+        reported(arm, {"how": 1.0}, second)
+
+
+def test_reports_that_look_like_those_of_the_library_harm_no_figure(arm):
+    report = {"switched": 1.0, "method": 2, "sigma_max": "much", "manipulability": np.zeros(3)}
+    run = reported(arm, report, report)
+    assert run.switches == ()
+    pp.plot(run)

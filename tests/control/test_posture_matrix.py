@@ -94,17 +94,17 @@ def test_projection_moves_as_its_dense_matrix_says(
             state, given_errors, target.has_target
         )
         assert step.active == active
-        if not active or step.diagnostics.clipped.any():
+        if not active or step.clipped.any():
             continue
         sigma = np.linalg.svd(matrix, compute_uv=False)
         pinv = np.linalg.pinv(matrix, rcond=1e-13)
         expected = secondary + pinv @ (0.7 * velocity - matrix @ secondary)
         scale = np.abs(expected).max() * sigma[0] / sigma[-1]
         np.testing.assert_allclose(step.dq, expected * arm.joint_units, rtol=0, atol=1e-13 * scale)
-        assert step.diagnostics.rows == len(matrix)
-        assert step.diagnostics.sigma_min == pytest.approx(sigma[-1], rel=1e-7)
-        assert step.diagnostics.sigma_max == pytest.approx(sigma[0], rel=1e-9)
-        assert step.diagnostics.manipulability == smallest
+        assert step.info["rows"] == len(matrix)
+        assert step.info["sigma_min"] == pytest.approx(sigma[-1], rel=1e-7)
+        assert step.info["sigma_max"] == pytest.approx(sigma[0], rel=1e-9)
+        assert step.info["manipulability"] == smallest
 
 
 @given(kinds, st.integers(0, 10**6), st.sampled_from([0.0, 1e-7, 0.5, 3.0]), st.sampled_from([0.05, 0.4]))

@@ -40,7 +40,7 @@ def posture(arm: pp.Arm, seed: int, amplitude: float = 0.6) -> np.ndarray:
 
 
 def stints(run: pp.Run) -> list[tuple[str, int]]:
-    return [(name, len(list(steps))) for name, steps in groupby(run.method.tolist())]
+    return [(name, len(list(steps))) for name, steps in groupby(run.info["method"].tolist())]
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_each_step_is_one_of_the_method_that_it_names(long: pp.Arm, hard: pp.Run
     for k in range(hard.steps):
         state = long.at(hard.q[k])
         moved = hard.q[k + 1] - hard.q[k]
-        if hard.method[k] == "selection":
+        if hard.info["method"][k] == "selection":
             expected = method.selection.step(state, hard.target)
             np.testing.assert_allclose(moved, expected.dq, atol=1e-12)
             continue
@@ -80,7 +80,7 @@ def test_each_step_is_one_of_the_method_that_it_names(long: pp.Arm, hard: pp.Run
 
 
 def test_every_change_of_method_is_recorded_with_its_reason(hard: pp.Run) -> None:
-    changes = [k + 1 for k, (a, b) in enumerate(pairwise(hard.method)) if a != b]
+    changes = [k + 1 for k, (a, b) in enumerate(pairwise(hard.info["method"])) if a != b]
     assert [switch.step for switch in hard.switches] == changes
     assert len(changes) > 2
     for switch in hard.switches:
@@ -100,16 +100,16 @@ def test_the_stints_of_projection_double_so_that_it_cannot_chatter(hard: pp.Run)
 
 def test_from_the_straight_arm_projection_begins_and_says_why(spatial: pp.Arm) -> None:
     run = pp.track(spatial, pp.resolve_targets(spatial, HELIX), spatial.straight(), "switching")
-    assert run.method[0] == "projection"
-    assert "absolute manipulability condition" in run.switched[0]
-    assert "selection" in run.method
+    assert run.info["method"][0] == "projection"
+    assert "absolute manipulability condition" in run.info["switched"][0]
+    assert "selection" in run.info["method"]
     assert run.converged
 
 
 def test_near_the_straight_line_projection_takes_over_and_stays(spatial: pp.Arm) -> None:
     run = pp.track(spatial, pp.resolve_targets(spatial, LINE), posture(spatial, 1), "switching")
     assert run.converged
-    assert run.method[-1] == "projection"
+    assert run.info["method"][-1] == "projection"
     assert pp.track(spatial, run.target, run.q[0], "selection").status == "no_control_points"
 
 
@@ -117,7 +117,7 @@ def test_without_a_known_configuration_every_stint_is_short_and_aims_at_the_targ
     start = posture(spatial, 4)
     goal = pp.Target.from_points(spatial, spatial.at(posture(spatial, 5)).points)
     run = pp.track(spatial, goal, start, "switching", max_steps=120)
-    assert not any(run.method[k] == "projection" and _is_escape(run, k) for k in range(run.steps))
+    assert not any(run.info["method"][k] == "projection" and _is_escape(run, k) for k in range(run.steps))
     assert all(length <= 5 for name, length in stints(run)[:-1] if name == "projection")
 
 
@@ -151,7 +151,7 @@ def test_its_steps_are_finite_and_within_limits(
     assert np.all(np.isfinite(run.q))
     assert np.all(np.abs(np.diff(run.q, axis=0)) <= 0.1 + 1e-12)
     assert np.all(np.abs(run.q) <= np.pi + 1e-12)
-    assert set(run.method) <= {"selection", "projection"}
+    assert set(run.info["method"]) <= {"selection", "projection"}
 
 
 def test_what_another_controller_remembers_is_not_its_own(spatial: pp.Arm) -> None:
@@ -191,12 +191,12 @@ def test_selection_takes_up_again_as_soon_as_it_can(long: pp.Arm, seed: int) -> 
         for when in ("after_stay", "when_possible")
     )
     assert after.converged and soon.converged
-    assert np.mean(soon.method == "selection") >= np.mean(after.method == "selection")
+    assert np.mean(soon.info["method"] == "selection") >= np.mean(after.info["method"] == "selection")
     error = soon.posture_error
-    resumed = [k for k, why in enumerate(soon.switched) if "again" in why]
+    resumed = [k for k, why in enumerate(soon.info["switched"]) if "again" in why]
     assert resumed
     for k in resumed:
-        assert soon.method[k] == "selection"
+        assert soon.info["method"][k] == "selection"
         assert error[k + 1] < error[k]
 
 
@@ -257,8 +257,8 @@ def test_a_switch_is_recorded_exactly_where_the_method_changes(
         target = replace(target, q=None)
     method = pp.Switching(projection=pp.Projection(threshold=threshold, coupling="relative"))
     run = pp.track(spatial, target, posture(spatial, 8, 0.9), method, max_steps=80)
-    before = np.concatenate([["selection"], run.method[:-1]])
-    assert [switch.step for switch in run.switches] == np.flatnonzero(run.method != before).tolist()
+    before = np.concatenate([["selection"], run.info["method"][:-1]])
+    assert [switch.step for switch in run.switches] == np.flatnonzero(run.info["method"] != before).tolist()
 
 
 def test_selection_keeps_control_where_projection_cannot_move_and_no_way_is_known() -> None:
@@ -270,11 +270,11 @@ def test_selection_keeps_control_where_projection_cannot_move_and_no_way_is_know
     )
     run = pp.track(arm, replace(goal, q=None), folded, method, pp.Limits(step=0.02), max_steps=30)
     assert run.steps > 5
-    assert set(run.method) == {"selection"}
+    assert set(run.info["method"]) == {"selection"}
     assert run.switches == ()
     assert run.posture_error[-1] < run.posture_error[0]
     known = pp.track(arm, goal, folded, method, pp.Limits(step=0.02), max_steps=30)
-    assert "projection" in known.method
-    by_projection = np.flatnonzero(known.method == "projection")
+    assert "projection" in known.info["method"]
+    by_projection = np.flatnonzero(known.info["method"] == "projection")
     assert not known.active[by_projection].any()  # the joints went on by themselves
     assert np.all(np.abs(known.q[by_projection + 1] - known.q[by_projection]).max(axis=1) > 0.0)

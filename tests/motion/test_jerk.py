@@ -370,8 +370,8 @@ def test_a_report_flags_the_steps_that_were_sent_and_raise_the_error(
         if step is None:
             continue
         assert np.array_equal(step.dq, dq)
-        flagged += step.diagnostics.error_increasing
-        unflagged += after - before > 1e-11 * arm.length and not step.diagnostics.error_increasing
+        flagged += step.error_increasing
+        unflagged += after - before > 1e-11 * arm.length and not step.error_increasing
     assert flagged and not unflagged
 
 

@@ -152,7 +152,7 @@ def test_what_has_no_format_is_neither_saved_nor_loaded(
     with pytest.raises(InvalidValue, match=r"kind is .*Arm"):
         pp.load(pp.save(motion, tmp_path / "motion"), pp.Arm)
     np.savez(tmp_path / "other.npz", about=np.array(json.dumps({"format": "other", "version": 1})))
-    with pytest.raises(FileError, match=r"format 'other' version 1; allowed: 'pinposture-run' version 5, "):
+    with pytest.raises(FileError, match=r"format 'other' version 1; allowed: 'pinposture-run' version 6, "):
         pp.load(tmp_path / "other.npz")
     assert kind_of(tmp_path / "other.npz") is None
 
@@ -243,7 +243,8 @@ def test_a_damaged_file_is_refused_or_whole(
         ("points", lambda points: points + 0.01, "allowed: those of the configuration in this row"),
         ("point_errors", lambda errors: errors * np.inf, "point_errors"),
         ("active", lambda active: active.astype(float), "active (type) is 'float64'; allowed: True or False"),
-        ("method", lambda method: np.zeros(len(method)), "method (type) is 'float64'; allowed: text"),
+        ("violated_constraints", lambda texts: np.zeros(len(texts)), "(type) is 'float64'; allowed: text"),
+        ("info_more", lambda _: np.zeros(1), "info_more is 'float64 (1,)'"),
         ("target_weights", None, "weights"),
     ],
 )
@@ -255,7 +256,7 @@ def test_arrays_of_other_content_are_refused(
     if change is None:
         del stored[name]
     else:
-        stored[name] = change(stored[name])
+        stored[name] = change(stored.get(name))
     np.savez(tmp_path / "other.npz", **stored)
     with pytest.raises(FileError) as caught:
         pp.load(tmp_path / "other.npz")

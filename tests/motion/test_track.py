@@ -40,7 +40,7 @@ def run(arm: pp.Arm) -> pp.Run:
 def test_a_run_records_what_happened(arm: pp.Arm, run: pp.Run) -> None:
     assert run.q.shape == (run.steps + 1, 40)
     assert run.point_errors.shape == run.points.shape[:2] == (run.steps + 1, 20)
-    assert len(run.active_sets) == len(run.index) == len(run.sigma_min) == run.steps
+    assert len(run.active_sets) == len(run.info["sigma_min"]) == run.steps
     for step in (0, run.steps // 2, run.steps):
         points = arm.at(run.q[step]).points
         np.testing.assert_allclose(run.points[step], points, atol=1e-14)
@@ -49,7 +49,7 @@ def test_a_run_records_what_happened(arm: pp.Arm, run: pp.Run) -> None:
         assert run.posture_error[step] == pytest.approx(errors.sum())
     largest = np.abs(np.diff(run.q, axis=0)).max(axis=1)
     assert np.all(largest <= 0.1 + 1e-12)
-    assert np.all((run.scale < 1.0) <= (largest > 0.1 - 1e-9))
+    assert np.all((run.info["scale"] < 1.0) <= (largest > 0.1 - 1e-9))
 
 
 def test_close_targets_converge(arm: pp.Arm) -> None:

@@ -63,12 +63,7 @@ def some_motion(
         point_errors=np.full((steps + 1, arm.n_modules), off),
         active=np.ones((steps, arm.n_modules), dtype=bool),
         clearance=clearance,
-        **{name: np.zeros(steps) for name in ("index", "sigma_min", "sigma_max")},
-        rows=np.zeros(steps, dtype=np.intp),
-        scale=np.ones(steps),
         clipped=np.zeros((steps, arm.nv), dtype=bool),
-        method=np.full(steps, ""),
-        switched=np.full(steps, ""),
         error_increasing=np.zeros(steps, dtype=bool),
         violated_constraints=np.full(steps, ""),
     )

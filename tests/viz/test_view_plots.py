@@ -115,7 +115,7 @@ def test_active_points_panel_counts_and_shows_the_conditioning_of_each_step():
     np.testing.assert_array_equal(ax.get_lines()[0].get_ydata(), run.active.sum(axis=1))
     np.testing.assert_array_equal(ax.get_lines()[0].get_xdata(), np.arange(1, run.steps + 1))
     (other,) = [twin for twin in ax.figure.axes if twin is not ax]
-    np.testing.assert_array_equal(other.get_lines()[0].get_ydata(), run.sigma_min)
+    np.testing.assert_array_equal(other.get_lines()[0].get_ydata(), run.info["sigma_min"])
     assert "m/rad" in other.get_ylabel()
     low, high = ax.get_ylim()
     assert low < 0.0 < 6.0 < high
@@ -451,7 +451,7 @@ def test_steps_that_were_left_to_projection_are_marked_on_the_axis():
     run = pp.track(arm, target, arm.straight(), "switching")
     panel = next(ax for ax in pp.plot(run).axes if "Projection" in ax.get_xlabel())
     (marks,) = (line for line in panel.get_lines() if line.get_color() == palette.MARK)
-    np.testing.assert_array_equal(marks.get_xdata(), np.flatnonzero(run.method == "projection") + 1)
+    np.testing.assert_array_equal(marks.get_xdata(), np.flatnonzero(run.info["method"] == "projection") + 1)
     alone = pp.plot(pp.track(arm, target, arm.straight(), "projection", max_steps=3))
     assert not any("red" in ax.get_xlabel() for ax in alone.axes)
 

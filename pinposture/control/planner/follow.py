@@ -13,7 +13,7 @@ from pinposture import kernels
 from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.arm import arm_of
-from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
+from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
 from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
@@ -314,20 +314,19 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
     dq = ahead.dq[i].copy()
     hindered = place <= progress.place
     moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
-    diagnostics = _diagnose(objective, ahead.at_limit[i], before, after, moved.idle_travel == 0.0)
-    return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, moved))
-
-
-def _diagnose(
-    objective: Objective, at_limit: NDArray[np.bool_], before: float, after: float, following_path: bool
-) -> Diagnostics:
-    """Return the diagnostics of a step, from the posture errors before and after it [m]."""
-    return Diagnostics(
-        at_limit,
-        rows=len(objective.active) * objective.arm.dimension,
-        error_increasing=after > before + ERROR_ROUNDING * objective.arm.length,
-        following_path=following_path,
+    return Step(
+        dq,
+        objective.active,
+        ahead.at_limit[i],
+        error_increasing=_rises(objective, before, after),
+        following_path=moved.idle_travel == 0.0,
+        memory=GeodesicMemory(dq, None, moved),
     )
+
+
+def _rises(objective: Objective, before: float, after: float) -> bool:
+    """Whether the posture error rises in a step, from that before and after it [m], by more than rounding."""
+    return after > before + ERROR_ROUNDING * objective.arm.length
 
 
 def _is_expected(progress: PathProgress, state: ArmState) -> bool:
@@ -410,8 +409,14 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
     )
     if not (simple and after <= len(objective.active) * GOAL_TOLERANCE * arm.length):
         return None
-    diagnostics = _diagnose(objective, found.at_limit, before, after, following_path=True)
-    return Step(found.dq, objective.active, diagnostics, GeodesicMemory(found.dq))
+    return Step(
+        found.dq,
+        objective.active,
+        found.at_limit,
+        error_increasing=_rises(objective, before, after),
+        following_path=True,
+        memory=GeodesicMemory(found.dq),
+    )
 
 
 def pursue(
@@ -485,9 +490,16 @@ def pursue(
         reached,
         at_limit,
     )
-    diagnostics = _diagnose(objective, at_limit, error, after, following_path=True)
-    diagnostics = diagnostics._replace(violated_constraints=box.violated_constraints)
-    return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, None, goal)), goal
+    step = Step(
+        dq,
+        objective.active,
+        at_limit,
+        error_increasing=_rises(objective, error, after),
+        violated_constraints=box.violated_constraints,
+        following_path=True,
+        memory=GeodesicMemory(dq, None, None, goal),
+    )
+    return step, goal
 
 
 def _turned(arm: Arm, change: Array) -> Array:
@@ -706,7 +718,7 @@ def _check_step(
     avoidance: Avoidance | None,
     before: PathProgress,
 ) -> Step:
-    """Make the step finite, within its limits and clear, and add its diagnostics."""
+    """Make the step finite, within its limits and clear, and say what limits it."""
     arm = state.arm
     progress = candidate.progress
     dq = candidate.dq
@@ -753,8 +765,14 @@ def _check_step(
         reached,
         at_limit,
     )
-    following = not progress.arrived and progress.idle_travel == 0.0
-    diagnostics = _diagnose(objective, at_limit, before_error, after_error, following)
-    diagnostics = diagnostics._replace(reason=reason, scale=share, violated_constraints=violated, near=near)
-    memory = GeodesicMemory(dq, stopping, progress._replace(expected=reached, ahead=None))
-    return Step(dq, objective.active, diagnostics, memory)
+    return Step(
+        dq,
+        objective.active,
+        at_limit,
+        reason,
+        error_increasing=_rises(objective, before_error, after_error),
+        violated_constraints=violated,
+        near=near,
+        following_path=not progress.arrived and progress.idle_travel == 0.0,
+        memory=GeodesicMemory(dq, stopping, progress._replace(expected=reached, ahead=None)),
+    )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinposture._validation import finite_array
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
-from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
+from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
 from pinposture.control.planner.avoidance import Avoidance, ClearStep
 from pinposture.control.planner.damped_least_squares import StepBounds, solve_posture
@@ -67,7 +67,7 @@ class Geodesic:
     no progress. An arm outside its position limits or inside an obstacle first returns, by the smallest
     sufficient step.
 
-    If the constraints are infeasible, they are relaxed in this order, and `Diagnostics.violated_constraints`
+    If the constraints are infeasible, they are relaxed in this order, and `Step.violated_constraints`
     names them: tasks and posture, by their weights, tasks with priority last; then the margin to obstacles,
     which the next steps restore as far as possible; then acceleration limits, if braking would cause a
     collision, and position limits, as in `Limits.box`. Velocity limits always hold.
@@ -175,7 +175,7 @@ class Geodesic:
                 return step
         step = advance(progress, state, limits, box, avoidance)
         at_rest = previous is None or not np.any(previous)
-        if avoidance is not None and at_rest and not (step.diagnostics.reason or np.any(step.dq)):
+        if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
             step = _explain_collision(step, avoidance, state)
         return step
 
@@ -312,7 +312,7 @@ class Geodesic:
                 violated += ("position limit: a faster return would violate the margin to an obstacle",)
             violated += relaxed
         reason = "" if np.any(dq) else "joints are outside their limits, and an obstacle blocks their return"
-        return _step_before_planning(state, target, dq, share, violated, reason, stopping)
+        return _step_before_planning(state, target, dq, violated, reason, stopping)
 
     def _back_out(
         self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
@@ -335,7 +335,7 @@ class Geodesic:
         violated = (
             box.violated_constraints + cleared.violated_constraints + avoidance.describe_violations(state)
         )
-        return _step_before_planning(state, target, cleared.dq, cleared.share, violated, "", cleared.stopping)
+        return _step_before_planning(state, target, cleared.dq, violated, "", cleared.stopping)
 
     def keep_clear(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -457,7 +457,6 @@ def _step_before_planning(
     state: ArmState,
     target: Target,
     dq: Array,
-    scale: float,
     violated_constraints: tuple[str, ...],
     reason: str,
     stopping: Array | None,
@@ -466,16 +465,16 @@ def _step_before_planning(
     arm = state.arm
     active = tuple(int(k) for k in np.flatnonzero(target.has_target))
     after = arm.at(arm.integrate(state.q, dq)).compiled
-    diagnostics = Diagnostics(
+    return Step(
+        dq,
+        active,
         np.zeros(arm.nv, dtype=np.bool_),
         reason,
-        rows=len(active) * arm.dimension,
-        scale=scale,
         error_increasing=_posture_error(after, target) > _posture_error(state, target),
         violated_constraints=violated_constraints,
         following_path=True,
+        memory=GeodesicMemory(dq, stopping),
     )
-    return Step(dq, active, diagnostics, GeodesicMemory(dq, stopping))
 
 
 def _explain_collision(step: Step, avoidance: Avoidance, state: ArmState) -> Step:
@@ -483,7 +482,7 @@ def _explain_collision(step: Step, avoidance: Avoidance, state: ArmState) -> Ste
     if avoidance.near(state).minimum >= 0.0:
         return step
     reason = f"the arm is in collision, and no step leads out: {avoidance.describe_closest(state)}"
-    return step._replace(diagnostics=step.diagnostics._replace(reason=reason))
+    return step._replace(reason=reason)
 
 
 def _are_alike(one: Target, other: Target) -> bool:

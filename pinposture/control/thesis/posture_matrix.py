@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
+from pinposture.control.controller import Info
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, LOCAL, Factors, Rows, Screws
 from pinposture.placement import Target
@@ -68,6 +69,11 @@ class PostureMatrix:
     def largest(self) -> float:
         """Largest singular value [m/rad]."""
         return float(self._own.max()) if self._rows.coupling == LOCAL else self._extreme(False)
+
+    @property
+    def info(self) -> dict[str, Info | Callable[[], Info]]:
+        """What steps with it report: its size, and functions that compute its extreme singular values."""
+        return {"sigma_min": lambda: self.smallest, "sigma_max": lambda: self.largest, "rows": self.size}
 
     @property
     def _own(self) -> Array:

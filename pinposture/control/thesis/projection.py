@@ -135,7 +135,7 @@ class Projection:
         asked = matrix.step(arm, self._along(rows, gained(self.gain, errors)), secondary)
         limited = limits.apply(state, asked, previous)
         active = rows.stations[rows.ranks > 0].tolist()
-        return step_within(limited, active, manipulability=smallest, spectrum=matrix, rows=matrix.size)
+        return step_within(limited, active, info={"manipulability": smallest, **matrix.info})
 
     def posture_control_matrix(
         self, state: ArmState, errors: Array, eligible: NDArray[np.bool_]

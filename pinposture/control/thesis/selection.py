@@ -216,22 +216,18 @@ class Selection:
         chosen = self._chosen(arm, screws, placed, distances, base)
         kept = self._conditioned(arm, screws, chosen)
         active = chosen[kept]
-        dropped = tuple(chosen[~kept].tolist())
+        dropped = np.zeros(arm.n_modules, dtype=np.bool_)
+        dropped[chosen[~kept]] = True
         if not len(active):
             reason = self._explain_failure(base, chosen, placed)
-            return step_within(limits.hold(state, previous), reason=reason, dropped=dropped)
+            return step_within(limits.hold(state, previous), reason=reason, info={"dropped": dropped})
         matrix = PostureMatrix(screws, _full_rows(arm, active))
         secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
         asked = matrix.step(arm, gained(self.gain, errors)[active], secondary)
         limited = limits.apply(state, asked, previous)
-        return step_within(
-            limited,
-            active.tolist(),
-            manipulability=kernels.weakest_index(screws, arm.kinematics.task_constants.plane, active, base),
-            spectrum=matrix,
-            rows=matrix.size,
-            dropped=dropped,
-        )
+        weakest = kernels.weakest_index(screws, arm.kinematics.task_constants.plane, active, base)
+        info = {"manipulability": weakest, **matrix.info, "dropped": dropped}
+        return step_within(limited, active.tolist(), info=info)
 
     def _chosen(
         self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array

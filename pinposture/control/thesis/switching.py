@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_instance, require_known, require_positive, require_share
 from pinposture.arm import ArmState
 from pinposture.control.controller import (
+    LazyInfo,
     Memory,
     Step,
     require_step_arguments,
@@ -117,7 +118,7 @@ class Switching:
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
-        """Compute one step; see `Controller.step`. The diagnostics name the method, and why it was chosen."""
+        """Compute one step; see `Controller.step`. Its info names the method, and why it was chosen."""
         require_step_arguments(state, target, memory)
         limits = require_limits(limits)
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
@@ -127,7 +128,7 @@ class Switching:
         if idle and phase.left > TRAVEL_ROUNDING * travel:
             if self.hand_back == "when_possible":
                 resumed = self.selection.step(state, target, limits, memory)
-                if not resumed.diagnostics.reason and self._promises(resumed, state, target, error, travel):
+                if not resumed.reason and self._promises(resumed, state, target, error, travel):
                     entered = phase._replace(method="selection", best=error, waited=0.0)
                     return _labelled(resumed, entered, RESUMED)
             return self._project(state, target, limits, memory, phase, travel, "")
@@ -140,12 +141,12 @@ class Switching:
             failed = self._failover(entered, target)
             return self._project(state, target, limits, memory, failed, travel, why)
         step = self.selection.step(state, target, limits, memory)
-        if not step.diagnostics.reason:
+        if not step.reason:
             return _labelled(step, entered, HANDED_BACK if idle else "")
         if idle and target.q is None:  # Selection cannot take over yet
             return self._project(state, target, limits, memory, phase, travel, "")
         failed = self._failover(entered, target)
-        why = "" if idle else step.diagnostics.reason
+        why = "" if idle else step.reason
         return self._project(state, target, limits, memory, failed, travel, why)
 
     def _promises(self, step: Step, state: ArmState, target: Target, error: float, travel: float) -> bool:
@@ -173,7 +174,7 @@ class Switching:
         goal = target.q
         if goal is None or phase.failovers < 2:
             step = self.projection.step(state, target, limits, memory)
-            if not step.diagnostics.reason:
+            if not step.reason:
                 return _labelled(step, phase, why)
             if goal is None:
                 return self._last_resort(state, target, limits, memory, phase, step, why)
@@ -193,10 +194,10 @@ class Switching:
     ) -> Step:
         """Use Selection if Projection cannot move and no configuration is known; else hold."""
         step = self.selection.step(state, target, limits, memory)
-        if step.diagnostics.reason:
+        if step.reason:
             return _labelled(held, phase, why)
         # With a reason to fail over, Selection was active and stays so: the method does not change.
-        changed = "" if why else held.diagnostics.reason
+        changed = "" if why else held.reason
         return _labelled(step, INITIAL_PHASE._replace(failovers=phase.failovers), changed)
 
     def _escape(
@@ -212,14 +213,12 @@ class Switching:
         ahead = way * min(1.0, self.reach / max(farthest, 1e-300))
         waypoint = replace(target, points=arm.at(arm.integrate(state.q, ahead)).points)
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
-        if step.diagnostics.reason:  # no control point can move: follow the line in joint space
+        if step.reason:  # no control point can move: follow the line in joint space
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
             step = step_within(limited)
-        return step._replace(
-            diagnostics=step.diagnostics._replace(error_increasing=True, following_path=True)
-        )
+        return step._replace(error_increasing=True, following_path=True)
 
 
 def _labelled(step: Step, phase: SwitchingPhase, switched: str) -> Step:
-    diagnostics = step.diagnostics._replace(method=phase.method, switched=switched)
-    return step._replace(diagnostics=diagnostics, memory=SwitchingMemory(step.dq, phase=phase))
+    info = cast(LazyInfo, step.info) | {"method": phase.method, "switched": switched}
+    return step._replace(info=info, memory=SwitchingMemory(step.dq, phase=phase))

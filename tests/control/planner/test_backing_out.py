@@ -43,7 +43,7 @@ def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monke
         if planned:
             break
         assert np.abs(step.dq).max() <= STEP + 1e-9
-        assert any("margin" in words for words in step.diagnostics.violated_constraints)
+        assert any("margin" in words for words in step.violated_constraints)
         q = arm.integrate(q, step.dq)
         memory = step.memory
         now = distances.minimum(q).distance

@@ -20,7 +20,7 @@ def goes_on(controllers, state, target, memory=None, limits=None):
     """The state after a step by each of the controllers, each given the memory of the one before."""
     for controller in controllers:
         step = controller.step(state, target, limits, memory)
-        if step.diagnostics.reason:
+        if step.reason:
             break
         memory = step.memory
         state = state.arm.at(state.arm.integrate(state.q, step.dq))

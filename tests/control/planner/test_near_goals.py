@@ -46,7 +46,7 @@ def test_the_step_reaches_what_is_near_and_keeps_the_limits(
     if size < 0.5 * bound and (known or name != "sliding"):  # slides may be traded for turns
         assert off <= 1e-7 * arm.length
     assert step.active == tuple(range(arm.n_modules))
-    assert step.diagnostics.reason == ""
+    assert step.reason == ""
 
 
 def test_a_target_a_whole_turn_away_is_reached_by_the_short_way() -> None:

@@ -127,7 +127,7 @@ def test_a_slow_rail_among_obstacles_is_no_reason_to_give_up() -> None:
     following_path: list[bool] = []
 
     def note(_: int, __: pp.ArmState, step: pp.Step) -> None:
-        following_path.append(step.diagnostics.following_path)
+        following_path.append(step.following_path)
 
     run = case.track(
         scene=pp.Scene({"far": pp.Sphere((0.0, 0.0, 9.0), 0.1)}, self_collision=False),

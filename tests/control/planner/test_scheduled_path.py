@@ -56,7 +56,7 @@ class Ride:
         limits = self.limits if limits is None else limits
         place = self.progresses[-1].place if self.progresses else 0.0
         step = self.controller.step(self.arm.at(self.q[-1]), self.target(place), limits, self.memory)
-        assert not step.diagnostics.violated_constraints
+        assert not step.violated_constraints
         self.memory = step.memory
         self.q.append(self.arm.integrate(self.q[-1], step.dq))
         self.progresses.append(step.memory.progress)

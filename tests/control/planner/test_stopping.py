@@ -119,7 +119,7 @@ def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
         )
         start = arm.at(np.array([1.0 - room + (0.3 if speed > 0.2 else 0.0005)]))
         step = controller.step(start, target, limits, Memory(np.array([speed])))
-        found.append((float(speed - step.dq[0]), step.diagnostics.violated_constraints))
+        found.append((float(speed - step.dq[0]), step.violated_constraints))
     for change, relaxed in found[:2]:
         assert change == pytest.approx(0.01) and any(words.startswith("margin: braking") for words in relaxed)
     change, relaxed = found[2]
@@ -212,8 +212,8 @@ def test_a_step_that_exceeds_a_limit_is_named_whoever_took_it(number: int) -> No
             dq = np.zeros(state.arm.nv)
             dq[1] = (0.01, 0.02, 0.05, 0.04, 0.03, 0.02, 0.01)[taken]
             step = pp.Geodesic().step(state, target, replace(limits, acceleration=None))
-            note = step.diagnostics._replace(reason="", violated_constraints=())
-            return step._replace(dq=dq, diagnostics=note, memory=Counting(dq, taken=taken + 1))
+            memory = Counting(dq, taken=taken + 1)
+            return step._replace(dq=dq, reason="", violated_constraints=(), memory=memory)
 
     arm = arm_number(number)
     start = arm.configuration(np.full(arm.nv, 0.0))
