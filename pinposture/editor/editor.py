@@ -32,14 +32,15 @@ MAX_FRAME_TIME = 0.25  # most time between them [s]
 
 
 class Editor:
-    """An editor of a task, shown in browsers; it works in threads of its own.
+    """An editor of a task, shown in browsers.
 
         editor = Editor(pp.Task.load("walk.toml"), Path("walk.toml"))
         editor.start()
         webbrowser.open(editor.url)
 
     Callbacks of the page only post requests, which the loop does in turn. The loop never waits for the arm:
-    the solver moves it, and the loop reads where it is.
+    the solver moves it, and the loop reads where it is. It has a thread of its own and is no `Latest`, as all
+    else that runs beside the callbacks: no request may replace another, and it goes on when none comes.
 
     Args:
         task: the task to edit.

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import io
 import logging
+import operator
 import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Condition, Thread
+from threading import Event
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +24,7 @@ from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, joints_at, keyframes_of
+from pinposture.editor.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.editor.phases import editable
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
@@ -35,7 +38,6 @@ from pinposture.task.specification import DEFAULT_CYCLE
 
 logger = logging.getLogger(__name__)
 
-AUTOSAVE_PERIOD = 0.3  # between two files [s]
 MAX_WAIT = 10.0  # for files that are being written [s]
 MAX_LISTED = 500  # task files to choose from
 
@@ -88,7 +90,7 @@ def recover(path: Path) -> Recovered | None:
 
 
 class Autosave:
-    """Writes the latest states of tasks, in a thread of its own; each file is written whole or not at all.
+    """Writes the latest states of tasks beside the editor's loop; each file is written whole or not at all.
 
     Attributes:
         complaint: why the last state could not be written; empty if it could.
@@ -96,51 +98,27 @@ class Autosave:
 
     def __init__(self) -> None:
         self.complaint = ""
-        self._changed = Condition()
-        self._wanted: dict[Path, Task | None] = {}  # what is to be written where; None: remove the file
         self._written: dict[Path, Version | None] = {}
-        self._busy = False
-        self._hurry = False
-        self._closed = False
-        self._thread = Thread(target=self._run, name="pinposture-autosave", daemon=True)
-        self._thread.start()
+        self._wanted: Latest[dict[Path, Task | None], None] = Latest(
+            self._write_all, "pinposture-autosave", merge=operator.or_, period=0.3
+        )
 
     def keep(self, task: Task | None, path: Path) -> None:
         """Write a state of the task of a file; None: it is saved, so the autosave is removed."""
-        with self._changed:
-            self._wanted[autosave_path(path)] = task
-            self._changed.notify_all()
+        self._wanted.ask({autosave_path(path): task})
 
     def finish(self) -> None:
         """Wait until everything is written."""
-        with self._changed:
-            self._hurry = True
-            self._changed.notify_all()
-            self._changed.wait_for(lambda: not self._wanted and not self._busy, MAX_WAIT)
-            self._hurry = False
+        self._wanted.finish(MAX_WAIT)
 
     def close(self) -> None:
-        """Write what is waiting, and end the thread."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        self._thread.join(timeout=MAX_WAIT)
+        """Write what is waiting, and end."""
+        self.finish()
+        self._wanted.close()
 
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._wanted or self._closed)
-                wanted = self._wanted
-                self._wanted = {}
-                self._busy = True
-            if not wanted:
-                return
-            for path, task in wanted.items():
-                self._write(task, path)
-            with self._changed:
-                self._busy = False
-                self._changed.notify_all()
-                self._changed.wait_for(lambda: self._closed or self._hurry, AUTOSAVE_PERIOD)
+    def _write_all(self, wanted: dict[Path, Task | None], _: Event) -> None:
+        for path, task in wanted.items():
+            self._write(task, path)
 
     def _write(self, task: Task | None, path: Path) -> None:
         """Write a state, or remove the file."""
@@ -161,7 +139,7 @@ class Autosave:
                     each.unlink(missing_ok=True)
         except Exception as error:  # of any kind: the next state is tried again
             complaint = f"your changes cannot be autosaved: {error}"
-            level = logging.WARNING if isinstance(error, PostureError | OSError) else logging.ERROR
+            level = logging.WARNING if isinstance(error, EXPECTED_ERRORS) else logging.ERROR
             logger.log(level, "%s: %s", path, error, exc_info=level == logging.ERROR)
         self.complaint = complaint
 
@@ -170,8 +148,10 @@ class Files:
     """The task file of a session, and its autosave."""
 
     def __init__(self, post: Callable[[Callable[[Session], None]], None], path: Path | None = None) -> None:
-        self._post = post
         self._autosave = Autosave()
+        self._opening: Latest[Path, tuple[Task, Version | None]] = Latest(
+            self._load, "pinposture-open", deliver=lambda done: post(partial(self._take, done))
+        )
         self._kept: Task | None = None
         self._complaint = ""
         self._version = None if path is None else version_of(path)  # the last one read or written here
@@ -219,35 +199,32 @@ class Files:
         session.say(f"saved as {path.name}")
 
     def open(self, session: Session, path: Path) -> None:
-        """Open another task file, in a thread."""
+        """Open another task file, beside the editor's loop; of several, the last one."""
         path = path.absolute()
         session.say(f"opening {path.name} ...")
+        self._opening.ask(path)
 
-        def work() -> None:
-            self._autosave.finish()  # perhaps of the same file
-            version = version_of(path)
-            try:
-                task = editable(Task.load(path))
-                keyframes_of(task)
-            except Exception as error:
-                if not isinstance(error, PostureError):  # a bug, which has to be reported, too
-                    logger.exception("%s could not be opened", path)
-                reason = str(error)
-                self._post(lambda session: session.say(f"cannot open it: {reason}", "error"))
-                return
+    def _load(self, path: Path, _: Event) -> tuple[Task, Version | None]:
+        self._autosave.finish()  # perhaps of the same file
+        version = version_of(path)
+        task = editable(Task.load(path))
+        keyframes_of(task)
+        return task, version
 
-            def opened(session: Session) -> None:
-                session.replace(task, path, saved=True)
-                session.say(f"opened {path.name}")
-                restore(session)
-                self._version = version
-
-            self._post(opened)
-
-        Thread(target=work, name="pinposture-open", daemon=True).start()
+    def _take(self, done: Done[Path, tuple[Task, Version | None]], session: Session) -> None:
+        if done.answer is None:
+            session.say(f"cannot open it: {done.error}", "error")
+            return
+        path = done.request
+        task, version = done.answer
+        session.replace(task, path, saved=True)
+        session.say(f"opened {path.name}")
+        restore(session)
+        self._version = version
 
     def close(self) -> None:
         """Finish writing."""
+        self._opening.close()
         self._autosave.close()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import select
 import stat
@@ -12,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Event, Lock, Thread
+from threading import Event, Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +20,10 @@ from numpy.typing import NDArray
 from pinposture._validation import require_instance
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
+from pinposture.editor.latest import Done, Latest
 from pinposture.errors import FileError, InvalidValue
 
 Array = NDArray[np.float64]
-logger = logging.getLogger(__name__)
 
 LINE_FORMAT = (
     'an object: {"name": [...], "position": [...]}, {"position": [...]} of all joints, or {"q": [...]}'
@@ -292,7 +291,7 @@ class Measured:
 
 
 class JointStates:
-    """Reads joint states in a thread of its own, and keeps the latest; close it, or use it in a `with`.
+    """Reads joint states as they come, and keeps the latest; close it, or use it in a `with`.
 
     Each line is an object of JSON: `{"name": ["j1", ...], "position": [...]}`, as in the JointState of ROS,
     of some joints in any order; `{"position": [...]}` of all joints in the order of `Arm.joint_names`; or
@@ -317,18 +316,18 @@ class JointStates:
         require_instance("arm", arm, Arm, "an Arm")
         require_instance("source", source, str | Path, 'the name of a file or of a pipe, or "-"')
         self.arm = arm
-        self._source = LineSource(source)
         self._lines = JointStateLines(arm)
         self._positions = np.zeros(arm.nv)
         self._heard = np.zeros(arm.nv, dtype=np.bool_)
         self._unknown: set[str] = set()
         self._read_partial = b""
         self._lock = Lock()
-        self._stop = Event()
         self._received = -np.inf
         self._latest = Measured(_read_only(arm.neutral()), np.inf, 0, "", 0, 0, None, self._unheard())
-        self._thread = Thread(target=self._run, name="pinposture-joint-states", daemon=True)
-        self._thread.start()
+        self._reading: Latest[LineSource, None] = Latest(
+            self._read, "pinposture-joint-states", deliver=self._end
+        )
+        self._reading.ask(LineSource(source))
 
     @property
     def latest(self) -> Measured:
@@ -344,12 +343,11 @@ class JointStates:
     @property
     def ended(self) -> bool:
         """Whether no more lines will be read."""
-        return not self._thread.is_alive()
+        return not self._reading.working
 
     def close(self) -> None:
         """Stop reading; what was read is kept."""
-        self._stop.set()
-        self._thread.join(timeout=5.0)
+        self._reading.close()
 
     def __enter__(self) -> JointStates:
         return self
@@ -357,27 +355,29 @@ class JointStates:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _run(self) -> None:
+    def _read(self, source: LineSource, stop: Event) -> None:
         try:
-            while not self._stop.is_set():
-                came = self._source.next(self._stop)
+            while not stop.is_set():
+                came = source.next(stop)
                 if came is None:
                     break
                 if came.lines or came.partial or came.restarted:
-                    self._take(came)
-        except OSError as error:
-            self._complain(f"{self._source.name} can no longer be read ({error.strerror or error})")
-        except Exception as error:  # without a complaint the last posture would look current
-            logger.exception("reading joint states ended")
-            self._complain(f"reading ended ({type(error).__name__}: {error})")
+                    self._take(came, stop)
         finally:
-            self._source.close()
+            source.close()
 
-    def _complain(self, complaint: str) -> None:
+    def _end(self, done: Done[LineSource, None]) -> None:
+        """Say why reading has ended, unless it was closed; else the last posture would look current."""
+        error = done.error
+        if error is None:
+            return
+        complaint = f"reading ended ({type(error).__name__}: {error})"
+        if isinstance(error, OSError):
+            complaint = f"{done.request.name} can no longer be read ({error.strerror or error})"
         with self._lock:
             self._latest = replace(self._latest, complaint=complaint)
 
-    def _take(self, came: Lines) -> None:
+    def _take(self, came: Lines, stop: Event) -> None:
         """Read lines, newest first: older ones only add joints that newer ones lack."""
         batch = _Batch(self.arm.nv)
         before = b"" if came.restarted else self._read_partial
@@ -404,7 +404,7 @@ class JointStates:
             except InvalidValue as error:
                 batch.refused += 1
                 batch.complaint = batch.complaint or f"line {came.first + k}: {error}"
-            if self._stop.is_set():
+            if stop.is_set():
                 return
         self._publish(batch)
 

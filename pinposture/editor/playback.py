@@ -1,26 +1,26 @@
-"""The motion of a task: computed in a thread, and played by the clock."""
+"""The motion of a task: computed beside the editor's loop, and played by the clock."""
 
 from __future__ import annotations
 
-import logging
 import math
+import operator
 import time
 from collections.abc import Callable
-from threading import Event, Lock, Thread
+from threading import Event
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
+from pinposture.editor.latest import EXPECTED_ERRORS, Latest, Outdated
 from pinposture.editor.solver import Live, at_limit, errors_of
-from pinposture.errors import InvalidValue, PostureError
+from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.placement import Target
 from pinposture.task import Task
 
 Array = NDArray[np.float64]
-logger = logging.getLogger(__name__)
 
 POSTURE_SHARE = 0.5  # of the progress, for finding the postures; the rest is the motion
 YIELD_TIME = 0.0005  # sleep after each cycle [s], for the other threads
@@ -29,95 +29,62 @@ REPORTED_TIME_SCALE = 1.005  # from which on it is reported that a motion takes 
 
 
 class Rehearsed(NamedTuple):
-    """The motion of a task."""
+    """What came of a task."""
 
-    task: Task
     motion: Trajectory | None  # its motion; None if there is none
     reason: str = ""  # why there is none; empty if there is one
 
 
-class _Cancelled(Exception):
-    """The motion is no longer wanted."""
-
-
 class Rehearsal:
-    """Computes motions of tasks in threads, and keeps the last one.
+    """Computes motions of tasks, and keeps the last one.
 
     Only the last task counts; the motion of another task is abandoned at its next cycle.
     """
 
     def __init__(self) -> None:
-        self._lock = Lock()
-        self._current: Task | None = None
-        self._cancelled = Event()
+        self._motions: Latest[Task, Trajectory] = Latest(
+            self._rehearse, "pinposture-rehearsal", same=operator.is_
+        )
         self._progress = 0.0
-        self._last: Rehearsed | None = None
-        self._thread: Thread | None = None
 
     @property
     def working(self) -> bool:
         """Whether a motion is being computed."""
-        with self._lock:
-            return self._current is not None
+        return self._motions.working
 
     @property
     def progress(self) -> float:
         """Progress of the motion being computed, in [0, 1]."""
-        with self._lock:
-            return self._progress
+        return self._progress if self.working else 0.0
 
     def of(self, task: Task) -> Rehearsed | None:
         """Return the motion of a task; None if it is not known, or no longer."""
-        with self._lock:
-            return self._last if self._last is not None and self._last.task is task else None
+        done = self._motions.done
+        if done is None or done.request is not task:
+            return None
+        if done.error is None:
+            return Rehearsed(done.answer)
+        reason = " ".join(str(done.error).split())
+        expected = isinstance(done.error, EXPECTED_ERRORS)
+        return Rehearsed(None, reason if expected else f"the motion could not be computed ({reason})")
 
     def ask(self, task: Task) -> None:
-        """Have the motion of a task computed, unless it is known or being computed."""
-        with self._lock:
-            if self._current is task or (self._last is not None and self._last.task is task):
-                return
-            self._cancelled.set()  # of the motion before
-            self._cancelled = Event()
-            self._current = task
-            self._progress = 0.0
-            given = (task, self._cancelled, self._thread)
-            self._thread = Thread(target=self._run, args=given, name="pinposture-rehearsal", daemon=True)
-            self._thread.start()
+        """Have the motion of a task computed, unless it was asked for last."""
+        self._motions.ask(task)
 
     def cancel(self) -> None:
         """Abandon the motion being computed."""
-        with self._lock:
-            self._cancelled.set()
-            self._current = None
-            self._progress = 0.0
+        self._motions.cancel()
 
     def close(self) -> None:
-        """Abandon the motion, and end the thread."""
-        self.cancel()
-        if self._thread is not None:
-            self._thread.join(timeout=5.0)
+        """Abandon the motion, and wait until that is done."""
+        self._motions.close()
 
-    def _run(self, task: Task, cancelled: Event, before: Thread | None) -> None:
-        if before is not None:
-            before.join()  # two at a time would only slow each other down
-        try:
-            done = self._rehearse(task, cancelled)
-        except _Cancelled:
-            return
-        with self._lock:
-            if cancelled.is_set():
-                return
-            self._last = done
-            self._current = None
-            self._progress = 0.0
-
-    def _rehearse(self, task: Task, cancelled: Event) -> Rehearsed:
+    def _rehearse(self, task: Task, outdated: Event) -> Trajectory:
         def report(progress: float) -> None:
-            if cancelled.is_set():
-                raise _Cancelled
-            with self._lock:
-                if not cancelled.is_set():
-                    self._progress = progress
+            if outdated.is_set():
+                raise Outdated
+            self._progress = progress
             time.sleep(YIELD_TIME)
 
         def found(done: int, count: int) -> None:
@@ -126,17 +93,9 @@ class Rehearsal:
         def moved(seconds: float, duration: float) -> None:
             report(POSTURE_SHARE + (1.0 - POSTURE_SHARE) * min(seconds / duration, 1.0))
 
-        try:
-            report(0.0)
-            own = task.edited()  # of no file, whose lines may have changed
-            return Rehearsed(task, own.perform(own.reference(found), moved))
-        except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
-            return Rehearsed(task, None, " ".join(str(error).split()))
-        except _Cancelled:
-            raise
-        except Exception as error:  # a bug, which has to be reported, too
-            logger.exception("a motion could not be worked out")
-            return Rehearsed(task, None, f"the motion could not be computed ({error})")
+        report(0.0)
+        own = task.edited()  # of no file, whose lines may have changed
+        return own.perform(own.reference(found), moved)
 
 
 class Moment(NamedTuple):

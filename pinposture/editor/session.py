@@ -8,8 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pinposture.arm import Arm
-from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import Edit, Shape, joints_at, keyframes_of, reshaped, with_keyframe
 from pinposture.editor.phases import editable, whole_of
 from pinposture.editor.playback import Playback
@@ -88,6 +90,26 @@ class Notice(NamedTuple):
     number: int  # rises with each message
     about: tuple[Task, int] | None = None  # the task, and the keyframe that was edited, when it came up
     since: float = 0.0  # [s]
+
+
+class NearestObstacle(NamedTuple):
+    """Where an arm is nearest to its surroundings, or inside itself."""
+
+    distance: float  # between the surfaces [m]; negative where they overlap
+    body: str  # name of the body of the arm
+    other: str  # name of the obstacle, of the scan, or of another body that the first is inside of
+    on_arm: NDArray[
+        np.float64
+    ]  # point of the body, nearest to the other or deepest in it, (3,) [m], world frame
+    on_other: NDArray[np.float64]  # point of the other's surface, (3,) [m], world frame
+    margin: float  # the distance to keep [m]; 0 for scans that are only shown
+
+    @property
+    def level(self) -> str:
+        """The distance in words: "inside", "within the margin" or "clear"."""
+        if self.distance < 0.0:
+            return "inside"
+        return "within the margin" if self.distance < self.margin else "clear"
 
 
 class Proposal(NamedTuple):

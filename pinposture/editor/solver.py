@@ -1,4 +1,4 @@
-"""Whether the arm can take the shape of a keyframe, and the thread that moves it there."""
+"""Whether the arm can take the shape of a keyframe, and how it moves there, beside the editor's loop."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import warnings
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from threading import Event, Lock, Thread
+from threading import Event, Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import effective_scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, Geodesic, Limits
+from pinposture.editor.latest import Latest
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
@@ -275,14 +276,12 @@ def at_limit(state: ArmState, dq: Array, bound: Array) -> NDArray[np.bool_]:
 
 
 class Solver:
-    """Judges the latest problem and moves the arm to its target, in a thread of its own.
-
-    Problems are not queued: only the last one counts.
+    """Judges the latest problem, and moves the arm to its target until there is another one.
 
     Args:
         first: the first problem.
         start: the configuration of the arm, (nq,).
-        notify: called after each step, in the solver's thread.
+        notify: called after each step, in the thread that moves the arm.
         verdicts: the verdicts that are known.
     """
 
@@ -296,9 +295,6 @@ class Solver:
         self._notify = notify
         self._verdicts = VerdictCache() if verdicts is None else verdicts
         self._lock = Lock()
-        self._wake = Event()
-        self._closed = Event()
-        self._asked = first
         self._problem = first
         self._tracked = first
         self._tracker = _tracker(first, start)
@@ -310,7 +306,9 @@ class Solver:
         self._dq = np.zeros(first.arm.nv)
         self._fault = ""
         self._live = self._look(first.arm.at(start))
-        self._thread = Thread(target=self._run, name="pinposture-solver", daemon=True)
+        self._problems: Latest[Problem, None] = Latest(
+            self._pursue, "pinposture-solver", same=lambda before, now: before.number == now.number
+        )
 
     @property
     def live(self) -> Live:
@@ -319,42 +317,34 @@ class Solver:
             return self._live
 
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Begin with the first problem."""
+        self._problems.ask(self._problem)
 
     def ask(self, problem: Problem) -> None:
         """Turn to another problem."""
-        with self._lock:
-            self._asked = problem
-        self._wake.set()
+        self._problems.ask(problem)
 
     def close(self) -> None:
-        """End the thread after the current step."""
-        self._closed.set()
-        self._wake.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout=5.0)
+        """End after the current step."""
+        self._problems.close()
 
-    def _run(self) -> None:
-        self._take(self._problem, new=True)
-        while not self._closed.is_set():
-            begun = time.monotonic()
-            with self._lock:
-                asked = self._asked
-            if asked.number != self._problem.number:
-                self._take(asked)
-                self._publish()  # the verdict need not wait for a step that has to be planned
+    def _pursue(self, problem: Problem, outdated: Event) -> None:
+        """Turn to a problem, and move the arm until there is another one."""
+        begun = time.monotonic()
+        self._take(problem)
+        self._publish()  # the verdict need not wait for a step that has to be planned
+        while True:
             self._step()
             still = self._tracker.report.status in RESTING or self._tracker.target is None
-            resting = still and not self._problem.dragging_obstacle
-            left = REST_INTERVAL if resting else STEP_TIME - (time.monotonic() - begun)
-            if resting:
-                self._wake.wait(left)
-            elif left > 0.0:
-                self._closed.wait(left)
-            self._wake.clear()
+            if still and not self._problem.dragging_obstacle:
+                outdated.wait(REST_INTERVAL)
+            else:  # the arm moves in real time, however often another problem comes
+                time.sleep(max(STEP_TIME - (time.monotonic() - begun), 0.0))
+            if outdated.is_set():
+                return
+            begun = time.monotonic()
 
-    def _take(self, problem: Problem, new: bool = False) -> None:
+    def _take(self, problem: Problem) -> None:
         """Turn to another problem; if something is wrong with it the verdict says so, and the arm stays."""
         self._problem = problem
         self._lag = None
@@ -367,7 +357,7 @@ class Solver:
                 self._change_arm(problem)
             elif dragging and (problem.controller, problem.limits) == (before.controller, before.limits):
                 self._tracked = problem  # each step is given the scene of its moment
-            elif new or any(getattr(problem, part) != getattr(before, part) for part in TRACKER_FIELDS):
+            elif any(getattr(problem, part) != getattr(before, part) for part in TRACKER_FIELDS):
                 target = self._tracker.target
                 tracker = _tracker(problem, self._tracker.command, self._dq)
                 if target is not None:

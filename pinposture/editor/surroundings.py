@@ -3,46 +3,56 @@
 from __future__ import annotations
 
 import logging
+import operator
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Lock, Thread
-from typing import TypeAlias
+from threading import Event, Lock
+from typing import NamedTuple, TypeAlias
 
-from pinposture.collision import Mesh
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm, ArmState
+from pinposture.collision import CollisionModel, Mesh, Scene
 from pinposture.collision.files import MESH_FORMATS
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import MAX_PLAUSIBLE_WIDTH
-from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
 from pinposture.editor.edits import Edit, keyframes_of, with_obstacle
+from pinposture.editor.latest import EXPECTED_ERRORS, Latest
 from pinposture.editor.obstacles import free_name, insert_obstacle, obstacles_of
-from pinposture.editor.session import Session
+from pinposture.editor.session import NearestObstacle, Session
 from pinposture.editor.solver import Live, VerdictCache
 from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.motion.run import CONTACT_TOLERANCE
 from pinposture.storage import write_bytes
-from pinposture.task import Task
+from pinposture.task import Keyframe, Task
 
+Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
 Post: TypeAlias = Callable[..., None]
 
 MAX_SHOWN = 200_000  # points or triangles of a scan
+MOUNT_DISTANCE = 0.01  # from a scan of what the arm is mounted on [m]
+MIN_PERIOD = 0.1  # between two looks at clearance or marks [s]
 
 
 class ScanShelf:
     """The scans of a task, as far as they have been read.
 
-    Files are read and written in a thread, which posts requests to the editor's loop.
+    Files are read and written beside the editor's loop, one after the other, and requests posted to it.
     """
 
     def __init__(self, post: Post) -> None:
         self._post = post
         self._lock = Lock()
-        self._jobs: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
-        self._thread: Thread | None = None
+        self._jobs: Latest[tuple[Callable[[], object], ...], None] = Latest(
+            self._do_all, "pinposture-scans", merge=operator.add
+        )
         self._known: dict[Path, Scan | None] = {}  # None: being read, or unreadable
         self._thinned: dict[Path, Scan] = {}
 
@@ -70,14 +80,7 @@ class ScanShelf:
 
     def add_obstacle(self, path: Path, scale: float) -> None:
         """Read a mesh or a cloud of points, and add it to the obstacles if it can be read."""
-
-        def job() -> None:
-            try:
-                self._load_obstacle(path, scale)
-            except PostureError as error:
-                self._refuse(error)
-
-        self._do(job)
+        self._do(partial(self._load_obstacle, path, scale))
 
     def remove_outliers(self, name: str, distance: float, session: Session) -> None:
         """Read a cloud of points again without its outliers, and put it in the place of an obstacle.
@@ -93,11 +96,7 @@ class ScanShelf:
         session.say(f"reading {cloud.name} again ...")
 
         def job() -> None:
-            try:
-                found = _without_outliers(cloud, distance or None)
-            except PostureError as error:
-                self._refuse(error)
-                return
+            found = _without_outliers(cloud, distance or None)
             what = f"{name}: {found.outliers} outliers removed" if distance else f"{name}: all points kept"
             self._post(partial(_replace_points, name, cloud, found, what))
 
@@ -140,24 +139,20 @@ class ScanShelf:
         self._do(job)
 
     def close(self) -> None:
-        """End the thread after the jobs that wait."""
-        self._jobs.put(None)
-        if self._thread is not None:
-            self._thread.join(timeout=5.0)
+        """End after the jobs that wait."""
+        self._jobs.finish()
+        self._jobs.close()
 
     def _do(self, job: Callable[[], object]) -> None:
-        self._jobs.put(job)
-        with self._lock:
-            if self._thread is None:
-                self._thread = Thread(target=self._run, name="pinposture-scans", daemon=True)
-                self._thread.start()
+        self._jobs.ask((job,))
 
-    def _run(self) -> None:
-        while (job := self._jobs.get()) is not None:
+    def _do_all(self, jobs: tuple[Callable[[], object], ...], _: Event) -> None:
+        for job in jobs:
             try:
                 job()
             except Exception as error:  # a broken file may raise anything
-                logger.exception("a file could not be taken in")
+                if not isinstance(error, EXPECTED_ERRORS):
+                    logger.exception("a file could not be taken in")
                 self._refuse(error)
 
     def _load_obstacle(self, path: Path, scale: float) -> None:
@@ -281,6 +276,75 @@ def _free_path(folder: Path, name: str, content: bytes) -> Path:
     return path.absolute()
 
 
+class ClearanceQuery(NamedTuple):
+    """An arm and its surroundings."""
+
+    arm: Arm
+    q: Array  # its configuration, (nq,)
+    scene: Scene  # the obstacles
+    scans: Mapping[str, Scan]  # the scans, by name
+
+    def same_as(self, other: ClearanceQuery) -> bool:
+        """Whether another query has the same answer."""
+        same = self.arm is other.arm and self.scene is other.scene and self.scans == other.scans
+        return same and np.array_equal(self.q, other.q)
+
+
+def nearest(query: ClearanceQuery) -> NearestObstacle | None:
+    """Return where an arm is nearest to obstacles and scans, or deepest inside itself; None if nowhere.
+
+    Raises:
+        PostureError: a distance cannot be computed.
+    """
+    arm = query.arm
+    scene = query.scene
+    state = arm.at(query.q)
+    found = []
+    if scene.obstacles:
+        # Without the arm itself: neighbours of neighbouring links are always near, and would hide the rest.
+        found.append(_closest_pair(scene.without_self_collision(), state))
+    inside = _closest_pair(scene.without_obstacles(), state)
+    if inside is not None and inside.distance < -CONTACT_TOLERANCE * arm.length:
+        found.append(inside)
+    shown = Scene(self_collision=False, margin=MOUNT_DISTANCE, arm_radius=scene.arm_radius)
+    for name, scan in query.scans.items():
+        seen = _closest_pair(replace(shown, obstacles={name: scan}), state)
+        if seen is not None:
+            found.append(seen._replace(margin=0.0))
+    return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
+
+
+def _closest_pair(scene: Scene, state: ArmState) -> NearestObstacle | None:
+    clearance = CollisionModel(state.arm, scene)
+    least = clearance.minimum(state.q)
+    if least.pair is None:
+        return None
+    near = clearance.nearest(state, max(least.distance, 0.0) + 1e-9 * state.arm.length)
+    if not len(near.distances):
+        return None
+    on_other = near.points[0] - near.distances[0] * near.normals[0]
+    body, other = near.pairs[0]
+    return NearestObstacle(float(near.distances[0]), body, other, near.points[0], on_other, scene.margin)
+
+
+class MarksQuery(NamedTuple):
+    """Keyframes to mark."""
+
+    arm: Arm
+    keyframes: tuple[Keyframe, ...]
+    scene: Scene  # the obstacles to avoid
+
+    def same_as(self, other: MarksQuery) -> bool:
+        """Whether another query has the same answer."""
+        same = self.arm is other.arm and self.scene is other.scene
+        return same and [*map(id, self.keyframes)] == [*map(id, other.keyframes)]
+
+
+def marks_of(query: MarksQuery, verdicts: VerdictCache) -> tuple[str, ...]:
+    """Return whether each keyframe can be taken: "fine", "collides" or "refused"."""
+    return tuple(verdicts.judge(query.arm, each, query.scene).mark for each in query.keyframes)
+
+
 class Surroundings:
     """The surroundings of the arm.
 
@@ -290,8 +354,19 @@ class Surroundings:
 
     def __init__(self, post: Post, verdicts: VerdictCache | None = None) -> None:
         self.scans = ScanShelf(post)
-        self._clearances = Clearances()
-        self._marks = Marks(VerdictCache() if verdicts is None else verdicts)
+        known = VerdictCache() if verdicts is None else verdicts
+        self._clearances: Latest[ClearanceQuery, NearestObstacle | None] = Latest(
+            lambda query, _: nearest(query),
+            "pinposture-clearance",
+            same=ClearanceQuery.same_as,
+            period=MIN_PERIOD,
+        )
+        self._marks: Latest[MarksQuery, tuple[str, ...]] = Latest(
+            lambda query, _: marks_of(query, known),
+            "pinposture-marks",
+            same=MarksQuery.same_as,
+            period=MIN_PERIOD,
+        )
 
     def watch(self, session: Session, live: Live) -> None:
         """Update clearance and marks; called by the loop, each time before the solver is asked."""
@@ -299,10 +374,12 @@ class Surroundings:
             scans = {path.name: scan for path, scan in self.scans.of(session.task).items()}
             q = session.playback.seen(live).state.q
             self._clearances.ask(ClearanceQuery(live.arm, q, session.shown.effective_scene, scans))
-        session.nearest = self._clearances.latest
+        cleared = self._clearances.done
+        session.nearest = None if cleared is None else cleared.answer
         task = session.task
         self._marks.ask(MarksQuery(task.arm, keyframes_of(task), task.effective_scene))
-        session.marks = self._marks.latest or ()
+        marked = self._marks.done
+        session.marks = () if marked is None else marked.answer or ()
 
     def close(self) -> None:
         """End all threads."""

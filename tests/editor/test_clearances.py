@@ -1,9 +1,10 @@
-"""The clearance that the editor tells, against distances by hand; its thread; the pace of new scenes."""
+"""The clearance that the editor tells, against distances by hand; the pace of new scenes."""
 
 from __future__ import annotations
 
 import time
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,10 @@ from editor.page_client import until
 
 import pinposture as pp
 from pinposture.collision.scan import Scan
-from pinposture.editor.clearances import ClearanceQuery, Clearances, NearestObstacle, nearest
 from pinposture.editor.obstacles import change_obstacle, moved
-from pinposture.editor.session import Session
+from pinposture.editor.session import NearestObstacle, Session
 from pinposture.editor.solver import Solver
-from pinposture.editor.surroundings import Surroundings
+from pinposture.editor.surroundings import ClearanceQuery, Surroundings, nearest
 
 THICK = 0.01
 
@@ -70,24 +70,25 @@ def test_a_scan_that_is_nearer_counts_but_has_no_margin():
     assert nearest(asked(beside(0.05), {"room.ply": cloud})).other == "ball"
 
 
-def test_the_last_that_was_asked_wins_and_no_thread_is_left():
-    clearances = Clearances()
-    assert clearances.latest is None
-    for height in (0.5, 0.4, 0.3, 0.2):
-        clearances.ask(asked(beside(height)))
-    until(lambda: clearances.latest and abs(clearances.latest.distance - (0.18 - THICK)) < 1e-6)
-    thread = clearances._thread
-    clearances.close()
-    assert not thread.is_alive()
+def test_the_last_that_was_asked_counts_and_what_cannot_be_told_ends_nothing():
+    session = Session(task(scene=beside(0.3)))
+    live = Solver(session.problem, session.arm.straight()).live
+    surroundings = Surroundings(lambda request, key="": None)
 
+    def told(distance: float) -> bool:
+        surroundings.watch(session, live)
+        return session.nearest is not None and abs(session.nearest.distance - distance) < 1e-6
 
-def test_what_cannot_be_told_ends_no_thread():
-    clearances = Clearances()
-    arm = six_modules()
-    clearances.ask(ClearanceQuery(arm, np.full(arm.nq, np.nan), beside(0.2), {}))
-    clearances.ask(asked(beside(0.2)))
-    until(lambda: clearances.latest is not None)
-    clearances.close()
+    try:
+        lost = SimpleNamespace(q=np.full(session.arm.nq, np.nan))
+        surroundings.watch(session, live._replace(state=lost))
+        assert session.nearest is None
+        for height in (0.5, 0.4, 0.2):
+            session.edit(lambda now, height=height: now.edited(scene=beside(height)), "moved the ball")
+            surroundings.watch(session, live)
+        until(lambda: told(0.18 - THICK))
+    finally:
+        surroundings.close()
 
 
 def test_a_dragged_obstacle_reaches_solver_and_clearance_before_the_drag_ends():

@@ -23,7 +23,6 @@ import pinposture as pp
 from pinposture.collision import Scan
 from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.editor import edits
-from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.obstacles import (
     ArmScale,
     at_pose,
@@ -33,7 +32,7 @@ from pinposture.editor.obstacles import (
     select_obstacle,
 )
 from pinposture.editor.postures import hold_tip
-from pinposture.editor.session import Session
+from pinposture.editor.session import NearestObstacle, Session
 from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
 from pinposture.editor.ui.arm import MeasuredArm

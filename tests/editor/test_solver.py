@@ -63,7 +63,7 @@ def started(first: Problem, start: np.ndarray | None = None) -> Iterator[Solver]
         yield solver
     finally:
         solver.close()
-        assert not solver._thread.is_alive()
+        assert "pinposture-solver" not in [each.name for each in threading.enumerate()]
 
 
 def test_a_moment_without_a_step_is_not_called_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +201,7 @@ def test_speed_goes_on_where_a_new_scene_comes_in_between() -> None:
     most = 20.0
     slow = pp.Limits(step=None, dt=0.02, velocity=SPEED, acceleration=most)
     solver = Solver(problem(1, to_coil(), limits=slow), six_modules().straight())
-    solver._take(solver._problem, new=True)
+    solver._take(solver._problem)
     places = [solver.live.state.positions]
     for step in range(40):
         if step % 5 == 4:
@@ -280,6 +280,7 @@ def test_a_shape_that_is_known_is_not_worked_out_again(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("pinposture.editor.solver.judge", counted)
     with started(problem(1)) as solver:
+        until(solver, arrived(1))
         for number, keyframe in enumerate((to_coil(), to_bent(), to_coil(), to_bent()), start=2):
             solver.ask(problem(number, keyframe))
             until(solver, arrived(number))
@@ -316,7 +317,7 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     scene = pp.Scene({"ball": ball}, margin=margin)
     session = Session(pp.Task(arm=arm, motion=keyframes, limits=limits, scene=scene))
     solver = Solver(session.problem, arm.straight())
-    solver._take(session.problem, new=True)
+    solver._take(session.problem)
     tracker = solver._tracker
     least = np.inf
     touched = np.inf

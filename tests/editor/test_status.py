@@ -13,10 +13,10 @@ from editor.played import Clock, done, live_of, short
 from scipy.spatial.transform import Rotation
 
 import pinposture as pp
-from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, nearest
 from pinposture.editor.playback import Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
+from pinposture.editor.surroundings import ClearanceQuery, MarksQuery, marks_of, nearest
 from pinposture.editor.ui.keyframes import row_label
 from pinposture.editor.ui.page import DIRECTIONS, FRAME_MARGIN, framing, status_of, viewpoint
 from pinposture.task import Keyframe, Task
@@ -144,17 +144,10 @@ def test_marks_of_keyframes_are_those_of_their_verdicts() -> None:
     scene = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.0, 0.0), 0.02)}, arm_radius=THICK)
     short = Keyframe(pp.Curve.line((0, 0, 0), (0.5 * L, 0, 0)), time=1.0)
     keyframes = (Keyframe(straight_line()), short, Keyframe(bent_spline(), time=2.0, trim=True))
-    marks = Marks(VerdictCache())
-    try:
-        for around in (None, scene):
-            marks.ask(MarksQuery(arm, keyframes, around))
-            expected = tuple(judge(arm, keyframe, around).mark for keyframe in keyframes)
-            end = time.monotonic() + 20.0
-            while marks.latest != expected:
-                assert time.monotonic() < end, marks.latest
-                time.sleep(0.01)
-    finally:
-        marks.close()
+    verdicts = VerdictCache()
+    for around in (None, scene):
+        expected = tuple(judge(arm, keyframe, around).mark for keyframe in keyframes)
+        assert marks_of(MarksQuery(arm, keyframes, around), verdicts) == expected
     assert expected[:2] == ("collides", "refused")
     assert row_label(keyframes, [0.0, 1.0, 2.0], 1, "refused").endswith("1 s  ·  refused")
 

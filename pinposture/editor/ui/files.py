@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from functools import partial
 from html import escape
 from pathlib import Path
-from threading import Thread
+from threading import Event
 from typing import Any, NamedTuple
 
 import viser
 
 from pinposture.editor.files import EXPORT_KINDS, Files, export, task_files, within
+from pinposture.editor.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
-from pinposture.errors import PostureError
 from pinposture.motion import Trajectory
 from pinposture.task import Task
-
-logger = logging.getLogger(__name__)
 
 NO_FILE = "choose a task file"  # shown where none is chosen
 LISTING_PERIOD = 2.0  # between two looks at the folder [s]
@@ -157,7 +154,7 @@ def _relative_name(path: Path, folder: Path) -> str:
     return path.name
 
 
-EXPORT_GROUPS = (("Motion as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Picture", "Animation")))
+EXPORT_GROUPS = (("Trajectory as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Picture", "Animation")))
 
 
 class RequestedExport(NamedTuple):
@@ -175,7 +172,10 @@ class ExportButtons:
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post = post
         self._queue: list[RequestedExport] = []
-        self._running: tuple[RequestedExport, Thread] | None = None
+        self._writing: RequestedExport | None = None
+        self._files: Latest[tuple[RequestedExport, Trajectory], str] = Latest(
+            _send, "pinposture-export", deliver=lambda done: post(partial(self._report, done))
+        )
         hint = "The motion of the whole task as it is now; it is computed first if necessary"
         for label, kinds in EXPORT_GROUPS:
             server.gui.add_button_group(label, kinds, hint=hint).on_click(self._on_click)
@@ -184,12 +184,10 @@ class ExportButtons:
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date, and start the next export."""
-        if self._running is not None and not self._running[1].is_alive():
-            self._running = None
-        if self._queue and self._running is None:
+        if self._queue and self._writing is None:
             self._start_next(session)
-        running = self._running is not None
-        now = self._running[0] if self._running is not None else self._queue[0] if self._queue else None
+        running = self._writing is not None
+        now = self._queue[0] if self._queue and not running else self._writing
         put(self._bar, visible=now is not None)
         put(self._text, visible=now is not None)
         if now is not None:
@@ -201,16 +199,14 @@ class ExportButtons:
     def _start_next(self, session: Session) -> None:
         wanted = self._queue[0]
         rehearsal = session.playback.rehearsal
+        working = rehearsal.working
         done = rehearsal.of(wanted.task)
         if done is not None:
             self._queue.pop(0)
             if done.motion is not None:  # else a message has said why not
-                thread = Thread(
-                    target=self._export, args=(wanted, done.motion), name="pinposture-export", daemon=True
-                )
-                self._running = wanted, thread
-                thread.start()
-        elif wanted.task is not session.whole or not rehearsal.working:
+                self._writing = wanted
+                self._files.ask((wanted, done.motion))
+        elif wanted.task is not session.whole or not working:
             self._queue.pop(0)
             text = f"{wanted.kind}: not exported, the task changed or the motion was cancelled"
             session.say(text, "warning")
@@ -224,16 +220,20 @@ class ExportButtons:
         self._queue.append(RequestedExport(kind, client, session.whole, stem))
         session.playback.rehearse(session.whole)
 
-    def _export(self, wanted: RequestedExport, motion: Trajectory) -> None:
-        kind = "error"
-        try:
-            made = export(motion, wanted.kind, wanted.stem)
-            wanted.client.send_file_download(made.name, made.content, save_immediately=True)
-            text = made.summary
-            kind = "info"
-        except PostureError as error:
-            text = f"{wanted.kind}: not exported: {error}"
-        except Exception as error:  # a bug, which has to be reported, too
-            logger.exception("an export failed")
-            text = f"{wanted.kind}: not exported ({error})"
-        self._post(lambda session: session.say(text, kind))
+    def _report(self, done: Done[tuple[RequestedExport, Trajectory], str], session: Session) -> None:
+        wanted = done.request[0]
+        self._writing = None
+        if done.answer is not None:
+            session.say(done.answer)
+            return
+        expected = isinstance(done.error, EXPECTED_ERRORS)
+        reason = f": {done.error}" if expected else f" ({done.error})"
+        session.say(f"{wanted.kind}: not exported{reason}", "error")
+
+
+def _send(asked: tuple[RequestedExport, Trajectory], _: Event) -> str:
+    """Write the file of a motion, and send it; returns what it is, in words."""
+    wanted, motion = asked
+    made = export(motion, wanted.kind, wanted.stem)
+    wanted.client.send_file_download(made.name, made.content, save_immediately=True)
+    return made.summary

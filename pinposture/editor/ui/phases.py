@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from threading import Thread
+from threading import Event
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
+from pinposture.editor.latest import Done, Latest
 from pinposture.editor.phases import EditedPhase, editable, phase_label, with_phase
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
@@ -29,15 +29,12 @@ from pinposture.editor.ui.parts import (
     put,
     put_at,
 )
-from pinposture.errors import PostureError
 from pinposture.task import Leader, Phase, Task, TipGoal
 from pinposture.task.phases import phase_title
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
 
 Array = NDArray[np.float64]
-
-logger = logging.getLogger(__name__)
 
 DEGREE = np.pi / 180.0
 NUMBER_STEP = 0.1  # of the arrows beside a number
@@ -72,16 +69,27 @@ VECTORS = {
 """Fields for the values of phases, by attribute."""
 
 
+class WantedPhase(NamedTuple):
+    """A phase to show."""
+
+    before: Task  # the task that is shown until then
+    whole: Task  # the task of all phases
+    number: int  # of the phase, 0-based
+    what: str  # what has changed then, in words
+
+
 class PhasePlanner:
-    """Shows another phase of a task, or a changed one, once it is planned in a thread.
+    """Shows another phase of a task, or a changed one, once it is planned.
 
     Args:
         post: `Editor.post`.
     """
 
     def __init__(self, post: Callable[..., None]) -> None:
-        self._post = post
-        self._number = 0  # of the last request; what an earlier one finds is dropped
+        self._wanted: WantedPhase | None = None  # the last one; what an earlier one finds is dropped
+        self._planning: Latest[WantedPhase, Task] = Latest(
+            _plan, "pinposture-phase", deliver=lambda done: post(partial(self._take, done))
+        )
 
     def choose(self, index: int, session: Session) -> None:
         """Show another phase, 0-based."""
@@ -110,34 +118,28 @@ class PhasePlanner:
 
     def _show(self, session: Session, whole: Task, index: int, what: str) -> None:
         """Show a phase once it is planned; `what` says in words what then has changed."""
-        self._number += 1
         phases = cast("tuple[Phase, ...]", whole.motion)
         session.say(f"planning up to {phase_title(phases, index)} ...")
-        given = (self._number, session.task, whole, index, what)
-        Thread(target=self._plan, args=given, name="pinposture-phase", daemon=True).start()
+        self._wanted = WantedPhase(session.task, whole, index, what)
+        self._planning.ask(self._wanted)
 
-    def _plan(self, number: int, before: Task, whole: Task, index: int, what: str) -> None:
-        try:
-            view = editable(whole, index)
-        except Exception as error:
-            if not isinstance(error, PostureError):  # a bug, which has to be reported, too
-                logger.exception("a phase could not be planned")
-            self._post(partial(self._refuse, number, f"{what}: not possible: {error}"))
+    def _take(self, done: Done[WantedPhase, Task], session: Session) -> None:
+        wanted = done.request
+        view = done.answer
+        if wanted is not self._wanted:
             return
-        self._post(partial(self._take, number, before, view, what))
+        if view is None:
+            session.say(f"{wanted.what}: not possible: {done.error}", "error")
+        elif session.task is not wanted.before:
+            reason = "dropped, since the task was changed meanwhile; try again"
+            session.say(f"{wanted.what}: {reason}", "warning")
+        else:
+            first = 1 if isinstance(view, EditedPhase) and view.begin is not None else 0
+            session.take_up(view, first, wanted.what)
 
-    def _refuse(self, number: int, reason: str, session: Session) -> None:
-        if self._number == number:
-            session.say(reason, "error")
 
-    def _take(self, number: int, before: Task, view: Task, what: str, session: Session) -> None:
-        if self._number != number:
-            return
-        if session.task is not before:
-            session.say(f"{what}: dropped, since the task was changed meanwhile; try again", "warning")
-            return
-        first = 1 if isinstance(view, EditedPhase) and view.begin is not None else 0
-        session.take_up(view, first, what)
+def _plan(wanted: WantedPhase, _: Event) -> Task:
+    return editable(wanted.whole, wanted.number)
 
 
 def rename_phase(name: str, session: Session) -> None:

@@ -19,10 +19,9 @@ from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import number_fields
 from pinposture.editor import obstacles
-from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import with_scene
 from pinposture.editor.files import within
-from pinposture.editor.session import Session
+from pinposture.editor.session import NearestObstacle, Session
 from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import ScanShelf, remove_scan
 from pinposture.editor.ui.parts import (
