@@ -154,7 +154,7 @@ def _relative_name(path: Path, folder: Path) -> str:
     return path.name
 
 
-EXPORT_GROUPS = (("Trajectory as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Picture", "Animation")))
+EXPORT_GROUPS = (("Motion as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Picture", "Animation")))
 
 
 class RequestedExport(NamedTuple):
