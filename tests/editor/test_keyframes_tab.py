@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from edited_tasks import bent_spline, straight_line, task
@@ -107,6 +110,8 @@ class Field:
     def __init__(self, value: object) -> None:
         self.value = value
         self.disabled = False
+        self.visible = True
+        self.precision = 3
 
     def on_update(self, call: object) -> None:
         self.call = call
@@ -118,29 +123,44 @@ class Field:
             self.call(event).send(None)  # type: ignore[operator]
 
 
+def bound(control: Field, value: list[object], **named: object) -> tuple[parts.Bound, list[object]]:
+    """A field that shows the last of some values, and what was entered."""
+    told: list[object] = []
+
+    def edit(entered: object) -> Callable[[object], None]:
+        return lambda _: told.append(entered)
+
+    def post(request: Callable[[object], None], key: str = "") -> None:
+        request(None)
+
+    return parts.Bound(post, control, lambda _: value[-1], edit, **named), told  # type: ignore[arg-type]
+
+
+SESSION: Any = None
+
+
 def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    told = []
     monkeypatch.setattr(parts.time, "monotonic", lambda: now[0])
     control = Field(3.0)
-    field = parts.Typed(control, lambda value, over: told.append(value))
+    field, told = bound(control, [3.0])
     for key in (1.0, 12.0, 12.5):
         control.type(key)
         now[0] += 0.5 * parts.TYPING_PAUSE
-        field.show(3.0)
+        field.show(SESSION)
         assert (control.value, told) == (key, [])  # nobody writes into it
     now[0] += parts.TYPING_PAUSE
-    field.show(3.0)
+    field.show(SESSION)
     assert told == [12.5]
-    field.show(3.0)  # it was refused
+    field.show(SESSION)  # it was refused
     assert (control.value, told) == (3.0, [12.5])
 
 
 def test_what_is_typed_counts_before_something_else_is_done_or_is_dropped() -> None:
-    told: list[object] = []
     control = Field("coil")
-    field = parts.Typed(control, lambda value, over: told.append(value))
-    field.show("coil")
+    value: list[object] = ["coil"]
+    field, told = bound(control, value)
+    field.show(SESSION)
     field.finish()
     assert told == []
     control.type("spring")
@@ -149,8 +169,76 @@ def test_what_is_typed_counts_before_something_else_is_done_or_is_dropped() -> N
     assert told == ["spring"]
     control.type("ring")
     field.forget()
-    field.show("spring")
+    value.append("spring")
+    field.show(SESSION)
     assert (control.value, told) == ("spring", ["spring"])
+
+
+def test_a_field_shows_a_value_in_its_unit_and_tells_what_is_meant() -> None:
+    control = Field(0.0)
+    control.precision = 1
+    value: list[object] = [0.01234]
+    field, told = bound(control, value, unit=1e-3)
+    field.show(SESSION)
+    assert control.value == 12.3
+    control.type(50.0)
+    field.finish()
+    assert told == [pytest.approx(0.05)]
+    value.append((0.001, -1e-9, 0.0))
+    field.show(SESSION)
+    assert control.value == (1.0, 0.0, 0.0)
+    control.type((1.0, 2.0, 3.0))
+    field.finish()
+    assert told[-1] == pytest.approx((0.001, 0.002, 0.003))
+
+
+@pytest.mark.parametrize("absent", [None, {"disabled": True}])
+def test_a_field_without_a_value_is_hidden_or_off_and_forgets(absent: dict[str, bool] | None) -> None:
+    control = Field(1.0)
+    value: list[object] = [1.0]
+    field, told = bound(control, value, absent=absent)
+    control.type(2.0)
+    value.append(None)
+    field.show(SESSION)
+    assert (control.visible, control.disabled) == ((True, True) if absent else (False, False))
+    value.append(3.0)
+    field.show(SESSION)
+    assert (control.visible, control.disabled, control.value) == (True, False, 3.0)
+    assert told == []
+
+
+def test_a_value_is_written_only_when_it_has_changed() -> None:
+    class Counted(Field):
+        """Counts what is written into it."""
+
+        written = 0
+
+        def __setattr__(self, name: str, value: object) -> None:
+            Counted.written += name == "value"
+            super().__setattr__(name, value)
+
+    value: list[object] = [1.0]
+    field, told = bound(Counted(1.0), value)
+    for each in (1.0, 1.0, 2.0, 2.0):
+        value.append(each)
+        field.show(SESSION)
+    assert Counted.written == 2  # once when it was made
+    assert told == []
+
+
+def test_what_is_being_typed_may_be_seen_before_it_counts() -> None:
+    seen: list[object] = []
+
+    def preview(entered: object) -> Callable[[object], None] | None:
+        return None if entered == 1.0 else lambda _: seen.append(entered)
+
+    control = Field(0.0)
+    field, told = bound(control, [0.0], preview=preview)
+    for key in (1.0, 12.0):
+        control.type(key)
+    assert (seen, told) == ([12.0], [])
+    field.finish()
+    assert (seen, told) == ([12.0], [12.0])
 
 
 def test_a_speed_is_refused_in_the_unit_of_its_field() -> None:

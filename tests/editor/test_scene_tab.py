@@ -39,7 +39,15 @@ from pinposture.editor.ui.arm import MeasuredArm
 from pinposture.editor.ui.curve import ShapeTab
 from pinposture.editor.ui.keyframes import KeyframesTab
 from pinposture.editor.ui.parts import color
-from pinposture.editor.ui.scene import ClearanceLine, Obstacles, ScanControls, Scans, SceneTab, clearance_text
+from pinposture.editor.ui.scene import (
+    VECTOR_LABELS,
+    ClearanceLine,
+    Obstacles,
+    ScanControls,
+    Scans,
+    SceneTab,
+    clearance_text,
+)
 from pinposture.viz import palette
 
 BALL = pp.Sphere((0.3, 0.2, 0.1), 0.05)
@@ -115,12 +123,13 @@ def test_a_new_type_is_drawn_and_has_a_field_for_each_number(name, arm, live, se
     tab = SceneTab(server, arm, ScanShelf(post), post)
     tab.show(session, live)
     # In millimetres, but for an angle.
-    numbers = {key: parts.control.value for key, parts in tab._numbers.items() if parts.control.visible}
+    shown_fields = {key: field.control for key, field in tab._values.items() if field.control.visible}
+    numbers = {key: field.value for key, field in shown_fields.items() if key not in VECTOR_LABELS}
     own = {key: value for key, value in vars(NEW[name]).items() if isinstance(value, float)}
     shown = {key: value if key == "bend" else 1e3 * value for key, value in own.items()}
     assert numbers == pytest.approx(shown)
-    assert {key for key, parts in tab._vectors.items() if parts.control.visible} == {"center", "rotation"}
-    tab._set_value("radius", 0.05, True)
+    assert shown_fields.keys() - numbers.keys() == {"center", "rotation"}
+    tab._values["radius"]._choose(50.0)
     drawing.show(session, live)
     changed = obstacles_of(session.task)["new"]
     assert changed.radius == 0.05
@@ -217,17 +226,16 @@ def test_the_tab_shows_what_the_selected_obstacle_has(arm, live, server, desk, t
     for name, keys in shown.items():
         select_obstacle(name, session)
         tab.show(session, live)
-        visible = {key for key, parts in tab._vectors.items() if parts.control.visible}
-        assert visible | {key for key, parts in tab._numbers.items() if parts.control.visible} == keys
+        assert {key for key, field in tab._values.items() if field.control.visible} == keys
         assert tab._called.control.value == name
     select_obstacle("box", session)
     tab.show(session, live)
-    assert tab._vectors["rotation"].control.value == pytest.approx((0, 0, 90))
-    assert tab._vectors["center"].control.value == pytest.approx(1e3 * np.array(BOX.center))
+    assert tab._values["rotation"].control.value == pytest.approx((0, 0, 90))
+    assert tab._values["center"].control.value == pytest.approx(1e3 * np.array(BOX.center))
     select_obstacle(None, session)
     tab.show(session, live)
     assert not tab._delete.visible
-    assert tuple(tab._chosen.options) == ("none", "ball", "box", "floor", "rod")
+    assert tuple(tab._chosen.control.options) == ("none", "ball", "box", "floor", "rod")
 
 
 @pytest.mark.parametrize(("length", "step"), [(0.009, 1e-3), (1.0, 1.0), (80.0, 1.0)])  # [m], [mm]
@@ -242,8 +250,8 @@ def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
     select_obstacle("ball", session)
     tab.show(session, live)
     for field, own, error in (
-        (tab._vectors["center"].control, center, 1e-3),
-        (tab._numbers["radius"].control, radius, 1e-6),
+        (tab._values["center"].control, center, 1e-3),
+        (tab._values["radius"].control, radius, 1e-6),
     ):
         np.testing.assert_allclose(1e-3 * np.array(field.value), own, rtol=0.0, atol=error * length)
         np.testing.assert_allclose(np.round(field.value, field.precision), field.value, rtol=1e-15)
@@ -261,7 +269,7 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(arm, live, ser
     monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
     states = len(session.history._states)
     for radius in (0.0, 3.0, 35.0):  # "35" [mm], key by key
-        tab._numbers["radius"]._changed(radius)
+        tab._values["radius"]._type(radius)
         clock[0] += 0.2
         tab.show(session, live)
     assert len(session.history._states) == states
@@ -279,28 +287,28 @@ def test_what_is_refused_returns_to_what_it_was(arm, live, server, desk, monkeyp
     tab.show(session, live)
     clock = [100.0]
     monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
-    tab._vectors["center"].control.value = (0.0, 0.0, 0.0)
-    tab._vectors["center"]._changed((0.0, 0.0, 0.0))  # where the base is
+    tab._values["center"].control.value = (0.0, 0.0, 0.0)
+    tab._values["center"]._type((0.0, 0.0, 0.0))  # where the base is
     clock[0] += 2.0
     tab.show(session, live)
     tab.show(session, live)
-    assert tab._vectors["center"].control.value == pytest.approx(1e3 * np.array(BALL.center))
+    assert tab._values["center"].control.value == pytest.approx(1e3 * np.array(BALL.center))
     assert "base" in session.notice.text
 
 
 def test_margin_self_collision_and_thickness(arm, live, server, desk, monkeypatch):
     session, post = desk
     tab = SceneTab(server, arm, ScanShelf(post), post)
-    tab._set_margin(0.02, True)
-    tab._set_arm_radius(0.015, True)
-    tab._set_self_collision(True)
+    tab._margin._choose(20.0)
+    tab._arm_radius._choose(15.0)
+    tab._self_collision._choose(True)
     scene = session.task.scene
     assert (scene.margin, scene.arm_radius, scene.self_collision) == (0.02, 0.015, True)
     assert obstacles_of(session.task)["rod"] == ROD
-    tab._set_arm_radius(0.0, True)
+    tab._arm_radius._choose(0.0)
     assert session.task.scene.arm_radius is None
     before = session.task
-    tab._set_margin(-1.0, True)
+    tab._margin._choose(-1000.0)
     assert session.task is before
     tab.show(session, live)
     assert tab._margin.control.value == pytest.approx(20.0)
@@ -450,7 +458,7 @@ def test_outliers_of_a_cloud_are_removed_and_taken_back(arm, live, server, desk,
     tab.show(session, live)
     assert tab._outliers.control.visible
     assert tab._outliers.control.value == 0.0
-    tab._remove_outliers(0.05, True)
+    tab._outliers._choose(50.0)
     shelf.close()
     cloud = obstacles_of(session.task)["cloud"]
     assert (len(cloud.points), cloud.outliers, cloud.center) == (400, 3, (0.0, 0.0, 0.2))
@@ -481,8 +489,8 @@ def test_the_tip_is_brought_to_a_place_that_is_typed(arm, server, desk):
     assert not place.disabled
     np.testing.assert_allclose(1e-3 * np.array(place.value), here.state.points[-1], atol=1e-4)
     goal = here.state.points[-1] + [0.0, 0.01, 0.005]
-    tab._move(tuple(goal), False)  # while it is typed
+    tab._place._type(tuple(1e3 * goal))
     assert session.proposal is None
-    tab._move(tuple(goal), True)
+    tab._place.finish()
     taken = edits.configuration_of(arm, edits.keyframes_of(session.shown)[1])
     np.testing.assert_allclose(arm.at(taken).points[-1], goal, atol=1e-4)

@@ -17,11 +17,11 @@ from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
+    Bound,
     Post,
-    Typed,
+    Request,
     color,
     framed_html,
-    on_change,
     put,
     quaternions,
 )
@@ -257,13 +257,13 @@ class ArmTab:
 
     def __init__(self, server: viser.ViserServer, drawing: ArmDrawing, post: Post) -> None:
         self._drawing = drawing
-        self._post = post
         gui = server.gui
+        bind = partial(Bound, post)
         self._ellipsoids = Ellipsoids(server, drawing.arm)
         self._steps = -1
         self._due = 0.0
         self._facts = gui.add_markdown("")
-        self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
+        controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
         hint = "Limit of each joint; 0: that of the arm"
         speed = gui.add_number("Speed [rad/s]", 0.0, min=0.0, step=0.1, hint=hint)
         hint = "Limit of each joint; 0: none"
@@ -271,27 +271,31 @@ class ArmTab:
         hint = "Limit of each joint, along with that of acceleration; 0: none"
         jerk = gui.add_number("Jerk [rad/s³]", 0.0, min=0.0, step=10.0, hint=hint)
         speed.precision = acceleration.precision = jerk.precision = RATE_DIGITS
-        self._at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
+        at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
         hint = "Manipulability; red and flat: singular"
         self._with_ellipsoids = gui.add_checkbox("Ellipsoids", False, hint=hint)
-        on_change(self._controller, self._set_controller)
-        self._limits = (
-            Typed(speed, partial(self._set_limit, "velocity", "speed")),
-            Typed(acceleration, partial(self._set_limit, "acceleration", "acceleration")),
-            Typed(jerk, partial(self._set_limit, "jerk", "jerk")),
+        self._choices = (
+            bind(
+                controller,
+                lambda session: session.task.controller.name,
+                lambda name: partial(Session.edit, edit=with_controller(name), what=f"controller {name}"),
+            ),
+            bind(at_once, lambda session: session.at_once, _move_at_once),
         )
-        on_change(self._at_once, self._set_at_once)
+        self._limits = {
+            field: bind(control, partial(_least_limit, field), partial(_set_limit, field))
+            for field, control in (("velocity", speed), ("acceleration", acceleration), ("jerk", jerk))
+        }
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
         limits = session.task.limits
-        put(self._controller, value=session.task.controller.name)
-        values = limits.velocity, limits.acceleration, limits.jerk
-        for field, limit in zip(self._limits, values, strict=True):
-            several = np.ndim(limit if limit is not None else 0.0) > 0
-            field.show(0.0 if limit is None else round(float(np.min(limit)), RATE_DIGITS), disabled=several)
-        put(self._at_once, value=session.at_once)
+        for choice in self._choices:
+            choice.show(session)
+        for key, field in self._limits.items():
+            limit = getattr(limits, key)
+            field.show(session, disabled=limit is not None and np.ndim(limit) > 0)
         now = time.monotonic()
         if live.steps != self._steps and now >= self._due:
             self._steps = live.steps
@@ -300,20 +304,26 @@ class ArmTab:
         self._drawing.paint(body_colors(self._coloring.value, live, self._drawing.shades))
         self._ellipsoids.show(live.state, live.steps, self._with_ellipsoids.value)
 
-    def _set_controller(self, name: str) -> None:
-        self._post(lambda session: session.edit(with_controller(name), f"controller {name}"))
 
-    def _set_limit(self, key: str, what: str, value: float, _: bool) -> None:
-        limit = None if value == 0.0 else float(value)
-        text = f"{what} {value:g}" if limit else f"no {what} limit in the task"
-        self._post(lambda session: session.edit(with_limits(**{key: limit}), text))
+def _least_limit(field: str, session: Session) -> float:
+    """Return the least of the limits of the joints, 0 without any."""
+    limit = getattr(session.task.limits, field)
+    return 0.0 if limit is None else round(float(np.min(limit)), RATE_DIGITS)
 
-    def _set_at_once(self, value: bool) -> None:
-        def request(session: Session) -> None:
-            session.at_once = value
-            session.touch()
 
-        self._post(request)
+def _set_limit(field: str, value: float) -> Request:
+    limit = None if value == 0.0 else float(value)
+    noun = {"velocity": "speed"}.get(field, field)
+    what = f"{noun} {value:g}" if limit else f"no {noun} limit in the task"
+    return partial(Session.edit, edit=with_limits(**{field: limit}), what=what)
+
+
+def _move_at_once(value: bool) -> Request:
+    def request(session: Session) -> None:
+        session.at_once = value
+        session.touch()
+
+    return request
 
 
 def _facts(live: Live) -> str:

@@ -18,8 +18,9 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
     MILLIMETRE,
+    Bound,
     Post,
-    Typed,
+    Request,
     add_axes,
     add_lines,
     color,
@@ -417,81 +418,90 @@ class ShapeTab:
     """Controls for the control points of the curve that is edited."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._post = post
         gui = server.gui
         self._index = 0
         self._keyframe = 0
         self._start = arm.straight()
+        self._tip_place = np.zeros(3)
         hint = "Or click on one in the picture; Shift and a click selects several"
         self._taught = gui.add_markdown(
             "A taught configuration has no control points. *Keyframes*, *To curve* draws a curve through it.",
             visible=False,
         )
-        self._point = gui.add_dropdown("Control point", ("none",), hint=hint)
+        bind = partial(Bound, post)
+        point = gui.add_dropdown("Control point", ("none",), hint=hint)
+        self._point = bind(
+            point,
+            lambda session: point.options[0 if session.handle is None else session.handle + 1],
+            lambda name: partial(
+                Session.take_hold, handle=None if name == "none" else int(name.split()[0]) - 1
+            ),
+        )
         hint = "Shows axes at the tip, by which it is dragged; key T"
-        self._tip = gui.add_checkbox("Drag the tip", False, hint=hint)
+        tip = gui.add_checkbox("Drag the tip", False, hint=hint)
+        self._tip = bind(tip, lambda session: session.tip, lambda held: hold_tip if held else release)
         digits = coordinate_digits(arm.length)
         hint = "World frame; of the control point, or of the tip while it is selected"
         place = gui.add_vector3("x, y, z [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, hint=hint)
         place.precision = digits
-        self._place = Typed(place, self._move, preview=True, unit=MILLIMETRE)
+        self._place = bind(
+            place,
+            self._place_of,
+            partial(self._move, True),
+            preview=partial(self._move, False),
+            unit=MILLIMETRE,
+            absent={"disabled": True},
+        )
         hint = "Insert after keeps the curve, Duplicate keeps the other points"
         edit = gui.add_button_group("Points", tuple(POINT_ACTIONS), hint=hint)
-        self._snap = gui.add_checkbox(
+        snap = gui.add_checkbox(
             "Snap to a grid", False, hint="Snap dragged points to a grid in the world frame"
         )
         first = round_number(GRID * arm.length) / MILLIMETRE
         least = 10.0**-digits
         self._step = gui.add_number("Grid [mm]", first, min=0.1 * least, step=least)
         self._step.precision = digits + 1
-        for control in (self._snap, self._step):
-            on_change(control, lambda _: post(partial(set_grid, self._grid)))
-        on_change(self._point, self._select)
-        on_change(self._tip, lambda held: post(hold_tip if held else release))
+        self._snap = bind(
+            snap,
+            lambda session: session.grid > 0.0,
+            lambda snapped: partial(set_grid, MILLIMETRE * self._step.value if snapped else 0.0),
+        )
+        on_change(self._step, lambda step: post(partial(set_grid, MILLIMETRE * step if snap.value else 0.0)))
         on_choice(edit, lambda what: post(POINT_ACTIONS[what]))
         gui.add_html(_legend())
 
-    @property
-    def _grid(self) -> float:
-        """The step of the grid [m]; 0 if there is none."""
-        return MILLIMETRE * self._step.value if self._snap.value else 0.0
-
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
-        put(self._tip, value=session.tip)
+        self._tip.show(session)
         last = len(session.shape.points) - 1
         put(self._taught, visible=last < 0)
         suffixes = {0: " (base)", last: " (end)"}
         names = ("none", *(f"{k + 1}{suffixes.get(k, '')}" for k in range(last + 1)))
-        if self._point.options != names:
-            self._point.options = names
-        handle = session.handle
-        put(self._point, value="none" if handle is None else names[handle + 1])
+        if self._point.control.options != names:
+            self._point.control.options = names
+        self._point.show(session)
         self._start = live.state.q
-        index = TIP if session.tip else handle
+        self._tip_place = live.state.points[-1]
+        index = TIP if session.tip else session.handle
         if index is not None and (index, session.selected) != (self._index, self._keyframe):
             self._place.finish()  # it was meant for the one before
             self._index = index
             self._keyframe = session.selected
-        if index == TIP:
-            self._place.show(live.state.points[-1], disabled=False)
-        elif index is not None:
-            self._place.show(session.shape.points[index], disabled=index == 0)
-        else:
-            self._place.keep(disabled=True)
-        put(self._snap, value=session.grid > 0.0)
+        self._place.show(session, disabled=index == 0)
+        self._snap.show(session)
 
-    def _select(self, name: str) -> None:
-        index = None if name == "none" else int(name.split(maxsplit=1)[0]) - 1
-        self._post(lambda session: session.take_hold(index))
+    def _place_of(self, session: Session) -> Array | None:
+        if session.tip:
+            return self._tip_place
+        return None if session.handle is None else np.asarray(session.shape.points[session.handle])
 
-    def _move(self, place: tuple[float, float, float], final: bool) -> None:
+    def _move(self, final: bool, place: tuple[float, float, float]) -> Request | None:
         index = self._index
         keyframe = self._keyframe
         if index == TIP:
-            if final:  # a tip that follows each key would swing about
-                self._post(partial(drag_tip, np.array(place), self._start, final, keyframe=keyframe))
-            return
+            # A tip that follows each key would swing about.
+            tip = partial(drag_tip, np.array(place), self._start, final, keyframe=keyframe)
+            return tip if final else None
 
         def request(session: Session) -> None:
             if session.selected == keyframe:
@@ -499,7 +509,7 @@ class ShapeTab:
                 move_point(index, np.array(place), final, session, snap=False)
                 session.handles = chosen
 
-        self._post(request, "" if final else "move")
+        return request
 
 
 def _legend() -> str:

@@ -19,7 +19,7 @@ from pinposture.editor.phases import EditedPhase
 from pinposture.editor.postures import add_taught, draw_curve, teach
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
-from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
+from pinposture.editor.ui.parts import Bound, Post, Request, color, on_choice, on_click, put
 from pinposture.editor.ui.phases import PhaseControls, PhasePlanner
 from pinposture.errors import InvalidValue
 from pinposture.placement.resolve import METHODS
@@ -44,6 +44,7 @@ class KeyframesTab:
         self._first = 0  # the first row
         self._shown = (-1, -1)  # which keyframe of how many was selected
         self._index = 0
+        self._times = [0.0]
         self._phases = PhaseControls(server, arm, PhasePlanner(post), post)
         self._above = gui.add_button("", icon=viser.Icon.CHEVRON_UP, color="gray", visible=False)
         self._rows = [gui.add_button("", color="gray", visible=False) for _ in range(LISTED_ROWS)]
@@ -56,21 +57,38 @@ class KeyframesTab:
         when = gui.add_number("Time [s]", 0.0, step=0.1, hint="When the arm reaches it")
         hold = gui.add_number("Hold [s]", 0.0, step=0.1, hint="How long to stay; later keyframes shift")
         speed = gui.add_number("Speed [%]", 100.0, step=5.0, hint="Of the velocity limits, on the way to it")
-        self._name = Typed(name, self._rename)
-        self._time = Typed(when, self._retime)
-        self._hold = Typed(hold, self._set_hold)
-        self._speed = Typed(speed, self._set_speed)
-        self._fields = (self._name, self._time, self._hold, self._speed)
+        bind = partial(Bound, post)
+        self._time = bind(when, lambda session: round(self._times[self._index], SECOND_DIGITS), self._retime)
+        self._fields = (
+            bind(
+                name,
+                lambda session: session.keyframe.name,
+                lambda to: partial(rename, self._index, to),
+            ),
+            bind(hold, lambda session: round(session.keyframe.hold, SECOND_DIGITS), self._set_hold),
+            bind(
+                speed,
+                lambda session: round(100.0 * session.keyframe.speed, SECOND_DIGITS),
+                lambda percent: partial(set_speed, self._index, float(percent)),
+            ),
+        )
         hint = "Placement of the modules on the curve; auto: one by one, or all at once if that zigzags"
-        self._method = gui.add_dropdown("Method", METHODS, hint=hint)
+        method = gui.add_dropdown("Method", METHODS, hint=hint)
+        self._method = bind(
+            method, lambda session: session.keyframe.method, lambda method: partial(choose_method, method)
+        )
         self._about = gui.add_html("")
         laps = gui.add_number("Laps", 1, min=1, step=1, hint="How often the whole motion is repeated")
         hint = "Time to return to the first keyframe for the next lap; 0: as the longest motion between two"
         back = gui.add_number("Return [s]", 0.0, min=0.0, step=0.1, hint=hint)
         for field in (when, hold, speed, back):
             field.precision = SECOND_DIGITS
-        self._laps = Typed(laps, self._repeat)
-        self._back = Typed(back, self._set_return)
+        self._laps = bind(
+            laps,
+            lambda session: None if isinstance(session.task, EditedPhase) else session.task.repeat,
+            _repeat,
+        )
+        self._back = bind(back, _return_time_of, _set_return)
         self._others = gui.add_checkbox("Other curves", True, hint="Show the curves of the other keyframes")
         for number, row in enumerate(self._rows):
             on_click(row, partial(self._select, number))
@@ -78,7 +96,6 @@ class KeyframesTab:
         on_click(self._below, partial(self._scroll, LISTED_ROWS))
         on_choice(actions, self._act)
         on_choice(taught, self._act_taught)
-        on_change(self._method, lambda method: post(partial(choose_method, method)))
 
     @property
     def others(self) -> bool:
@@ -90,24 +107,21 @@ class KeyframesTab:
         measured = None if self._states is None else self._states.latest
         self._present = measured.q if measured is not None and measured.count > 0 else live.state.q
         keyframes = keyframes_of(session.task)
-        times = edits.times_of(session.task)
+        self._times = edits.times_of(session.task)
         self._phases.show(session, live)
-        self._list(keyframes, times, session.selected, session.marks)
+        self._list(keyframes, self._times, session.selected, session.marks)
         if session.selected != self._index:
             self._index = session.selected
-            for field in self._fields:
+            for field in (self._time, *self._fields):
                 field.forget()
-        own = session.keyframe
-        self._name.show(own.name)
-        at = round(times[self._index], SECOND_DIGITS)
-        self._time.show(at, disabled=self._index == 0 and times[0] == 0.0)
-        self._hold.show(round(own.hold, SECOND_DIGITS))
-        self._speed.show(round(100.0 * own.speed, SECOND_DIGITS))
-        put(self._method, value=own.method, disabled=own.curve is None)
-        text = about(own, session.task)
+        self._time.show(session, disabled=self._index == 0 and self._times[0] == 0.0)
+        for field in self._fields:
+            field.show(session)
+        self._method.show(session, disabled=session.keyframe.curve is None)
+        text = about(session.keyframe, session.task)
         put(self._about, content=text, visible=bool(text))
-        self._laps.show(session.task.repeat, visible=not isinstance(session.task, EditedPhase))
-        self._back.show(keyframes[0].duration or 0.0, visible=session.task.repeat > 1)
+        self._laps.show(session)
+        self._back.show(session)
 
     def _list(
         self, keyframes: tuple[Keyframe, ...], times: list[float], selected: int, marks: tuple[str, ...]
@@ -131,7 +145,7 @@ class KeyframesTab:
         put(self._below, label=f"{max(below, 0)} later", visible=count > LISTED_ROWS, disabled=below <= 0)
 
     def _finish_typing(self) -> None:
-        for field in self._fields:
+        for field in (self._time, *self._fields):
             field.finish()
 
     def _select(self, number: int) -> None:
@@ -153,30 +167,27 @@ class KeyframesTab:
         self._finish_typing()
         self._post(lambda session: TAUGHT_ACTIONS[action](self._present, session))
 
-    def _rename(self, name: str, _: bool) -> None:
-        self._post(partial(rename, self._index, name))
-
-    def _retime(self, time: float, _: bool) -> None:
+    def _retime(self, time: float) -> Request:
         edit = edits.retimed(self._index, float(time))
-        what = f"keyframe {self._index + 1} at {time:g} s"
-        self._post(lambda session: session.edit(edit, what))
+        return partial(Session.edit, edit=edit, what=f"keyframe {self._index + 1} at {time:g} s")
 
-    def _set_hold(self, hold: float, _: bool) -> None:
+    def _set_hold(self, hold: float) -> Request:
         edit = edits.held(self._index, float(hold))
-        what = f"keyframe {self._index + 1} held {hold:g} s"
-        self._post(lambda session: session.edit(edit, what))
+        return partial(Session.edit, edit=edit, what=f"keyframe {self._index + 1} held {hold:g} s")
 
-    def _repeat(self, laps: float, _: bool) -> None:
-        what = f"{laps:g} laps" if laps != 1 else "a single lap"
-        self._post(lambda session: session.edit(edits.repeated(round(laps)), what))
 
-    def _set_return(self, time: float, _: bool) -> None:
-        edit = edits.with_keyframe(0, duration=float(time) or None)
-        what = f"return to keyframe 1 in {time:g} s" if time else "return to keyframe 1 in the usual time"
-        self._post(lambda session: session.edit(edit, what))
+def _repeat(laps: float) -> Request:
+    what = f"{laps:g} laps" if laps != 1 else "a single lap"
+    return partial(Session.edit, edit=edits.repeated(round(laps)), what=what)
 
-    def _set_speed(self, percent: float, _: bool) -> None:
-        self._post(partial(set_speed, self._index, float(percent)))
+
+def _return_time_of(session: Session) -> float | None:
+    return keyframes_of(session.task)[0].duration or 0.0 if session.task.repeat > 1 else None
+
+
+def _set_return(time: float) -> Request:
+    what = f"return to keyframe 1 in {time:g} s" if time else "return to keyframe 1 in the usual time"
+    return partial(Session.edit, edit=edits.with_keyframe(0, duration=float(time) or None), what=what)
 
 
 def add(session: Session) -> None:

@@ -22,6 +22,9 @@ Color = tuple[int, int, int]
 Post: TypeAlias = Callable[..., None]
 """`Editor.post`: posts a request to the loop."""
 
+Request: TypeAlias = Callable[[Session], object]
+"""What is posted; called by the loop."""
+
 TYPING_PAUSE = 0.8  # after the last key before a typed value counts [s]
 
 
@@ -132,74 +135,92 @@ def add_axes(
     )
 
 
-class Typed:
-    """A field that is typed into.
+class Bound:
+    """A control bound to a value of the session: it shows the value, and what a user enters becomes an edit.
 
-    The browser reports each key. A "12" typed as part of "125" is not meant, and may be invalid; so a value
-    counts only after a pause, and the field is not written to before.
+    A choice counts at once. Of a field that is typed into, the browser reports each key: a "12" typed as part
+    of "125" is not meant, and may be invalid; so a value counts only after a pause, and the field is not
+    written to before.
 
     Attributes:
-        control: the field.
+        control: the control.
 
     Args:
-        control: the field.
-        act: called with the value, and whether the typing is over; may only post.
-        preview: whether it is called during the typing, too.
-        unit: the value of what the field shows as 1, such as `MILLIMETRE`; None: values are shown as they
+        post: `Editor.post`.
+        control: the control.
+        get: returns the value to show, of a session; None if it has none.
+        edit: returns the request that a user makes by entering a value; None for none.
+        preview: the same for a value that is still being typed.
+        unit: the value of what the control shows as 1, such as `MILLIMETRE`; None: values are shown as they
             are, without rounding.
+        absent: what the control is, by attribute, while there is no value; hidden if None.
     """
 
     def __init__(
         self,
+        post: Post,
         control: Any,
-        act: Callable[[Any, bool], None],
-        preview: bool = False,
+        get: Callable[[Session], Any],
+        edit: Callable[[Any], Request | None],
+        preview: Callable[[Any], Request | None] | None = None,
         unit: float | None = None,
+        absent: dict[str, bool] | None = None,
     ) -> None:
         self.control = control
-        self._act = act
+        self._post = post
+        self._get = get
+        self._edit = edit
         self._preview = preview
         self._unit = unit
+        self._absent = {"visible": False} if absent is None else absent
         self._typed: Any = None
         self._value: Any = control.value
         self._since: float | None = None
-        on_change(control, self._changed)
+        chosen = isinstance(control, viser.GuiCheckboxHandle | viser.GuiDropdownHandle)
+        on_change(control, self._choose if chosen else self._type)
 
-    def _changed(self, value: Any) -> None:
-        self._typed = value
-        self._since = time.monotonic()
-        if self._preview:
-            self._act(self._meant(value), False)
-
-    def show(self, value: Any, **others: Any) -> None:
-        """Write the current value into the field, or pass on what was typed; called by the loop.
+    def show(self, session: Session, **others: Any) -> None:
+        """Write the value into the control, or pass on what was typed; called by the loop.
 
         Args:
-            value: the current value.
-            others: further attributes of the field.
+            session: the session.
+            others: further attributes of the control while there is a value.
         """
+        value = self._get(session)
+        if value is None:
+            self.forget()
+            put(self.control, **self._absent)
+            return
         self._value = self._written(value)
         if self._since is None:
             put(self.control, value=self._value)
         elif time.monotonic() - self._since >= TYPING_PAUSE:
             self.finish()
-        put(self.control, **others)
-
-    def keep(self, **others: Any) -> None:
-        """Leave what the field shows, and set further attributes of it; called by the loop."""
-        self._since = None
-        put(self.control, **others)
+        put(self.control, **{name: not state for name, state in self._absent.items()} | others)
 
     def finish(self) -> None:
         """Pass on what was typed, if it does not count yet."""
         since = self._since
         self._since = None
-        if since is not None and (self._preview or self._typed != self._value):
-            self._act(self._meant(self._typed), True)
+        if since is not None and (self._preview is not None or self._typed != self._value):
+            self._choose(self._typed)
 
     def forget(self) -> None:
         """Drop what was typed and does not count yet."""
         self._since = None
+
+    def _choose(self, shown: Any) -> None:
+        self._ask(self._edit(self._meant(shown)))
+
+    def _type(self, shown: Any) -> None:
+        self._typed = shown
+        self._since = time.monotonic()
+        if self._preview is not None:
+            self._ask(self._preview(self._meant(shown)), f"typed {id(self)}")
+
+    def _ask(self, request: Request | None, key: str = "") -> None:
+        if request is not None:
+            self._post(request, key)
 
     def _written(self, value: Any) -> Any:
         """Return a value as the field shows it."""

@@ -20,8 +20,9 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
     MILLIMETRE,
+    Bound,
     Post,
-    Typed,
+    Request,
     add_lines,
     color,
     coordinate_digits,
@@ -155,99 +156,111 @@ class PhaseControls:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, planner: PhasePlanner, post: Post) -> None:
         self._planner = planner
-        self._post = post
         gui = server.gui
-        self._key: tuple[int, ...] = ()
+        bind = partial(Bound, post)
         self._index = 0
-        self._choice = gui.add_dropdown("Phase", ("none",), visible=False, hint="Which phase is shown")
-        self._name = Typed(gui.add_text("Phase name", "", visible=False), self._rename)
-        self._fields: dict[str, Typed] = {}
+        choice = gui.add_dropdown("Phase", ("none",), visible=False, hint="Which phase is shown")
+        self._choice = bind(
+            choice, _label_of, lambda label: partial(planner.choose, int(label.split(maxsplit=1)[0]) - 1)
+        )
+        self._name = bind(
+            gui.add_text("Phase name", "", visible=False),
+            _name_of,
+            lambda name: partial(rename_phase, name),
+        )
+        self._fields: list[Bound] = []
         for key, (label, unit, digits, hint, _) in NUMBERS.items():
             number = gui.add_number(label, 0.0, min=0.0, step=NUMBER_STEP, visible=False, hint=hint)
             number.precision = digits
-            self._fields[key] = Typed(number, partial(self._set, key), unit=unit)
+            self._fields.append(bind(number, partial(_value_of, key), partial(self._set, key), unit=unit))
         finest = {"position": coordinate_digits(arm.length)}
         for key, (label, unit, digits, hint, _) in VECTORS.items():
             step = 10.0 ** -finest.get(key, digits)
             vector = gui.add_vector3(label, (0.0, 0.0, 0.0), step=step, visible=False, hint=hint)
             vector.precision = finest.get(key, digits)
-            self._fields[key] = Typed(vector, partial(self._set, key), unit=unit)
-        self._back = gui.add_checkbox("Come back", False, visible=False, hint="Return along the path")
+            self._fields.append(bind(vector, partial(_value_of, key), partial(self._set, key), unit=unit))
+        back = gui.add_checkbox("Come back", False, visible=False, hint="Return along the path")
+        self._fields.append(
+            bind(
+                back,
+                partial(_value_of, "and_back"),
+                lambda value: self._change({"and_back": value}, "comes back" if value else "stays"),
+            )
+        )
         self._point = gui.add_dropdown("Path point", ("1",), visible=False, hint="Control point of the path")
         digits = coordinate_digits(arm.length)
         place = gui.add_vector3("Point [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, visible=False)
         place.precision = digits
-        self._place = Typed(place, self._move_point, unit=MILLIMETRE)
-        on_change(self._choice, self._choose)
-        on_change(self._back, lambda back: self._change({"and_back": back}, "comes back" * back or "stays"))
+        self._place = bind(place, self._place_of, self._move_point, unit=MILLIMETRE)
         on_change(self._point, lambda _: self._place.finish())
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
         task = session.task
-        phased = isinstance(task, EditedPhase)
-        put(self._choice, visible=phased)
-        put(self._name.control, visible=phased)
-        motion: Any = None
         if isinstance(task, EditedPhase):
-            self._show_choice(task)
-            motion = task.phases[task.index].motion if task.end is not None else None
-        for key, typed in self._fields.items():
-            value = getattr(motion, key, None)
-            absent = not hasattr(motion, key) or (value is None and key in VECTORS)
-            if absent:
-                typed.keep(visible=False)
-            else:
-                typed.show(0.0 if value is None else value, visible=True)
-        is_leader = isinstance(motion, Leader)
-        put(self._back, visible=is_leader)
-        points = motion.path.control_points if is_leader else None
+            options = tuple(phase_label(task.phases, index) for index in range(len(task.phases)))
+            if tuple(self._choice.control.options) != options:
+                self._choice.control.options = options
+            if task.index != self._index:
+                self._index = task.index
+                for field in (self._name, self._place, *self._fields):
+                    field.forget()  # it was meant for the phase before
+        points = path_points(session)
         put(self._point, visible=points is not None)
-        if is_leader:
-            put(self._back, value=motion.and_back)
-        if points is None:
-            self._place.keep(visible=False)
-            return
-        names = tuple(str(number) for number in range(1, len(points) + 1))
-        if tuple(self._point.options) != names:
+        names = tuple(str(number) for number in range(1, len(() if points is None else points) + 1))
+        if names and tuple(self._point.options) != names:
             self._point.options = names
-        self._place.show(points[int(self._point.value) - 1], visible=True)
+        for field in (self._choice, self._name, *self._fields, self._place):
+            field.show(session)
 
-    def _show_choice(self, task: EditedPhase) -> None:
-        options = tuple(phase_label(task.phases, index) for index in range(len(task.phases)))
-        if tuple(self._choice.options) != options:
-            self._choice.options = options
-        put(self._choice, value=options[task.index])
-        if task.index != self._index:
-            self._index = task.index
-            for typed in (self._name, self._place, *self._fields.values()):
-                typed.forget()  # it was meant for the phase before
-        self._name.show(task.phases[task.index].name)
-
-    def _choose(self, label: str) -> None:
-        index = int(label.split(maxsplit=1)[0]) - 1
-        self._post(partial(self._planner.choose, index))
-
-    def _rename(self, name: str, _: bool) -> None:
-        self._post(partial(rename_phase, name))
-
-    def _set(self, key: str, value: Any, _: bool) -> None:
+    def _set(self, key: str, value: Any) -> Request:
         field = {**NUMBERS, **VECTORS}[key]
         words = field.label.partition(" [")[0].lower()
         if key in VECTORS:
-            self._change({key: value}, f"{words} changed")
-        elif value == 0.0 and field.none:
-            self._change({key: None}, f"{words}: {field.none}")
-        else:
-            unit = field.label.partition("[")[2].rstrip("]")
-            self._change({key: value}, f"{words} {value / field.unit:g} {unit}")
+            return self._change({key: value}, f"{words} changed")
+        if value == 0.0 and field.none:
+            return self._change({key: None}, f"{words}: {field.none}")
+        unit = field.label.partition("[")[2].rstrip("]")
+        return self._change({key: value}, f"{words} {value / field.unit:g} {unit}")
 
-    def _move_point(self, place: tuple[float, float, float], _: bool) -> None:
-        index = int(self._point.value) - 1
-        self._post(partial(move_path_point, self._planner, index, place))
+    def _change(self, values: dict[str, Any], what: str) -> Request:
+        return partial(self._planner.change, values, what)
 
-    def _change(self, values: dict[str, Any], what: str) -> None:
-        self._post(partial(self._planner.change, values, what))
+    def _place_of(self, session: Session) -> Array | None:
+        points = path_points(session)
+        return None if points is None else np.asarray(points[int(self._point.value) - 1])
+
+    def _move_point(self, place: tuple[float, float, float]) -> Request:
+        return partial(move_path_point, self._planner, int(self._point.value) - 1, place)
+
+
+def motion_of(session: Session) -> Any:
+    """Return the motion of the phase that is shown, if it is not keyframes; None otherwise."""
+    task = session.task
+    return task.phases[task.index].motion if isinstance(task, EditedPhase) and task.end is not None else None
+
+
+def path_points(session: Session) -> Array | None:
+    """Return the control points of the path of the phase that is shown, (n, 3) [m]; None without any."""
+    motion = motion_of(session)
+    return motion.path.control_points if isinstance(motion, Leader) else None
+
+
+def _value_of(key: str, session: Session) -> Any:
+    """Return a value of the motion of the phase that is shown; None if it has no such value."""
+    motion = motion_of(session)
+    value = getattr(motion, key, None)
+    return 0.0 if value is None and key in NUMBERS and hasattr(motion, key) else value
+
+
+def _label_of(session: Session) -> str | None:
+    task = session.task
+    return phase_label(task.phases, task.index) if isinstance(task, EditedPhase) else None
+
+
+def _name_of(session: Session) -> str | None:
+    task = session.task
+    return task.phases[task.index].name if isinstance(task, EditedPhase) else None
 
 
 def move_path_point(

@@ -26,14 +26,14 @@ from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import ScanShelf, remove_scan
 from pinposture.editor.ui.parts import (
     MILLIMETRE,
+    Bound,
     Post,
-    Typed,
+    Request,
     add_axes,
     add_lines,
     color,
     coordinate_digits,
     framed_html,
-    on_change,
     on_choice,
     on_click,
     put,
@@ -442,9 +442,8 @@ class SceneTab:
     """Controls for the surroundings of the arm: obstacles in numbers, margins, scans, and the clearance."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, scans: ScanShelf, post: Post) -> None:
-        self._post = post
-        self._shelf = scans
         gui = server.gui
+        bind = partial(Bound, post)
         digits = coordinate_digits(arm.length)
         step = 10.0**-digits
         finer = digits + FINER_DIGITS
@@ -453,111 +452,130 @@ class SceneTab:
         self._about = gui.add_html("")
         kinds = {kind.replace("_", "-").capitalize(): kind for kind in obstacles.new_obstacle_kinds()}
         add = gui.add_button_group("Add", tuple(kinds), hint="Next to the arm; drag it into place")
-        self._chosen = gui.add_dropdown("Obstacle", ("none",), hint="Or click on one in the picture")
-        self._called = Typed(gui.add_text("Name", "", visible=False), self._rename)
-        self._vectors: dict[str, Typed] = {}
+        chosen = gui.add_dropdown("Obstacle", ("none",), hint="Or click on one in the picture")
+        self._chosen = bind(
+            chosen,
+            lambda session: _selected(session) or "none",
+            lambda name: partial(obstacles.select_obstacle, None if name == "none" else name),
+        )
+        self._called = bind(
+            gui.add_text("Name", "", visible=False),
+            _selected,
+            lambda to: partial(obstacles.rename_obstacle, self._name, to),
+        )
+        fields: dict[str, tuple[Any, float]] = {}  # by attribute, with their units
         for key, (label, hint) in VECTOR_LABELS.items():
             by = {"rotation": 1.0, "normal": 0.005}.get(key, step)
             field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=by, hint=hint, visible=False)
             field.precision = {"rotation": ANGLE_DIGITS, "normal": NORMAL_DIGITS}.get(key, digits)
-            unit = VECTOR_UNITS.get(key, MILLIMETRE)
-            self._vectors[key] = Typed(field, partial(self._set_value, key), preview=True, unit=unit)
-        self._numbers: dict[str, Typed] = {}
+            fields[key] = field, VECTOR_UNITS.get(key, MILLIMETRE)
         for key, label in number_labels().items():
             number = gui.add_number(label, 0.0, min=0.0, step=step, visible=False)
             number.precision = finer
-            unit = MILLIMETRE if label.endswith("[mm]") else 1.0
-            self._numbers[key] = Typed(number, partial(self._set_value, key), preview=True, unit=unit)
+            fields[key] = number, MILLIMETRE if label.endswith("[mm]") else 1.0
+        self._values = {
+            key: bind(
+                control,
+                partial(_value_of, key),
+                partial(self._set_value, key, True),
+                preview=partial(self._set_value, key, False),
+                unit=unit,
+            )
+            for key, (control, unit) in fields.items()
+        }
         hint = "Points with fewer than eight others within this distance are left out; 0: none"
         outliers = gui.add_number("Outliers [mm]", 0.0, min=0.0, step=step, hint=hint, visible=False)
-        self._outliers = Typed(outliers, self._remove_outliers, unit=MILLIMETRE)
+        self._outliers = bind(
+            outliers,
+            _outlier_distance,
+            lambda distance: partial(scans.remove_outliers, self._name, distance),
+            unit=MILLIMETRE,
+        )
         self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, color="gray", visible=False)
         with gui.add_folder("Keep clear"):
             hint = "Distance to keep from obstacles"
             margin = gui.add_number("Margin [mm]", 0.0, min=0.0, step=step, hint=hint)
-            self._margin = Typed(margin, self._set_margin, unit=MILLIMETRE)
+            self._margin = bind(
+                margin,
+                lambda session: session.shown.effective_scene.margin,
+                lambda margin: partial(
+                    Session.edit,
+                    edit=with_scene(margin=float(margin)),
+                    what=f"margin {1000.0 * margin:.4g} mm",
+                ),
+                unit=MILLIMETRE,
+            )
             hint = "Avoid collisions of the arm with itself, too"
-            self._self_collision = gui.add_checkbox("Self-collision", True, hint=hint)
+            avoided = gui.add_checkbox("Self-collision", True, hint=hint)
+            self._self_collision = bind(
+                avoided,
+                lambda session: session.shown.effective_scene.self_collision,
+                lambda value: partial(
+                    Session.edit,
+                    edit=with_scene(self_collision=value),
+                    what=f"self-collision {'' if value else 'not '}avoided",
+                ),
+            )
             hint = "Radius of its links; 0: as in its description"
             thickness = gui.add_number("Arm radius [mm]", 0.0, min=0.0, step=step, hint=hint)
-            self._arm_radius = Typed(thickness, self._set_arm_radius, unit=MILLIMETRE)
+            self._arm_radius = bind(
+                thickness,
+                lambda session: session.shown.effective_scene.arm_radius or 0.0,
+                _set_arm_radius,
+                unit=MILLIMETRE,
+            )
         for each in (outliers, margin, thickness):
             each.precision = finer
         with gui.add_folder("Meshes and scans", expand_by_default=False):
             self._scans = ScanControls(server, scans, post)
         on_choice(add, lambda label: post(partial(obstacles.add_obstacle, kinds[label], self._points)))
-        on_change(self._chosen, self._select)
         on_click(self._delete, lambda: post(obstacles.delete_obstacle))
-        on_change(self._self_collision, self._set_self_collision)
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
         places = [live.state.points] if live.target is None else [live.state.points, live.target.points[::-1]]
         self._points = np.vstack(places)
-        listed = obstacles.obstacles_of(session.shown)
-        scene = session.shown.effective_scene
-        names = ("none", *listed)
-        if tuple(self._chosen.options) != names:
-            self._chosen.options = names
-        name = session.obstacle if session.obstacle in listed else None
-        put(self._chosen, value=name or "none")
-        if (name or "") != self._name:
-            for typed in (self._called, *self._numbers.values(), *self._vectors.values()):
-                typed.finish()  # it was meant for the one before
-            self._name = name or ""
-        self._show_values(listed.get(self._name))
-        self._margin.show(scene.margin)
-        put(self._self_collision, value=scene.self_collision)
-        self._arm_radius.show(scene.arm_radius or 0.0)
+        names = ("none", *obstacles.obstacles_of(session.shown))
+        if tuple(self._chosen.control.options) != names:
+            self._chosen.control.options = names
+        self._chosen.show(session)
+        own = (self._called, *self._values.values(), self._outliers)
+        name = _selected(session) or ""
+        if name != self._name:
+            for field in own:
+                field.finish()  # it was meant for the one before
+            self._name = name
+        for field in (*own, self._margin, self._self_collision, self._arm_radius):
+            field.show(session)
+        put(self._delete, visible=bool(name))
         found = session.nearest
         shade = palette.QUIET if found is None else CLEARANCE_COLORS[found.level]
         text = escape(clearance_text(found))
         put(self._about, content=framed_html("clearance", shade, "Clearance of the arm now", text))
         self._scans.show(session)
 
-    def _show_values(self, obstacle: Obstacle | None) -> None:
-        """Show the values that the selected obstacle has, and hide the other fields."""
-        self._called.show(self._name, visible=obstacle is not None)
-        put(self._delete, visible=obstacle is not None)
-        for key, typed in self._vectors.items():
-            own: Any = getattr(obstacle, key, None)
-            if own is None:
-                typed.keep(visible=False)
-            else:
-                typed.show(pin.rpy.matrixToRpy(np.array(own)) if key == "rotation" else own, visible=True)
-        for key, typed in self._numbers.items():
-            number = getattr(obstacle, key, None)
-            if number is None:
-                typed.keep(visible=False)
-            else:
-                typed.show(number, visible=True)
-        is_cloud = isinstance(obstacle, Scan) and obstacle.faces is None
-        distance = obstacle.outlier_distance if isinstance(obstacle, Scan) else None
-        self._outliers.show(distance or 0.0, visible=is_cloud)
+    def _set_value(self, key: str, final: bool, value: Any) -> Request:
+        return partial(obstacles.edit_obstacle, self._name, key, value, final)
 
-    def _select(self, name: str) -> None:
-        self._post(partial(obstacles.select_obstacle, None if name == "none" else name))
 
-    def _rename(self, to: str, _: bool) -> None:
-        self._post(partial(obstacles.rename_obstacle, self._name, to))
+def _selected(session: Session) -> str | None:
+    """Return the name of the selected obstacle, if it is there."""
+    return session.obstacle if session.obstacle in obstacles.obstacles_of(session.shown) else None
 
-    def _set_value(self, key: str, value: Any, final: bool) -> None:
-        request = partial(obstacles.edit_obstacle, self._name, key, value, final)
-        self._post(request, "" if final else "obstacle")
 
-    def _remove_outliers(self, distance: float, _: bool) -> None:
-        name = self._name
-        self._post(lambda session: self._shelf.remove_outliers(name, distance, session))
+def _value_of(key: str, session: Session) -> Any:
+    """Return a value of the selected obstacle, a rotation as roll, pitch and yaw [rad]; None without it."""
+    value = getattr(obstacles.obstacles_of(session.shown).get(_selected(session) or ""), key, None)
+    return pin.rpy.matrixToRpy(np.array(value)) if key == "rotation" and value is not None else value
 
-    def _set_margin(self, value: float, _: bool) -> None:
-        edit = with_scene(margin=float(value))
-        self._post(lambda session: session.edit(edit, f"margin {1000.0 * value:.4g} mm"))
 
-    def _set_arm_radius(self, value: float, _: bool) -> None:
-        edit = with_scene(arm_radius=float(value) if value > 0.0 else None)
-        text = f"arm radius {1000.0 * value:.4g} mm" if value > 0.0 else "arm radius as in its description"
-        self._post(lambda session: session.edit(edit, text))
+def _outlier_distance(session: Session) -> float | None:
+    """Return the distance by which outliers of the selected cloud were found, 0 if they were not [m]."""
+    cloud = obstacles.obstacles_of(session.shown).get(_selected(session) or "")
+    return cloud.outlier_distance or 0.0 if isinstance(cloud, Scan) and cloud.faces is None else None
 
-    def _set_self_collision(self, value: bool) -> None:
-        text = "self-collision avoided" if value else "self-collision not avoided"
-        self._post(lambda session: session.edit(with_scene(self_collision=value), text))
+
+def _set_arm_radius(value: float) -> Request:
+    edit = with_scene(arm_radius=float(value) if value > 0.0 else None)
+    what = f"arm radius {1000.0 * value:.4g} mm" if value > 0.0 else "arm radius as in its description"
+    return partial(Session.edit, edit=edit, what=what)
