@@ -52,6 +52,7 @@ class DriveResponse:
         stopped: which joints do not follow, (nv,).
         held: positions at which they are held, (nv,) [rad or m].
         history: what is known of each joint.
+        followed: whether a joint has ever been seen to follow its command, from rest or in motion.
 
     Args:
         arm: the arm.
@@ -66,6 +67,7 @@ class DriveResponse:
         self._unknown = USUAL_LEAD * (max_tracking_error if isfinite(max_tracking_error) else 1.0)
         self._blocked = np.zeros(arm.nv, dtype=np.bool_)
         self._leads = np.full(arm.nv, -1.0)
+        self.followed = False
         self.restart(np.zeros(arm.nv))
 
     def restart(self, positions: Array) -> None:
@@ -102,7 +104,7 @@ class DriveResponse:
 
     @property
     def moved(self) -> bool:
-        """Whether a joint has ever been seen to follow its command."""
+        """Whether a joint has ever been seen to start, so that leads are known."""
         return bool(self._leads.max() >= 0.0)
 
     def update(self, measured: Array, sent: Array, expected: Array, dt: float) -> None:
@@ -115,7 +117,14 @@ class DriveResponse:
             dt: duration of the cycle [s].
         """
         units = self._units
+        sent_before = self.history.starts.copy()
+        moved_before = self.history.anchors.copy()
         kernels.watch_joints(measured, sent, expected, units, dt, self.band, self.history, self._blocked)
+        if not self.followed:
+            travel = self.history.starts - sent_before
+            motion = self.history.anchors - moved_before
+            # A lag makes less than half of the travel; a joint that falls or is pushed differs by more.
+            self.followed = self.moved or bool(np.any(np.abs(motion - travel) < 0.5 * np.abs(travel)))
         if self.stopped.any():
             self._watch_stopped(dt)
         elif self._blocked.any():

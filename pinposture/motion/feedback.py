@@ -431,7 +431,7 @@ class Feedback:
         response = self.response
         most = self._max_difference * self.arm.joint_units
         shares = np.where(response.compensable, share * 0.5**response.history.overshoots, 0.0)
-        if not (response.moved or self._at_rest):
+        if not (response.followed or self._at_rest):
             shares = 0.0 * shares  # nothing is known of the drives yet
         self._offset = np.clip(self._offset + shares * (difference - self._offset), -most, most)
 

@@ -49,6 +49,27 @@ def test_a_loop_keeps_nothing_of_the_cycles_before(scenario: str, jerk: float | 
     assert min(kilobytes[2:]) < max(kilobytes[:2]) + 300 + 2 * count
 
 
+@pytest.mark.soak
+@pytest.mark.filterwarnings("ignore::pinposture.errors.PostureWarning")
+def test_a_cycle_beside_a_scan_does_the_same_work_from_the_first_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Joints that sag as the loop begins are never seen to start from rest, as its targets keep jumping."""
+    places: list[pp.Target] = []
+    update = pp.Geodesic._plan
+    monkeypatch.setattr(pp.Geodesic, "_plan", lambda *given: places.append(given[2]) or update(*given))
+    given = argparse.Namespace(
+        seed=0, modules=4, free=False, jerk=None, controller="geodesic", deadline=float("inf")
+    )
+    loop = soak.Loop(given, "scans")
+    for cycle in range(100):
+        loop.cycle(soak.scans, cycle)
+    places.clear()
+    for cycle in range(100, 150):
+        loop.cycle(soak.scans, cycle)
+    assert len(places) == 50  # the feedback moves the target in each
+
+
 def test_models_of_moments_do_not_hold_each_other() -> None:
     arm = pp.Arm.from_template("RyRz", modules=3)
     scene = pp.Scene({"ball": pp.Sphere((0.1, 0.2, 0.1), 0.03), "far": pp.Sphere((1.0, 0.0, 0.0), 0.1)})

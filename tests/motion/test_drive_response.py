@@ -12,6 +12,7 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.motion import Tracker
+from pinposture.motion.drive_response import DriveResponse
 from pinposture.placement import Target
 from pinposture.sim import DriveModel, Drives, Sensing, Sensors
 
@@ -189,6 +190,25 @@ def test_a_moving_target_is_followed_in_spite_of_friction_without_holding(
         robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, wanted)))
         statuses += robot.go(DT).statuses
     assert statuses.count("holding") == 0
+
+
+def test_an_arm_that_sags_at_first_and_never_rests_is_compensated(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, limits=LIMITS)
+    measured = np.zeros(arm.nv)
+    for cycle in range(300):
+        wanted = 0.5 * np.sin(DT * cycle) * np.ones(arm.nv)
+        tracker.update(Target.from_configuration(arm, wanted))
+        tracker.step(measured)
+        measured = tracker.positions - 0.05  # the first motion is against the command
+    assert np.abs(measured - wanted).max() < 0.01
+
+
+def test_an_arm_that_only_falls_does_not_follow(arm: pp.Arm) -> None:
+    response = DriveResponse(arm, 0.3, positions_sent=True)
+    for cycle in range(300):
+        sent = np.full(arm.nv, 1e-3 * cycle)
+        response.update(-0.05 * (DT * cycle) ** 2 * np.ones(arm.nv), sent, sent, DT)
+    assert not response.followed
 
 
 def test_a_measured_arm_that_sags_into_an_obstacle_is_reported() -> None:

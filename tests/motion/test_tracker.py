@@ -11,6 +11,10 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.control.planner import geodesic, plan
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import JointPath
+from pinposture.control.planner.plan import find_path
 from pinposture.errors import InvalidValue, PostureError, UnknownName
 from pinposture.motion import Tracker
 from pinposture.placement import Target
@@ -305,6 +309,30 @@ def test_a_drive_found_a_turn_away_is_commanded_from_there() -> None:
     np.testing.assert_allclose(tracker.positions, turned, atol=1e-9)
     tracker.restart(-turned)
     np.testing.assert_array_equal(tracker.positions, -turned)
+
+
+@pytest.mark.soak
+def test_noise_does_not_plan_again_for_an_arm_with_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    plans: list[object] = []
+
+    def counted(objective: Objective, *arguments: object, **named: object) -> JointPath:
+        plans.append(objective)
+        return find_path(objective, *arguments, **named)
+
+    for module in (geodesic, plan):
+        monkeypatch.setattr(module, "find_path", counted)
+    arm = pp.Arm.from_template("RyRz", 4)
+    goal = np.full(arm.nv, 0.2)
+    tip = pp.EndEffector(position=arm.at(goal).points[-1])
+    tracker = Tracker(arm, pp.Geodesic(tasks=(tip,)), pp.Limits(step=None, dt=0.01, velocity=1.0))
+    tracker.update(Target.from_configuration(arm, goal))
+    rng = np.random.default_rng(0)
+    q = arm.straight()
+    for _ in range(200):
+        tracker.step(q + 3e-4 * rng.normal(size=arm.nv))
+        q = q + 0.2 * (tracker.command - q)
+    assert len(plans) <= 2
+    assert np.abs(q - goal).max() < 2e-3
 
 
 @pytest.mark.soak

@@ -264,11 +264,8 @@ class Geodesic:
         target.check(state.arm)
         objective = self._objective(state, target, progress)
         avoidance = Avoidance.of(self.scene, objective, bounds)
-        if (
-            progress is None
-            or objective.has_tasks
-            or not (avoidance is None or is_small_change(progress.objective, objective))
-        ):
+        fast = avoidance is None and not objective.has_tasks  # wherever the target has gone
+        if progress is None or not (fast or is_small_change(progress.objective, objective)):
             return PathProgress(retime(self._find_path(objective, state, limits), limits))
         place = np.inf if progress.arrived or progress.path.attempt else progress.place
         given = progress.path, place, progress.bend, objective, state, bounds, avoidance

@@ -81,7 +81,7 @@ MAX_BEND = 0.5
 """Largest total displacement of the end of a path, relative to the remaining motion."""
 
 MIN_PLANNED_MOTION = 0.1
-"""Joint motion up to which no path around obstacles is planned, in `Arm.joint_units`."""
+"""Joint motion up to which no path around obstacles or along tasks is planned, in `Arm.joint_units`."""
 
 MAX_SHORT_MOTION = 40.0
 """Joint motion times the number of joints up to which the most direct path is found within a cycle, in
@@ -201,7 +201,7 @@ def short_path(
     """Return the most direct path to a goal if it is short and clear, which is found well within a cycle.
 
     Args:
-        objective: the objective, without tasks.
+        objective: the objective; its tasks do not shape the path.
         state: the state of the arm.
         goal: the state at the goal; None: that of the target, if it has one that is clear.
         bounds: the limits of the joints.
@@ -545,7 +545,7 @@ def replan(
     """
     arm = objective.arm
     before = path.configuration(path.end)
-    known = _known_goal(objective, bounds, before)
+    known = None if objective.has_tasks else _known_goal(objective, bounds, before)
     if known is not None and (avoidance is None or avoidance.intrusion(known) == 0.0):
         goal = known
         clear = True
@@ -554,12 +554,12 @@ def replan(
             raise PlanNeeded
         start = arm.at(before).compiled
         good = GOAL_TOLERANCE * arm.length
-        if avoidance is None:
+        if avoidance is None and not objective.has_tasks:
             first = start if objective.target.q is None else None
             enough = _achievable_error(path.objective, objective, start)
             found = find_goal(objective, state, bounds.edges, None, good, first, enough, prompt)
         else:  # a whole search takes long: this one goes on in the next cycle
-            allowed = avoidance.intrusion(state)
+            allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
             found = minimize(objective, start, bounds.edges, avoidance, good, allowed, MAX_QUICK_STEPS)
         goal = found.state
         clear = found.intrusion == 0.0
@@ -568,7 +568,9 @@ def replan(
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         return replace(path.bent(place, change, bounds.edges), objective=objective), bent
-    new = short_path(objective, state, goal, bounds, avoidance)
+    new = None
+    if not objective.has_tasks or _size(objective, arm.difference(state.q, goal.q)) <= MIN_PLANNED_MOTION:
+        new = short_path(objective, state, goal, bounds, avoidance)
     if new is None and prompt:
         raise PlanNeeded
     if new is None:
