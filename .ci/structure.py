@@ -43,8 +43,8 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 179,  # 170
-    "definitions": 3768,
-    "constants": 1163,
+    "definitions": 3786,
+    "constants": 1172,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
@@ -54,7 +54,7 @@ CEILINGS = {
     "kernel calls spread from tuples": 0,  # 0
     "assignments that share a line": 0,  # 0
     "subtractions from a target": 1,  # 1
-    "codecs": 13,  # 6
+    "codecs": 12,  # 6
     "control loops": 3,  # 1
     "least-squares loops": 9,  # 1
     "files of a step": 22,  # 12
@@ -81,9 +81,8 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "motion.files",  # arrays and what is said of them
         "motion.joint_files",  # tables of joints, and ROS messages as JSON and YAML
         "motion.ros",  # ROS bags
-        "task.reader",
-        "task.specification",
-        "task.writer",
+        "schema",  # of declared classes, and of what is in them
+        "task.toml",  # text and lines
     ),
     "control loops": (
         "motion.track.ControlLoop",
@@ -109,7 +108,7 @@ ORDER = (
     ("errors",),
     ("storage",),
     ("_validation",),
-    ("specification",),
+    ("schema",),
     ("kernels",),
     ("curve",),
     ("arm",),

@@ -79,7 +79,7 @@ class PostureWarning(UserWarning):
     """An input was interpreted or corrected in a way that the user may not expect."""
 
 
-LIBRARY = frozenset({"pinposture", "functools", "contextlib"})
+LIBRARY = frozenset({"pinposture", "functools", "contextlib", "pydantic"})
 """Modules that warnings do not point to: this package, and those that call it from within itself."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,7 @@ from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, warn_caller
 from pinposture.kernels.arrays import Screws
+from pinposture.schema import as_plain
 from pinposture.storage import settled
 from pinposture.units import length_text
 
@@ -319,7 +320,7 @@ class Arm(ConfigurationSpace):
         for message in loaded.report.warnings:
             warn_caller(message)
         if loaded.base_placement is not None and spec.placement is None:
-            spec = spec.model_copy(update={"placement": PlacementSpec.of(loaded.base_placement)})
+            spec = replace(spec, placement=PlacementSpec.of(loaded.base_placement))
         parts = (loaded.model, loaded.control_points, loaded.base_placement, loaded.text, loaded.report)
         return cls(*parts, spec.characteristic_length, spec)
 
@@ -358,7 +359,7 @@ class Arm(ConfigurationSpace):
         described["report"] = asdict(self.report) if self.report else None
         described["characteristic_length"] = self.characteristic_length
         if self.spec is not None:
-            described["spec"] = self.spec.model_dump(mode="json", exclude_defaults=True)
+            described["spec"] = as_plain(ArmSpec, self.spec)
             if isinstance(self.spec.urdf, str):  # the text is under "urdf" already
                 del described["spec"]["urdf"]
         described["model"] = describe_model(self.model)
@@ -723,7 +724,7 @@ class Arm(ConfigurationSpace):
         """
         allowed = "a finite length above 0 [m]"
         unit = as_number("characteristic_length", characteristic_length, allowed, lambda x: x > 0.0)
-        spec = None if self.spec is None else self.spec.model_copy(update={"characteristic_length": unit})
+        spec = None if self.spec is None else replace(self.spec, characteristic_length=unit)
         parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
         return Arm(*parts, unit, spec)
 

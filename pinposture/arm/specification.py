@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import field, fields
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, cast
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PositiveFloat,
-    PositiveInt,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, ValidationInfo, model_validator
 
-from pinposture._validation import require_whole
+from pinposture._validation import is_usable, is_whole, require_whole
 from pinposture.arm.configurations import MOST_MOVING
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.template import JointSpec, ModuleTemplate, template
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.errors import InvalidValue
+from pinposture.schema import (
+    AnyLength,
+    Declared,
+    Flag,
+    InputFile,
+    Length,
+    NotAllowed,
+    Position,
+    Refusal,
+    Rotation,
+    Speed,
+    Table,
+    Text,
+    declared,
+    in_file,
+    is_list_of,
+    is_table,
+    is_text,
+    quantities,
+    quantity,
+    read_by,
+    read_quantities,
+    read_quantity,
+    read_within,
+    refusing,
+)
+from pinposture.storage import settled
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -34,30 +53,8 @@ ANGLE_ROUNDING = 1e-15
 """Largest error of each entry of a rotation matrix rebuilt from three rounded angles."""
 
 
-class Specification(BaseModel):
-    """Immutable plain data in SI units, compared by value.
-
-    Raises:
-        InvalidValue: a value is missing, unknown or of the wrong type; names the first such value.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    def __init__(self, **values: Any) -> None:
-        try:
-            super().__init__(**values)
-        except ValidationError as error:
-            first = error.errors()[0]
-            name = ".".join(map(str, first["loc"])) or type(self).__name__
-            raise InvalidValue(name, first["input"], first["msg"]) from None
-
-    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        for name, value in super().__repr_args__():
-            if value is not None and value is not False and value not in ({}, ()):
-                yield name, f"{value[:60]}..." if isinstance(value, str) and len(value) > 60 else value
-
-
-class PlacementSpec(Specification):
+@declared()
+class PlacementSpec(Declared):
     """A placement in the world.
 
     Attributes:
@@ -65,8 +62,8 @@ class PlacementSpec(Specification):
         rotation: roll, pitch and yaw [rad].
     """
 
-    position: Vector = (0.0, 0.0, 0.0)
-    rotation: Vector = (0.0, 0.0, 0.0)
+    position: Position = (0.0, 0.0, 0.0)
+    rotation: Rotation = (0.0, 0.0, 0.0)
 
     def build(self) -> pin.SE3:
         """Return the placement."""
@@ -90,7 +87,8 @@ def roll_pitch_yaw(rotation: NDArray[np.float64]) -> Vector:
     return roll, pitch, yaw
 
 
-class FeedSpec(Specification):
+@declared()
+class FeedSpec(Declared):
     """A slide at the base that feeds the whole arm along its axis.
 
     Attributes:
@@ -99,9 +97,9 @@ class FeedSpec(Specification):
         speed: largest speed [m/s].
     """
 
-    stroke: PositiveFloat
-    length: float | None = None
-    speed: PositiveFloat = 0.1
+    stroke: Length
+    length: AnyLength | None = None
+    speed: Speed = 0.1
 
 
 OF_A_TEMPLATE = ("template", "modules", "link_lengths", "joint_limits", "feed")
@@ -118,7 +116,92 @@ OF_A_URDF = (
 )
 
 
-class ArmSpec(Specification):
+MOST_MODULES_IN_FILE = 1000
+"""Largest number of modules in a file."""
+
+
+def _read_modules(value: Any, info: ValidationInfo) -> int:
+    most = MOST_MOVING if in_file(info) is None else MOST_MODULES_IN_FILE
+    if not is_whole(value) or not 1 <= value <= most:
+        raise NotAllowed(value, f"a whole number, 1 to {most}")
+    return int(value)
+
+
+def _read_template(value: object, info: ValidationInfo) -> str:
+    if not isinstance(value, str):
+        raise NotAllowed(value, "text")
+    if in_file(info) is not None:  # a call names it when the arm is made
+        with refusing():
+            template(value)
+    return value
+
+
+def _read_link_lengths(value: Any, info: ValidationInfo) -> tuple[float, ...]:
+    name = info.data.get("template")
+    count = np.size(value) if in_file(info) is None or name is None else len(template(name).joints)
+    return read_quantities(value, ["length"] * count)
+
+
+def _read_urdf(value: object, info: ValidationInfo) -> Path | str:
+    source = in_file(info)
+    if not isinstance(value, str if source is not None else str | Path):
+        raise NotAllowed(value, "text")
+    if source is not None:
+        return settled(source.resolve(str(value)))
+    return Path(value) if isinstance(value, str) and not is_urdf_text(value) else cast("Path | str", value)
+
+
+def _read_split(value: Any, _: ValidationInfo) -> Any:
+    listed = list(value) if isinstance(value, list | tuple) else [value]
+    if not listed or not any(is_list_of(test)(listed) for test in (is_whole, is_text)):
+        raise NotAllowed(value, "a whole number, whole numbers, or names of links")
+    return int(value) if is_whole(value) else tuple(listed)
+
+
+def _read_coupling(value: object, _: ValidationInfo) -> Any:
+    """Read the joint that another follows, and perhaps a ratio and an offset."""
+    listed = value if isinstance(value, list | tuple) else [value]
+    if not 1 <= len(listed) <= 3 or not isinstance(listed[0], str):
+        raise NotAllowed(value, "the name of a joint; or that, a ratio, and perhaps an offset, in a list")
+    name, *numbers = listed
+    if numbers and not is_usable(numbers[0]):
+        raise NotAllowed(numbers[0], "a number, the ratio")
+    if len(numbers) < 2:
+        return (name, *numbers) if numbers else name
+    return name, numbers[0], read_within(2, read_quantity, numbers[1], "angle", "length")
+
+
+def _read_folders(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
+    source = in_file(info)
+    if not is_list_of(is_text if source is not None else _is_path)(value):
+        raise NotAllowed(value, "a list of folders")
+    return tuple(Path(each) if source is None else settled(source.resolve(each)) for each in value)
+
+
+def _is_path(value: object) -> bool:
+    return isinstance(value, str | Path)
+
+
+def _read_xacro_args(value: object, info: ValidationInfo) -> dict[str, str]:
+    if in_file(info) is not None and not is_table(value):
+        raise NotAllowed(value, "a table")
+    try:
+        return read_arguments(value)
+    except InvalidValue as error:
+        raise NotAllowed(error.value, error.allowed) from error
+
+
+def _of_fields(kind: type) -> BeforeValidator:
+    """Accept the fields of a class as a mapping in Python, too."""
+
+    def read(value: Any, info: ValidationInfo) -> Any:
+        return kind(**value) if in_file(info) is None and is_table(value) else value
+
+    return BeforeValidator(read)
+
+
+@declared()
+class ArmSpec(Declared):
     """Specification of an arm: modules of a template, or a URDF. `Arm.from_spec` builds the arm.
 
         spec = ArmSpec(template="RyRz", modules=20)
@@ -143,40 +226,66 @@ class ArmSpec(Specification):
         characteristic_length: sliding distance equivalent to one radian [m]; the mean module length if None.
     """
 
-    template: str | None = None
-    modules: PositiveInt | None = None
-    link_lengths: tuple[float, ...] | None = None
-    joint_limits: tuple[float, float] | None = None
-    feed: FeedSpec | None = None
-    urdf: Path | str | None = None
-    base: str | None = None
-    tip: str | None = None
-    split: int | tuple[int, ...] | tuple[str, ...] | None = None
-    locked: dict[str, float] = Field(default_factory=dict)
-    package_dirs: tuple[Path, ...] = ()
-    couplings: dict[str, str | tuple[str, float] | tuple[str, float, float]] = Field(default_factory=dict)
-    xacro_args: dict[str, str] = Field(default_factory=dict)
-    hard_limits: bool = False
-    placement: PlacementSpec | None = None
-    characteristic_length: PositiveFloat | None = None
+    template: Annotated[str, read_by(_read_template)] | None = None
+    modules: Annotated[int, read_by(_read_modules)] | None = None
+    link_lengths: Annotated[tuple[float, ...], read_by(_read_link_lengths)] | None = None
+    joint_limits: Annotated[tuple[float, ...], quantities("angle", 2)] | None = None
+    feed: Annotated[FeedSpec | None, _of_fields(FeedSpec)] = None
+    urdf: Annotated[Path | str, read_by(_read_urdf)] | None = None
+    base: Text | None = None
+    tip: Text | None = None
+    split: Annotated[int | tuple[int, ...] | tuple[str, ...], read_by(_read_split)] | None = None
+    locked: Annotated[dict[str, Annotated[float, quantity("angle", "length")]], Table] = field(
+        default_factory=dict
+    )
+    package_dirs: Annotated[tuple[Path, ...], read_by(_read_folders)] = ()
+    couplings: Annotated[
+        dict[
+            str,
+            Annotated[str | tuple[str, float] | tuple[str, float, float], read_by(_read_coupling)],
+        ],
+        Table,
+    ] = field(default_factory=dict)
+    xacro_args: Annotated[dict[str, str], read_by(_read_xacro_args)] = field(default_factory=dict)
+    hard_limits: Flag = False
+    placement: Annotated[PlacementSpec | None, _of_fields(PlacementSpec)] = None
+    characteristic_length: Length | None = None
 
-    @field_validator("urdf")
-    @classmethod
-    def _path_or_text(cls, source: Path | str | None) -> Path | str | None:
-        return Path(source) if isinstance(source, str) and not is_urdf_text(source) else source
-
-    @field_validator("xacro_args", mode="before")
-    @classmethod
-    def _as_text(cls, given: object) -> dict[str, str]:
-        return read_arguments(given)
+    def __repr__(self) -> str:
+        shown = []
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if value is None or value is False or value in ({}, ()):
+                continue
+            text = f"{value[:60]}..." if isinstance(value, str) and len(value) > 60 else value
+            shown.append(f"{each.name}={text!r}")
+        return f"ArmSpec({', '.join(shown)})"
 
     @model_validator(mode="after")
     def _one_source(self) -> ArmSpec:
         kind, other = (OF_A_URDF, OF_A_TEMPLATE) if self.urdf is not None else (OF_A_TEMPLATE, OF_A_URDF)
         for key in other:
             if getattr(self, key) not in (None, {}, (), False):
-                raise ValueError(f"{key!r} does not go with {kind[0]!r}")
+                raise Refusal(f"{key!r} does not go with {kind[0]!r}")
         return self
+
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
+        """Refuse keys of an arm of another kind."""
+        kind, other = (OF_A_URDF, OF_A_TEMPLATE) if "urdf" in values else (OF_A_TEMPLATE, OF_A_URDF)
+        for key in other:
+            if key in values:
+                raise Refusal(f"does not go with {kind[0]!r}", key)
+        return super().check_keys(values)
+
+    @classmethod
+    def from_table(cls, values: Mapping[str, Any], source: InputFile) -> Mapping[str, Any]:
+        """Refuse an arm without URDF or template, and a template without a number of modules."""
+        if "urdf" not in values and "template" not in values:
+            raise Refusal("needs one of the keys 'urdf', 'template'")
+        if "template" in values and "modules" not in values:
+            raise Refusal("the key 'modules' is missing")
+        return values
 
     def module_templates(self) -> list[ModuleTemplate]:
         """Return the modules of a template from base to tip, the feed first.

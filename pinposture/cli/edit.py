@@ -160,8 +160,8 @@ def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
     """Return an arm from a template, and its name."""
     from pinposture._validation import require_known
     from pinposture.arm import Arm
+    from pinposture.arm.specification import MOST_MODULES_IN_FILE
     from pinposture.arm.template import TEMPLATES
-    from pinposture.task.specification import MOST_MODULES
 
     require_known("task file, robot description or template", source, TEMPLATES)
     modules = arm_options.modules
@@ -170,6 +170,6 @@ def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
         count = MODULES if modules is None else int(modules)
     except ValueError:
         raise InvalidValue("--modules", modules, "a whole number of modules of the template") from None
-    if count > MOST_MODULES:  # the limit of task files
-        raise InvalidValue("--modules", count, f"at most {MOST_MODULES}")
+    if count > MOST_MODULES_IN_FILE:  # the limit of task files
+        raise InvalidValue("--modules", count, f"at most {MOST_MODULES_IN_FILE}")
     return Arm.from_template(source, count), f"{source.lower()}{count}"

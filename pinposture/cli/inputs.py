@@ -214,7 +214,7 @@ def read_locked(given: list[str] | None) -> dict[str, float]:
 
 def _read_position(text: str) -> float:
     """Parse a joint position in rad or metres, or with a unit; raise ValueError for anything else."""
-    from pinposture.task.specification import read_quantity
+    from pinposture.schema import read_quantity
 
     numbers = _parsed(text)
     return read_quantity(text if numbers is None else numbers[0], "angle", "length")

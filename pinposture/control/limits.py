@@ -2,26 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+from pydantic import ValidationInfo, model_validator
 
 from pinposture import kernels
 from pinposture._validation import (
     LARGEST_NUMBER,
     as_floats,
     finite_vector,
+    is_usable,
     require_instance,
-    require_positive,
 )
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.arm import arm_of
 from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.errors import InvalidValue, warn_caller
 from pinposture.kernels.arrays import LimitArrays
+from pinposture.schema import (
+    UNLIMITED_WORD,
+    Declared,
+    Duration,
+    InputFile,
+    NotAllowed,
+    OutputFile,
+    declared,
+    in_file,
+    read_bounded,
+    read_by,
+    read_quantities,
+    read_quantity,
+    read_within,
+    refusing,
+    unknown_key,
+)
 
 Array = NDArray[np.float64]
 
@@ -298,8 +316,94 @@ class LimitedStep(NamedTuple):
     clipped: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
-class Limits:
+_QUANTITIES = {
+    "step": ("angle", "length"),
+    "velocity": ("rate of turning", "speed"),
+    "acceleration": ("rate of change of turning", "acceleration"),
+    "jerk": ("jerk of turning", "jerk"),
+}
+"""Kinds of quantity of each limit, for joints that turn and for joints that slide."""
+
+
+def _read_limit(value: Any, info: ValidationInfo) -> float | Array:
+    """Read a limit for all joints, for revolute and prismatic ones, or one for each joint."""
+    source = in_file(info)
+    name = str(info.field_name)
+    limit = value if source is None else _limit_in_file(value, name, source.arm)
+    allowed = "a positive number, or one for each degree of freedom"
+    with refusing():
+        array = as_floats(name, limit, allowed)
+    if isinstance(limit, bool) or array.ndim > 1 or array.size == 0 or not np.all(array > 0.0):
+        raise NotAllowed(value, allowed)
+    if array.ndim == 0:
+        return float(array)
+    array.flags.writeable = False
+    return array
+
+
+def _limit_in_file(value: object, name: str, arm: Arm) -> float | Array:
+    turning, sliding = _QUANTITIES[name]
+    if value == UNLIMITED_WORD:
+        return np.inf
+    if isinstance(value, list):
+        kinds = [sliding if slides else turning for slides in arm.slides]
+        return np.array(read_quantities(value, kinds, unlimited=True))
+    if not isinstance(value, Mapping):
+        both = "a table with both, as in {turning = ..., sliding = ...}"
+        return _for_all(value, arm, both, turning, sliding)
+    limit = np.full(arm.nv, np.inf)
+    parts = {"turning": (turning, ~arm.slides), "sliding": (sliding, arm.slides)}
+    for key, each in value.items():
+        if key not in parts:
+            raise unknown_key(key, parts)
+        kind, joints = parts[key]
+        limit[joints] = read_within(key, read_bounded, each, (kind,), 0.0)
+    # Others keep the speed of the description.
+    return np.where(np.isinf(limit), arm.limits.velocity, limit) if name == "velocity" else limit
+
+
+def _read_margin(value: object, info: ValidationInfo) -> float:
+    source = in_file(info)
+    margin = value if source is None else _for_all(value, source.arm, "a number, for all", "angle", "length")
+    if not is_usable(margin) or cast(float, margin) < 0.0:
+        raise NotAllowed(value, "a finite number >= 0")
+    return float(cast(float, margin))
+
+
+def _for_all(value: object, arm: Arm, allowed: str, turning: str, sliding: str) -> float:
+    """Read one number for all joints, with a unit only if all of them turn or all of them slide."""
+    if isinstance(value, str) and np.any(arm.slides) and not np.all(arm.slides):
+        raise NotAllowed(value, allowed, hint=", and the arm turns and slides")
+    return read_quantity(value, sliding if np.all(arm.slides) else turning)
+
+
+def _write_limit(name: str, value: float | Array, arm: Arm) -> Any:
+    """Return one number for all joints, one for those that turn and those that slide, or one for each."""
+    if not isinstance(value, np.ndarray):
+        return value if np.isfinite(value) else UNLIMITED_WORD
+    both = {}
+    rest = arm.limits.velocity if name == "velocity" else np.full(arm.nv, np.inf)
+    for kind, joints in (("turning", ~arm.slides), ("sliding", arm.slides)):
+        own = np.unique(value[joints])
+        if len(own) == 1 and np.isfinite(own[0]):
+            both[kind] = float(own[0])
+            rest = np.where(joints, own[0], rest)
+    if both and np.array_equal(rest, value):
+        return both
+    return [each if np.isfinite(each) else UNLIMITED_WORD for each in value.tolist()]
+
+
+_Limit = Annotated[float | Array, read_by(_read_limit)]
+
+DEFAULT_CYCLE = 0.02
+"""Default duration of a control cycle of a task [s]."""
+
+LONGEST_CYCLE = 60.0
+"""Longest control cycle of a task [s]."""
+
+
+@declared(eq=False)
+class Limits(Declared):
     """Limits of one control step. The joint position limits of the arm always apply as well.
 
     Attributes:
@@ -317,30 +421,46 @@ class Limits:
             limit.
     """
 
-    step: float | Array | None = 0.1
-    velocity: float | Array | None = None
-    dt: float | None = None
-    position_margin: float = 0.0
-    acceleration: float | Array | None = None
-    jerk: float | Array | None = None
+    step: _Limit | None = 0.1
+    velocity: _Limit | None = None
+    dt: Duration | None = None
+    position_margin: Annotated[float, read_by(_read_margin)] = 0.0
+    acceleration: _Limit | None = None
+    jerk: _Limit | None = None
 
-    def __post_init__(self) -> None:
-        for name in ("step", "velocity", "acceleration", "jerk"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, _positive(name, value))
-        if self.dt is not None:
-            require_positive("dt", self.dt)
-            object.__setattr__(self, "dt", float(self.dt))
-            if self.dt > MAX_USUAL_CYCLE:
-                warn_caller(f"dt is {self.dt:g} s, long for a control cycle; is it in milliseconds?")
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> Limits:
+        if self.dt is not None and self.dt > MAX_USUAL_CYCLE:
+            warn_caller(f"dt is {self.dt:g} s, long for a control cycle; is it in milliseconds?")
         for name in ("velocity", "acceleration"):
             if getattr(self, name) is not None and self.dt is None:
                 raise InvalidValue("dt", None, f"a positive duration [s], needed to limit the {name}")
         if self.jerk is not None and self.acceleration is None:
             raise InvalidValue("acceleration", None, "a limit of acceleration, needed to limit the jerk")
-        require_positive("position_margin", self.position_margin, zero=True)
-        object.__setattr__(self, "position_margin", float(self.position_margin))
+        source = in_file(info)
+        if source is not None:
+            self.for_arm(source.arm)
+        return self
+
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the keys of the table, with the duration of a control cycle first."""
+        return ("cycle", *_QUANTITIES, "position_margin")
+
+    @classmethod
+    def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
+        """Return the values of fields; a file without `step` does not limit it."""
+        given = values.get("cycle", DEFAULT_CYCLE)
+        cycle = read_within("cycle", read_bounded, given, ("time",), 0.0, None, LONGEST_CYCLE)
+        rest = {key: value for key, value in values.items() if key != "cycle"}
+        return {"step": None, **rest, "dt": cycle} if "step" not in rest else {**rest, "dt": cycle}
+
+    def to_table(self, file: OutputFile) -> dict[str, Any]:
+        """Return the table: only limits that there are."""
+        given = {key: getattr(self, key) for key in _QUANTITIES if getattr(self, key) is not None}
+        limits = {key: _write_limit(key, value, file.arm) for key, value in given.items()}
+        margin = {"position_margin": self.position_margin} if self.position_margin else {}
+        return {"cycle": self.dt, **limits, **margin}
 
     @cached_property
     def _key(self) -> tuple[object, ...]:
@@ -626,14 +746,3 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
 def _previous(arm: Arm, previous: Array | None) -> Array:
     """Return the previous step, (nv,); zero if there was none."""
     return np.zeros(arm.nv) if previous is None else finite_vector("previous", previous, arm.nv)
-
-
-def _positive(name: str, value: ArrayLike) -> float | Array:
-    allowed = "a positive number, or one for each degree of freedom"
-    array = as_floats(name, value, allowed)
-    if isinstance(value, bool) or array.ndim > 1 or array.size == 0 or not np.all(array > 0.0):
-        raise InvalidValue(name, value, allowed)
-    if array.ndim == 0:
-        return float(array)
-    array.flags.writeable = False
-    return array

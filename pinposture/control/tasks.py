@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationInfo, model_validator
 
 from pinposture._validation import (
     finite_array,
@@ -23,8 +25,25 @@ from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.arm import arm_of
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
+from pinposture.arm.specification import roll_pitch_yaw
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
+from pinposture.schema import (
+    Declared,
+    Flag,
+    InputFile,
+    Length,
+    NotAllowed,
+    OutputFile,
+    PositiveNumber,
+    Refusal,
+    declared,
+    in_file,
+    read_by,
+    read_quantities,
+    read_within,
+    refusing,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -214,7 +233,7 @@ def _dot(a: Array, b: Array) -> Array:
 def _across(directions: Array) -> Array:
     """Return unit vectors b and t x b, (2, k, 3), perpendicular to unit vectors t, (k, 3), stable for all t.
 
-    Source: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6 (2017).
+    InputFile: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6 (2017).
     """
     x, y, z = directions.T
     sign = np.copysign(1.0, z)
@@ -306,8 +325,62 @@ HOLDS = ("position", "pose")
 """Values of `hold` in `EndEffector.held`."""
 
 
-@dataclass(frozen=True, eq=False)
-class EndEffector(ComparableTask):
+def _read_point_position(value: Any, _: ValidationInfo) -> Array:
+    with refusing():
+        position = finite_array("position", value, (3,))
+    make_read_only(position)
+    return position
+
+
+def _read_pose(value: Any, _: ValidationInfo) -> Array:
+    with refusing():
+        matrix = np.array(rigid_placement("pose", value).homogeneous)
+    left, _unused, right = np.linalg.svd(matrix[:3, :3])
+    matrix[:3, :3] = left @ right  # orthonormal to machine precision
+    make_read_only(matrix)
+    return matrix
+
+
+def _read_point(value: object, info: ValidationInfo) -> int | str:
+    """Read the index or name of a control point; in a file, indices are counted from 1."""
+    source = in_file(info)
+    if isinstance(value, str):
+        if source is not None and source.arm is not None:
+            with refusing():
+                _index(source.arm, value)
+        return value
+    if source is None:
+        if not is_whole(value):
+            raise NotAllowed(value, "the index or the name of one control point")
+        return int(cast(int, value))
+    if not is_whole(value) or value == 0:
+        raise NotAllowed(
+            value, "1 or more, counted from the base; -1 or less, counted from the tip; or a name"
+        )
+    number = cast(int, value)
+    point = number - 1 if number > 0 else number
+    m = math.inf if source.arm is None else source.arm.n_modules
+    if not -m <= point < m:
+        raise NotAllowed(value, f"1 to {m} from the base, -1 to -{m} from the tip, or a name")
+    return point
+
+
+_OF_A_POSE = ("position", "rotation")
+"""Keys of a table in place of the attributes `position` and `pose`."""
+
+
+def _in_si(values: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
+    """Read position and rotation of a table."""
+    kinds = {"position": "length", "rotation": "angle"}
+    return {
+        key: read_within(key, read_quantities, values[key], [kinds[key]] * 3)
+        for key in _OF_A_POSE
+        if key in values
+    }
+
+
+@declared(eq=False)
+class EndEffector(ComparableTask, Declared):
     """Bring one control point, usually the tip, to a position or a pose, or hold it there.
 
     Tasks are immutable. `EndEffector.held` makes the task that holds the current pose. To track a moving
@@ -331,35 +404,57 @@ class EndEffector(ComparableTask):
         InvalidValue: a value other than described.
     """
 
-    position: ArrayLike | None = None
-    pose: Any = None
-    point: int | str = -1
-    weight: float = 1.0
-    priority: bool = False
-    direction_only: bool = False
-    length: float | None = None
+    position: Annotated[ArrayLike, read_by(_read_point_position)] | None = None
+    pose: Annotated[Any, read_by(_read_pose)] | None = None
+    point: Annotated[int | str, read_by(_read_point)] = -1
+    weight: PositiveNumber = 1.0
+    priority: Flag = False
+    direction_only: Flag = False
+    length: Length | None = None
 
-    def __post_init__(self) -> None:
+    @model_validator(mode="after")
+    def _one_place(self) -> EndEffector:
         if (self.position is None) == (self.pose is None):
             given = {"position": self.position, "pose": self.pose}
             raise InvalidValue("position and pose", given, "one of them, and None for the other")
-        if self.position is not None:
-            self._set("position", finite_array("position", self.position, (3,)))
-        else:
-            matrix = np.array(rigid_placement("pose", self.pose).homogeneous)
-            left, _, right = np.linalg.svd(matrix[:3, :3])
-            matrix[:3, :3] = left @ right  # orthonormal to machine precision
-            self._set("pose", matrix)
-        if not isinstance(self.point, str):
-            if not is_whole(self.point):
-                raise InvalidValue("point", self.point, "the index or the name of one control point")
-            self._set("point", int(self.point))
-        for name in ("priority", "direction_only"):
-            require_instance(name, getattr(self, name), bool | np.bool_, "True or False")
-            self._set(name, bool(getattr(self, name)))
         if self.direction_only and self.pose is None:
             raise InvalidValue("direction_only", True, "False, or a pose in place of the position")
-        self._set_scales(self.weight, self.length)
+        return self
+
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the keys of the table: position and rotation in place of position or pose."""
+        return (*_OF_A_POSE, *(each.name for each in fields(cls) if each.name not in ("position", "pose")))
+
+    @classmethod
+    def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
+        """Return the values of fields: a pose in place of a position if there is a rotation."""
+        rest = {key: value for key, value in values.items() if key not in _OF_A_POSE}
+        if "position" not in values:
+            raise Refusal("the key 'position' is missing")
+        place = _in_si(values)
+        if "rotation" not in values:
+            return {"position": place["position"], **rest}
+        turned = pin.rpy.rpyToMatrix(*place["rotation"])
+        return {"pose": pin.SE3(turned, np.array(place["position"])), **rest}
+
+    def remember(self, values: Mapping[str, Any], source: InputFile) -> None:
+        """Keep the angles of a rotation as they were given."""
+        source.described[self] = {**values, **_in_si(values)}
+
+    def to_table(self, file: OutputFile) -> dict[str, Any]:
+        """Return the table, with a pose as position and rotation, and with points counted from 1."""
+        known: dict[str, Any] | None = file.find(self, type(self))
+        if known is not None:
+            return known
+        table = {key: value for key, value in self.written(file).items() if key not in ("position", "pose")}
+        if isinstance(self.point, int) and self.point >= 0:
+            table["point"] = self.point + 1
+        if self.pose is None:
+            return {"position": np.asarray(self.position).tolist(), **table}
+        pose = pin.SE3(self.pose)
+        place = {"position": pose.translation.tolist(), "rotation": roll_pitch_yaw(pose.rotation)}
+        return {**place, **table}
 
     @classmethod
     def held(cls, state: ArmState, hold: str = "pose", point: int | str = -1, **options: Any) -> EndEffector:
@@ -377,7 +472,7 @@ class EndEffector(ComparableTask):
         """
         require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
         require_known("thing to hold", hold, HOLDS)
-        k = _index(state, point)
+        k = _index(state.arm, point)
         if hold == "position":
             return cls(position=state.points[k], point=point, **options)
         return cls(pose=pin.SE3(state.rotations[k], state.points[k]), point=point, **options)
@@ -385,7 +480,7 @@ class EndEffector(ComparableTask):
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return the rows of the position, then those of the orientation; see `ControlTask.rows`."""
         arm = arm_of(state)
-        k = _index(state, self.point)
+        k = _index(state.arm, self.point)
         place = self.position if self.pose is None else self.pose[:3, 3]
         jacobian = arm.plane @ state.jacobians[k]
         apart = arm.plane @ (place - state.points[k])
@@ -401,10 +496,10 @@ class EndEffector(ComparableTask):
         return TaskRows(np.vstack([jacobian, arc * turns]), np.concatenate([apart, arc * angles]))
 
 
-def _index(state: ArmState, point: int | str) -> int:
+def _index(arm: Arm, point: int | str) -> int:
     require_instance("point", point, int | str | np.integer, "the index or the name of a control point")
     try:
-        return chosen_points(state.arm.control_points, point)[0]
+        return chosen_points(arm.control_points, point)[0]
     except InvalidValue as error:  # its message calls the argument "points"
         raise InvalidValue("point", error.value, error.allowed) from None
 

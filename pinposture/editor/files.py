@@ -14,7 +14,7 @@ from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.control import Limits
+from pinposture.control.limits import DEFAULT_CYCLE
 from pinposture.curve import Curve
 from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, joints_at, keyframes_of
 from pinposture.editor.latest import EXPECTED_ERRORS, Done, Latest
@@ -34,7 +35,6 @@ from pinposture.motion import Trajectory, save
 from pinposture.placement.target import arm_axis
 from pinposture.storage import settled
 from pinposture.task import Keyframe, Task
-from pinposture.task.specification import DEFAULT_CYCLE
 
 logger = logging.getLogger(__name__)
 
@@ -270,12 +270,12 @@ def _with_same_arm(task: Task, current: Task, kept: Path) -> Task:
     other = current.arm
     if arm.spec is None or other.spec is None:
         return task
-    ignored: dict[str, object] = {"urdf": arm.urdf, "package_dirs": (), "xacro_args": {}}
-    specs = [spec.model_copy(update=ignored) for spec in (arm.spec, other.spec)]
+    ignored: dict[str, Any] = {"urdf": arm.urdf, "package_dirs": (), "xacro_args": {}}
+    specs = [spec if spec.urdf is None else replace(spec, **ignored) for spec in (arm.spec, other.spec)]
     if arm.urdf == other.urdf and specs[0] == specs[1]:
         return task.edited(arm=other)
     if arm.spec.urdf == settled(kept.with_suffix(".urdf")):
-        spec = arm.spec.model_copy(update={"urdf": arm.urdf})
+        spec = replace(arm.spec, urdf=arm.urdf)
         parts = (
             arm.model,
             arm.control_points,

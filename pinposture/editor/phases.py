@@ -50,10 +50,11 @@ class EditedPhase(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.begin is not None and self.motion[0] != self.begin:
+        motion = cast("tuple[Keyframe, ...]", self.motion)
+        if self.begin is not None and motion[0] != self.begin:
             reason = "is where the phase begins, and cannot be changed, moved or removed"
             raise TaskError("keyframe 1", reason)
-        if self.end is not None and tuple(self.motion[1:]) != (self.end,):
+        if self.end is not None and tuple(motion[1:]) != (self.end,):
             reason = "has no keyframes, only the postures in which it begins and ends; its values are below "
             raise TaskError(phase_title(self.phases, self.index), f"{reason}the list of phases")
         if self.repeat != 1:
@@ -65,7 +66,8 @@ class EditedPhase(Task):
         """The task of all phases, with this phase as it is now."""
         phases = self.phases
         if self.end is None:
-            own = [each for each in self.motion if isinstance(each, Keyframe)]
+            motion = cast("tuple[Keyframe, ...]", self.motion)
+            own = [each for each in motion if isinstance(each, Keyframe)]
             phase = replace(phases[self.index], motion=tuple(own if self.begin is None else own[1:]))
             phases = (*phases[: self.index], phase, *phases[self.index + 1 :])
         values = {key: getattr(self, key) for key in Task.__dataclass_fields__ if key not in KEPT}

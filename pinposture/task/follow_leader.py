@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationInfo, model_validator
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
@@ -37,7 +38,21 @@ from pinposture.errors import (
 from pinposture.placement import Target
 from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve
+from pinposture.schema import (
+    Declared,
+    Flag,
+    Length,
+    OutputFile,
+    Refusal,
+    Speed,
+    declared,
+    in_file,
+    one_of,
+)
+from pinposture.task.fields import CurveField
+from pinposture.task.keyframe import usual_placement
 from pinposture.task.reference import Mark, Reference
+from pinposture.task.toml import Usual
 from pinposture.units import length_text
 
 # An arm on a feed: a slide that pushes the whole arm along its axis.
@@ -684,8 +699,9 @@ MAX_SIZE_RATIO = 1000
 """Longest path in arm lengths, and longest arm in pipe radii; longer ones would take hours."""
 
 
-class Leader(NamedTuple):
-    """The arguments of `follow_leader` in a task.
+@declared()
+class Leader(Declared):
+    """The path of a leader in a task, with arguments of `follow_leader`.
 
     Attributes:
         path: the path of the tip.
@@ -695,33 +711,49 @@ class Leader(NamedTuple):
         method: as for `follow_leader`.
         and_back: whether to return.
         pipe: radius of the pipe around the path, in which the arm has to stay [m]; None: no pipe.
+
+    Raises:
+        InvalidValue: an invalid value.
+        UnknownName: a `placement` or `method` that does not exist.
     """
 
-    path: Curve
-    speed: float
-    depth: float | None = None
-    placement: Any = None
-    method: Any = "closest"
-    and_back: bool = False
-    pipe: float | None = None
+    path: CurveField
+    speed: Speed
+    depth: Length | None = None
+    placement: Annotated[Literal["as_is", "align"], one_of("placement", *PATH_PLACEMENTS)] | None = None
+    method: Annotated[Literal["closest", "sequential"], one_of("method", *PATH_METHODS)] = "closest"
+    and_back: Flag = False
+    pipe: Length | None = None
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of `follow_leader`."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "pipe"}
+
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> Leader:
+        source = in_file(info)
+        if source is not None:
+            longest = MAX_SIZE_RATIO * source.arm.length
+            if self.path.length > longest:
+                allowed = f"{length_text(longest)}, {MAX_SIZE_RATIO} times the arm"
+                raise Refusal(f"is {length_text(self.path.length)} long; allowed: {allowed}", "path")
+        return self
+
+    def to_table(self, file: OutputFile) -> dict[str, Any]:
+        """Return the table; the default of its placement depends on the scene."""
+        default = usual_placement(file.scene, self.path)
+        return {
+            **self.written(file),
+            "placement": Usual(default) if self.placement == default else self.placement,
+        }
 
 
 def check_leader(leader: Leader, arm: Arm, scene: Scene | None = None) -> None:
-    """Refuse values that do not define a motion, sizes out of proportion to the arm, and a narrow pipe.
+    """Refuse sizes out of proportion to the arm, and a narrow pipe.
 
     Raises:
         InvalidValue: names the attribute.
-        UnknownName: a `placement` or `method` that does not exist.
     """
-    require_instance("path", leader.path, Curve, "a Curve")
-    require_positive("speed", leader.speed)
-    for name in ("depth", "pipe"):
-        if getattr(leader, name) is not None:
-            require_positive(name, getattr(leader, name))
-    if leader.placement is not None:
-        require_known("placement", leader.placement, PATH_PLACEMENTS)
-    require_known("method", leader.method, PATH_METHODS)
-    require_instance("and_back", leader.and_back, bool, "True or False")
     longest = MAX_SIZE_RATIO * arm.length
     narrowest = arm.length / MAX_SIZE_RATIO
     if leader.path.length > longest:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationInfo, model_validator
 from scipy.interpolate import BPoly
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, is_whole, require_instance, require_known
+from pinposture._validation import is_usable, is_whole, require_instance
 from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
@@ -30,7 +31,24 @@ from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import is_compiled, unit_arrays
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
 from pinposture.placement.target import beginning, fitting_slides, length_misfit
+from pinposture.schema import (
+    Angle,
+    Declared,
+    Flag,
+    NotAllowed,
+    OutputFile,
+    Refusal,
+    Text,
+    Time,
+    check,
+    declared,
+    in_file,
+    one_of,
+    read_by,
+)
+from pinposture.task.fields import CurveField, Joints, joint_count_misfit
 from pinposture.task.reference import AnchoredCurve, BentCurve
+from pinposture.task.toml import Usual
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -42,8 +60,28 @@ OF_A_CURVE: Mapping[str, object] = MappingProxyType(
 """Attributes of a keyframe that require a curve, and their defaults."""
 
 
-@dataclass(frozen=True)
-class Keyframe:
+def _read_region(value: Any, info: ValidationInfo) -> tuple[int, int]:
+    """Read the first and the last control point; in a file, they are counted from 1."""
+    source = in_file(info)
+    first = 0 if source is None else 1
+    ends = tuple(value) if isinstance(value, tuple | list) else ()
+    if len(ends) != 2 or not all(map(is_whole, ends)):
+        allowed = "two whole numbers: the first and the last control point"
+        raise NotAllowed(value, f"{allowed}, counted from {first} at the base")
+    if not first <= ends[0] <= ends[1]:
+        raise NotAllowed(value, f"{first} or more, the last not before the first")
+    if source is not None and ends[1] > source.arm.n_modules:
+        raise Refusal(f"is {list(ends)}; the arm has control points 1 to {source.arm.n_modules}")
+    return int(ends[0]) - first, int(ends[1]) - first
+
+
+_SHARE = check(
+    lambda value: is_usable(value) and 0.0 < value <= 1.0, "a share of the velocity limits, in (0, 1]"
+)
+
+
+@declared()
+class Keyframe(Declared):
     """A posture to reach at a given time.
 
     The posture is that of a curve, or a taught configuration: `Keyframe(joints=arm.positions(q))`.
@@ -76,63 +114,82 @@ class Keyframe:
         UnknownName: a `placement` or `method` that does not exist.
     """
 
-    curve: Curve | None = None
-    time: float | None = None
-    duration: float | None = None
-    hold: float = 0.0
-    name: str = ""
-    placement: Literal["as_is", "translate", "align"] | None = None
-    roll: float = 0.0
-    method: Literal["auto", "sequential", "smooth", "closest"] = "auto"
+    curve: CurveField | None = None
+    time: Time | None = None
+    duration: Time | None = None
+    hold: Time = 0.0
+    name: Text = ""
+    placement: Annotated[Literal["as_is", "translate", "align"], one_of("placement", *PLACEMENTS)] | None = (
+        None
+    )
+    roll: Angle = 0.0
+    method: Annotated[Literal["auto", "sequential", "smooth", "closest"], one_of("method", *METHODS)] = "auto"
     tip: EndEffector | None = None
-    region: tuple[int, int] | None = None
-    trim: bool = False
-    joints: tuple[float, ...] | None = None
-    speed: float = 1.0
+    region: Annotated[tuple[int, int], read_by(_read_region)] | None = None
+    trim: Flag = False
+    joints: Joints | None = None
+    speed: Annotated[float, _SHARE] = 1.0
 
-    def __post_init__(self) -> None:
-        require_instance("name", self.name, str, "text, or empty for the number of the keyframe")
-        with naming(f"keyframe {self.name!r}" if self.name else "keyframe"):
-            self._check()
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> Keyframe:
+        if self.curve is None:
+            self._check_without_curve()
+        if self.time is not None and self.duration is not None:
+            given = {"time": self.time, "duration": self.duration}
+            raise InvalidValue("time and duration", given, "one of them, and None for the other")
+        source = in_file(info)
+        if source is not None:
+            curved = self.curve is not None
+            misfit = length_misfit(source.arm, self.curve) if self.curve else joints_misfit(source.arm, self)
+            if misfit:
+                raise Refusal(misfit, "curve" if curved else "joints")
+        return self
+
+    def _check_without_curve(self) -> None:
+        if self.joints is None:
+            raise InvalidValue("curve", None, "a Curve; or None, with the joints to take")
+        for name, default in OF_A_CURVE.items():
+            if getattr(self, name) != default:
+                raise InvalidValue(name, getattr(self, name), f"{default!r}, as there is no curve")
 
     def __repr__(self) -> str:
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         given = [f"{name}={value!r}" for name, value in values.items() if value != getattr(type(self), name)]
         return f"Keyframe({', '.join(given)})"
 
-    def _check(self) -> None:
-        self._check_curve()
-        if self.time is not None and self.duration is not None:
-            given = {"time": self.time, "duration": self.duration}
-            raise InvalidValue("time and duration", given, "one of them, and None for the other")
-        for name in ("time", "duration", "hold"):
-            value = getattr(self, name)
-            if value is not None or name == "hold":
-                as_number(name, value, "a finite number >= 0 [s]", lambda number: number >= 0.0)
-        as_number("speed", self.speed, "a share of the velocity limits, in (0, 1]", lambda x: 0.0 < x <= 1.0)
-        as_number("roll", self.roll, "a finite angle [rad]", lambda _: True)
-        if self.placement is not None:
-            require_known("placement", self.placement, PLACEMENTS)
-        require_known("method", self.method, METHODS)
-        if self.tip is not None and not isinstance(self.tip, EndEffector):
-            raise InvalidValue("tip", self.tip, "an EndEffector, or None")
-        if self.region is not None:
-            ends = tuple(self.region) if isinstance(self.region, tuple | list) else ()
-            if len(ends) != 2 or not all(map(is_whole, ends)) or not 0 <= ends[0] <= ends[1]:
-                allowed = "two whole numbers (first, last), 0 <= first <= last"
-                raise InvalidValue("region", self.region, allowed)
-            object.__setattr__(self, "region", (int(ends[0]), int(ends[1])))
-        require_instance("trim", self.trim, bool, "True or False")
-        if self.joints is not None:
-            joints = finite_vector("joints", self.joints, np.size(self.joints))
-            object.__setattr__(self, "joints", tuple(joints.tolist()))
+    @classmethod
+    def subject(cls, values: Mapping[str, Any]) -> str:
+        """Return the title of a keyframe in errors."""
+        name = values.get("name", "")
+        return f"keyframe {name!r}" if name and isinstance(name, str) else "keyframe"
 
-    def _check_curve(self) -> None:
-        if not isinstance(self.curve, Curve) and not (self.curve is None and self.joints is not None):
-            raise InvalidValue("curve", self.curve, "a Curve; or None, with the joints to take")
-        for name, default in OF_A_CURVE.items() if self.curve is None else ():
-            if getattr(self, name) != default:
-                raise InvalidValue(name, getattr(self, name), f"{default!r}, as there is no curve")
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
+        """Refuse a keyframe without a posture, and keys of a curve where there is none."""
+        if "curve" not in values:
+            if "joints" not in values:
+                raise Refusal("needs one of the keys 'curve', 'joints'")
+            for key in OF_A_CURVE:
+                if key in values:
+                    raise Refusal("goes with 'curve', and there is none", key)
+        return TABLE
+
+    def to_table(self, file: OutputFile) -> dict[str, Any]:
+        """Return the table; the default of its placement depends on the scene."""
+        values = self.written(file)
+        if self.curve is not None:
+            default = usual_placement(file.scene, self.curve)
+            values["placement"] = Usual(default) if self.placement == default else self.placement
+        if self.region is not None:
+            values["region"] = [end + 1 for end in self.region]
+        return {key: values[key] for key in TABLE if key in values}
+
+
+TABLE = (
+    *("name", "time", "duration", "hold", "speed", "curve", "placement", "trim", "roll", "method"),
+    *("region", "joints", "tip"),
+)
+"""Keys of the table of a keyframe, in the order in which they are written."""
 
 
 def usual_placement(scene: Scene | None, curve: Curve) -> Literal["as_is", "align"]:
@@ -656,12 +713,6 @@ def joints_misfit(arm: Arm, keyframe: Keyframe) -> str:
     if unit == "rad" and abs(value) > FULL_TURN:
         text += f'; is it in degrees? np.deg2rad converts to radians; in a task file, write "{value:.4g} deg"'
     return text
-
-
-def joint_count_misfit(arm: Arm, count: int) -> str:
-    """Return the message on a wrong number of joint positions."""
-    unit = "rad, m for joints that slide" if np.any(arm.slides) else "rad"
-    return f"has {count} value{'s' * (count != 1)}; needed: {arm.nv}, one for each joint [{unit}]"
 
 
 # Joint positions for curves that change slightly from one row to the next.

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeGuard
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeGuard
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from pydantic import ValidationInfo, model_validator
 
-from pinposture._validation import as_number, finite_vector, require_instance, require_positive
 from pinposture._validation import direction as unit_vector
+from pinposture._validation import is_usable
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.pipe import pipe
@@ -26,6 +28,26 @@ from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, TaskError, gather, raise_together
 from pinposture.placement import Target
+from pinposture.schema import (
+    Declared,
+    Duration,
+    InputFile,
+    NotAllowed,
+    OutputFile,
+    Position,
+    Refusal,
+    Rotation,
+    Speed,
+    Text,
+    Time,
+    declared,
+    is_list_of,
+    is_table,
+    read_by,
+    read_part,
+    refusing,
+    write_parts,
+)
 from pinposture.task.follow_leader import Leader, check_leader, follow_leader
 from pinposture.task.keyframe import (
     Keyframe,
@@ -52,8 +74,16 @@ DRAG_MARGIN = 1.1
 """Clearance sought at these goals, in margins, so that the smooth motion between them keeps the margin."""
 
 
-@dataclass(frozen=True)
-class TipGoal:
+def _read_direction(value: Any, _: ValidationInfo) -> tuple[float, ...]:
+    if not is_list_of(is_usable)(value) or len(value) != 3:
+        raise NotAllowed(value, "three numbers")
+    with refusing():
+        unit_vector("direction", value)
+    return tuple(map(float, value))
+
+
+@declared()
+class TipGoal(Declared):
     """A goal of the tip; the rest of the arm is free, and keeps clear of obstacles.
 
     Attributes:
@@ -68,26 +98,18 @@ class TipGoal:
         InvalidValue: an invalid value, or both a direction and a rotation.
     """
 
-    position: tuple[float, ...]
-    direction: tuple[float, ...] | None = None
-    rotation: tuple[float, ...] | None = None
-    duration: float | None = None
-    hold: float = 0.0
-    budget: float = 5.0
+    position: Position
+    direction: Annotated[tuple[float, ...], read_by(_read_direction)] | None = None
+    rotation: Rotation | None = None
+    duration: Duration | None = None
+    hold: Time = 0.0
+    budget: Duration = 5.0
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "position", tuple(finite_vector("position", self.position, 3).tolist()))
-        if self.direction is not None:
-            unit_vector("direction", self.direction)
-            object.__setattr__(self, "direction", tuple(map(float, self.direction)))
-        if self.rotation is not None:
-            object.__setattr__(self, "rotation", tuple(finite_vector("rotation", self.rotation, 3).tolist()))
+    @model_validator(mode="after")
+    def _check(self) -> TipGoal:
         if self.direction is not None and self.rotation is not None:
             raise InvalidValue("direction", self.direction, "None where a rotation is given")
-        if self.duration is not None:
-            require_positive("duration", self.duration)
-        as_number("hold", self.hold, "a finite number >= 0 [s]", lambda number: number >= 0.0)
-        require_positive("budget", self.budget)
+        return self
 
     def task(self, arm: Arm) -> EndEffector:
         """Return the goal as a task of the tip."""
@@ -97,8 +119,8 @@ class TipGoal:
         return tip_task(arm, place, self.direction)
 
 
-@dataclass(frozen=True)
-class Withdrawal:
+@declared()
+class Withdrawal(Declared):
     """The way out: back to where the last path was entered last, and out along it in reverse.
 
     Attributes:
@@ -108,18 +130,31 @@ class Withdrawal:
         InvalidValue: a speed that is not positive.
     """
 
-    speed: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.speed is not None:
-            require_positive("speed", self.speed)
+    speed: Speed | None = None
 
 
 PhaseMotion: TypeAlias = "Leader | TipGoal | tuple[Keyframe, ...] | Withdrawal"
 
 
-@dataclass(frozen=True)
-class Phase:
+MOTIONS: Mapping[str, Any] = MappingProxyType(
+    {"leader": Leader, "reach": TipGoal, "keyframes": tuple[Keyframe, ...], "withdraw": Withdrawal}
+)
+"""Keys of the table of a phase, of which each has one, and what they contain."""
+
+
+def _read_motion(value: Any, _: ValidationInfo) -> PhaseMotion:
+    if isinstance(value, Leader | TipGoal | Withdrawal):
+        return value
+    if not isinstance(value, list | tuple) or not all(isinstance(each, Keyframe) for each in value):
+        allowed = "a Leader, a TipGoal, one or more of Keyframe(...), or a Withdrawal"
+        raise NotAllowed(value, allowed)
+    if not value:
+        raise NotAllowed(value, "one or more of Keyframe(...)")
+    return tuple(value)
+
+
+@declared()
+class Phase(Declared):
     """A part of a motion, which begins at rest where the one before it ended, and ends at rest.
 
     Attributes:
@@ -133,20 +168,35 @@ class Phase:
         InvalidValue: a motion or name of another type.
     """
 
-    motion: PhaseMotion
-    name: str = ""
+    motion: Annotated[PhaseMotion, read_by(_read_motion)]
+    name: Text = ""
 
-    def __post_init__(self) -> None:
-        require_instance("name", self.name, str, "text, or empty for the number of the phase")
-        motion: Any = self.motion
-        if isinstance(motion, Leader | TipGoal | Withdrawal):
-            return
-        if not isinstance(motion, list | tuple) or not all(isinstance(each, Keyframe) for each in motion):
-            allowed = "a Leader, a TipGoal, one or more of Keyframe(...), or a Withdrawal"
-            raise InvalidValue("motion", motion, allowed)
-        if not motion:
-            raise InvalidValue("motion", motion, "one or more of Keyframe(...)")
-        object.__setattr__(self, "motion", tuple(motion))
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
+        """Refuse a phase without a motion, or with several."""
+        given = [key for key in MOTIONS if key in values]
+        if len(given) > 1:
+            raise Refusal(f"does not go with {given[0]!r}; a phase has one motion", given[1])
+        allowed = ("name", *MOTIONS)
+        if not given and all(key in allowed for key in values):
+            raise Refusal(f"needs one of the keys {', '.join(map(repr, MOTIONS))}")
+        return allowed
+
+    @classmethod
+    def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
+        """Return the values of fields: the one motion that the table has."""
+        key = next(each for each in MOTIONS if each in values)
+        if key == "keyframes" and not is_list_of(is_table)(values[key]):
+            raise NotAllowed(values[key], "a list of tables, each begun by [[phases.keyframes]]", key)
+        motion = read_part(key, MOTIONS[key], values[key], source)
+        name = {"name": values["name"]} if "name" in values else {}
+        return {"motion": motion, **name}
+
+    def to_table(self, file: OutputFile) -> dict[str, Any]:
+        """Return the table, with the motion under the key of its kind."""
+        kinds = {Leader: "leader", TipGoal: "reach", Withdrawal: "withdraw"}
+        name = {"name": self.name} if self.name else {}
+        return {**name, kinds.get(type(self.motion), "keyframes"): write_parts(self.motion, file)}
 
 
 def phase_title(phases: Sequence[Phase], index: int) -> str:
@@ -212,7 +262,7 @@ def with_placements(phases: tuple[Phase, ...], arm: Arm, scene: Scene | None) ->
         motion = phase.motion
         if isinstance(motion, Leader) and motion.placement is None:
             placement = usual_placement(scene, motion.path)
-            return replace(phase, motion=motion._replace(placement=placement))
+            return replace(phase, motion=replace(motion, placement=placement))
         if keyed(phase):
             return replace(phase, motion=placed(with_fitting_joints(arm, keyed(phase)), scene))
         return phase
@@ -404,8 +454,8 @@ class _Planner:
         self._q = piece.configuration(piece.rows - 1)
 
     def _follow(self, leader: Leader, name: str) -> None:
-        arguments = leader._asdict()
-        radius = arguments.pop("pipe")
+        arguments = leader.arguments()
+        radius = leader.pipe
         arguments["placement"] = leader.placement or usual_placement(self._scene, leader.path)
         reference = follow_leader(
             self._arm, interval=self._dt, start=self._q, progress=self._progress, **arguments

@@ -6,45 +6,103 @@ import logging
 import re
 import textwrap
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationInfo
 
-from pinposture._validation import require_instance, require_positive
-from pinposture.arm import Arm
+from pinposture._validation import require_instance, require_known, require_positive, require_whole
+from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.configurations import SLACK
+from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
 from pinposture.collision.model import effective_scene
-from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
-from pinposture.control.limits import JerkFilter, cycle_of
+from pinposture.collision.obstacles import OBSTACLE_TYPES
+from pinposture.collision.scene import obstacles_around
+from pinposture.control import Controller, EndEffector, Geodesic, Limits, Step, controller_named
+from pinposture.control.limits import DEFAULT_CYCLE, LONGEST_CYCLE, JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
-from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.curve import Curve
+from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
 from pinposture.motion.run import Run
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
 from pinposture.motion.trajectory import Trajectory, Waypoint
 from pinposture.placement import Target
-from pinposture.storage import settled
-from pinposture.task.follow_leader import Leader, follow_leader
-from pinposture.task.keyframe import Keyframe, as_keyframes, placed, usual_placement, with_fitting_joints
+from pinposture.schema import (
+    Count,
+    NotAllowed,
+    Place,
+    Refusal,
+    Text,
+    in_file,
+    is_list_of,
+    is_table,
+    one_of,
+    read_as,
+    read_by,
+    read_within,
+    read_word,
+    shown,
+    write_parts,
+)
+from pinposture.storage import require_suffix, settled, write_text
+from pinposture.task.document import (
+    TASK_SUFFIXES,
+    Descriptions,
+    Document,
+    document_text,
+    folder_of,
+    plain_data,
+    read_arm,
+    write_arm,
+)
+from pinposture.task.fields import (
+    RESULT_FORMATS,
+    SceneField,
+    read_controller,
+    read_formats,
+    read_keys,
+    read_scans,
+    read_start,
+    write_controller,
+    write_scene,
+    write_start,
+)
+from pinposture.task.follow_leader import Leader, check_leader, follow_leader
+from pinposture.task.keyframe import (
+    CONTINUITIES,
+    Keyframe,
+    as_keyframes,
+    check_keyframes,
+    naming,
+    placed,
+    title,
+    usual_placement,
+    with_fitting_joints,
+)
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.passage import require_passage
 from pinposture.task.phases import (
+    Phase,
+    check_phases,
     is_phased,
+    keyed,
     phased_reference,
     surrounded,
     with_pipe,
     with_placements,
 )
-from pinposture.task.reader import Document, TaskParts, check_task, read_task
 from pinposture.task.reference import (
     Mark,
     Outlook,
@@ -55,9 +113,7 @@ from pinposture.task.reference import (
     require_room,
     tip_off,
 )
-from pinposture.task.specification import DEFAULT_CYCLE, RESULT_FORMATS, shown
-from pinposture.task.toml import Place, TomlLayout
-from pinposture.task.writer import layout_of, write_task
+from pinposture.task.toml import TomlLayout, Usual
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -67,7 +123,7 @@ _PHASE = re.compile(r"phase (\d+)")
 
 
 @dataclass(frozen=True, eq=False)
-class Task(TaskParts):
+class Task:
     """A motion of an arm over time.
 
         task = pp.Task.load("walk.toml")
@@ -98,9 +154,21 @@ class Task(TaskParts):
             None.
 
     Raises:
-        PostureError: a value that a task file cannot represent; see `pinposture.task.reader`.
+        PostureError: a value that a task file cannot represent; see `Task.save`.
     """
 
+    arm: Arm
+    motion: tuple[Keyframe, ...] | tuple[Phase, ...] | Leader
+    limits: Limits
+    controller: Controller = field(default_factory=Geodesic)
+    scene: Scene | None = None
+    start: Array | None = None
+    continuity: Literal["velocity", "acceleration"] = "velocity"
+    formats: tuple[str, ...] = RESULT_FORMATS
+    name: str = ""
+    scans: tuple[Path, ...] = ()
+    described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
+    repeat: int = 1
     layout: TomlLayout | None = field(default=None, repr=False)
     # Not among the arguments, so that `replace` drops it.
     _document: Document | None = field(default=None, init=False, repr=False)
@@ -117,7 +185,7 @@ class Task(TaskParts):
             if not isinstance(scan, str | Path) or not str(scan).strip() or "\0" in str(scan):
                 raise InvalidValue("scans", self.scans, "paths of files")
         self._set("scans", tuple(map(settled, scans)))
-        check_task(self)
+        _check(self)
         if is_phased(self.motion):
             self._set("motion", with_placements(self.motion, self.arm, self.scene))
         elif not isinstance(self.motion, Leader):
@@ -125,7 +193,7 @@ class Task(TaskParts):
             self._set("motion", placed(with_fitting_joints(self.arm, keyframes), self.scene))
         elif self.motion.placement is None:
             placement = usual_placement(self.scene, self.motion.path)
-            self._set("motion", self.motion._replace(placement=placement))
+            self._set("motion", replace(self.motion, placement=placement))
         self._set("formats", tuple(each for each in RESULT_FORMATS if each in formats))
         self._set("described", dict(self.described))
         if self.start is not None:
@@ -163,16 +231,21 @@ class Task(TaskParts):
                 what is allowed.
         """
         document = Document.load(Path(path))
-        parts = read_task(document)
-        try:
-            task = cls(**vars(parts))
-        except PostureError as error:
-            start = isinstance(error, InvalidValue) and error.name.startswith("start")
-            raise document.fault(("start", "joints") if start else (), str(error)) from error
+        task = cls._read(document)
         task._set("_document", document)
         if document.toml is not None:
-            task._set("layout", layout_of(parts, document.path, document.toml))
+            task._set("layout", TomlLayout(document.toml, partial(_as_read, copy(task), document.path)))
         return task
+
+    @classmethod
+    def _read(cls, document: Document, arm: Arm | None = None) -> Task:
+        """Return the task of a document, with this arm, or that of the document."""
+        try:
+            return cls(**read_task(document, arm))
+        except PostureError as error:
+            if isinstance(error, FileError) and error.path == document.path:
+                raise
+            raise document.fault((), str(error)) from error
 
     def save(self, path: str | Path) -> Path:
         """Write a task file atomically, from which `load` makes an equal task; return its path.
@@ -190,7 +263,36 @@ class Task(TaskParts):
                 or a task file cannot represent the task: an arm without URDF, a controller with custom
                 parameters.
         """
-        return write_task(self, Path(path), self.layout)
+        file = Path(path)
+        require_suffix(file, *TASK_SUFFIXES)
+        with folder_of(file):  # relative paths in the file start from it
+            descriptions = Descriptions(file, self)
+            spec, urdf = write_arm(self.arm, descriptions)
+            contents = _contents(self, spec, descriptions)
+            text = document_text(file, contents, self.layout, partial(self._require_same, spec, file))
+            if urdf is not None:
+                write_text(urdf, self.arm.urdf or "")
+            try:
+                write_text(file, text)
+            except BaseException:
+                if urdf is not None:  # useless without the task
+                    urdf.unlink(missing_ok=True)
+                raise
+        return file
+
+    def _require_same(self, spec: ArmSpec, path: Path, text: str) -> None:
+        """Raise FileError if the text of a file reads back as a different task."""
+        try:
+            text.encode()
+        except UnicodeEncodeError as error:
+            half = f"{text[error.start]!r} in a text of the task, half of a surrogate pair"
+            raise FileError(path, f"{half}, cannot be written") from None
+        document = Document.parse(path, text)
+        wrong = _differences(self, Task._read(document, self.arm))
+        if not _same_spec(spec, document.read(ArmSpec, ("arm",))):
+            wrong.append("arm")
+        if wrong:
+            raise FileError(path, f"cannot represent the task: {', '.join(wrong)} would change when read")
 
     def edited(self, **changes: Any) -> Task:
         """Return a copy with changed attributes, as `dataclasses.replace`; it belongs to no file.
@@ -213,8 +315,7 @@ class Task(TaskParts):
         dt = cast(float, self.limits.dt)
         with self._naming():
             if isinstance(self.motion, Leader):
-                arguments = self.motion._asdict()
-                del arguments["pipe"]
+                arguments = self.motion.arguments()
                 return follow_leader(self.arm, interval=dt, start=self.start, progress=progress, **arguments)
             if is_phased(self.motion):
                 return phased_reference(
@@ -306,7 +407,7 @@ class Task(TaskParts):
             key = error.name if isinstance(error, InvalidValue) else ""
             if key == "start":
                 return document.fault(where or ("start",), message)
-            if key in self.motion._fields and isinstance(error, InvalidValue):
+            if hasattr(self.motion, key) and isinstance(error, InvalidValue):
                 return document.fault(
                     where or ("leader", key), f"is {shown(error.value)}; allowed: {error.allowed}"
                 )
@@ -328,6 +429,300 @@ def _as_tuple(name: str, values: object, allowed: str) -> tuple[Any, ...]:
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise InvalidValue(name, values, allowed)
     return tuple(values)
+
+
+def _check(task: Task) -> None:
+    """Refuse a task that a file cannot represent.
+
+    Raises:
+        InvalidValue: an attribute of the wrong type, or one that does not fit the arm.
+        UnknownName: a `continuity`, a format or a control point that does not exist.
+        TaskError: a keyframe or an obstacle that does not fit the arm; names it.
+    """
+    require_instance("arm", task.arm, Arm, "an Arm")
+    cycle = cycle_of(task.limits)
+    if cycle > LONGEST_CYCLE:
+        raise InvalidValue("dt", cycle, f"{LONGEST_CYCLE:g} s at most")
+    task.limits.for_arm(task.arm)
+    require_known("continuity", task.continuity, CONTINUITIES)
+    require_whole("repeat", task.repeat, 1)
+    for each in task.formats:
+        require_known("format", each, RESULT_FORMATS)
+    require_instance("name", task.name, str, "text")
+    described = task.described
+    kinds = (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
+    if not isinstance(described, Mapping) or not all(isinstance(each, kinds) for each in described):
+        allowed = "a mapping from curves, tips, a scene or obstacles to their descriptions"
+        raise InvalidValue("described", described, allowed)
+    if isinstance(task.motion, Leader):
+        check_leader(task.motion, task.arm, task.scene)
+        for key, only in (("continuity", CONTINUITIES[0]), ("repeat", 1)):
+            if getattr(task, key) != only:
+                raise InvalidValue(key, getattr(task, key), f"{only!r}, of a leader")
+    elif is_phased(task.motion):
+        phases = task.motion
+        check_phases(phases, task.arm, task.scene)
+        for phase in phases:
+            _check_points(keyed(phase), task.arm)
+        if task.repeat != 1:
+            raise InvalidValue("repeat", task.repeat, "1, of phases")
+    else:
+        keyframes = as_keyframes(cast("tuple[Keyframe, ...]", task.motion))
+        check_keyframes(keyframes, task.arm)
+        _check_points(keyframes, task.arm)
+    if task.scene is not None and not isinstance(task.scene, Scene):
+        raise InvalidValue("scene", task.scene, "a Scene, or None")
+    for name, reason in _around_base(task.scene, task.arm):
+        raise TaskError(f"obstacle {name!r}", reason)
+
+
+def _check_points(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
+    for index, keyframe in enumerate(keyframes):
+        if keyframe.tip is not None:
+            with naming(title(keyframes, index)):
+                try:
+                    chosen_points(arm.control_points, keyframe.tip.point)
+                except InvalidValue as error:  # which calls it "points"
+                    raise InvalidValue("point", error.value, error.allowed) from None
+
+
+def _around_base(scene: Scene | None, arm: Arm) -> list[tuple[str, str]]:
+    """Return the obstacles that contain the base of the arm: the name of each, and a message."""
+    at = ", ".join(f"{value:.4g}" for value in arm.chain.base)
+    reason = f"it stands where the base of the arm is, at ({at}) m; move it, or leave it out"
+    names = () if scene is None else obstacles_around(scene, arm.chain.base)
+    return [(name, reason) for name in names]
+
+
+# Tasks as files: `read_task` reads what `_contents` writes.
+
+VERSION = 1
+
+_KEYS_OF_KIND = {
+    "keyframes": ("keyframes", "continuity", "repeat"),
+    "follow_leader": ("leader",),
+    "phases": ("phases", "continuity"),
+}
+
+_TASK_KEYS = (
+    *("version", "kind", "name", "continuity", "repeat", "arm", "scene", "keyframes", "leader", "phases"),
+    *("limits", "controller", "start", "output", "editor"),
+)
+
+
+def _check_keys(values: Mapping[str, Any], _: object) -> Mapping[str, Any]:
+    """Refuse another version, unknown keys, and keys of another kind of motion."""
+    version = values.get("version", VERSION)
+    if version is True or version != VERSION:
+        raise Refusal(f"is {shown(version)}; allowed: {VERSION}", "version")
+    kind = read_within("kind", read_word, values.get("kind", "keyframes"), _KEYS_OF_KIND)
+    own = _KEYS_OF_KIND[kind]
+    others = {key: other for other, keys in _KEYS_OF_KIND.items() for key in keys if key not in own}
+    for key, other in others.items():
+        if key in values:
+            raise Refusal(f"goes with kind = {other!r}; the kind is {kind!r}", key)
+    return read_keys(values, *(key for key in _TASK_KEYS if key not in others))
+
+
+def _read_keyframes(value: object, info: ValidationInfo) -> tuple[Keyframe, ...]:
+    listed = value or []
+    if not is_list_of(is_table)(listed):
+        raise NotAllowed(value, "a list of tables, each begun by [[keyframes]]")
+    if len(cast("list[object]", listed)) < 2:
+        found = "only one" if listed else "none"
+        raise Refusal(f"there is {found}; allowed: two or more, each begun by [[keyframes]]")
+    return cast("tuple[Keyframe, ...]", read_as(tuple[Keyframe, ...], listed, in_file(info)))
+
+
+def _read_phases(value: object, info: ValidationInfo) -> tuple[Phase, ...]:
+    listed = value or []
+    if not is_list_of(is_table)(listed):
+        raise NotAllowed(value, "a list of tables, each begun by [[phases]]")
+    if not listed:
+        raise Refusal("there is none; allowed: one or more, each begun by [[phases]]")
+    return cast("tuple[Phase, ...]", read_as(tuple[Phase, ...], listed, in_file(info)))
+
+
+_READ_AS: Mapping[str, Any] = {
+    "scene": SceneField,
+    "keyframes": Annotated[Any, read_by(_read_keyframes)],
+    "leader": Leader,
+    "phases": Annotated[Any, read_by(_read_phases)],
+    "limits": Limits,
+    "controller": Annotated[Any, read_by(read_controller)],
+    "start": Annotated[Any, read_by(read_start)],
+    "continuity": Annotated[str, one_of("continuity", *CONTINUITIES)],
+    "repeat": Count,
+    "name": Text,
+    "output": Annotated[Any, read_by(read_formats)],
+    "editor": Annotated[Any, read_by(read_scans)],
+}
+"""What the value of each key is read as; after the arm, on which many of them depend."""
+
+_OTHER_NAMES = {
+    "keyframes": "motion",
+    "leader": "motion",
+    "phases": "motion",
+    "output": "formats",
+    "editor": "scans",
+}
+"""Arguments of `Task` with other names than their keys."""
+
+
+def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
+    """Return the arguments of `Task`.
+
+    Args:
+        document: the file.
+        arm: the arm, if it exists already; otherwise it is made from the file.
+
+    Raises:
+        FileError: the file is not a valid task; names the line, the key, the value and what is allowed.
+    """
+    values = document.values
+    document.read(Annotated[Any, read_by(_check_keys)], ())
+    document.arm = read_arm(document) if arm is None else arm
+    motion = _KEYS_OF_KIND[values.get("kind", "keyframes")][0]
+    needed = ("scene", motion, "limits", "controller")
+    found = document.read_all({key: kind for key, kind in _READ_AS.items() if key in values or key in needed})
+    scene = found["scene"]
+    _check_surroundings(document, found.get(motion), scene)
+    arguments = {_OTHER_NAMES.get(key, key): value for key, value in found.items()}
+    return {
+        "arm": document.arm,
+        "name": document.path.stem,
+        "described": document.described,
+        **arguments,
+    }
+
+
+def _check_surroundings(document: Document, motion: Any, scene: Scene | None) -> None:
+    """Refuse pipes that are too narrow, and obstacles where the base of the arm is."""
+    errors: list[PostureError] = []
+    arm = document.arm
+    if isinstance(motion, Leader):
+        leaders: dict[Place, Any] = {("leader",): motion}
+    else:
+        leaders = {
+            ("phases", index, "leader"): getattr(each, "motion", None) for index, each in enumerate(motion)
+        }
+    for where, leader in leaders.items():
+        if not isinstance(leader, Leader):
+            continue
+        try:
+            with document.blaming(where):
+                check_leader(leader, arm, scene)
+        except FileError as error:
+            errors.append(error)
+    errors += [
+        document.fault(("scene", "obstacles", name), reason) for name, reason in _around_base(scene, arm)
+    ]
+    if errors:
+        raise document.together(errors)
+
+
+def _contents(task: Task, arm: ArmSpec, file: Descriptions) -> dict[str, Any]:
+    """Return all tables that are not empty, in the order of the file."""
+    contents: dict[str, Any] = {
+        "version": VERSION,
+        "kind": _kind(task),
+        "name": task.name if task.name != file.file.stem else Usual(task.name),
+    }
+    if task.continuity != "velocity":
+        contents["continuity"] = task.continuity
+    if task.repeat != 1:
+        contents["repeat"] = task.repeat
+    contents["arm"] = arm.to_table(file)
+    contents["limits"] = task.limits.to_table(file)
+    controller = write_controller(task.controller, file.file)
+    if controller:
+        contents["controller"] = controller
+    if task.start is not None:
+        contents["start"] = write_start(task.start, task.arm)
+    if task.scene is not None:
+        contents["scene"] = write_scene(task.scene, file)
+    if isinstance(task.motion, Leader):
+        contents["leader"] = task.motion.to_table(file)
+    elif is_phased(task.motion):
+        contents["phases"] = write_parts(task.motion, file)
+    else:
+        contents["keyframes"] = write_parts(task.motion, file)
+    if task.formats != RESULT_FORMATS:
+        contents["output"] = {"formats": task.formats}
+    if task.scans:
+        contents["editor"] = {"scans": task.scans}
+    plain: dict[str, Any] = plain_data(contents, file.folder)
+    return plain
+
+
+def _as_read(task: Task, path: Path) -> dict[str, Any]:
+    """Return the contents of the file from which a task was read."""
+    descriptions = Descriptions(path, task, just_read=True)
+    return _contents(task, write_arm(task.arm, descriptions)[0], descriptions)
+
+
+def _kind(task: Task) -> str:
+    if isinstance(task.motion, Leader):
+        return "follow_leader"
+    return "phases" if is_phased(task.motion) else "keyframes"
+
+
+ROTATION_TOLERANCE = 1e-12
+"""Largest difference of rotations, which angles in a file do not preserve to the last bit."""
+
+
+def _differences(task: Task, parts: Task) -> list[str]:
+    """Return the names of the attributes that differ, arm and descriptions aside."""
+    plain = ("limits", "controller", "scene", "continuity", "repeat", "formats", "name", "scans")
+    same = {key: getattr(task, key) == getattr(parts, key) for key in plain}
+    same["start"] = _close(task.start, parts.start)
+    if isinstance(task.motion, Leader) or isinstance(parts.motion, Leader):
+        same["motion"] = task.motion == parts.motion
+    else:
+        count = len(task.motion) == len(parts.motion)
+        same["motion"] = count and all(map(_same_part, task.motion, parts.motion))
+    return [key for key, equal in same.items() if not equal]
+
+
+def _same_part(one: Keyframe | Phase, other: Keyframe | Phase) -> bool:
+    """Whether two keyframes or two phases are the same, as far as a file can tell."""
+    if isinstance(one, Keyframe) and isinstance(other, Keyframe):
+        return _same_keyframe(one, other)
+    if not isinstance(one, Phase) or not isinstance(other, Phase):
+        return False
+    mine = keyed(one)
+    its = keyed(other)
+    if not mine or not its:
+        return one == other
+    return one.name == other.name and len(mine) == len(its) and all(map(_same_keyframe, mine, its))
+
+
+def _same_keyframe(one: Keyframe, other: Keyframe) -> bool:
+    mine = one.tip
+    its = other.tip
+    if mine is None or its is None or mine.pose is None or its.pose is None:
+        return one == other
+    still = pin.SE3.Identity()
+    same = replace(one, tip=replace(mine, pose=still)) == replace(other, tip=replace(its, pose=still))
+    return same and _close(mine.pose, its.pose)
+
+
+def _close(one: Array | None, other: Array | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    tolerance = ROTATION_TOLERANCE
+    return one.shape == other.shape and bool(np.allclose(one, other, rtol=tolerance, atol=tolerance))
+
+
+def _same_spec(one: ArmSpec, other: ArmSpec) -> bool:
+    """Whether two specifications are the same; files may be named through links."""
+
+    def resolved(spec: ArmSpec) -> ArmSpec:
+        folders = tuple(each.resolve() for each in spec.package_dirs)
+        file = None if spec.urdf is None else Path(spec.urdf).resolve()
+        return replace(spec, urdf=file, package_dirs=folders)
+
+    return resolved(one) == resolved(other)
 
 
 # Performing a motion: the arm follows a reference, and the plan waits where necessary.

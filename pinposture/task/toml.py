@@ -16,10 +16,8 @@ from typing import Any, NamedTuple
 import tomlkit
 from tomlkit.items import AbstractTable, Array, InlineTable, Item
 
+from pinposture.schema import Place
 from pinposture.storage import parse_toml
-
-Place = tuple[str | int, ...]
-"""The path to a value in a file: keys, and indices of list items from 0."""
 
 # The lines on which tables, keys and list items begin, which tomlkit does not provide.
 
@@ -167,11 +165,11 @@ class TomlLayout(NamedTuple):
 
     Attributes:
         text: the text.
-        values: its values, as plain data with `Usual` for defaults.
+        describe: returns its values, as plain data with `Usual` for defaults; called when they are needed.
     """
 
     text: str
-    values: Mapping[str, Any]
+    describe: Callable[[], Mapping[str, Any]]
 
 
 def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> str:
@@ -184,12 +182,13 @@ def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> st
         values: the values of the file: text, finite numbers, truth values, lists and tables of these, and
             `Usual` for defaults.
         layout: a file whose comments and layout are preserved. Values that differ from `values` are changed;
-            keys in neither `values` nor `layout.values` stay.
+            keys in neither `values` nor those of the layout stay.
 
     Raises:
         ValueError: any other value.
     """
-    given, old = ("", {}) if layout is None else layout
+    given = "" if layout is None else layout.text
+    old = {} if layout is None else layout.describe()
     text = given.replace("\r\n", "\n")
     editor = _Editor(_sections(text))
     editor.update((), old, values)

@@ -86,7 +86,7 @@ def test_an_infinite_step_is_no_limit(track):
         (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),
         (("--velocity", "1,2", "--dt", 1), ("velocity (shape)", "(2,)", "(12,)")),
         (("--acceleration", "-1", "--dt", 1), ("acceleration is -1", "positive")),
-        (("--dt", 0), ("dt is 0", "> 0")),
+        (("--dt", 0), ("dt is 0", "more than 0")),
         (("--position-margin", "-0.1"), ("--position-margin is -0.1",)),
         (("--position-margin", 4), ("--position-margin is 4", "half the range")),
     ],

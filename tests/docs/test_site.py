@@ -18,12 +18,7 @@ pytestmark = pytest.mark.site
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-PHASE_SPECS = ("PhaseSpec", "TipGoalSpec", "WithdrawalSpec")
-SPECS = (
-    *("TaskSpec", "KeyframeSpec", "TipSpec", "LeaderSpec", "LimitsSpec", "ControllerSpec", "SceneSpec"),
-    *PHASE_SPECS,
-)
-BEHIND = {"editor": ("Session", "Shape", "Live"), "task": SPECS}
+BEHIND = {"editor": ("Session", "Shape", "Live")}
 """What else a page shows: what the attributes of public classes are, where a program needs to know."""
 
 

@@ -20,7 +20,7 @@ from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets
 from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
-from pinposture.task.writer import write_curve
+from pinposture.task.fields import describe_curve
 
 AWAY = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.7, -0.4, 1.1]))
 
@@ -138,7 +138,7 @@ def test_inserted_points_keep_the_curve_and_deleting_them_brings_back_the_old_on
         assert np.allclose(shape.curve.at(along), before.curve.at(along), atol=1e-11)
         # A keyframe keeps them, and so does a file.
         kept = shape.keyframe(polygon)
-        assert pp.Curve.from_dict(write_curve(kept.curve)) == kept.curve
+        assert pp.Curve.from_dict(describe_curve(kept.curve)) == kept.curve
         if degree == 3:
             assert np.array_equal(Shape.of(arm, kept).points, shape.points)
         shapes.append(shape)

@@ -7,6 +7,7 @@ import threading
 import warnings
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import joblib
 import numpy as np
@@ -20,6 +21,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.curve import HELIX
 from pinposture.errors import ControllerError, InvalidValue, PostureWarning, UnknownName
+from pinposture.motion.track import name_enough_steps
 
 Asked = tuple[pp.Arm, list[pp.Target], np.ndarray]
 
@@ -105,7 +107,9 @@ def test_one_target_serves_all_starts_and_one_start_all_targets(asked: Asked) ->
         np.testing.assert_array_equal(batch.q_start, np.tile(starts[0], (5, 1)))
     single = pp.track_many(arm, targets[0], starts[1], max_steps=3)
     assert len(single) == 1
-    assert_same_run(single[-1], pp.track(arm, targets[0], starts[1], max_steps=3))
+    own = partial(pp.track, arm, targets[0], starts[1])
+    named = name_enough_steps(own(max_steps=3), pp.Geodesic(), lambda steps: own(max_steps=steps))
+    assert_same_run(single[-1], named)
 
 
 @examples(6)

@@ -33,7 +33,7 @@ acceleration = 10 -> acceleration = "10 rad/s" :: kind rate of turning
 "90 deg/s" -> "9 cm/s" :: '9 cm/s', of the kind speed
 ["25 mm", 0.025] -> [\n  0.1,\n  "25 deg",§\n] :: arm.link_length 2: is '25 deg'
 name = "bow" -> name = 3 :: name: is 3; allowed: text
-trim = true -> trim = "yes" :: keyframe 2, trim: is 'yes'; allowed: true, false
+trim = true -> trim = "yes" :: keyframe 2, trim: is 'yes'; allowed: true or false
 TEMPLATE -> :: arm: needs one of the keys 'urdf', 'template' @ [arm]
 LIMITS -> :: limits: is 3; allowed: a table @ limits = 3
 version = 1 -> version = 2 :: version: is 2; allowed: 1
@@ -136,7 +136,7 @@ BOW -> curve = { type = "helix", radius = 100, pitch = 0, turns = 0.6 }
 BOW -> curve = { path = 3 } :: keyframe 2, curve: is 3 | name of a file
 BOW -> curve = { path = "way.csv", scle = 2 } :: keyframe 2, curve: key of a curve file is | mean 'scale'
 hold = 0.1 -> speed = 0 :: keyframe 2, speed: is 0; allowed: a share of the velocity limits, in (0, 1]
-hold = 0.1 -> speed = "9 cm/s" :: keyframe 2, speed: is '9 cm/s'; allowed: a number
+hold = 0.1 -> speed = "9 cm/s" :: keyframe 2, speed: is '9 cm/s'; allowed: a share of the velocity limits
 version = 1 + repeat = 0 :: repeat: is 0; allowed: a whole number, 1 or more
 time = "1 s" + duration = 1 :: keyframe 2:  | time and duration | one of them @ SECOND
 "1 s" -> "-1 s" :: keyframe 2, time: is '-1 s'; allowed: a finite number >= 0

@@ -36,7 +36,7 @@ def assert_same(one: pp.Task, other: pp.Task) -> None:
     if one.arm is not other.arm:
         assert_same_arms(one.arm, other.arm)
     assert type(one.motion) is type(other.motion)
-    if hasattr(one.motion, "_asdict"):
+    if isinstance(one.motion, pp.Leader):
         assert one.motion == other.motion
     else:
         assert len(one.motion) == len(other.motion)

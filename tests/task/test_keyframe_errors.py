@@ -49,7 +49,7 @@ def start() -> Keyframe:
         ({"roll": math.inf}, InvalidValue, "roll is inf"),
         ({"placement": "aligned"}, UnknownName, r"keyframe: no placement is called 'aligned' \(did you mean"),
         ({"method": "best"}, UnknownName, "no method is called 'best'"),
-        ({"tip": (0, 0, 1)}, InvalidValue, r"tip is \(0, 0, 1\); allowed: an EndEffector"),
+        ({"tip": (0, 0, 1)}, InvalidValue, r"tip is \(0, 0, 1\); allowed: EndEffector\("),
         ({"region": (3, 1)}, InvalidValue, r"region is \(3, 1\)"),
         ({"region": 3}, InvalidValue, "region is 3"),
         ({"trim": 1}, InvalidValue, "trim is 1"),

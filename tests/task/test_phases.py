@@ -162,7 +162,7 @@ def test_one_verdict_names_the_phase_that_failed() -> None:
             "phase 1 'one': keyframes is 1; allowed: two or more",
         ),
         (lambda: (into(pipe=0.012),), "phase 1 'in': pipe is 0.012; allowed: .* are missing"),
-        (lambda: (into(speed=-1.0),), "phase 1 'in': speed is -1.0"),
+        (lambda: (into(speed=-1.0),), "speed is -1.0; allowed: more than 0"),
         (lambda: (into(), pp.Keyframe(path())), "allowed: only phases, or only keyframes"),
     ],
 )

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.task.specification import UNITS, read_quantity
+from pinposture.schema import UNITS, read_quantity
 
 # What one of each unit is, by how it is defined: so many of one base unit are so many of another.
 IN_SI = {

@@ -19,7 +19,7 @@ from task_texts import LEADER, VALID
 
 import pinposture as pp
 from pinposture.errors import FileError, PostureWarning
-from pinposture.task import toml, writer
+from pinposture.task import document, toml
 from pinposture.task.follow_leader import Leader
 
 if sys.version_info >= (3, 11):
@@ -417,7 +417,7 @@ def test_what_would_be_read_as_something_else_is_not_written(
 
     path = tmp_path / "task.toml"
     path.write_text(VALID)
-    monkeypatch.setattr(writer, "toml_text", careless)
+    monkeypatch.setattr(document, "toml_text", careless)
     with pytest.raises(FileError, match=r"cannot represent the task: motion would change"):
         task_of().save(path)
     assert path.read_text() == VALID

@@ -248,17 +248,15 @@ def test_an_arm_keeps_what_it_was_made_from(make: Callable[[], pp.Arm]) -> None:
     assert pp.Arm.from_spec(arm.spec).spec == arm.spec
     assert pickle.loads(pickle.dumps(arm)).spec == arm.spec
     assert pp.Arm.from_dict(json.loads(json.dumps(arm.to_dict()))).spec == arm.spec
-    assert ArmSpec.model_validate_json(arm.spec.model_dump_json()) == arm.spec
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"template": 3}, "template is 3; allowed: Input should be a valid string"),
+        ({"template": 3}, "template is 3; allowed: text"),
         ({"template": "RyRz", "modules": 0}, "modules is 0"),
         ({"template": "RyRz", "urdf": "a.urdf"}, "'template' does not go with 'urdf'"),
         ({"template": "RyRz", "modules": 2, "tip": "x"}, "'tip' does not go with 'template'"),
-        ({"template": "RyRz", "module": 2}, "module is 2"),
         (
             {"template": "RyRz", "modules": 2, "link_lengths": (0.1,)},
             "link_lengths is .*; allowed: 2 lengths",
@@ -274,6 +272,11 @@ def test_an_arm_keeps_what_it_was_made_from(make: Callable[[], pp.Arm]) -> None:
 def test_what_makes_no_arm_is_refused(values: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidValue, match=message):
         pp.Arm.from_spec(ArmSpec(**values))
+
+
+def test_a_specification_has_no_other_arguments() -> None:
+    with pytest.raises(TypeError, match="ArmSpec: unexpected argument 'module'"):
+        ArmSpec(template="RyRz", module=2)  # type: ignore[call-arg]
 
 
 def test_a_file_that_changed_after_it_was_read_is_not_named(tmp_path: Path) -> None:

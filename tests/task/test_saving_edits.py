@@ -46,7 +46,7 @@ def frames() -> tuple[pp.Keyframe, ...]:
 
 
 def leader(**changes: Any) -> Leader:
-    return Leader(line(), 0.1)._replace(**changes)
+    return replace(Leader(line(), 0.1), **changes)
 
 
 def test_an_edited_task_tells_of_no_lines(tmp_path: Path) -> None:
@@ -171,12 +171,14 @@ def test_attributes_are_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_a_task_in_python_is_checked_as_a_file_is(
     changes: dict[str, Any] | Callable[[], dict[str, Any]], kind: type[PostureError], message: str
 ) -> None:
-    given = changes() if callable(changes) else changes
+    def given() -> dict[str, Any]:
+        return changes() if callable(changes) else changes
+
     task = pp.Task(six_modules(), frames(), LIMITS)
     with pytest.raises(kind, match=message):
-        task.edited(**given)
+        task.edited(**given())
     with pytest.raises(kind, match=message):
-        pp.Task(**{"arm": six_modules(), "motion": frames(), "limits": LIMITS, **given})
+        pp.Task(**{"arm": six_modules(), "motion": frames(), "limits": LIMITS, **given()})
 
 
 @pytest.mark.parametrize(

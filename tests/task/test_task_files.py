@@ -14,8 +14,6 @@ from task_texts import LEADER, VALID
 
 import pinposture as pp
 from pinposture.errors import FileError
-from pinposture.task.reader import Document, read_arm
-from pinposture.task.specification import TaskSpec
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -187,22 +185,17 @@ def test_a_task_in_python_needs_no_file() -> None:
         task.reference()
 
 
-def test_specifications_hold_what_a_file_says_in_si_units(tmp_path: Path) -> None:
+def test_a_task_holds_what_a_file_says_in_si_units(tmp_path: Path) -> None:
     path = tmp_path / "task.toml"
     path.write_text(VALID)
-    document = Document.load(path)
-    arm = read_arm(document)
-    assert (arm.template, arm.modules, arm.link_lengths) == ("RyRz", 6, (0.025, 0.025))
-    assert arm.joint_limits == (pytest.approx(-170 * np.pi / 180), 3.0)
-    spec = document.read(TaskSpec, (), {"arm": pp.Arm.from_spec(arm)})
-    assert spec.limits.given() == {"cycle": 0.02, "velocity": np.pi / 2, "acceleration": 10.0}
-    assert spec.controller.given() == {"name": "geodesic", "joint_weight": 0.2}
-    assert spec.scene.given() == {
-        "margin": 0.005,
-        "obstacles": {"ball": {"type": "sphere", "center": [0.0, 0.0, -0.5], "radius": 0.1}},
-    }
-    first, second = spec.keyframes
-    assert first.given() == {"name": "straight", "curve": {"type": "line", "a": [0, 0, 0], "b": [0.3, 0, 0]}}
+    task = pp.Task.load(path)
+    spec = task.arm.spec
+    assert (spec.template, spec.modules, spec.link_lengths) == ("RyRz", 6, (0.025, 0.025))
+    assert spec.joint_limits == (pytest.approx(-170 * np.pi / 180), 3.0)
+    assert task.limits == pp.Limits(step=None, dt=0.02, velocity=np.pi / 2, acceleration=10.0)
+    assert task.controller == pp.Geodesic(joint_weight=0.2)
+    assert task.scene == pp.Scene({"ball": pp.Sphere((0.0, 0.0, -0.5), 0.1)}, margin=0.005)
+    first, second = task.motion
+    assert (first.name, first.curve) == ("straight", pp.Curve.line((0, 0, 0), (0.3, 0, 0)))
     assert (second.time, second.hold, second.placement, second.trim) == (1.0, 0.1, "align", True)
-    assert second.curve == {"type": "helix", "radius": 0.1, "pitch": 0, "turns": 0.6}
-    assert TaskSpec.model_validate(document.values, context={"arm": pp.Arm.from_spec(arm)}) == spec
+    assert second.curve == pp.Curve.helix(radius=0.1, pitch=0, turns=0.6)

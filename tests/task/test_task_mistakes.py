@@ -20,7 +20,7 @@ from task_texts import LEADER, VALID, Mistake, mistakes
 
 import pinposture as pp
 from pinposture.errors import FileError, PostureError
-from pinposture.task.reader import Leader
+from pinposture.task.follow_leader import Leader
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -113,7 +113,7 @@ class PhasePlanner:
         if not isinstance(task, EditedPhase) or task.end is None:
             return
         motion: Any = task.phases[task.index].motion
-        motion = motion._replace(**values) if isinstance(motion, Leader) else replace(motion, **values)
+        motion = replace(motion, **values)
         whole = task.whole.edited(motion=with_phase(task, motion=motion))
         self._show(session, whole, task.index, f"{phase_title(task.phases, task.index)}: {what}")
 

@@ -1,0 +1,184 @@
+"""A declared class is the same in a call and in a file: values, refusals, and what is written."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from arms import template_arm
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from sampling import examples
+
+import pinposture as pp
+from pinposture.arm import ArmSpec, FeedSpec
+from pinposture.errors import InvalidValue, PostureError
+from pinposture.schema import mistakes_of, read_as
+from pinposture.task import Leader, TipGoal, Withdrawal
+
+
+class File:
+    """Where values are read from and written to, without a file."""
+
+    def __init__(self) -> None:
+        self.arm = template_arm("RyRz", 6)
+        self.scene = None
+        self.described: dict[Hashable, object] = {}
+
+    def resolve(self, name: str) -> Path:
+        return Path("/somewhere") / name
+
+    def find(self, part: Hashable, kind: Any) -> None:
+        return None
+
+
+LINE = pp.Curve.line((0, 0, 0), (0.3, 0, 0))
+NEEDED: dict[type, dict[str, Any]] = {
+    pp.Keyframe: {"curve": LINE},
+    pp.Limits: {"dt": 0.02, "acceleration": 3.0},
+    pp.EndEffector: {"position": (0.1, 0.2, 0.3)},
+    Leader: {"path": LINE, "speed": 0.1},
+    TipGoal: {"position": (0.1, 0.2, 0.3)},
+    Withdrawal: {},
+    FeedSpec: {"stroke": 0.3},
+    ArmSpec: {"template": "RyRz", "modules": 3},
+}
+IN_FILE: dict[type, dict[str, Any]] = {
+    pp.Limits: {"cycle": 0.02, "acceleration": 3.0},
+    pp.EndEffector: {"position": [0.1, 0.2, 0.3]},
+    TipGoal: {"position": [0.1, 0.2, 0.3]},
+}
+VALUES = (
+    *(-1.0, 0.0, 1.5, 3, -3, True, math.nan, math.inf, -math.inf, 1e100, 10**400, 10**5000, 1e-320),
+    *(
+        "",
+        "20 ms",
+        "90 deg",
+        "-3 cm",
+        "3 kg",
+        "align",
+        "closest",
+        "soon",
+        [],
+        [1.0],
+        [0.0, 1.0, 2.0],
+        [1, "2", 3],
+        {},
+        {"a": 1},
+    ),
+)
+SHARED = [
+    (pp.Keyframe, ("time", "duration", "hold", "name", "placement", "roll", "method", "trim", "speed")),
+    (pp.Limits, ("position_margin",)),
+    (pp.EndEffector, ("weight", "priority", "length")),
+    (Leader, ("speed", "depth", "placement", "method", "and_back", "pipe")),
+    (TipGoal, ("position", "direction", "rotation", "duration", "hold", "budget")),
+    (Withdrawal, ("speed",)),
+    (FeedSpec, ("stroke", "length", "speed")),
+    (ArmSpec, ("joint_limits", "characteristic_length")),
+]
+FIELDS = [(kind, name) for kind, names in SHARED for name in names]
+
+
+@pytest.mark.parametrize(("kind", "name"), FIELDS, ids=lambda each: getattr(each, "__name__", each))
+def test_a_call_and_a_file_accept_and_refuse_the_same(kind: type, name: str) -> None:
+    accepted = 0
+    for value in VALUES:
+        if kind is pp.Limits and not isinstance(value, int | float):
+            continue  # an arm is needed to read the unit of a limit
+        table = {**IN_FILE.get(kind, NEEDED[kind]), name: value}
+        call: Any = None
+        file: Any = None
+        try:
+            call = kind(**{**NEEDED[kind], name: value})
+        except PostureError as error:
+            call = error
+        try:
+            file = read_as(kind, table, File())
+        except ValidationError as error:
+            _, file = mistakes_of(error)[0]
+        assert isinstance(call, PostureError) == isinstance(file, ValueError), (value, call, file)
+        if isinstance(call, InvalidValue) and kind is not pp.Limits:
+            assert call.allowed in str(file) or isinstance(file.error, PostureError), (value, call, file)
+        elif not isinstance(call, PostureError):
+            accepted += 1
+            assert getattr(call, name) == getattr(file, name)
+    assert accepted > 0 or name == "joint_limits"
+
+
+def test_text_with_a_unit_is_a_quantity_in_a_call_too() -> None:
+    assert pp.Keyframe(LINE, time="200 ms", roll="90 deg").time == pytest.approx(0.2)  # type: ignore[arg-type]
+    assert pp.Limits(dt="20 ms").dt == 0.02  # type: ignore[arg-type]
+    assert TipGoal(("10 cm", 0, 0)).position == (0.1, 0.0, 0.0)  # type: ignore[arg-type]
+    with pytest.raises(InvalidValue, match="^dt is '20 mm'; allowed: .* s, ms, min$"):
+        pp.Limits(dt="20 mm")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("kind", NEEDED, ids=lambda each: each.__name__)
+def test_calls_raise_what_python_functions_raise_for_wrong_arguments(kind: type) -> None:
+    with pytest.raises(TypeError, match=f"{kind.__name__}: unexpected argument 'colour'"):
+        kind(**NEEDED[kind], colour="red")
+    made = kind(**NEEDED[kind])
+    assert pickle.loads(pickle.dumps(made)) == made == copy.deepcopy(made)
+    if kind is not ArmSpec:  # which has dictionaries
+        assert hash(made) == hash(kind(**NEEDED[kind]))
+    with pytest.raises(AttributeError):
+        made.colour = "red"
+
+
+def test_a_part_of_a_value_is_named() -> None:
+    with pytest.raises(InvalidValue, match=r"^position\[1\] is 'x'; allowed: a number in SI units"):
+        TipGoal((0.1, "x", 0.3))  # type: ignore[arg-type]
+    with pytest.raises(InvalidValue, match=r"^position is \(0.1, 0.2\); allowed: a list of 3"):
+        TipGoal((0.1, 0.2))
+    with pytest.raises(InvalidValue, match=r"^keyframe 'bow': time is -1; allowed"):
+        pp.Keyframe(LINE, time=-1, name="bow")
+    with pytest.raises(TypeError, match="Leader: missing argument 'speed'"):
+        Leader(LINE)  # type: ignore[call-arg]
+
+
+@given(
+    position=st.tuples(*[st.floats(-1.0, 1.0)] * 3),
+    angles=st.none() | st.tuples(*[st.floats(-1.5, 1.5)] * 3),
+    point=st.integers(-6, 5),
+    weight=st.floats(0.1, 10.0),
+    priority=st.booleans(),
+)
+@examples(60)
+def test_a_tip_that_was_written_reads_back(
+    position: Any, angles: Any, point: int, weight: float, priority: bool
+) -> None:
+    values: dict[str, Any] = {"position": position}
+    if angles is not None:
+        import pinocchio as pin
+
+        values = {"pose": pin.SE3(pin.rpy.rpyToMatrix(*angles), np.array(position))}
+    tip = pp.EndEffector(**values, point=point, weight=weight, priority=priority)
+    file = File()
+    again = read_as(pp.EndEffector, tip.to_table(file), file)
+    assert (again.point, again.weight, again.priority) == (tip.point, tip.weight, tip.priority)
+    for one, other in ((again.position, tip.position), (again.pose, tip.pose)):
+        assert (one is None) == (other is None)
+        if one is not None:
+            np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+
+
+@given(
+    velocity=st.none() | st.floats(0.1, 2.0) | st.lists(st.floats(0.1, 2.0), min_size=12, max_size=12),
+    acceleration=st.none() | st.floats(0.1, 50.0),
+    step=st.none() | st.floats(0.01, 1.0),
+    dt=st.floats(1e-3, 0.9),
+)
+@examples(60)
+def test_limits_that_were_written_read_back(velocity: Any, acceleration: Any, step: Any, dt: float) -> None:
+    given_velocity = np.array(velocity) if isinstance(velocity, list) else velocity
+    limits = pp.Limits(step=step, velocity=given_velocity, dt=dt, acceleration=acceleration)
+    file = File()
+    assert read_as(pp.Limits, limits.to_table(file), file) == limits
