@@ -117,7 +117,7 @@ def test_text_with_a_unit_is_a_quantity_in_a_call_too() -> None:
     assert pp.Keyframe(LINE, time="200 ms", roll="90 deg").time == pytest.approx(0.2)  # type: ignore[arg-type]
     assert pp.Limits(dt="20 ms").dt == 0.02  # type: ignore[arg-type]
     assert TipGoal(("10 cm", 0, 0)).position == (0.1, 0.0, 0.0)  # type: ignore[arg-type]
-    with pytest.raises(InvalidValue, match="^dt is '20 mm'; allowed: .* s, ms, min$"):
+    with pytest.raises(InvalidValue, match=r"^dt is '20 mm'; allowed: .* s, ms, min$"):
         pp.Limits(dt="20 mm")  # type: ignore[arg-type]
 
 
