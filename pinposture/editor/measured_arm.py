@@ -32,8 +32,7 @@ TIME_KEYS = (("sec", "nanosec"), ("secs", "nsecs"))  # of times in ROS 2 and ROS
 POLL = 0.05  # between two looks for more lines [s]
 MAX_LINE = 2**20  # bytes of a line; longer ones are cut off
 CUT_LINE = 200  # bytes that are kept of a line that is cut off
-CHUNK = 2**16  # bytes that are read at once
-MAX_READ = 2**23  # bytes that are read before lines are returned
+MAX_READ = 2**23  # bytes that are read at once
 MAX_LINES_READ = 1000  # of many lines at once; older ones are read only for joints that these lack
 MAX_JOINTS_NAMED = 6  # in a complaint
 
@@ -148,6 +147,9 @@ class LineSource:
     A file is followed: what is appended to it is read, and when it gets shorter or another file takes its
     name, it is read from the start. A pipe is read until it is closed here, even if its writers change; the
     standard input, until it ends.
+
+    A library that watches files tells only that one has changed: to read on, to see that another file took
+    the name, to keep half a line, and pipes would be left to do.
     """
 
     def __init__(self, source: str | Path) -> None:
@@ -183,7 +185,7 @@ class LineSource:
             self._number = 0
             self._offset = 0
             self._cut = False
-        content, ended = self._read(stop)
+        content, ended = self._read()
         if ended and not self._is_file:
             if not content and not self._partial and self._path is None:
                 return None
@@ -231,26 +233,19 @@ class LineSource:
             raise FileError(self._path, "is a directory; allowed: a file, a named pipe, or -")
         return descriptor
 
-    def _read(self, stop: Event) -> tuple[bytes, bool]:
+    def _read(self) -> tuple[bytes, bool]:
         """Read what there is now; returns it, and whether the source is at an end."""
-        parts: list[bytes] = []
-        size = 0
-        ended = False
-        while size < MAX_READ and not ended and not stop.is_set():
-            if not self._is_file:
-                poll = select.poll()
-                poll.register(self._fd, select.POLLIN)
-                if not poll.poll(0.0 if parts else 1000.0 * POLL):
-                    break
-            try:
-                part = os.read(self._fd, CHUNK)
-            except BlockingIOError:
-                break
-            parts.append(part)
-            size += len(part)
-            ended = not part
-        self._offset += size
-        return b"".join(parts), ended
+        if not self._is_file:
+            poll = select.poll()
+            poll.register(self._fd, select.POLLIN)
+            if not poll.poll(1000.0 * POLL):
+                return b"", False
+        try:
+            content = os.read(self._fd, MAX_READ)
+        except BlockingIOError:
+            return b"", False
+        self._offset += len(content)
+        return content, not content
 
     def _restarts(self) -> bool:
         """Return whether the file is to be read from the start; if another has its name, open that."""
