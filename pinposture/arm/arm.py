@@ -762,6 +762,10 @@ class ArmState:
         state.__dict__["forward"] = self.forward
         return state
 
+    def moved(self, dq: Array) -> ArmState:
+        """Return the state after a finite joint displacement, (nv,) [rad or m], which is not checked."""
+        return ArmState(self.arm, self.arm.integrate(self._q, dq))
+
     @cached_property
     def forward(self) -> ForwardKinematics:
         """The result of the compiled pass along the chain, for kernels; do not write to it."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from math import isfinite
 from pathlib import Path
 from traceback import extract_tb
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_instance
+from pinposture._validation import LARGEST_NUMBER, require_instance
 from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits
 from pinposture.errors import ControllerError, InvalidValue, PostureError
@@ -221,9 +220,7 @@ def _require_valid(controller: Controller, state: ArmState, step: Step) -> None:
     dq = step.dq
     active = step.active
     nv = state.arm.nv
-    if not (
-        isinstance(dq, np.ndarray) and dq.shape == (nv,) and (isfinite(dq @ dq) or np.isfinite(dq).all())
-    ):
+    if not (isinstance(dq, np.ndarray) and dq.shape == (nv,) and np.all(np.abs(dq) <= LARGEST_NUMBER)):
         allowed = f"an array of {nv} finite numbers, as `limits.apply(state, dq).dq`"
         raise _invalid(controller, "dq", dq, allowed)
     if not isinstance(active, tuple) or (

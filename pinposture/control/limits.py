@@ -574,22 +574,26 @@ class Limits(Declared):
 
     def for_arm(self, arm: Arm) -> JointBounds:
         """Return the bounds for the joints of an arm, cached with the arm."""
+        known: RecentValues[tuple[object, ...], JointBounds] | None = None
+        if isinstance(arm, Arm):
+            known = arm.cache.get(JointBounds)
+        bounds: JointBounds | None = None if known is None else known.get(self._key)
+        if bounds is not None:  # as in nearly every call, of which a step makes several
+            return bounds
         require_instance("arm", arm, Arm, "an Arm")
-        known: RecentValues[tuple[object, ...], JointBounds] = recent_values(arm, JointBounds, _MAX_CACHED)
-        bounds = known.get(self._key)
-        if bounds is None:
-            bounds = joint_bounds(
-                arm,
-                step=self.step,
-                velocity=self.velocity,
-                acceleration=self.acceleration,
-                dt=self.dt,
-                position_margin=self.position_margin,
-                jerk=self.jerk,
-            )
-            known.keep(self._key, bounds)
-            if self.velocity is not None:
-                _warn_of_speed(arm, self.velocity)
+        bounds = joint_bounds(
+            arm,
+            step=self.step,
+            velocity=self.velocity,
+            acceleration=self.acceleration,
+            dt=self.dt,
+            position_margin=self.position_margin,
+            jerk=self.jerk,
+        )
+        known = recent_values(arm, JointBounds, _MAX_CACHED)
+        known.keep(self._key, bounds)
+        if self.velocity is not None:
+            _warn_of_speed(arm, self.velocity)
         return bounds
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -16,34 +16,19 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.run import CONTACT_TOLERANCE, RAISE_STEPS, Run
+from pinposture.motion.run import (
+    CONFIGURATION_ARRAYS,
+    CONTACT_TOLERANCE,
+    RAISE_STEPS,
+    STEP_ARRAYS,
+    Arrays,
+    Run,
+    info_of,
+)
 from pinposture.placement import Target
 from pinposture.units import error_text, length_text
 
-# The motions of many runs, as arrays.
-
 Array = NDArray[np.float64]
-Arrays = dict[str, NDArray[Any]]
-
-CONFIGURATION_ARRAYS = ("q", "clearance")
-STEP_ARRAYS = ("active", "clipped", "error_increasing", "violated_constraints")
-
-INFO = "info_"
-"""Prefix of the names of arrays of `Run.info`."""
-
-
-def run_arrays(run: Run) -> Arrays:
-    """Return the arrays of a run that its arm and target do not give."""
-    arrays = {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS}
-    return arrays | {f"{INFO}{name}": column for name, column in run.info.items()}
-
-
-def info_of(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
-    """Return `Run.info` from the arrays of a run."""
-    return {name.removeprefix(INFO): each for name, each in arrays.items() if name.startswith(INFO)}
-
-
-# The result of many runs of one arm.
 
 FAILED = "failed"
 """Status of a run that an error ended."""

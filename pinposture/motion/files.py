@@ -19,7 +19,7 @@ from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue
-from pinposture.motion.batch import CONFIGURATION_ARRAYS, INFO, STEP_ARRAYS, Batch, info_of, run_arrays
+from pinposture.motion.batch import Batch
 from pinposture.motion.joint_files import (
     check_format,
     read_ros_message,
@@ -28,7 +28,16 @@ from pinposture.motion.joint_files import (
     write_table,
 )
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.run import ENDINGS, Run
+from pinposture.motion.run import (
+    CONFIGURATION_ARRAYS,
+    ENDINGS,
+    INFO,
+    STEP_ARRAYS,
+    Arrays,
+    Run,
+    info_of,
+    run_arrays,
+)
 from pinposture.motion.trajectory import Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.placement.target import Moved
@@ -37,7 +46,6 @@ from pinposture.units import length_text
 
 Result = TypeVar("Result")
 About = dict[str, Any]
-Arrays = dict[str, Any]
 
 
 class Format(NamedTuple):
@@ -115,7 +123,8 @@ def save(result: Any, path: str | Path) -> Path:
     about, arrays = form.pack(result)
     content = io.BytesIO()
     described = json.dumps({"format": form.name, "version": form.version, **about})
-    np.savez_compressed(content, about=np.array(described), **arrays)
+    stored: dict[str, Any] = {"about": np.array(described), **arrays}
+    np.savez_compressed(content, **stored)
     write_bytes(path, content.getvalue())
     return path
 

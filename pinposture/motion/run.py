@@ -492,3 +492,25 @@ class Run(Outcome):
     def __repr__(self) -> str:
         texts = [length_text(error, self.arm.length) for error in self.mean_error[[0, -1]]]
         return f"Run({self.status}, {self.steps} steps, mean point error {' -> '.join(texts)})"
+
+
+# The arrays of a run, for files and batches.
+
+Arrays = dict[str, NDArray[Any]]
+
+CONFIGURATION_ARRAYS = ("q", "clearance")
+STEP_ARRAYS = ("active", "clipped", "error_increasing", "violated_constraints")
+
+INFO = "info_"
+"""Prefix of the names of arrays of `Run.info`."""
+
+
+def run_arrays(run: Run) -> Arrays:
+    """Return the arrays of a run that its arm and target do not give."""
+    arrays = {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS}
+    return arrays | {f"{INFO}{name}": column for name, column in run.info.items()}
+
+
+def info_of(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+    """Return `Run.info` from the arrays of a run."""
+    return {name.removeprefix(INFO): each for name, each in arrays.items() if name.startswith(INFO)}

@@ -288,11 +288,11 @@ class ControlLoop:
         """
         dq = self.filter.apply(step.dq)
         self.memory = step.memory
-        self.state = self.ahead = self.arm.at(self.arm.integrate(self.state.q, dq))
+        self.state = self.ahead = self.state.moved(dq)
         if self.filter.cycles > 1:
             rises = self.record.error_rises_at(self.state)
             step = step._replace(dq=dq, error_increasing=rises)
-            self.ahead = self.arm.at(self.arm.integrate(self.state.q, self.filter.ahead))
+            self.ahead = self.state.moved(self.filter.ahead)
         self.record.append(self.state, step, self.limits.travel(self.state), target)
 
     def run(
@@ -341,22 +341,19 @@ class ControlLoop:
         """Take a step that decelerates all joints as much as the limits allow."""
         before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
         memory = before.braked(self.limits, self.ahead)
-        rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.ahead.q, memory.dq)))
+        rises = self.record.error_rises_at(self.ahead.moved(memory.dq))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
         self.take_step(Step(memory.dq, (), still, error_increasing=rises, memory=memory))
-
-    def _cannot_stop(self) -> bool:
-        """Whether the arm cannot stop in the next step."""
-        brake = self.limits.for_arm(self.arm).brake
-        return brake is not None and self.memory is not None and bool(np.any(np.abs(self.memory.dq) > brake))
 
     def _check_end(self, target: Target, tolerance: float, max_steps: int) -> tuple[str, str]:
         """Return status and reason if the run is over, else empty strings."""
         mean = self.record.mean_error
         if self.filter.moving:
             mean = max(mean, self.record.mean_error_at(self.ahead))
-        if mean <= tolerance and not self._cannot_stop():
-            return "converged", _describe_arrival(self.arm, mean, tolerance)
+        if mean <= tolerance:
+            brake = self.limits.for_arm(self.arm).brake
+            if brake is None or self.memory is None or np.all(np.abs(self.memory.dq) <= brake):  # it can stop
+                return "converged", _describe_arrival(self.arm, mean, tolerance)
         if self.record.steps >= max_steps:
             above = f"mean point error {length_text(mean)}, above the tolerance of {length_text(tolerance)}"
             return "max_steps", above

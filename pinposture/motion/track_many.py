@@ -24,8 +24,8 @@ from pinposture.errors import (
     no_warnings,
     warn_caller,
 )
-from pinposture.motion.batch import FAILED, Batch, run_arrays
-from pinposture.motion.run import Run, smallest_distance
+from pinposture.motion.batch import FAILED, Batch
+from pinposture.motion.run import Run, run_arrays, smallest_distance
 from pinposture.motion.track import RunRecord, in_scene, name_enough_steps, track, usual_max_steps
 from pinposture.placement import Target
 

@@ -549,7 +549,7 @@ class Tracker:
         """Return the state before the jerk filter, from which the controller steps."""
         if state is None or not self._smooth.active:
             return state
-        return self.arm.at(self.arm.integrate(state.q, self._smooth.ahead))
+        return state.moved(self._smooth.ahead)
 
     def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> tuple[Memory, bool]:
         """Brake and hold, or evade obstacles that approach or are too close, which needs a measured state.

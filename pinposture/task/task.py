@@ -1248,9 +1248,8 @@ class _Performance:
 
     def _leaves_path(self, step: Step, place: float) -> bool:
         """Whether the arm is off the path after a step to a place, so that it would miss a mark there."""
-        arm = self.loop.arm
         target = self.guide.target(place)
-        points = arm.at(arm.integrate(self.loop.ahead.q, step.dq)).compiled.points
+        points = self.loop.ahead.moved(step.dq).compiled.points
         apart = target.mean_distance(points)
         return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.cycles > 1 else 1.0))
 

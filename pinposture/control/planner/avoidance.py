@@ -289,7 +289,7 @@ class Avoidance:
         if self.offset is None:
             return None
         if self._seen_displaced is None or self._seen_displaced[0] is not state:
-            displaced = state.arm.at(state.arm.integrate(state.q, self.offset)).compiled
+            displaced = state.moved(self.offset).compiled
             self._seen_displaced = state, self.clearance.nearest(displaced, self._sight)
         return self._seen_displaced[1]
 

@@ -325,7 +325,7 @@ class Geodesic:
         if avoidance is None or avoidance.near(state).minimum >= 0.0:
             return None
         cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
-        after = state.arm.at(state.arm.integrate(state.q, cleared.dq)).compiled
+        after = state.moved(cleared.dq).compiled
         gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
         if gained < MIN_CLEARANCE_GAIN * state.arm.length:
             return None
@@ -461,7 +461,7 @@ def _step_before_planning(
     """Return a step to where a path can begin, with a memory of the step alone."""
     arm = state.arm
     active = tuple(int(k) for k in np.flatnonzero(target.has_target))
-    after = arm.at(arm.integrate(state.q, dq)).compiled
+    after = state.moved(dq).compiled
     return Step(
         dq,
         active,

@@ -151,7 +151,7 @@ class Switching:
 
     def _promises(self, step: Step, state: ArmState, target: Target, error: float, travel: float) -> bool:
         """Whether a step lowers the posture error as fast as Selection must to stay active."""
-        ahead = state.arm.at(state.arm.integrate(state.q, step.dq)).compiled
+        ahead = state.moved(step.dq).compiled
         left = float(np.linalg.norm(task_errors(ahead, target), axis=1).sum())
         return left < error * (1.0 - self.progress * min(travel / self.patience, 1.0))
 
@@ -211,7 +211,7 @@ class Switching:
         way = np.array(arm.difference(state.q, goal)) * arm.moved
         farthest = float(np.max(np.abs(way) / arm.joint_units, initial=0.0))
         ahead = way * min(1.0, self.reach / max(farthest, 1e-300))
-        waypoint = replace(target, points=arm.at(arm.integrate(state.q, ahead)).points)
+        waypoint = replace(target, points=state.moved(ahead).points)
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
         if step.reason:  # no control point can move: follow the line in joint space
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
