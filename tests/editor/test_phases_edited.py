@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 import pytest
+from editor.edited_tasks import task as edited_task
 
 import pinposture as pp
 from pinposture.editor import edits
@@ -17,7 +20,7 @@ from pinposture.editor.session import Session
 from pinposture.editor.ui.keyframes import about
 from pinposture.editor.ui.phases import PhasePlanner, rename_phase
 from pinposture.editor.ui.player import _schedule
-from pinposture.errors import InvalidValue, TaskError
+from pinposture.errors import InvalidValue, PostureError, TaskError
 
 FILE = Path(__file__).parents[2] / "examples" / "tasks" / "inspection.toml"
 SHORT = """
@@ -161,6 +164,76 @@ def test_choosing_a_phase_is_no_change_and_changes_of_any_phase_are_saved(file: 
         session.undo()
     assert not session.changed
     assert edits.keyframes_of(session.task)[1].name == "left"
+
+
+@pytest.fixture
+def arranged(file: Path) -> Iterator[tuple[Session, Callable[[str], None]]]:
+    """A session, and what a button for phases does in it."""
+    posted: SimpleQueue[Callable[[Session], object]] = SimpleQueue()
+    session = Session(pp.Task.load(file), file)
+    planner = PhasePlanner(lambda request, key="": posted.put(request))
+
+    def press(action: str) -> None:
+        planner.arrange(action, session)
+        posted.get(timeout=60.0)(session)
+
+    yield session, press
+
+
+def phase_names(session: Session) -> list[str]:
+    return [each.name for each in session.whole.motion]
+
+
+@pytest.mark.soak
+def test_a_phase_is_added_moved_deleted_and_all_that_undone(
+    arranged: tuple[Session, Callable[[str], None]], file: Path
+) -> None:
+    session, press = arranged
+    first = session.whole
+    press("Add")
+    assert phase_names(session) == ["in", "turn", "", ""]
+    assert isinstance(session.task, EditedPhase)
+    assert session.task.index == 2
+    assert session.whole.motion[2].motion == first.motion[1].motion
+    rename_phase("again", session)
+    press("Earlier")
+    assert phase_names(session) == ["in", "again", "turn", ""]
+    session.task.save(file)
+    again = pp.Task.load(file)
+    assert list(again.motion) == list(session.whole.motion)
+    assert all(word in file.read_text() for word in ("# kept", "# along a path"))
+    press("Later")
+    press("Delete")
+    assert phase_names(session) == ["in", "turn", ""]
+    assert session.task.index == 1
+    for _ in range(5):
+        session.undo()
+    assert session.whole is first
+    assert not session.changed or session.whole == first
+
+
+def test_the_only_phase_stays_where_it_is_and_a_way_out_needs_a_way_in(file: Path) -> None:
+    task = pp.Task.load(file)
+    inwards, _, out = task.motion
+    planner = PhasePlanner(lambda request, key="": None)
+    session = Session(task.edited(motion=(inwards,)))
+    before = session.task
+    for action, words in (("Delete", "only"), ("Earlier", "first"), ("Later", "last")):
+        with pytest.raises(TaskError, match=f"phase 1 'in': is the {words} one"):
+            planner.arrange(action, session)
+    assert session.task is before
+    session = Session(task.edited(motion=(inwards, out)))
+    before = session.task
+    with pytest.raises(PostureError, match="phase 1"):
+        planner.arrange("Delete", session)
+    assert session.task is before
+
+
+def test_a_task_of_keyframes_has_no_phases_to_arrange() -> None:
+    session = Session(edited_task())
+    before = session.task
+    PhasePlanner(lambda request, key="": None).arrange("Add", session)
+    assert session.task is before
 
 
 def test_a_phase_that_cannot_be_planned_changes_nothing(file: Path) -> None:

@@ -439,7 +439,11 @@ class ShapeTab:
         )
         hint = "Shows axes at the tip, by which it is dragged; key T"
         tip = gui.add_checkbox("Drag the tip", False, hint=hint)
-        self._tip = bind(tip, lambda session: session.tip, lambda held: hold_tip if held else release)
+        self._tip = bind(
+            tip,
+            lambda session: session.tip,
+            lambda held: hold_tip if held else partial(Session.take_hold, handle=None),
+        )
         digits = coordinate_digits(arm.length)
         hint = "World frame; of the control point, or of the tip while it is selected"
         place = gui.add_vector3("x, y, z [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, hint=hint)
@@ -517,11 +521,6 @@ def _legend() -> str:
     style = "display:inline-block;width:18px;height:8px;border-radius:2px;margin-right:8px"
     lines = [f'<span style="{style};background:{shade}"></span>{words}' for shade, words in LEGEND]
     return f'<div style="font-size:12px;line-height:1.5;padding:8px 12px">{"<br>".join(lines)}</div>'
-
-
-def release(session: Session) -> None:
-    """Select neither a control point nor the tip."""
-    session.take_hold(None)
 
 
 POINT_ACTIONS = {

@@ -27,9 +27,11 @@ from pinposture.editor.ui.parts import (
     color,
     coordinate_digits,
     on_change,
+    on_choice,
     put,
     put_at,
 )
+from pinposture.errors import TaskError
 from pinposture.task import Leader, Phase, Task, TipGoal
 from pinposture.task.phases import phase_title
 from pinposture.viz import palette
@@ -98,6 +100,41 @@ class PhasePlanner:
         if isinstance(task, EditedPhase) and 0 <= index < len(task.phases) and index != task.index:
             self._show(session, task.whole, index, f"shown: {phase_title(task.phases, index)}")
 
+    def arrange(self, action: str, session: Session) -> None:
+        """Add a copy of the phase that is shown behind it, delete it, or move it.
+
+        Args:
+            action: "Add", "Delete", "Earlier" or "Later".
+            session: the session.
+
+        Raises:
+            TaskError: it is the only one, or there is no place to move it to.
+            PostureError: phases that a task cannot have in this order.
+        """
+        task = session.task
+        if not isinstance(task, EditedPhase):
+            return
+        phases = list(cast("tuple[Phase, ...]", task.whole.motion))
+        index = task.index
+        title = phase_title(tuple(phases), index)
+        phase = phases.pop(index)
+        if action == "Delete":
+            to = max(index - 1, 0)
+            what = f"deleted {title}"
+        elif action == "Add":
+            to = index + 1
+            phases[index:index] = [phase, replace(phase, name="")]
+            what = f"added a copy of {title}"
+        else:
+            to = index + (1 if action == "Later" else -1)
+            if not 0 <= to <= len(phases):
+                raise TaskError(title, f"is the {'last' if to > 0 else 'first'} one already")
+            phases.insert(to, phase)
+            what = f"moved {title} to place {to + 1}"
+        if not phases:
+            raise TaskError(title, "is the only one, and cannot be deleted")
+        self._show(session, task.whole.edited(motion=tuple(phases)), to, what)
+
     def change(self, values: dict[str, Any], what: str, session: Session) -> None:
         """Change values of the motion of the phase that is shown, such as the speed of a leader.
 
@@ -163,6 +200,9 @@ class PhaseControls:
         self._choice = bind(
             choice, _label_of, lambda label: partial(planner.choose, int(label.split(maxsplit=1)[0]) - 1)
         )
+        hint = "Add a copy of this phase after it; delete it; move it earlier or later"
+        self._actions = gui.add_button_group("Phases", ("Add", "Delete", "Earlier", "Later"), hint=hint)
+        on_choice(self._actions, lambda action: post(partial(planner.arrange, action)))
         self._name = bind(
             gui.add_text("Phase name", "", visible=False),
             _name_of,
@@ -197,6 +237,7 @@ class PhaseControls:
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
         task = session.task
+        put(self._actions, visible=isinstance(task, EditedPhase))
         if isinstance(task, EditedPhase):
             options = tuple(phase_label(task.phases, index) for index in range(len(task.phases)))
             if tuple(self._choice.control.options) != options:
