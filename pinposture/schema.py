@@ -412,10 +412,19 @@ def is_file_name(value: object) -> bool:
     return isinstance(value, str) and bool(value.strip()) and "\0" not in value
 
 
-def _read_table(value: object) -> object:
-    if not is_table(value):
+def _read_table(value: object) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
         raise NotAllowed(value, "a table")
     return value
+
+
+def read_keys(value: object, keys: Collection[str]) -> Mapping[str, Any]:
+    """Return a table that has no other keys than these."""
+    table = _read_table(value)
+    unknown = [unknown_key(key, keys) for key in table if key not in keys]
+    if unknown:
+        raise Refusals(unknown)
+    return table
 
 
 def _read_flag(value: object, _: ValidationInfo) -> bool:
@@ -544,17 +553,6 @@ class Declared:
                 table[key] = writers[key](value, file) if key in writers else write_parts(value, file)
         return table
 
-    @classmethod
-    def check_table(cls, values: object) -> Mapping[str, Any]:
-        """Refuse anything but a table, unknown keys, and keys that exclude each other."""
-        if not isinstance(values, Mapping):
-            raise NotAllowed(values, "a table")
-        allowed = cls.check_keys(values)
-        unknown = [unknown_key(key, allowed) for key in values if key not in allowed]
-        if unknown:
-            raise Refusals(unknown)
-        return values
-
     @model_validator(mode="wrap")
     @classmethod
     def _read(cls, values: Any, make: Callable[[Any], Self], info: ValidationInfo) -> Self:
@@ -563,7 +561,8 @@ class Declared:
         source = in_file(info)
         if source is None:
             raise NotAllowed(values, f"{cls.__name__}(...)")
-        made = make(cls.from_table(cls.check_table(values), source))
+        table = read_keys(values, cls.check_keys(_read_table(values)))
+        made = make(cls.from_table(table, source))
         made.remember(values, source)
         return made
 

@@ -220,6 +220,22 @@ def _read_position(text: str) -> float:
     return read_quantity(text if numbers is None else numbers[0], "angle", "length")
 
 
+def read_changes(given: list[str] | None) -> dict[str, object]:
+    """Return values by key of a task file; raise InvalidValue unless KEY=VALUE, each once."""
+    from pinposture.storage import parse_toml
+
+    changes: dict[str, object] = {}
+    for text in given or ():
+        key, _, value = (part.strip() for part in text.partition("="))
+        if not key or not value or key in changes:
+            raise InvalidValue("--set", text, "KEY=VALUE, such as limits.velocity=2, each key once")
+        try:
+            changes[key] = parse_toml(f"value = {value}")["value"]
+        except ValueError:  # text without quotes, such as 20 ms
+            changes[key] = value
+    return changes
+
+
 def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float]]:
     """Return leader, ratio and offset [rad or m] of coupled joints; raise InvalidValue for invalid text."""
     couplings: dict[str, tuple[str, float, float]] = {}

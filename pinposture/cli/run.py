@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import OUTPUT, JsonOption, ViewOption
+from pinposture.cli.inputs import MOTION, OUTPUT, JsonOption, ViewOption, read_changes
 from pinposture.cli.output import (
     STATUS,
     check_directory,
@@ -142,6 +142,7 @@ def _now() -> str:
     "pinposture run examples/tasks/around.toml --json",
     "pinposture run examples/tasks/pipe.toml --check",
     "pinposture run examples/tasks/inspection.toml -o out/inspection",
+    "pinposture run examples/tasks/keyframes.toml --set limits.velocity='60 deg/s'",
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes --view",
 )
 def run(
@@ -153,6 +154,14 @@ def run(
             "Save motion.npz, .csv, .json, .png and .html here, or the formats in the file.",
             "DIR",
             flags="--output -o",
+        ),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        MOTION(
+            "Another value of a key of the file, with a unit or without; repeatable.",
+            "KEY=VALUE",
+            flags="--set",
         ),
     ] = None,
     check: Annotated[
@@ -178,7 +187,7 @@ def run(
     from pinposture.task import Task
     from pinposture.task.reference import find_crowded
 
-    task = Task.load(file)
+    task = Task.load(file, read_changes(changes))
     if check:
         with count_progress("posture") as placing:
             reference = task.reference(placing)

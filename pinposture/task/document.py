@@ -98,6 +98,7 @@ class Document:
         path: the file.
         values: its contents.
         toml: the text if the file is TOML; None if it is JSON.
+        changed: the places of values that are not those of the file.
         arm: the arm, once it has been read.
         described: the description of each part of the task: plain data in SI units, with an absolute `Path`
             for each path.
@@ -111,6 +112,7 @@ class Document:
         self.values = values
         self.toml = toml
         self.described: dict[Hashable, object] = {}
+        self.changed: set[Place] = set()
 
     @classmethod
     def load(cls, path: Path) -> Document:
@@ -130,6 +132,31 @@ class Document:
             FileError: the text is malformed, or contains no table; names the line.
         """
         return cls(path, _parsed(path, text), text if path.suffix.lower() == ".toml" else None)
+
+    def change(self, key: str, value: object) -> None:
+        """Put another value in the place of one in the file, or where there was none.
+
+        Args:
+            key: its place, as in "limits.velocity" or "keyframes.2.time"; list items count from 1.
+            value: plain data.
+
+        Raises:
+            FileError: there is no such place.
+        """
+        place: Place = tuple(int(each) - 1 if each.isdecimal() else each for each in key.split("."))
+        inside: Any = self.values
+        for depth, each in enumerate(place):
+            listed = isinstance(inside, list) and isinstance(each, int) and 0 <= each < len(inside)
+            if not listed and not (isinstance(inside, dict) and isinstance(each, str) and each):
+                where = place_in_words(place[:depth])
+                raise FileError(self.path, f"there is no {key!r} to change: nothing of that name in {where}")
+            if depth == len(place) - 1:
+                inside[each] = value
+            elif not listed:
+                inside = inside.setdefault(each, {})
+            else:
+                inside = inside[each]
+        self.changed.add(place)
 
     def at(self, where: Place) -> Any:
         """Return the value at a place; None if there is none."""
@@ -200,8 +227,10 @@ class Document:
             raise ValueError(f"is {shown(name)}, which cannot be found ({error})") from None
 
     def line(self, where: Place) -> int | None:
-        """Return the line of a place, or of its parent; None if unknown, as in JSON."""
+        """Return the line of a place, or of its parent; None if unknown, as in JSON, or changed."""
         for end in range(len(where), 0, -1):
+            if where[:end] in self.changed:
+                return None
             if where[:end] in self._lines:
                 return self._lines[where[:end]]
         return None

@@ -26,7 +26,6 @@ from pinposture.schema import (
     Number,
     OutputFile,
     Refusal,
-    Refusals,
     WrittenBy,
     in_file,
     in_si,
@@ -34,27 +33,17 @@ from pinposture.schema import (
     is_list_of,
     is_table,
     read_by,
+    read_keys,
     read_part,
     read_quantities,
     read_within,
     read_word,
     refusing,
     shown,
-    unknown_key,
 )
 from pinposture.storage import settled
 
 Array = NDArray[np.float64]
-
-
-def read_keys(values: object, *keys: str) -> Mapping[str, Any]:
-    """Return a table that has no other keys than these."""
-    if not isinstance(values, Mapping):
-        raise NotAllowed(values, "a table")
-    unknown = [unknown_key(key, keys) for key in values if key not in keys]
-    if unknown:
-        raise Refusals(unknown)
-    return values
 
 
 # Curves.
@@ -176,7 +165,7 @@ def _read_scene(value: object, info: ValidationInfo) -> Scene | None:
         raise NotAllowed(value, "a Scene, or None")
     if isinstance(value, Mapping) and "file" in value:
         return _read_scene_file(value, source)
-    table = read_keys(value, *_OF_A_SCENE)
+    table = read_keys(value, _OF_A_SCENE)
     if not table:
         return None
     listed = table.get("obstacles", {})
@@ -254,7 +243,7 @@ Joints = Annotated[tuple[float, ...], read_by(_read_joints_of_any_arm)]
 
 def read_start(value: object, info: ValidationInfo) -> Array | None:
     """Read the configuration to start from, (nq,)."""
-    table = read_keys(value, "posture", "joints")
+    table = read_keys(value, ("posture", "joints"))
     if "joints" in table and "posture" in table:
         raise Refusal("does not go with 'joints'", "posture")
     arm: Arm = cast(InputFile, in_file(info)).arm
@@ -285,7 +274,7 @@ _WEIGHTS = ("joint_weight", "relative_position_weight")
 
 def read_controller(value: object, info: ValidationInfo) -> Controller:
     """Read the controller."""
-    table = read_keys(value, "name", *_WEIGHTS)
+    table = read_keys(value, ("name", *_WEIGHTS))
     name = read_within("name", read_word, table.get("name", "geodesic"), CONTROLLERS)
     controller = controller_named(name)
     for key in _WEIGHTS:
@@ -325,7 +314,7 @@ RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
 
 def read_formats(value: object, _: ValidationInfo) -> tuple[str, ...]:
     """Read the formats in which to save the result."""
-    given = read_keys(value, "formats").get("formats", RESULT_FORMATS)
+    given = read_keys(value, ("formats",)).get("formats", RESULT_FORMATS)
     if not is_list_of(lambda each: each in RESULT_FORMATS)(given):
         raise NotAllowed(given, f"a list of {', '.join(RESULT_FORMATS)}", "formats")
     return tuple(each for each in RESULT_FORMATS if each in given)
@@ -333,7 +322,7 @@ def read_formats(value: object, _: ValidationInfo) -> tuple[str, ...]:
 
 def read_scans(value: object, info: ValidationInfo) -> tuple[Path, ...]:
     """Read the files that the editor shows; they need not exist."""
-    given = read_keys(value, "scans").get("scans", [])
+    given = read_keys(value, ("scans",)).get("scans", [])
     if not isinstance(given, list):
         raise NotAllowed(given, "a list of files", "scans")
     for index, name in enumerate(given):

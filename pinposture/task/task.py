@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ValidationInfo
+from pydantic import PlainValidator, ValidationInfo
 
 from pinposture._validation import require_instance, require_known, require_positive, require_whole
 from pinposture.arm import Arm, ArmSpec
@@ -51,6 +51,7 @@ from pinposture.schema import (
     one_of,
     read_as,
     read_by,
+    read_keys,
     read_within,
     read_word,
     shown,
@@ -72,7 +73,6 @@ from pinposture.task.fields import (
     SceneField,
     read_controller,
     read_formats,
-    read_keys,
     read_scans,
     read_start,
     write_controller,
@@ -221,19 +221,26 @@ class Task:
         object.__setattr__(self, name, value)
 
     @classmethod
-    def load(cls, path: str | Path) -> Task:
+    def load(cls, path: str | Path, changes: Mapping[str, object] | None = None) -> Task:
         """Read a task file, TOML or JSON; docs/tasks.md describes the format.
 
         This checks the file, but not whether the arm can reach the postures; see `reference` and `perform`.
+
+        Args:
+            path: the file.
+            changes: values that replace those of the file, by key, as in {"limits.velocity": "90 deg/s",
+                "keyframes.2.time": 3}; list items count from 1.
 
         Raises:
             FileError: the file is missing, malformed, or not a task; names the line, the key, the value and
                 what is allowed.
         """
         document = Document.load(Path(path))
+        for key, value in (changes or {}).items():
+            document.change(key, value)
         task = cls._read(document)
         task._set("_document", document)
-        if document.toml is not None:
+        if document.toml is not None and not changes:
             task._set("layout", TomlLayout(document.toml, partial(_as_read, copy(task), document.path)))
         return task
 
@@ -521,33 +528,29 @@ def _check_keys(values: Mapping[str, Any], _: object) -> Mapping[str, Any]:
     for key, other in others.items():
         if key in values:
             raise Refusal(f"goes with kind = {other!r}; the kind is {kind!r}", key)
-    return read_keys(values, *(key for key in _TASK_KEYS if key not in others))
+    return read_keys(values, [key for key in _TASK_KEYS if key not in others])
 
 
-def _read_keyframes(value: object, info: ValidationInfo) -> tuple[Keyframe, ...]:
-    listed = value or []
-    if not is_list_of(is_table)(listed):
-        raise NotAllowed(value, "a list of tables, each begun by [[keyframes]]")
-    if len(cast("list[object]", listed)) < 2:
-        found = "only one" if listed else "none"
-        raise Refusal(f"there is {found}; allowed: two or more, each begun by [[keyframes]]")
-    return cast("tuple[Keyframe, ...]", read_as(tuple[Keyframe, ...], listed, in_file(info)))
+def _read_list(kind: type[Keyframe | Phase], key: str, least: str) -> PlainValidator:
+    """Read a list of tables: one or more, or two or more."""
 
+    def read(value: Any, info: ValidationInfo) -> Any:
+        listed = value or []
+        if not is_list_of(is_table)(listed):
+            raise NotAllowed(value, f"a list of tables, each begun by [[{key}]]")
+        if len(listed) < (2 if least == "two" else 1):
+            found = "only one" if listed else "none"
+            raise Refusal(f"there is {found}; allowed: {least} or more, each begun by [[{key}]]")
+        return read_as(tuple[kind, ...], listed, in_file(info))  # type: ignore[valid-type]
 
-def _read_phases(value: object, info: ValidationInfo) -> tuple[Phase, ...]:
-    listed = value or []
-    if not is_list_of(is_table)(listed):
-        raise NotAllowed(value, "a list of tables, each begun by [[phases]]")
-    if not listed:
-        raise Refusal("there is none; allowed: one or more, each begun by [[phases]]")
-    return cast("tuple[Phase, ...]", read_as(tuple[Phase, ...], listed, in_file(info)))
+    return read_by(read)
 
 
 _READ_AS: Mapping[str, Any] = {
     "scene": SceneField,
-    "keyframes": Annotated[Any, read_by(_read_keyframes)],
+    "keyframes": Annotated[Any, _read_list(Keyframe, "keyframes", "two")],
     "leader": Leader,
-    "phases": Annotated[Any, read_by(_read_phases)],
+    "phases": Annotated[Any, _read_list(Phase, "phases", "one")],
     "limits": Limits,
     "controller": Annotated[Any, read_by(read_controller)],
     "start": Annotated[Any, read_by(read_start)],

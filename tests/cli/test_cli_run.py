@@ -334,3 +334,33 @@ def test_a_check_names_postures_closer_than_the_margin(command, task):
         assert ("and ball would be" in result.err and "the margin is 50 mm" in result.err) == said
     result = command("run", task)
     assert re.search(r"keyframe \d 'straight': m0\d_\w+ and ball would be [\d.]+ mm apart", result.err)
+
+
+def test_values_of_the_file_are_set_from_the_command_line(command, task):
+    plain = json.loads(command("run", task, "--json").out)
+    held = json.loads(command("run", task, "--json", "--set", "keyframes.2.hold=500 ms").out)
+    assert held["duration"] == pytest.approx(plain["duration"] + 0.5, abs=0.051)
+    slow = json.loads(command("run", task, "--json", "--set", "limits.cycle=0.1", "--set", 'name="b"').out)
+    assert slow["steps"] < plain["steps"]
+    assert task.read_text() == TASK
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ("limits.velocity=-1", "limits.velocity: is -1; allowed: a positive number"),
+        ("limits.velocty=1", "limits.velocty: there is no such key (did you mean 'velocity'?)"),
+        ("keyframes.9.hold=1", "there is no 'keyframes.9.hold' to change"),
+        ("limits.cycle.x=1", "there is no 'limits.cycle.x' to change"),
+        ("limits.cycle=", "--set is 'limits.cycle='; allowed: KEY=VALUE"),
+        ("limits", "--set is 'limits'; allowed: KEY=VALUE"),
+        ("..=1", "there is no '..' to change"),
+        (f"limits.cycle={'9' * 5000}", "limits.cycle: is"),
+    ],
+)
+def test_a_value_that_cannot_be_set_is_one_line_with_code_2(command, task, given, says):
+    result = command("run", task, "--set", given)
+    assert (result.code, result.out) == (2, "")
+    assert says in result.err
+    assert result.err.count("\n") == 1
+    assert "line " not in result.err
