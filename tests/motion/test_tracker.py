@@ -328,7 +328,7 @@ def test_noise_does_not_plan_again_for_an_arm_with_a_task(monkeypatch: pytest.Mo
     tracker.update(Target.from_configuration(arm, goal))
     rng = np.random.default_rng(0)
     q = arm.straight()
-    for _ in range(200):
+    for _ in range(300):
         tracker.step(q + 3e-4 * rng.normal(size=arm.nv))
         q = q + 0.2 * (tracker.command - q)
     assert len(plans) <= 2
