@@ -27,7 +27,7 @@ if __name__ == "__main__":  # worker processes import this file
 
     out = Path("out/many_targets")
     pp.save(batch, out / "batch.npz")
-    print(batch.summary())
+    print(batch)
 
     # Plot each final posture, coloured by its number of steps; a cross marks the target of the tip.
     figure, axes = plt.subplots(subplot_kw={"projection": "3d"}, figsize=(7, 6))

@@ -87,56 +87,29 @@ def show_target(target: Target) -> str:
 
 def show_run(run: Run) -> str:
     """Return a run as HTML: how it ended, and the figure of `plot`."""
+    from pinposture.motion.words import in_words
     from pinposture.viz import plot
     from pinposture.viz.palette import controller_name
 
-    rows = [
-        ("status", f"{run.status}: {run.reason}"),
-        ("steps", str(run.steps)),
-        *_duration(run),
-        (
-            "mean point error",
-            f"{length_text(run.mean_error[0], run.arm.length)} at the start, "
-            f"{length_text(run.mean_error[-1], run.arm.length)} at the end",
-        ),
-        ("largest point error", f"{length_text(run.point_errors[-1].max(), run.arm.length)} at the end"),
-        *_clearance(run),
-    ]
+    rows = in_words(run.summary()).items()
     return _page(f"Run of {run.arm.name} by {controller_name(run)}", rows, plot(run))
 
 
 def show_motion(motion: Trajectory) -> str:
     """Return a motion in time as HTML: how it ended, and the figure of `plot`."""
+    from pinposture.motion.words import in_words
     from pinposture.viz import plot
 
-    rows = [
-        ("status", ": ".join(filter(None, (motion.run.status, motion.run.reason)))),
-        ("duration", f"{motion.dt * motion.run.steps:.4g} s, {motion.run.steps} cycles of {motion.dt:.4g} s"),
-        (
-            "mean point error",
-            f"{length_text(motion.mean_error.max(), motion.arm.length)} at most, "
-            f"{length_text(motion.mean_error[-1], motion.arm.length)} at the end",
-        ),
-        ("largest point error", length_text(motion.run.point_errors.max(), motion.arm.length)),
-        *_clearance(motion.run),
-        *_listed("deviation", motion.deviations),
-    ]
+    rows = in_words(motion.summary()).items()
     return _page(f"Motion of {motion.arm.name}", rows, plot(motion))
 
 
 def show_joints(trajectory: JointTrajectory) -> str:
     """Return a joint trajectory as HTML: its size, its largest rates, and the figure of `plot`."""
+    from pinposture.motion.words import in_words
     from pinposture.viz import plot
 
-    speeds, accelerations = trajectory.peaks
-    unit = " or ".join(each for each in dict.fromkeys(trajectory.units) if each)
-    rows = [
-        ("joints", str(len(trajectory.joint_names))),
-        ("rows", str(len(trajectory.time))),
-        ("duration", f"{trajectory.duration:.4g} s"),
-        ("largest velocity", f"{speeds.max(initial=0.0):.4g} {unit}/s"),
-        ("largest acceleration", f"{accelerations.max(initial=0.0):.4g} {unit}/s²"),
-    ]
+    rows = in_words(trajectory.summary()).items()
     return _page(trajectory.name or "Joint trajectory", rows, plot(trajectory))
 
 
@@ -253,23 +226,6 @@ SHOWN: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
 def _point(position: np.ndarray) -> str:
     """Return a position in the world frame [m]."""
     return f"({', '.join(f'{value:.4g}' for value in position.round(6) + 0.0)}) m"
-
-
-def _duration(run: Run) -> list[tuple[str, str]]:
-    """Return the row on the duration of a run, if it has a cycle time."""
-    if run.limits.dt is None:
-        return []
-    return [("duration", f"{run.steps * run.limits.dt:.4g} s")]
-
-
-def _clearance(run: Run) -> list[tuple[str, str]]:
-    """Return the row on the smallest clearance of a run, if it was in a scene."""
-    from pinposture.motion.run import closest
-
-    found = closest(run)
-    if found is None or found["pair"] is None:
-        return []
-    return [("clearance", f"{length_text(found['smallest'])}, {' to '.join(found['pair'])}")]
 
 
 def _span(values: np.ndarray) -> str:

@@ -151,7 +151,7 @@ def run(
     if blocked:
         where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
         words["starts"] += f"; {where}; choose others by --starts or --seed"
-    results = {**batch.to_dict(), "starts_in_collision": blocked, "file": files.get("file")}
+    results = {**batch.summary(), "starts_in_collision": blocked, "file": files.get("file")}
     print_result(as_json, {**asked, **results}, words, files.values(), failure)
     end_with(batch.faults)
 

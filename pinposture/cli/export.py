@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument
 from pinposture.cli.output import (
@@ -13,6 +13,7 @@ from pinposture.cli.output import (
     print_note,
     print_result,
     print_warning,
+    words_of,
 )
 from pinposture.errors import FileError
 from pinposture.storage import require_suffix
@@ -92,7 +93,7 @@ def run(
     _write(trajectory, output, form, kept.arm)
     limits = (kept.run if isinstance(kept, Trajectory) else kept).limits
     if limits.acceleration is None:
-        most = _in_words(trajectory)["acceleration"]
+        most = words_of(trajectory.summary())["acceleration"]
         print_warning(
             f"no acceleration limit: joints accelerate by {most}; plan again with --dt {limits.dt or dt:g} "
             "--acceleration A, or acceleration in the [limits] of a task"
@@ -100,8 +101,8 @@ def run(
     for fault in kept.faults:
         print_warning(f"exported despite a fault: {fault}")
     verdict = {"verdict": kept.verdict, "faults": list(kept.faults)}
-    data = {"run": str(source), **verdict, **_summary(trajectory), "file": str(output)}
-    print_result(as_json, data, _in_words(trajectory), [output])
+    data = {"run": str(source), **verdict, **trajectory.summary(), "file": str(output)}
+    print_result(as_json, data, words_of(trajectory.summary()), [output])
 
 
 def check_form(output: Path, form: str) -> None:
@@ -136,37 +137,3 @@ def _joint_trajectory(moved: Run | Trajectory, dt: float | None, force: bool) ->
         step_duration(dt, moved.dt)  # rejects another duration
         return moved.joint_trajectory(force)
     return moved.joint_trajectory(dt, force)
-
-
-def _summary(trajectory: JointTrajectory) -> dict[str, Any]:
-    """Return a summary of a trajectory as JSON-compatible data."""
-    return {
-        "robot": trajectory.name,
-        "joints": list(trajectory.joint_names),
-        "units": list(trajectory.units),
-        "points": len(trajectory.time),
-        "duration": trajectory.duration,
-        "largest_speed": {f"{unit}/s": speed for unit, (speed, _) in _peaks(trajectory).items()},
-        "largest_acceleration": {f"{unit}/s^2": most for unit, (_, most) in _peaks(trajectory).items()},
-    }
-
-
-def _in_words(trajectory: JointTrajectory) -> dict[str, str]:
-    """Return a summary of a trajectory in words."""
-    peaks = _peaks(trajectory)
-    return {
-        "motion": f"{len(trajectory.joint_names)} joints, {len(trajectory.time)} points, "
-        f"{trajectory.duration:.4g} s",
-        "speed": f"at most {', '.join(f'{speed:.4g} {unit}/s' for unit, (speed, _) in peaks.items())}",
-        "acceleration": f"at most {', '.join(f'{most:.4g} {unit}/s^2' for unit, (_, most) in peaks.items())}",
-    }
-
-
-def _peaks(trajectory: JointTrajectory) -> dict[str, tuple[float, float]]:
-    """Return the largest joint speed and acceleration by unit."""
-    speeds, accelerations = trajectory.peaks
-    found: dict[str, tuple[float, float]] = {}
-    for unit, speed, acceleration in zip(trajectory.units, speeds, accelerations, strict=True):
-        most = found.get(unit, (0.0, 0.0))
-        found[unit] = max(most[0], float(speed)), max(most[1], float(acceleration))
-    return found

@@ -283,48 +283,18 @@ def _progress_bar(
         )
 
 
-def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> str:
-    """Describe the smallest distance.
+def words_of(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
+    """Return a summary in words; the verdict comes with the colour to print it in, and names options."""
+    from pinposture.motion.words import in_words
 
-    Args:
-        clearance: the result of `pinposture.motion.run.closest`.
-        dt: duration of a step [s]; None: count steps.
-    """
-    if clearance["pair"] is None:
-        return "nothing to keep clear of"
-    steps = clearance["after_steps"]
-    after = "at the start"
-    if steps:
-        after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
-    words = (
-        f"{length_text(clearance['smallest'])} where it is smallest, {' to '.join(clearance['pair'])}, "
-        f"{after}; {length_text(clearance['final'])} at the end; "
-    )
-    kinds = {"obstacles": clearance["to_obstacles"], "itself": clearance["to_itself"]}
-    for name, least in kinds.items():
-        if None not in kinds.values() and least["pair"] not in (None, clearance["pair"]):
-            words += f"{length_text(least['smallest'])} from {name}, {' to '.join(least['pair'])}; "
-    return f"{words}the margin is {length_text(clearance['margin'])}"
-
-
-FULL = 1.0 - 1e-6
-"""Fraction of a limit that counts as reached."""
-
-
-def shares_in_words(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Describe the largest speed, acceleration and jerk of a summary relative to limits, if there are any."""
-    words = {}
-    for kind in ("speed", "acceleration", "jerk"):
-        share = summary.get(f"largest_{kind}")
-        if share is not None:
-            reached = ", which is reached" if FULL <= share <= 2.0 - FULL else ""
-            words[kind] = f"at most {100.0 * share:.4g} % of the limit{reached}"
+    words: dict[str, str | tuple[str, str]] = {**in_words(summary)}
+    if "verdict" in words:
+        verdict = str(summary["verdict"]).replace("raise max_steps", "raise --steps")
+        words["verdict"] = verdict, "yellow" if summary["faults"] else "green"
+    if "start" in words:
+        start = str(words["start"])
+        words["start"] = start.replace("choose another one", "choose another one by --start or --seed")
     return words
-
-
-def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the verdict on a motion, and the colour to print it in."""
-    return str(summary["verdict"]), "yellow" if summary["faults"] else "green"
 
 
 RUN_FILE = "run.npz"

@@ -136,7 +136,7 @@ def run(
     written, failure = write_files(files)
     if as_json:
         asked = {"urdf": urdf, "to": place, "direction": pointing, "start": start, "seed": seed}
-        postures = [_described(each) for each in found]
+        postures = [each.summary() for each in found]
         kept = {"scene": scene_options.file, "postures": postures, "files": list(written.values())}
         print_json({**asked, **kept})
     else:
@@ -148,22 +148,6 @@ def run(
     if failure is not None:
         raise failure
     end_with([hindrance] if hindrance else [])
-
-
-def _described(posture: ReachedPosture) -> dict[str, Any]:
-    """Return a posture as JSON-compatible data; lengths in metres, angles in radians."""
-    path = posture.path
-    return {
-        "q": posture.q.tolist(),
-        "error": posture.error,
-        "clearance": posture.clearance,
-        "limit_distance": posture.limit_distance,
-        "manipulability": posture.manipulability,
-        "path_ratio": posture.path_ratio,
-        "score": posture.score,
-        "path": None if path is None else path.configurations.tolist(),
-        "hindrance": None if path is None else path.hindrance,
-    }
 
 
 def _print_postures(found: Sequence[ReachedPosture]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime, timezone
 from pathlib import Path
@@ -16,7 +16,6 @@ from pinposture.cli.inputs import MOTION, OUTPUT, JsonOption, ViewOption, read_c
 from pinposture.cli.output import (
     STATUS,
     check_directory,
-    closest_in_words,
     count_progress,
     end_with,
     examples,
@@ -28,18 +27,15 @@ from pinposture.cli.output import (
     print_result,
     print_table,
     read_status,
-    shares_in_words,
     time_progress,
-    verdict_in_colour,
+    words_of,
     write_files,
 )
 from pinposture.cli.view import show
 from pinposture.errors import PostureError
 from pinposture.storage import write_text
-from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
-    from pinposture.motion import Trajectory
     from pinposture.task import Reference, Task
 
 _RESULT = re.compile(r"motion\.[a-z]+")
@@ -142,7 +138,7 @@ def _now() -> str:
     "pinposture run examples/tasks/around.toml --json",
     "pinposture run examples/tasks/pipe.toml --check",
     "pinposture run examples/tasks/inspection.toml -o out/inspection",
-    "pinposture run examples/tasks/keyframes.toml --set limits.velocity='60 deg/s'",
+    "pinposture run examples/tasks/keyframes.toml --set limits.velocity=1",
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes --view",
 )
 def run(
@@ -206,9 +202,9 @@ def run(
         files, failure = write_files([] if output is None else motion_files(motion, output, task.formats))
         if folder is not None and failure is None:
             folder.finish([Path(each).name for each in files.values()])
-        summary = summarize_motion(motion)
+        summary = motion.summary()
         data = {"task": str(file), **summary, "files": files}
-        print_result(as_json, data, motion_in_words(summary), files.values(), failure)
+        print_result(as_json, data, words_of(summary), files.values(), failure)
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)
@@ -256,113 +252,3 @@ def _kept_in(folder: Folder) -> Iterator[None]:
     except PostureError as error:
         folder.fail(str(error))
         raise
-
-
-def summarize_motion(motion: Trajectory) -> dict[str, Any]:
-    """Summarize a motion as JSON-compatible data; lengths in metres, times in seconds.
-
-    Errors are those along the plan, from its start to its end. The posture error, and the final error, is the
-    sum of the distances of the control points from their targets, the mean error is their mean.
-    """
-    from pinposture.motion.run import closest, ending, largest_shares
-
-    run = motion.run
-    begun = motion.start_index
-    errors = run.posture_error[begun:]
-    means = motion.mean_error[begun:]
-    worst = begun + int(errors.argmax())
-    worst_mean = begun + int(means.argmax())
-    return {
-        **ending(run),
-        "steps": run.steps,
-        "dt": motion.dt,
-        "time": float(motion.time[-1]),
-        "start_index": float(motion.time[begun]),
-        "planned": motion.planned,
-        "duration": motion.duration,
-        "time_scale": motion.time_scale,
-        "slowdown": motion.slowdown,
-        "done": float(motion.plan_time[-1]),
-        **{f"largest_{kind}": share for kind, share in largest_shares(run).items()},
-        "keyframes": [
-            {
-                **{name: value for name, value in place._asdict().items() if name not in ("row", "moved")},
-                "moved": None if place.moved is None else place.moved._asdict(),
-            }
-            for place in motion.waypoints
-        ],
-        "worst_posture_error": float(errors.max()),
-        "worst_at": float(motion.time[worst]),
-        "mean_posture_error": float(errors.mean()),
-        "worst_mean_error": float(means.max()),
-        "worst_mean_at": float(motion.time[worst_mean]),
-        "mean_error": float(means.mean()),
-        "final_error": float(errors[-1]),
-        "mean_final_error": float(means[-1]),
-        "largest_error": float(run.point_errors[begun:].max()),
-        "arm_length": motion.arm.length,
-        "control_points": motion.arm.n_modules,
-        "clearance": closest(run),
-        "deviations": list(motion.deviations),
-    }
-
-
-def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """Return a summary in words; the verdict comes with the colour to print it in."""
-    words: dict[str, str | tuple[str, str]] = {
-        "verdict": verdict_in_colour(summary),
-        "duration": _duration(summary),
-        **shares_in_words(summary),
-    }
-    if summary["keyframes"]:
-        words["keyframes"] = _keyframes(summary["keyframes"], summary["arm_length"])
-    worst = summary["worst_mean_error"]
-    length = summary["arm_length"]
-    words["point errors"] = (
-        f"largest mean {error_text(worst, length)}, at {summary['worst_mean_at']:.4g} s; "
-        f"{length_text(summary['mean_error'], length)} on average, "
-        f"{length_text(summary['mean_final_error'], length)} at the end; "
-        f"largest {length_text(summary['largest_error'], length)}"
-    )
-    if summary["clearance"] is not None:
-        words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
-    if summary["deviations"]:
-        words["not as planned"] = "\n".join(summary["deviations"])
-    return words
-
-
-def _duration(summary: Mapping[str, Any]) -> str:
-    """Describe the actual and planned durations."""
-    planned = summary["planned"]
-    text = f"{summary['duration']:.4g} s"
-    if summary["done"] < planned:
-        text += f", for {summary['done']:.4g} of the {planned:.4g} s of the plan"
-    else:
-        text += f", {summary['slowdown'] or 'as planned'}"
-    if summary["start_index"]:
-        text += f"; before that {summary['start_index']:.4g} s to come to the first posture"
-    return text
-
-
-def _keyframes(places: list[dict[str, Any]], arm_length: float) -> str:
-    """Describe the named places, one per line, in columns."""
-    from pinposture.placement.target import Moved
-
-    width = max(len(place["name"]) for place in places)
-    lines = []
-    for place in places:
-        line = f"{place['name']:{width}}  planned {place['planned']:8.4g} s, "
-        if place["reached"] is None:
-            line += "not reached"
-        else:
-            passed = "missed" if place["missed"] else "passed"
-            error = length_text(place["mean_error"], arm_length)
-            line += f"{passed} {place['reached']:8.4g} s, mean error {error}"
-        if place["off_curve"] is not None:
-            line += f", largest distance from its curve {length_text(place['off_curve'], arm_length)}"
-        if place["tip_off"] is not None:
-            line += f", tip error {length_text(place['tip_off'], arm_length)}"
-        if place["moved"] is not None and Moved(**place["moved"]):
-            line += f", curve {Moved(**place['moved'])}"
-        lines.append(line)
-    return "\n".join(lines)

@@ -16,7 +16,6 @@ from pinposture.cli.output import (
     RUN_FILE,
     File,
     check_directory,
-    closest_in_words,
     count_progress,
     end_with,
     examples,
@@ -25,11 +24,10 @@ from pinposture.cli.output import (
     print_note,
     print_result,
     print_warning,
-    verdict_in_colour,
+    words_of,
     write_files,
 )
 from pinposture.errors import InvalidValue
-from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -117,7 +115,7 @@ def run(
     if summary["saturated_joints"]:
         print_warning(_saturated(summary))
     data = {"run": str(path), **summary, "files": files}
-    print_result(as_json, data, in_words(summary), files.values(), failure)
+    print_result(as_json, data, words_of(summary), files.values(), failure)
     end_with(simulation.faults)
 
 
@@ -186,50 +184,6 @@ def _simulate_closed(
     tracker = Tracker(arm, limits=limits, scene=scene)
     told: dict[str, Any] = {"progress": progress, "scene": scene, "tolerance": tolerance}
     return simulate_closed(arm, tracker, targets, start, duration, asked.dt, servos, gravity, **told)
-
-
-def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """Return a summary in words; the verdict comes with the colour to print it in."""
-    length = summary["arm_length"]
-    words: dict[str, str | tuple[str, str]] = {
-        "verdict": verdict_in_colour(summary),
-        "simulated": f"{summary['loop']} loop, {'gravity' if any(summary['gravity']) else 'no gravity'}, "
-        f"{summary['cycles']} cycles of {summary['dt']:.4g} s, physics steps of {summary['timestep']:.3g} s",
-    }
-    for kind in ("turning", "sliding"):
-        errors = summary[f"{kind}_joints"]
-        if errors is not None:
-            unit = errors["unit"]
-            words[f"{kind} joints"] = (
-                f"{errors['rms']:.3g} {unit} off (rms), at most {errors['largest']:.3g} {unit} "
-                f"({errors['joint']} at {errors['time']:.4g} s), {errors['end']:.3g} {unit} at the end"
-            )
-    mean = summary["mean_point_error"]
-    most = summary["largest_point_error"]
-    words["posture"] = (
-        f"error of the points: rms {length_text(mean['rms'], length)}, largest "
-        f"{error_text(most['value'], length)} ({most['point']} at {most['time']:.4g} s), "
-        f"mean at the end {length_text(mean['end'], length)}"
-    )
-    if summary["target_error"] is not None:
-        words["target"] = f"mean error at the end {length_text(summary['target_error']['end'], length)}"
-    if summary["clearance"] is not None:
-        words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
-    for kind in ("torque", "force"):
-        most = summary[f"largest_{kind}"]
-        if most is not None:
-            limit = "no limit" if most["limit"] is None else f"limit {most['limit']:.4g} {most['unit']}"
-            words[kind] = (
-                f"at most {abs(most['value']):.4g} {most['unit']} ({most['joint']} at "
-                f"{most['time']:.4g} s, {limit})"
-            )
-    nearest = summary["largest_share_of_limit"]
-    if nearest is not None:
-        words["of its limit"] = (
-            f"at most {100.0 * nearest['share']:.3g} % ({nearest['joint']} at {nearest['time']:.4g} s, "
-            f"{abs(nearest['value']):.4g} of {nearest['limit']:.4g} {nearest['unit']})"
-        )
-    return words
 
 
 def _saturated(summary: dict[str, Any]) -> str:

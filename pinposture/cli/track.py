@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,20 +27,17 @@ from pinposture.cli.inputs import (
 )
 from pinposture.cli.output import (
     check_directory,
-    closest_in_words,
     end_with,
     examples,
     print_note,
     print_result,
     run_files,
-    shares_in_words,
     step_progress,
-    verdict_in_colour,
+    words_of,
     write_files,
 )
 from pinposture.cli.view import show
 from pinposture.errors import InvalidValue
-from pinposture.units import error_text, length_text
 
 if TYPE_CHECKING:
     from pinposture.arm import ArmState
@@ -133,12 +128,12 @@ def run(
         motion = move(max_steps=most, callback=callback)
     motion = name_enough_steps(motion, chosen, lambda steps: move(max_steps=steps))
     files, failure = write_files([] if output is None else run_files(motion, output))
-    summary = {**summarize(motion), "tip": None if task is None else tip_off(task, motion)}
+    summary = {**motion.summary(), "tip": None if task is None else tip_off(task, motion)}
     asked: dict[str, object] = {"urdf": urdf, "curve": curve, "start": start, "seed": seed}
     asked |= {"controller": controller_options.controller, "scene": scene_options.file}
     taken = {"start_taken": begin.words, "start_positions": arm.positions(begin.q).tolist()}
     told = {**asked, **taken, **summary, "files": files}
-    print_result(as_json, told, in_words(told), files.values(), failure)
+    print_result(as_json, told, words_of(told), files.values(), failure)
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)
@@ -243,128 +238,3 @@ def tip_off(task: EndEffector, motion: Run) -> dict[str, float | None]:
         None if task.pose is None else float(np.linalg.norm(off[arm.dimension :])) / arm.characteristic_length
     )
     return {"distance": float(np.linalg.norm(off[: arm.dimension])), "turn": turn}
-
-
-WORDY = 200
-"""Maximum number of printed characters of a violated constraint."""
-
-
-def summarize(motion: Run) -> dict[str, Any]:
-    """Summarize a run as JSON-compatible data; lengths in metres.
-
-    The start, final and lowest errors are sums over the control points.
-    """
-    import numpy as np
-
-    from pinposture.motion.run import closest, ending, largest_shares
-
-    target = motion.target
-    errors = motion.posture_error
-    points = motion.active.sum(axis=1)
-    timed: dict[str, float | None] = {}
-    if motion.limits.dt is not None:
-        timed = {f"largest_{kind}": share for kind, share in largest_shares(motion).items()}
-        timed["duration"] = motion.steps * motion.limits.dt
-    placed = target.has_target
-    off = None if target.residual is None else float(target.residual[placed].max())
-    covered = None if target.parameters is None else float(target.parameters[placed].max())
-    return {
-        **ending(motion),
-        "steps": motion.steps,
-        "start_error": float(errors[0]),
-        "final_error": float(errors[-1]),
-        "lowest_error": float(errors.min()),
-        "mean_start_error": float(motion.mean_error[0]),
-        "mean_error": float(motion.mean_error[-1]),
-        "largest_error": float(motion.point_errors[-1].max()),
-        **timed,
-        "arm_length": motion.arm.length,
-        "control_points": motion.arm.n_modules,
-        "placed_points": int(placed.sum()),
-        "placed_by": target.method,
-        "largest_residual": off,
-        "curve_length": None if target.curve is None else target.curve.length,
-        "covered_to": covered,
-        "distance_from_curve": motion.distance_from_curve,
-        "first_active_points": int(points[0]) if len(points) else 0,
-        "last_active_points": int(points[-1]) if len(points) else 0,
-        "switches": [switch._asdict() for switch in motion.switches],
-        "path_length_ratio": motion.path_length_ratio,
-        "escape_share": float(motion.error_increasing.mean()) if motion.steps else 0.0,
-        "violated_constraints": [
-            {"step": int(k), "what": str(motion.violated_constraints[k]).splitlines()}
-            for k in np.flatnonzero(motion.violated_constraints != "")
-        ],
-        "violated_steps": {name: steps.tolist() for name, steps in motion.violated_steps.items()},
-        "clearance": closest(motion),
-        "start_clearance": None if motion.scene is None else float(motion.clearance[0]),
-        "incomplete": target.incomplete,
-        "moved": None if target.moved is None else target.moved._asdict(),
-    }
-
-
-def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Return the final distance of the whole arm from the curve, if there is one."""
-    away = summary["distance_from_curve"]
-    if away is None:
-        return {}
-    error = error_text(away, summary["arm_length"])
-    return {"whole arm": f"largest distance of a link from the curve {error}"}
-
-
-def in_words(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a summary in words; the verdict comes with the colour to print it in."""
-    from pinposture.placement.target import Moved
-
-    off = summary["largest_residual"]
-    length = summary["arm_length"]
-    mean = summary["mean_error"]
-    verdict, colour = verdict_in_colour(summary)
-    words: dict[str, Any] = {
-        "verdict": (verdict.replace("raise max_steps", "raise --steps"), colour),
-        "start": f"{summary['start_taken']}; the motion begins there",
-        "steps": str(summary["steps"]) + (f", {summary['duration']:.4g} s" if "duration" in summary else ""),
-        "placed by": f"{summary['placed_by']} placement; largest distance of a control point from the curve "
-        f"{error_text(off, length)}",
-        **_whole_arm(summary),
-        "point errors": f"mean {length_text(summary['mean_start_error'], length)} at the start, "
-        f"{error_text(mean, length)} at the end; largest {length_text(summary['largest_error'], length)}",
-        **shares_in_words(summary),
-        "active points": f"{summary['first_active_points']} at the first step, "
-        f"{summary['last_active_points']} at the last, of {summary['control_points']}",
-        "paths": f"of control points {summary['path_length_ratio']:.3g} times as long as straight ones",
-    }
-    curve = []
-    if summary["curve_length"] is not None and summary["covered_to"] is not None:
-        whole = length_text(summary["curve_length"])
-        covered = length_text(summary["covered_to"])
-        curve.append(f"{whole} long, covered by the arm up to {covered}")
-    if summary["moved"] is not None and Moved(**summary["moved"]):
-        how = "; --placement as_is keeps it in place"
-        curve.append(f"{Moved(**summary['moved'])} to the base of the arm{how}")
-    if curve:
-        words["curve"] = "; ".join(curve)
-    if summary["escape_share"]:
-        words["rising"] = f"{100 * summary['escape_share']:.3g} % of the steps may raise the posture error"
-    if summary["switches"]:
-        first_switch = summary["switches"][0]
-        words["switches"] = (
-            f"{len(summary['switches'])}; the first in step {first_switch['step'] + 1} to "
-            f"{first_switch['method']}: {first_switch['reason']}"
-        )
-    if summary["clearance"] is not None:
-        words["clearance"] = closest_in_words(summary["clearance"])
-        if summary["start_clearance"] < 0.0:
-            words["start"] += "; in collision, choose another one by --start or --seed"
-    if summary["violated_constraints"]:
-        first_relaxed = summary["violated_constraints"][0]
-        what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
-        counts = [f"{name} in {len(steps)}" for name, steps in summary["violated_steps"].items()]
-        words["violated"] = f"{', '.join(counts)} steps; first in step {first_relaxed['step'] + 1}: {what}"
-    if summary.get("tip") is not None:
-        turn = summary["tip"]["turn"]
-        turned = "" if turn is None else f", turned by {turn:.4g} rad"
-        words["tip"] = f"{length_text(summary['tip']['distance'], length)} off{turned}"
-    if summary["incomplete"]:
-        words["incomplete"] = str(summary["incomplete"])
-    return words

@@ -111,6 +111,22 @@ class ReachedPosture:
     path_ratio: float | None
     score: float
 
+    def summary(self) -> dict[str, Any]:
+        """Return the posture as JSON-compatible data [m, rad]."""
+        path = self.path
+        return {
+            "kind": "posture",
+            "q": self.q.tolist(),
+            "error": self.error,
+            "clearance": self.clearance,
+            "limit_distance": self.limit_distance,
+            "manipulability": self.manipulability,
+            "path_ratio": self.path_ratio,
+            "score": self.score,
+            "path": None if path is None else path.configurations.tolist(),
+            "hindrance": None if path is None else path.hindrance,
+        }
+
     def __repr__(self) -> str:
         way = "" if self.path is None else f", path {self.path.hindrance or 'clear'}"
         error = length_text(self.error)

@@ -159,7 +159,7 @@ class Batch:
         """The result in one line."""
         return "; ".join(self.faults) or f"reached the target in all {len(self)} runs"
 
-    def to_dict(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the batch as data for JSON, without the configurations; lengths in metres."""
         names = ("status", "reason", "steps", "start_error", "final_error", "mean_error", "path_length_ratio")
         columns: dict[str, list[Any]] = {name: getattr(self, name).tolist() for name in names}
@@ -215,8 +215,7 @@ class Batch:
             words["failed"] = f"{len(failed)}, run {failed[0]} first: {self.reason[failed[0]]}"
         return words
 
-    def summary(self) -> str:
-        """Return a readable summary of a few lines."""
+    def __str__(self) -> str:
         words = self.in_words()
         width = max(map(len, words))
         return "\n".join(f"{name:{width}}  {text}" for name, text in words.items())

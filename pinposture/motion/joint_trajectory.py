@@ -6,7 +6,7 @@ from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -355,6 +355,23 @@ class JointTrajectory:
     def peaks(self) -> Peaks:
         """The largest speed and acceleration of each joint from row to row, as `Limits` bounds them."""
         return find_peaks(self.time, self.positions)
+
+    def summary(self) -> dict[str, Any]:
+        """Return size, duration and largest rates as JSON-compatible data, rates by unit."""
+        largest: dict[str, tuple[float, float]] = {}
+        for unit, speed, acceleration in zip(self.units, *self.peaks, strict=True):
+            most = largest.get(unit, (0.0, 0.0))
+            largest[unit] = max(most[0], float(speed)), max(most[1], float(acceleration))
+        return {
+            "kind": "joint trajectory",
+            "robot": self.name,
+            "joints": list(self.joint_names),
+            "units": list(self.units),
+            "points": len(self.time),
+            "duration": self.duration,
+            "largest_speed": {f"{unit}/s": speed for unit, (speed, _) in largest.items()},
+            "largest_acceleration": {f"{unit}/s^2": most for unit, (_, most) in largest.items()},
+        }
 
     def with_coupled(self, arm: Arm) -> JointTrajectory:
         """Return the trajectory with the coupled joints (`Arm.couplings`) appended.

@@ -474,6 +474,56 @@ class Run(Outcome):
             return np.full(self.steps, default)
         return column
 
+    def summary(self) -> dict[str, Any]:
+        """Return the results as JSON-compatible data [m, s].
+
+        The start, final and lowest errors are sums over the control points.
+        """
+        target = self.target
+        errors = self.posture_error
+        points = self.active.sum(axis=1)
+        timed: dict[str, float | None] = {}
+        if self.limits.dt is not None:
+            timed = {f"largest_{kind}": share for kind, share in largest_shares(self).items()}
+            timed["duration"] = self.steps * self.limits.dt
+        placed = target.has_target
+        off = None if target.residual is None else float(target.residual[placed].max())
+        covered = None if target.parameters is None else float(target.parameters[placed].max())
+        return {
+            "kind": "run",
+            **ending(self),
+            "steps": self.steps,
+            "start_error": float(errors[0]),
+            "final_error": float(errors[-1]),
+            "lowest_error": float(errors.min()),
+            "mean_start_error": float(self.mean_error[0]),
+            "mean_error": float(self.mean_error[-1]),
+            "largest_error": float(self.point_errors[-1].max()),
+            **timed,
+            "arm_length": self.arm.length,
+            "control_points": self.arm.n_modules,
+            "placed_points": int(placed.sum()),
+            "placed_by": target.method,
+            "largest_residual": off,
+            "curve_length": None if target.curve is None else target.curve.length,
+            "covered_to": covered,
+            "distance_from_curve": self.distance_from_curve,
+            "first_active_points": int(points[0]) if len(points) else 0,
+            "last_active_points": int(points[-1]) if len(points) else 0,
+            "switches": [switch._asdict() for switch in self.switches],
+            "path_length_ratio": self.path_length_ratio,
+            "escape_share": float(self.error_increasing.mean()) if self.steps else 0.0,
+            "violated_constraints": [
+                {"step": int(k), "what": str(self.violated_constraints[k]).splitlines()}
+                for k in np.flatnonzero(self.violated_constraints != "")
+            ],
+            "violated_steps": {name: steps.tolist() for name, steps in self.violated_steps.items()},
+            "clearance": closest(self),
+            "start_clearance": None if self.scene is None else float(self.clearance[0]),
+            "incomplete": target.incomplete,
+            "moved": None if target.moved is None else target.moved._asdict(),
+        }
+
     def joint_trajectory(self, dt: float | None = None, force: bool = False) -> JointTrajectory:
         """Return the run as a joint trajectory for export.
 

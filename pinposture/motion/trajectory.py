@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel
 from pinposture.control.limits import cycle_of
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.run import Run, joint_shares, require_no_faults
+from pinposture.motion.run import Run, closest, ending, joint_shares, largest_shares, require_no_faults
 from pinposture.placement.target import Moved
 
 Array = NDArray[np.float64]
@@ -212,6 +212,55 @@ class Trajectory:
         """Joint accelerations between cycles, from and to rest, (steps + 1, nv) [rad/s^2 or m/s^2]."""
         rest = np.zeros((1, self.arm.nv))
         return np.diff(np.concatenate([rest, self.velocities, rest]), axis=0) / self.dt
+
+    def summary(self) -> dict[str, Any]:
+        """Return the results as JSON-compatible data [m, s].
+
+        Errors are those along the plan, from its start to its end. The posture error, and the final error, is
+        the sum of the distances of the control points from their targets, the mean error is their mean.
+        """
+        run = self.run
+        begun = self.start_index
+        errors = run.posture_error[begun:]
+        means = self.mean_error[begun:]
+        worst = begun + int(errors.argmax())
+        worst_mean = begun + int(means.argmax())
+        return {
+            "kind": "motion",
+            **ending(run),
+            "steps": run.steps,
+            "dt": self.dt,
+            "time": float(self.time[-1]),
+            "start_index": float(self.time[begun]),
+            "planned": self.planned,
+            "duration": self.duration,
+            "time_scale": self.time_scale,
+            "slowdown": self.slowdown,
+            "done": float(self.plan_time[-1]),
+            **{f"largest_{kind}": share for kind, share in largest_shares(run).items()},
+            "keyframes": [
+                {
+                    **{
+                        name: value for name, value in place._asdict().items() if name not in ("row", "moved")
+                    },
+                    "moved": None if place.moved is None else place.moved._asdict(),
+                }
+                for place in self.waypoints
+            ],
+            "worst_posture_error": float(errors.max()),
+            "worst_at": float(self.time[worst]),
+            "mean_posture_error": float(errors.mean()),
+            "worst_mean_error": float(means.max()),
+            "worst_mean_at": float(self.time[worst_mean]),
+            "mean_error": float(means.mean()),
+            "final_error": float(errors[-1]),
+            "mean_final_error": float(means[-1]),
+            "largest_error": float(run.point_errors[begun:].max()),
+            "arm_length": self.arm.length,
+            "control_points": self.arm.n_modules,
+            "clearance": closest(run),
+            "deviations": list(self.deviations),
+        }
 
     def joint_trajectory(self, force: bool = False) -> JointTrajectory:
         """Return the motion as a joint trajectory for export, with one cycle of rest before and after.

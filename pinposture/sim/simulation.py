@@ -162,6 +162,7 @@ class Simulation(Outcome):
         mean = self.posture_error / m
         largest = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
         results: dict[str, Any] = {
+            "kind": "simulation",
             **ending(self),
             "loop": self.loop,
             "gravity": self.gravity.tolist(),

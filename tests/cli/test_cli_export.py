@@ -66,6 +66,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
     assert summary.pop("verdict").startswith("reached the target (converged): ")
     assert summary == {
         "run": str(timed_run),
+        "kind": "joint trajectory",
         "faults": [],
         "robot": "RyRz_6",
         "joints": list(run.arm.joint_names),

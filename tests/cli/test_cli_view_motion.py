@@ -13,9 +13,9 @@ from viz.motions import five_modules, some_motion
 
 import pinposture as pp
 from pinposture.cli.output import FORMATS, find_kept, load_kept, motion_files, write_files
-from pinposture.cli.run import motion_in_words, summarize_motion
 from pinposture.errors import FileError
 from pinposture.motion.trajectory import Trajectory, Waypoint
+from pinposture.motion.words import in_words
 
 
 def around_a_ball() -> pp.Scene:
@@ -136,7 +136,7 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
     errors[3] = 9.0  # on the way to the first posture, which is not the plan
     errors[40] = 0.01
     motion = replace(motion, run=replace(run, point_errors=errors), deviations=("at 1 s it went round",))
-    summary = summarize_motion(motion)
+    summary = motion.summary()
     json.dumps(summary, allow_nan=False)
     assert (summary["status"], summary["converged"], summary["steps"]) == ("converged", True, 60)
     assert [
@@ -171,8 +171,8 @@ def test_a_summary_in_words_tells_what_a_person_asks_for():
     motion = some_motion(planned=1.25, start_index=10, scene=around_a_ball())
     passed = (*motion.waypoints, Waypoint("late", 1.25, None, None, None))
     motion = replace(motion, waypoints=passed, deviations=("at 1 s it went round", "and again"))
-    words = motion_in_words(summarize_motion(motion))
-    assert words["verdict"] == (f"reached the target (converged): {motion.run.reason}", "green")
+    words = in_words(motion.summary())
+    assert words["verdict"] == f"reached the target (converged): {motion.run.reason}"
     slow, _, before = words["duration"].partition("; ")
     assert slow.startswith("2.5 s, 2 times as long as the 1.25 s planned: ")
     assert before == "before that 0.5 s to come to the first posture"
@@ -188,10 +188,10 @@ def test_a_summary_in_words_tells_what_a_person_asks_for():
 
 def test_what_is_not_there_is_not_told():
     free = some_motion(limits=pp.Limits(step=None, dt=0.05, velocity=np.inf), names=())
-    summary = summarize_motion(free)
+    summary = free.summary()
     assert summary["largest_speed"] is None
     assert summary["largest_acceleration"] is None
-    words = motion_in_words(summary)
+    words = in_words(summary)
     assert words["duration"] == "3 s, as planned"
     assert not {"speed", "acceleration", "keyframes", "clearance", "deviations"} & set(words)
 
@@ -199,8 +199,8 @@ def test_what_is_not_there_is_not_told():
 def test_a_motion_that_did_not_get_to_its_end_says_how_far_it_came():
     motion = some_motion()
     motion = replace(motion, plan_time=0.5 * motion.plan_time, run=replace(motion.run, status="stalled"))
-    words = motion_in_words(summarize_motion(motion))
-    assert words["verdict"] == (f"did not reach the target (stalled): {motion.run.reason}", "yellow")
+    words = in_words(motion.summary())
+    assert words["verdict"] == f"did not reach the target (stalled): {motion.run.reason}"
     assert words["duration"] == "3 s, for 1.5 of the 3 s of the plan"
 
 
@@ -208,5 +208,5 @@ def test_a_limit_that_is_reached_is_named():
     motion = some_motion()
     fastest = float(np.abs(motion.velocities).max())
     limits = pp.Limits(step=None, dt=0.05, velocity=fastest)
-    words = motion_in_words(summarize_motion(some_motion(limits=limits)))
+    words = in_words(some_motion(limits=limits).summary())
     assert words["speed"] == "at most 100 % of the limit, which is reached"

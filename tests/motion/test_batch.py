@@ -233,7 +233,7 @@ def test_it_counts_as_a_sequence_does(asked: Asked) -> None:
 
 def test_numbers_and_words_tell_the_same(asked: Asked, scene: pp.Scene) -> None:
     batch = pp.track_many(*asked, max_steps=10, scene=scene)
-    told = json.loads(json.dumps(batch.to_dict(), allow_nan=False))
+    told = json.loads(json.dumps(batch.summary(), allow_nan=False))
     assert (
         told["statuses"] == Counter(run["status"] for run in told["runs"]) == Counter(batch.status.tolist())
     )
@@ -244,7 +244,7 @@ def test_numbers_and_words_tell_the_same(asked: Asked, scene: pp.Scene) -> None:
     worst = max((run["mean_error"], k) for k, run in enumerate(told["runs"]) if run["status"] != "converged")
     assert words["worst"].startswith(f"run {worst[1]}, ")
     assert f"in run {batch.clearance.argmin()}" in words["clearance"]
-    assert [line.split("  ")[0].strip() for line in batch.summary().splitlines()] == list(words)
+    assert [line.split("  ")[0].strip() for line in str(batch).splitlines()] == list(words)
 
 
 @pytest.mark.process

@@ -19,9 +19,9 @@ from simple_arms import inertial, joint, link, quiet, quintic, robot
 
 import pinposture as pp
 from pinposture import sim
-from pinposture.cli.simulate import in_words
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 from pinposture.motion import JointTrajectory
+from pinposture.motion.words import in_words
 from pinposture.units import length_text
 from pinposture.viz.simulation import plot_simulation
 

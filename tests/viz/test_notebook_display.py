@@ -16,6 +16,7 @@ import pytest
 
 import pinposture as pp
 from pinposture import notebook
+from pinposture.motion.words import in_words
 
 IPython = pytest.importorskip("IPython")
 
@@ -108,11 +109,12 @@ def test_a_target_and_a_run_show_how_well_they_did(shown: Any, arm: pp.Arm) -> N
     assert rows["placed"] == target.method
     run = pp.track(arm, target, arm.straight())
     page = shown(run)
-    assert table(page)["status"] == f"converged: {run.reason}"
+    assert table(page)["verdict"] == f"reached the target (converged): {run.reason}"
     first, last = np.linalg.norm(run.points[[0, -1]] - target.points, axis=2)
-    assert table(page)["mean point error"].startswith(f"{1e3 * first.mean():.3g} mm at the start")
+    errors = table(page)["point errors"]
+    assert errors.startswith(f"mean {1e3 * first.mean():.3g} mm at the start")
     assert last.max() < 1e-9 * arm.length
-    assert table(page)["largest point error"] == "below rounding at the end"
+    assert errors.endswith("largest below rounding")
     assert table(page)["steps"] == str(run.steps)
     assert picture(page).startswith(b"\x89PNG")
     bare = table(shown(pp.Target.from_points(arm, target.points)))
@@ -125,12 +127,12 @@ def test_motions_and_joint_trajectories_show_their_time(shown: Any, arm: pp.Arm)
     frames = [pp.Keyframe(each, time=1.0 * k, placement="align", trim=True) for k, each in enumerate(bows)]
     motion = pp.move_through(arm, frames, limits=pp.Limits(step=None, velocity=2.0, dt=0.02))
     rows = table(shown(motion))
-    assert rows["duration"].startswith(f"{motion.dt * motion.run.steps:.4g} s, ")
+    assert rows["duration"].startswith(f"{motion.duration:.4g} s, ")
     joints = motion.joint_trajectory()
     page = shown(joints)
     assert picture(page).startswith(b"\x89PNG")
-    assert table(page)["joints"] == str(arm.nv)
-    assert table(page)["duration"] == f"{joints.duration:.4g} s"
+    size = f"{arm.nv} joints, {len(joints.time)} points, {joints.duration:.4g} s"
+    assert table(page)["motion"] == size
 
 
 def test_a_run_in_a_scene_shows_its_duration_and_what_came_closest(shown: Any, arm: pp.Arm) -> None:
@@ -139,9 +141,11 @@ def test_a_run_in_a_scene_shows_its_duration_and_what_came_closest(shown: Any, a
     limits = pp.Limits(step=None, dt=0.02, velocity=1.0)
     run = pp.track(arm, target, arm.straight(), limits=limits, scene=scene)
     rows = table(shown(run))
-    assert rows["duration"] == f"{0.02 * run.steps:.4g} s"
+    assert rows["steps"] == f"{run.steps}, {0.02 * run.steps:.4g} s"
     least = min(pp.CollisionModel(arm, scene).minimum(q) for q in run.q)
-    assert rows["clearance"] == f"{1e3 * least.distance:.3g} mm, {' to '.join(least.pair)}"
+    said = f"{1e3 * least.distance:.3g} mm where it is smallest, {' to '.join(least.pair)}, after "
+    assert rows["clearance"].startswith(said)
+    assert rows == in_words(run.summary())
 
 
 def test_a_figure_shows_its_picture(shown: Any, arm: pp.Arm) -> None:

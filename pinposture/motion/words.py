@@ -1,0 +1,249 @@
+"""What summaries of results say in words: the same on the command line, in notebooks and in reports."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pinposture.placement.target import Moved
+from pinposture.units import error_text, length_text
+
+
+def in_words(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return what the `summary` of a result says, by topic; multiple lines for lists."""
+    return _WORDS[summary["kind"]](summary)
+
+
+WORDY = 200
+"""Maximum number of printed characters of a violated constraint."""
+
+
+def _placement(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return how the control points were placed on the curve, if there is one."""
+    if summary["largest_residual"] is None:
+        return {}
+    error = error_text(summary["largest_residual"], summary["arm_length"])
+    placed = f"{summary['placed_by']} placement; largest distance of a control point from the curve {error}"
+    return {"placed by": placed}
+
+
+def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return the final distance of the whole arm from the curve, if there is one."""
+    away = summary["distance_from_curve"]
+    if away is None:
+        return {}
+    error = error_text(away, summary["arm_length"])
+    return {"whole arm": f"largest distance of a link from the curve {error}"}
+
+
+def _of_run(summary: Mapping[str, Any]) -> dict[str, str]:
+    length = summary["arm_length"]
+    mean = summary["mean_error"]
+    begun = summary.get("start_taken", "")
+    taken = {"start": f"{begun}; the motion begins there"} if begun else {}
+    words = {
+        "verdict": str(summary["verdict"]),
+        **taken,
+        "steps": str(summary["steps"]) + (f", {summary['duration']:.4g} s" if "duration" in summary else ""),
+        **_placement(summary),
+        **_whole_arm(summary),
+        "point errors": f"mean {length_text(summary['mean_start_error'], length)} at the start, "
+        f"{error_text(mean, length)} at the end; largest {length_text(summary['largest_error'], length)}",
+        **_shares(summary),
+        "active points": f"{summary['first_active_points']} at the first step, "
+        f"{summary['last_active_points']} at the last, of {summary['control_points']}",
+        "paths": f"of control points {summary['path_length_ratio']:.3g} times as long as straight ones",
+    }
+    curve = []
+    if summary["curve_length"] is not None and summary["covered_to"] is not None:
+        whole = length_text(summary["curve_length"])
+        covered = length_text(summary["covered_to"])
+        curve.append(f"{whole} long, covered by the arm up to {covered}")
+    if summary["moved"] is not None and Moved(**summary["moved"]):
+        curve.append(f"{Moved(**summary['moved'])} to the base of the arm; placement as_is keeps it in place")
+    if curve:
+        words["curve"] = "; ".join(curve)
+    if summary["escape_share"]:
+        words["rising"] = f"{100 * summary['escape_share']:.3g} % of the steps may raise the posture error"
+    if summary["switches"]:
+        first_switch = summary["switches"][0]
+        words["switches"] = (
+            f"{len(summary['switches'])}; the first in step {first_switch['step'] + 1} to "
+            f"{first_switch['method']}: {first_switch['reason']}"
+        )
+    if summary["clearance"] is not None:
+        words["clearance"] = _closest(summary["clearance"])
+        if summary["start_clearance"] < 0.0:
+            begun = f"{words['start']}; " if "start" in words else ""
+            words["start"] = f"{begun}in collision, choose another one"
+    if summary["violated_constraints"]:
+        first_relaxed = summary["violated_constraints"][0]
+        what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
+        counts = [f"{name} in {len(steps)}" for name, steps in summary["violated_steps"].items()]
+        words["violated"] = f"{', '.join(counts)} steps; first in step {first_relaxed['step'] + 1}: {what}"
+    if summary.get("tip") is not None:
+        turn = summary["tip"]["turn"]
+        turned = "" if turn is None else f", turned by {turn:.4g} rad"
+        words["tip"] = f"{length_text(summary['tip']['distance'], length)} off{turned}"
+    if summary["incomplete"]:
+        words["incomplete"] = str(summary["incomplete"])
+    return words
+
+
+def _of_trajectory(summary: Mapping[str, Any]) -> dict[str, str]:
+    words = {
+        "verdict": str(summary["verdict"]),
+        "duration": _duration(summary),
+        **_shares(summary),
+    }
+    if summary["keyframes"]:
+        words["keyframes"] = _keyframes(summary["keyframes"], summary["arm_length"])
+    worst = summary["worst_mean_error"]
+    length = summary["arm_length"]
+    words["point errors"] = (
+        f"largest mean {error_text(worst, length)}, at {summary['worst_mean_at']:.4g} s; "
+        f"{length_text(summary['mean_error'], length)} on average, "
+        f"{length_text(summary['mean_final_error'], length)} at the end; "
+        f"largest {length_text(summary['largest_error'], length)}"
+    )
+    if summary["clearance"] is not None:
+        words["clearance"] = _closest(summary["clearance"], summary["dt"])
+    if summary["deviations"]:
+        words["not as planned"] = "\n".join(summary["deviations"])
+    return words
+
+
+def _duration(summary: Mapping[str, Any]) -> str:
+    """Describe the actual and planned durations."""
+    planned = summary["planned"]
+    text = f"{summary['duration']:.4g} s"
+    if summary["done"] < planned:
+        text += f", for {summary['done']:.4g} of the {planned:.4g} s of the plan"
+    else:
+        text += f", {summary['slowdown'] or 'as planned'}"
+    if summary["start_index"]:
+        text += f"; before that {summary['start_index']:.4g} s to come to the first posture"
+    return text
+
+
+def _keyframes(places: list[dict[str, Any]], arm_length: float) -> str:
+    """Describe the named places, one per line, in columns."""
+    width = max(len(place["name"]) for place in places)
+    lines = []
+    for place in places:
+        line = f"{place['name']:{width}}  planned {place['planned']:8.4g} s, "
+        if place["reached"] is None:
+            line += "not reached"
+        else:
+            passed = "missed" if place["missed"] else "passed"
+            error = length_text(place["mean_error"], arm_length)
+            line += f"{passed} {place['reached']:8.4g} s, mean error {error}"
+        if place["off_curve"] is not None:
+            line += f", largest distance from its curve {length_text(place['off_curve'], arm_length)}"
+        if place["tip_off"] is not None:
+            line += f", tip error {length_text(place['tip_off'], arm_length)}"
+        if place["moved"] is not None and Moved(**place["moved"]):
+            line += f", curve {Moved(**place['moved'])}"
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def _of_joints(summary: Mapping[str, Any]) -> dict[str, str]:
+    speeds = ", ".join(f"{value:.4g} {unit}" for unit, value in summary["largest_speed"].items())
+    rates = ", ".join(f"{value:.4g} {unit}" for unit, value in summary["largest_acceleration"].items())
+    return {
+        "motion": f"{len(summary['joints'])} joints, {summary['points']} points, {summary['duration']:.4g} s",
+        "speed": f"at most {speeds}",
+        "acceleration": f"at most {rates}",
+    }
+
+
+def _of_simulation(summary: Mapping[str, Any]) -> dict[str, str]:
+    length = summary["arm_length"]
+    words = {
+        "verdict": str(summary["verdict"]),
+        "simulated": f"{summary['loop']} loop, {'gravity' if any(summary['gravity']) else 'no gravity'}, "
+        f"{summary['cycles']} cycles of {summary['dt']:.4g} s, physics steps of {summary['timestep']:.3g} s",
+    }
+    for kind in ("turning", "sliding"):
+        errors = summary[f"{kind}_joints"]
+        if errors is not None:
+            unit = errors["unit"]
+            words[f"{kind} joints"] = (
+                f"{errors['rms']:.3g} {unit} off (rms), at most {errors['largest']:.3g} {unit} "
+                f"({errors['joint']} at {errors['time']:.4g} s), {errors['end']:.3g} {unit} at the end"
+            )
+    mean = summary["mean_point_error"]
+    most = summary["largest_point_error"]
+    words["posture"] = (
+        f"error of the points: rms {length_text(mean['rms'], length)}, largest "
+        f"{error_text(most['value'], length)} ({most['point']} at {most['time']:.4g} s), "
+        f"mean at the end {length_text(mean['end'], length)}"
+    )
+    if summary["target_error"] is not None:
+        words["target"] = f"mean error at the end {length_text(summary['target_error']['end'], length)}"
+    if summary["clearance"] is not None:
+        words["clearance"] = _closest(summary["clearance"], summary["dt"])
+    for kind in ("torque", "force"):
+        most = summary[f"largest_{kind}"]
+        if most is not None:
+            limit = "no limit" if most["limit"] is None else f"limit {most['limit']:.4g} {most['unit']}"
+            words[kind] = (
+                f"at most {abs(most['value']):.4g} {most['unit']} ({most['joint']} at "
+                f"{most['time']:.4g} s, {limit})"
+            )
+    nearest = summary["largest_share_of_limit"]
+    if nearest is not None:
+        words["of its limit"] = (
+            f"at most {100.0 * nearest['share']:.3g} % ({nearest['joint']} at {nearest['time']:.4g} s, "
+            f"{abs(nearest['value']):.4g} of {nearest['limit']:.4g} {nearest['unit']})"
+        )
+    return words
+
+
+def _closest(clearance: Mapping[str, Any], dt: float | None = None) -> str:
+    """Describe the smallest distance.
+
+    Args:
+        clearance: what `closest` returns.
+        dt: duration of a step [s]; None: count steps.
+    """
+    if clearance["pair"] is None:
+        return "nothing to keep clear of"
+    steps = clearance["after_steps"]
+    after = "at the start"
+    if steps:
+        after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
+    words = (
+        f"{length_text(clearance['smallest'])} where it is smallest, {' to '.join(clearance['pair'])}, "
+        f"{after}; {length_text(clearance['final'])} at the end; "
+    )
+    kinds = {"obstacles": clearance["to_obstacles"], "itself": clearance["to_itself"]}
+    for name, least in kinds.items():
+        if None not in kinds.values() and least["pair"] not in (None, clearance["pair"]):
+            words += f"{length_text(least['smallest'])} from {name}, {' to '.join(least['pair'])}; "
+    return f"{words}the margin is {length_text(clearance['margin'])}"
+
+
+FULL = 1.0 - 1e-6
+"""Fraction of a limit that counts as reached."""
+
+
+def _shares(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Describe the largest speed, acceleration and jerk of a summary relative to limits, if there are any."""
+    words = {}
+    for kind in ("speed", "acceleration", "jerk"):
+        share = summary.get(f"largest_{kind}")
+        if share is not None:
+            reached = ", which is reached" if FULL <= share <= 2.0 - FULL else ""
+            words[kind] = f"at most {100.0 * share:.4g} % of the limit{reached}"
+    return words
+
+
+_WORDS: Mapping[str, Callable[[Mapping[str, Any]], dict[str, str]]] = {
+    "run": _of_run,
+    "motion": _of_trajectory,
+    "joint trajectory": _of_joints,
+    "simulation": _of_simulation,
+}
