@@ -29,10 +29,9 @@ from pinposture.control.limits import POSITION_SLACK, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.errors import InvalidValue, PostureError
-from pinposture.motion.arrival import ARRIVAL_TOLERANCE, Arrival
+from pinposture.motion.arrival import ARRIVAL_TOLERANCE, Arrival, Hindrance
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
-from pinposture.motion.hindrance import Hindrance
 from pinposture.motion.track import ERROR_ROUNDING, in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration

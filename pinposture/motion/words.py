@@ -15,10 +15,6 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str]:
     return _WORDS[summary["kind"]](summary)
 
 
-WORDY = 200
-"""Maximum number of printed characters of a violated constraint."""
-
-
 def _placement(summary: Mapping[str, Any]) -> dict[str, str]:
     """Return how the control points were placed on the curve, if there is one."""
     if summary["largest_residual"] is None:
@@ -79,7 +75,7 @@ def _of_run(summary: Mapping[str, Any]) -> dict[str, str]:
             words["start"] = f"{begun}in collision, choose another one"
     if summary["violated_constraints"]:
         first_relaxed = summary["violated_constraints"][0]
-        what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
+        what = textwrap.shorten("; ".join(first_relaxed["what"]), 200, placeholder=" ...")
         counts = [f"{name} in {len(steps)}" for name, steps in summary["violated_steps"].items()]
         words["violated"] = f"{', '.join(counts)} steps; first in step {first_relaxed['step'] + 1}: {what}"
     if summary.get("tip") is not None:
