@@ -283,17 +283,26 @@ def _progress_bar(
         )
 
 
+_OPTIONS = {
+    "raise max_steps": "raise --steps",
+    "choose another one": "choose another one by --start or --seed",
+    "placement as_is": "--placement as_is",
+}
+"""How arguments that a summary advises to change are called on the command line."""
+
+
 def words_of(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """Return a summary in words; the verdict comes with the colour to print it in, and names options."""
+    """Return a summary in words that names options; the verdict comes with the colour to print it in."""
     from pinposture.motion.words import in_words
 
-    words: dict[str, str | tuple[str, str]] = {**in_words(summary)}
+    words: dict[str, str | tuple[str, str]] = {}
+    for topic, said in in_words(summary).items():
+        text = said
+        for argument, option in _OPTIONS.items():
+            text = text.replace(argument, option)
+        words[topic] = text
     if "verdict" in words:
-        verdict = str(summary["verdict"]).replace("raise max_steps", "raise --steps")
-        words["verdict"] = verdict, "yellow" if summary["faults"] else "green"
-    if "start" in words:
-        start = str(words["start"])
-        words["start"] = start.replace("choose another one", "choose another one by --start or --seed")
+        words["verdict"] = str(words["verdict"]), "yellow" if summary["faults"] else "green"
     return words
 
 
