@@ -39,7 +39,7 @@ from pydantic import (
     ValidationInfo,
     model_validator,
 )
-from pydantic_core import ArgsKwargs
+from pydantic_core import ArgsKwargs, to_jsonable_python
 from typing_extensions import Self, dataclass_transform
 
 from pinposture._validation import LARGEST_NUMBER, SMALLEST_NUMBER, is_number, is_usable, is_whole
@@ -627,6 +627,6 @@ def read_part(key: str, kind: Any, value: object, source: InputFile) -> Any:
         raise _at(key, mistakes_of(error)) from None
 
 
-def as_plain(kind: Any, value: object) -> Any:
-    """Return a value as JSON-compatible data, without the defaults of declared classes."""
-    return _adapter(kind).dump_python(value, mode="json", exclude_defaults=True)
+def as_plain(part: Declared) -> Any:
+    """Return a part of which files keep no descriptions as JSON-compatible data, without defaults."""
+    return to_jsonable_python(part.to_table(cast(OutputFile, None)))

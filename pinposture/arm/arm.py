@@ -359,7 +359,7 @@ class Arm(ConfigurationSpace):
         described["report"] = asdict(self.report) if self.report else None
         described["characteristic_length"] = self.characteristic_length
         if self.spec is not None:
-            described["spec"] = as_plain(ArmSpec, self.spec)
+            described["spec"] = as_plain(self.spec)
             if isinstance(self.spec.urdf, str):  # the text is under "urdf" already
                 del described["spec"]["urdf"]
         described["model"] = describe_model(self.model)

@@ -82,6 +82,7 @@ def test_the_farthest_of_the_whole_arm_is_that_of_samples_along_its_links(direct
     assert survey(directory).farthest == pytest.approx(farthest / arm.length, rel=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(awkward_arms()))
 def test_arms_of_awkward_shapes_are_cut_short_and_placed(name: str) -> None:
     (found,) = [one for one in awkward() if one.file == name]

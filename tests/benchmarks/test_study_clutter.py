@@ -36,6 +36,7 @@ def test_dense_clearance_sees_what_is_between_two_configurations() -> None:
     assert dense_clearance(arm, scene, np.array([one, other])) < 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", cases(dict.fromkeys(["machine", *KINDS_OF_CLUTTER]), 1))
 def test_problems_are_solved_with_the_margin_kept(kind: str) -> None:
     run = solve_problem(draw_problem(situation_arm(), kind, 1), Geodesic())

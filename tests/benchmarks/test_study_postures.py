@@ -50,6 +50,7 @@ def test_every_family_has_its_turn_and_every_controller_the_same_cases(small, fl
         assert first.turn == second.turn
 
 
+@pytest.mark.long
 def test_results_do_not_depend_on_the_number_of_processes(small, flat, records):
     again = study_postures([small, flat], NAMES, cases=12).rows(jobs=2)
     assert untimed(again) == untimed(records)

@@ -29,6 +29,7 @@ def test_a_start_in_degrees_is_refused_with_the_option_that_takes_it(command, ar
     assert (named.code, "only with numbers" in named.err) == (2, True)
 
 
+@pytest.mark.long
 def test_continuous_joints_in_degrees_are_angles(command, arm_file, tmp_path):
     file = tmp_path / "arm.urdf"
     file.write_text(arm_file.read_text().replace('type="revolute"', 'type="continuous"'))

@@ -281,6 +281,7 @@ def test_brackets_in_a_message_are_text_and_no_markup(command):
     assert "'[red]x[/red]'" in command("generate", "[red]x[/red]", "--modules", 2).err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("options", [(), ("--json",)], ids=["words", "json"])
 @pytest.mark.parametrize(
     ("line", "wrote", "lost", "others"),

@@ -51,6 +51,7 @@ def test_every_verb_starts_in_a_process_of_its_own(verb):
     assert f"pinposture {verb} " in result.stdout
 
 
+@pytest.mark.long
 def test_an_error_is_one_line_on_stderr_with_code_2(tmp_path):
     file = tmp_path / "broken.urdf"
     file.write_text("<robot name='r'><link/></robot>")

@@ -240,6 +240,7 @@ def test_a_bad_scene_is_refused_in_one_line(command, arm_file, tmp_path, verb, n
     assert says in result.err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("curve", CURVES)
 @pytest.mark.parametrize("verb", ["track", "batch"])
 def test_presets_fit_their_own_defaults_among_obstacles(command, tmp_path, curve, verb):

@@ -72,6 +72,7 @@ def test_a_tip_that_is_held_stays_where_the_start_has_it(track, hold, keys):
     assert np.linalg.norm(free[-1] - free[0]) > 20 * moved
 
 
+@pytest.mark.long
 def test_the_weight_and_the_priority_decide_between_tip_and_shape(track):
     place = ("--tip-position", "0.2,0.1,0.05")
     light, heavy, strict = (

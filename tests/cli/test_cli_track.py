@@ -235,6 +235,7 @@ def test_a_drawn_start_that_is_not_clear_is_bent_less(command, arm_file, start):
     assert min(shares) < 0.999 or smooth
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_pictures")
 def test_a_start_is_the_same_from_numbers_and_from_every_kind_of_file(command, arm_file, tmp_path):
     q = np.random.default_rng(1).uniform(-1, 1, 12)

@@ -81,6 +81,7 @@ def check_where(arm, state, near, scan, radius=None):
             assert min(hull_distance(scan.points[face], on_scan[None]) for face in scan.faces) < 1e-6
 
 
+@pytest.mark.long
 def test_the_nearest_of_all_points_is_found(arm):
     rng = np.random.default_rng(0)
     apart = 0

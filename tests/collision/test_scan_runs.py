@@ -83,6 +83,7 @@ def crawl():
     return arm, reference, *tube(reference.marks[-1].target.curve, PIPE)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", cases(["surface", "cloud", "mesh"], 2))
 def test_an_arm_follows_a_curve_through_a_bent_pipe(crawl, kind):
     arm, reference, points, faces = crawl
@@ -105,6 +106,7 @@ def test_an_arm_follows_a_curve_through_a_bent_pipe(crawl, kind):
     assert motion.run.clearance.min() - 1e-9 <= least < motion.run.clearance.min() + spacing**2 / margin
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the way to 'inside'")  # it says that the arm has to leave its path
 def test_an_arm_in_a_pipe_that_is_aside_keeps_off_the_wall(crawl):
     """The pipe is nearer to the path than the margin on one side, and so the arm goes through farther in."""

@@ -85,6 +85,7 @@ def test_several_postures_differ(arm, clutter):
             assert apart >= 0.05 * arm.length
 
 
+@pytest.mark.long
 @given(st.floats(0.15, 0.95), st.floats(-3.0, 3.0))
 @examples(60)
 def test_two_hinges_have_exactly_the_two_postures_of_the_closed_form(share, angle):

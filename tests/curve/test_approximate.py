@@ -140,6 +140,7 @@ def test_it_moves_with_the_curve_and_meets_its_ends(
     np.testing.assert_allclose(backwards.control_points, found.control_points[::-1], atol=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tolerance", cases([1e-3, 1e-4, 2e-2], quick=1))
 def test_a_tolerance_chooses_the_fewest_points(tolerance: float) -> None:
     found = coil().controlled_within(tolerance)
@@ -153,6 +154,7 @@ def test_a_tolerance_chooses_the_fewest_points(tolerance: float) -> None:
         assert max(way.distance.max() for way in ways) > 0.999 * tolerance
 
 
+@pytest.mark.long
 def test_windings_are_not_passed_over() -> None:
     # Taken at 400 equal steps, this one would be a straight line.
     wound = Curve.helix(0.05, 0.02, 400)

@@ -128,6 +128,7 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
     assert last.scene == session.task.scene
 
 
+@pytest.mark.long
 def test_laps_and_limits_are_typed_and_undone(editor: Editor) -> None:
     session = editor.session
     before = editor.session.task

@@ -361,6 +361,7 @@ def test_a_burst_through_a_pipe(arm, rng, tmp_path):
         np.testing.assert_array_equal(latest.q, burst[-1])
 
 
+@pytest.mark.long
 def test_the_standard_input_until_it_ends(names):
     program = """
 import sys, time, numpy as np, pinposture as pp

@@ -94,12 +94,14 @@ def five_postures() -> Task:
     return example.edited(motion=held, formats=("npz",))
 
 
+@pytest.mark.long
 def test_a_posture_that_was_dragged_to_is_the_one_that_is_saved_opened_played_and_run(tmp_path: Path) -> None:
     bench = Bench(five_postures())
     assert bench.drag(1, 1, np.array([-0.130, -0.083, 0.083]))
     assert_same(bench, tmp_path, 0, 1, 2, 3, 4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", seeds(6))
 def test_random_drags_with_undo_and_redo_and_keyframes_between_give_the_same_arm(
     seed: int, tmp_path: Path
@@ -123,6 +125,7 @@ def test_random_drags_with_undo_and_redo_and_keyframes_between_give_the_same_arm
     assert_same(bench, tmp_path, *dragged)
 
 
+@pytest.mark.long
 def test_a_posture_with_a_task_of_its_tip_is_the_same_arm(tmp_path: Path) -> None:
     bench = Bench(Task.load(TASKS / "around.toml").edited(formats=("npz",)))
     assert_same(bench, tmp_path, 2)

@@ -133,6 +133,7 @@ def test_what_no_actuator_determines_is_named(arm: pp.Arm, tendons: dict[str, Te
         pulled.configuration(np.zeros(3))
 
 
+@pytest.mark.long
 @examples(40)
 @given(st.integers(0, 1000))
 def test_limits_of_actuators_hold_on_runs(arm: pp.Arm, tendons: dict[str, Tendon], seed: int) -> None:

@@ -86,6 +86,7 @@ def test_with_noisy_encoders_the_arm_arrives_once_and_stays(
     assert robot.off() <= 1e-6 + 2.0 * noise
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", [DriveModel(), DriveModel(friction=0.2), DriveModel(stiction=0.02)])
 def test_friction_is_compensated_or_named_and_the_command_comes_to_rest(
     arm: pp.Arm, model: DriveModel
@@ -127,6 +128,7 @@ def test_a_joint_whose_compensation_meets_a_limit_is_named(arm: pp.Arm) -> None:
     assert "max_tracking_error" in log.reasons[-1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", [QUICK, IDEAL, DriveModel()])
 @pytest.mark.parametrize("joints", [slice(None), slice(3, 4)])
 def test_a_stopped_drive_is_held_where_it_stands_and_goes_on_without_a_jump(

@@ -213,6 +213,7 @@ class Measured:
         return found
 
 
+@pytest.mark.long
 @examples(12)
 @given(
     seed=st.integers(0, 10_000),

@@ -68,6 +68,7 @@ def ball_scene() -> pp.Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", cases([0, 2, 1, 3, 4, 5], 2))
 @pytest.mark.parametrize("deadline, planning", [(np.inf, "thread"), (1e-9, "thread"), (0.002, "process")])
 def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, planning: str) -> None:
@@ -99,6 +100,7 @@ def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, 
         assert tracker.report.status == "converged"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", cases([6, 5, 14], 1))
 def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_queries(
     seed: int, monkeypatch: pytest.MonkeyPatch
@@ -218,6 +220,7 @@ def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None,
     assert beyond >= (1 if jerk is None else 3)
 
 
+@pytest.mark.long
 def test_a_detour_is_cut_short_once_the_obstacle_has_left() -> None:
     planar = template_arm("Rz", 8)
     start = np.full(8, 0.15)

@@ -64,6 +64,7 @@ class Loop:
         raise AssertionError(f"{self.tracker.report.status} after {PATIENCE} s, not {until}")
 
 
+@pytest.mark.long
 def test_no_path_is_planned_in_the_loop_and_the_arm_takes_each_posture(
     arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,6 +91,7 @@ def test_no_path_is_planned_in_the_loop_and_the_arm_takes_each_posture(
     assert np.abs(arm.at(loop.q).points - targets[-1].points).max() <= 1e-5 * arm.length
 
 
+@pytest.mark.long
 def test_no_goal_is_sought_in_the_loop_while_an_obstacle_passes_over_it(
     arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,6 +119,7 @@ def test_no_goal_is_sought_in_the_loop_while_an_obstacle_passes_over_it(
     assert np.abs(q - goal).max() < 0.05
 
 
+@pytest.mark.long
 def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
     arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,6 +145,7 @@ def test_an_arm_whose_goal_is_blocked_goes_on_along_its_path(
     assert apart[1] < 0.3 * apart[0]
 
 
+@pytest.mark.long
 def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
     start, goal = (smooth_configuration(arm, np.random.default_rng(seed), 0.6) for seed in (1, 2))
     target = pp.Target.from_configuration(arm, goal)
@@ -155,6 +159,7 @@ def test_the_result_is_that_of_planning_in_the_loop(arm: pp.Arm) -> None:
     np.testing.assert_allclose(*reached, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "scene",
     [None, pp.Scene({"far": pp.Sphere((0.0, 0.0, 0.6), 0.05)}, self_collision=False, arm_radius=0.01)],
@@ -171,6 +176,7 @@ def test_short_clear_paths_are_found_in_the_loop_within_the_first_cycle(
     assert np.abs(loop.q - goal).max() < 1e-6
 
 
+@pytest.mark.long
 def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
     loop = Loop(tracker, arm.neutral())
@@ -181,6 +187,7 @@ def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
     loop.run("converged")
 
 
+@pytest.mark.long
 def test_a_cycle_does_not_wait_for_another_process_to_start(
     arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,6 +214,7 @@ def test_a_cycle_does_not_wait_for_another_process_to_start(
     Loop(tracker, arm.neutral()).run("converged")
 
 
+@pytest.mark.long
 def test_a_tracker_that_plans_in_a_process_is_pickled_with_a_process_of_its_own(arm: pp.Arm) -> None:
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
     tracker.update(
@@ -238,6 +246,7 @@ def process() -> BackgroundProcess:
     return BackgroundProcess()
 
 
+@pytest.mark.long
 def test_errors_and_results_come_back_in_order(process: BackgroundProcess) -> None:
     process.submit(divmod, 7, 3)
     assert process.result() == (2, 1)
@@ -252,6 +261,7 @@ def warn() -> None:
     warnings.warn("given before", PostureWarning, stacklevel=1)
 
 
+@pytest.mark.long
 def test_warnings_are_not_repeated(capfd: pytest.CaptureFixture[str]) -> None:
     process = BackgroundProcess()
     process.submit(warn)
@@ -297,6 +307,7 @@ class EndlessPlanning:
         raise Interrupted
 
 
+@pytest.mark.long
 def test_a_plan_for_an_outdated_target_is_interrupted_but_not_the_one_after_it(arm: pp.Arm) -> None:
     rng = np.random.default_rng(5)
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)

@@ -351,6 +351,7 @@ def test_the_sender_sends_the_goal_and_says_how_it_ended(
     assert "refused" in sender.main(file, "/controller")
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("ros")
 def test_the_tracker_node_drives_the_arm_to_the_curve_and_to_another(tmp_path: Path) -> None:
     arm = pp.Arm.from_template("RyRz", modules=6)

@@ -233,6 +233,7 @@ def test_the_sweep_does_not_depend_on_where_things_are_nor_on_the_unit(seed, sca
     assert path_length_ratio(moved) == pytest.approx(path_length_ratio(points), rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("acceleration", [None, 1.0])
 def test_with_time_limits_a_run_gets_the_steps_that_it_needs(acceleration) -> None:
     arm = pp.Arm.from_template("RyRz", modules=3)

@@ -51,6 +51,7 @@ def filtered(arm: pp.Arm, wanted: np.ndarray, noise: float, seed: int = 0) -> np
     return np.array([arm.positions(smooth.update(each).q) for each in measured])
 
 
+@pytest.mark.long
 def test_noise_of_a_millimetre_moves_joints_little_and_delays_them_less_than_two_cycles() -> None:
     """20 modules, 1 m: least squares in each cycle would be 0.08 rad off (rms), and jump by as much."""
     arm = arm_of()

@@ -35,6 +35,7 @@ def resolved(curve: pp.Curve, **given) -> pp.Target:
     return pp.resolve_targets(arm(), curve, placement="as_is", method="smooth", **given)
 
 
+@pytest.mark.long
 def test_following_a_curve_is_as_good_as_beginning_anew():
     near = resolved(turned(0))
     for k in range(1, 30):

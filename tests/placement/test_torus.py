@@ -45,6 +45,7 @@ def test_points_off_the_torus_have_no_ik() -> None:
     assert Circle(0.1).inverse(np.array([0.06, 0.02, 0.0])) == []
 
 
+@pytest.mark.long
 @examples(50)
 @given(
     st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),

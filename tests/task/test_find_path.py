@@ -120,6 +120,7 @@ def test_the_path_of_a_planar_arm_stays_in_its_plane():
         pp.find_path(post, None, begin + (0.6, 0.05, 0.1), arm)
 
 
+@pytest.mark.long
 def test_a_seed_gives_the_same_path_again():
     arm = fed()
     goal = entry(arm) + (0.5, 0.05, 0.0)

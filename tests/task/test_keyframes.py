@@ -201,6 +201,7 @@ def test_tips_are_served_and_the_rest_of_the_motion_stays(arm: pp.Arm) -> None:
     assert np.all((q >= arm.limits.lower) & (q <= arm.limits.upper))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ("RyRz", "RyRz, 20 modules", "Rz", "narrow"))
 @given(st.integers(0, 10_000), st.booleans())
 @examples(4)

@@ -96,6 +96,7 @@ def test_an_arm_that_has_to_roll_while_it_is_straight_does_so_without_a_jump() -
     assert off_curve(reference, 0) < 5e-3
 
 
+@pytest.mark.long
 def test_rolling_modules_take_postures_in_space() -> None:
     arm = snake(J("x"), J("z"), modules=6)
     reference = keyframe_reference(arm, five_postures(arm.length)[:3], 0.05)

@@ -78,6 +78,7 @@ def test_an_obstacle_beside_the_path_draws_a_warning_if_the_arm_can_give_way():
     require_passage(reference, moving, 0.005)  # it will be elsewhere
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("radius", "words"),
     [

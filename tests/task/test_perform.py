@@ -140,6 +140,7 @@ def test_an_arm_that_is_elsewhere_comes_to_the_first_posture_first(name: str, dt
     assert motion.mean_error[motion.start_index :].max() < 2e-6 * arm.length
 
 
+@pytest.mark.long
 def test_coming_to_the_first_posture_slowly_uses_up_no_patience_for_the_rest() -> None:
     # At a tenth of a degree per cycle that takes thousands of cycles, the motion itself few.
     arm = arm_named("planar")

@@ -66,6 +66,7 @@ def test_every_example_is_tested() -> None:
     assert {path.stem for path in FOLDER.iterdir()} == set(NAMES)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_the_arm_takes_every_posture(examples: dict[str, Done], name: str) -> None:
     task, reference, motion = examples[name]

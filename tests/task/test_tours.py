@@ -151,6 +151,7 @@ def test_a_short_time_beside_a_long_one_neither_bends_nor_delays_the_arm(continu
     assert all(after <= 1.03 * before for before, after in pairwise(totals))
 
 
+@pytest.mark.long
 @given(st.integers(0, 10_000), st.sampled_from(CONTINUITIES), st.sampled_from((None, 100.0)))
 @examples(4)
 def test_less_time_for_one_motion_hardly_delays_the_whole(
@@ -323,6 +324,7 @@ def test_turns_of_continuous_joints_add_up() -> None:
     assert np.abs(np.diff(reference.offsets, axis=0)).max() < 0.1
 
 
+@pytest.mark.long
 def test_arms_placed_by_least_squares_come_back_to_where_they_began() -> None:
     arm = snake(pp.JointSpec("x"), pp.JointSpec("y"), pp.JointSpec("z"), modules=5)
     tour = [Keyframe(line(arm)), Keyframe(bow(arm), duration=1.5, trim=True, placement="align")]
@@ -555,6 +557,7 @@ def test_a_long_arm_passes_random_shapes_in_all_laps_under_jerk_limits(modules: 
     assert motion.steps < free.steps + 2 * 8 * 2.0 * LIMITS.acceleration / 20.0 / LIMITS.dt
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("jerk", [5.0, 20.0])
 @pytest.mark.parametrize("bend", [0.1, 0.12])
 def test_a_keyframe_is_passed_before_the_arm_evades_an_obstacle_behind_it(bend: float, jerk: float) -> None:

@@ -185,6 +185,7 @@ def test_in_a_plane_an_axis_that_lies_in_it_is_a_bar_and_no_ring():
     assert bar[:, 0].mean() == pytest.approx(0.3)
 
 
+@pytest.mark.long
 def test_an_arm_of_one_module_and_one_that_stands_are_drawn(recwarn):
     standing = pp.Arm.load(
         planar().urdf, base_placement=pin.SE3(pin.utils.rotate("z", np.pi / 2), np.zeros(3))

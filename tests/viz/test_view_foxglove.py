@@ -331,6 +331,7 @@ def test_what_does_not_fit_is_refused(arm: pp.Arm, monkeypatch: pytest.MonkeyPat
         pp.view(arm, viewer="foxglove", url=FREE)
 
 
+@pytest.mark.long
 def test_the_example_goes_from_one_shape_to_another(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -53,6 +53,7 @@ def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monke
     assert before >= 0.0
 
 
+@pytest.mark.long
 def test_an_arm_that_an_obstacle_encloses_on_both_sides_stays_and_says_why():
     """A straight arm through the middle of a box: every small motion is along it, or turns within it."""
     arm = template_arm("RyRz", 20)
