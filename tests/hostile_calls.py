@@ -31,6 +31,7 @@ from hostile_inputs import a_target, an_arm
 
 import pinposture as pp
 from pinposture import kernels
+from pinposture.schema import Declared
 from pinposture.task.reference import Reference
 
 NUMBERS = {
@@ -266,6 +267,8 @@ IN_LOOPS = (
 """What solvers call on values that they have checked."""
 ON_OTHERS = ("Arm", "Curve", "Controller", "Target", "Tangents.of_curve", "Tracker.step")
 NEED_A_FEED = ("follow_leader", "path_deviation")
+HOOKS = frozenset(name for name in vars(Declared) if not name.startswith("_"))
+"""What the reader and the writer of files call on tables that they have checked."""
 LEFT_OUT = {*RESULTS, *ON_FILES, *IN_LOOPS, *ON_OTHERS, *NEED_A_FEED}
 """What is not called from its signature; `hostile_inputs.CALLS` reads files, makes cycles and has a feed."""
 
@@ -282,7 +285,11 @@ def public_calls() -> dict[str, Callable[..., Any]]:
         for method in sorted(vars(value)):
             kind = inspect.getattr_static(value, method)
             called = f"{name}.{method}"
-            if method.startswith("_") or called in LEFT_OUT:
+            if (
+                method.startswith("_")
+                or called in LEFT_OUT
+                or (method in HOOKS and issubclass(value, Declared))
+            ):
                 continue
             if isinstance(kind, classmethod | staticmethod):
                 found[called] = getattr(value, method)

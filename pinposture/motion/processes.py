@@ -140,7 +140,8 @@ def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
     ended = 0
     while True:
         try:
-            for result in _distribute_once(listed[done:], jobs, first_here=not ended):
+            alone = ended == MOST_ENDINGS  # so that a call that ends its process takes no other with it
+            for result in _distribute_once(listed[done:], jobs, first_here=not ended, alone=alone):
                 done += 1
                 yield result
             return
@@ -151,7 +152,7 @@ def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
             logger.warning("a process was ended; calls from %d of %d on are made again", done, len(listed))
 
 
-def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool) -> Iterator[Any]:
+def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: bool) -> Iterator[Any]:
     waiting = iter(tasks)
     if first_here and jobs != 1 and get_active_backend()[0].supports_inner_max_num_threads:
         # The first call is made here, so that kernels are compiled once and not by each process.
@@ -159,7 +160,12 @@ def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool) -> Itera
             yield function(*positional, **named)
     as_they_come = get_active_backend()[0].supports_return_generator
     with _one_thread_each():
-        pool = Parallel(n_jobs=jobs, return_as="generator" if as_they_come else "list")
+        pool = Parallel(
+            n_jobs=jobs,
+            return_as="generator" if as_they_come else "list",
+            pre_dispatch=1 if alone else "2 * n_jobs",
+            batch_size=1 if alone else "auto",
+        )
     if as_they_come:
         yield from pool(waiting)
         return
