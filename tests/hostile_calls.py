@@ -74,6 +74,8 @@ def examples() -> dict[str, Any]:
     path = a_path()
     return {
         "arm": arm,
+        "Run.reported.name": "scale",
+        "Run.reported.default": 1.0,
         "state": arm.at(np.full(6, 0.2)),
         "target": a_target(),
         "targets": a_target(),
@@ -252,7 +254,13 @@ ON_FILES = (
 )
 """What reads and writes, which has tests of its own."""
 IN_LOOPS = (
-    *("Arm.integrate", "Arm.difference", "Arm.require_near", "CollisionModel.contacts_along"),
+    *(
+        "Arm.integrate",
+        "Arm.difference",
+        "ArmState.moved",
+        "Arm.require_near",
+        "CollisionModel.contacts_along",
+    ),
     *("CollisionModel.count_movers", "CollisionModel.nearest", "CollisionModel.minimum_along"),
     *("CollisionModel.minimum_on_motions", "Projection.step_with", "Projection.posture_control_matrix"),
     *(

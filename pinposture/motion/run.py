@@ -12,13 +12,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import make_read_only
+from pinposture._validation import is_usable, make_read_only, require_instance
 from pinposture.arm import Arm
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.collision.model import Pair, arm_alone
 from pinposture.control import Limits
 from pinposture.control.controller import CONSTRAINTS
-from pinposture.errors import MotionError
+from pinposture.errors import InvalidValue, MotionError
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.target import distance_from_curve
@@ -467,7 +467,13 @@ class Run(Outcome):
             name: its name in `info`.
             default: what there is in each step if the controller did not report it, or something else of
                 that name.
+
+        Raises:
+            InvalidValue: a name that is not text, or a default that is neither a finite number nor text.
         """
+        require_instance("name", name, str, "text")
+        if not (isinstance(default, str) or is_usable(default)):
+            raise InvalidValue("default", default, "a finite number, or text")
         column = self.info.get(name)
         alike = column is not None and (column.dtype.kind == "U") == isinstance(default, str)
         if column is None or not alike or column.shape != (self.steps,):
