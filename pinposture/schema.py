@@ -131,10 +131,10 @@ def refusing(table: object = None, key: str | int | None = None) -> Iterator[Non
     try:
         yield
     except PostureError as error:
-        if isinstance(error, InvalidValue) and isinstance(table, Mapping) and error.name in table:
-            raise NotAllowed(table[error.name], error.allowed, error.name) from error
-        place = () if key is None else (key,)
-        raise Refusal(str(error), *place, error=error) from error
+        refusal = _refusal(error, table)
+        if key is not None and not refusal.within:
+            refusal.within = (key,)
+        raise refusal from error
 
 
 Read = TypeVar("Read")
@@ -223,7 +223,7 @@ def read_quantity(value: object, *kinds: str) -> float:
     known = ", ".join(unit for kind in kinds for unit in UNITS[kind])
     allowed = f"a number in SI units, or text with one of the units {known}"
     if is_number(value):
-        return _finite(_as_float(value), value, allowed)
+        return _finite(value, value, allowed)
     found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if found is None:
         raise NotAllowed(value, allowed)
@@ -238,19 +238,11 @@ def read_quantity(value: object, *kinds: str) -> float:
     raise NotAllowed(value, allowed, hint=f", {what}")
 
 
-def _as_float(value: Any) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
-
-def _finite(number: float, value: object, allowed: str) -> float:
-    if not math.isfinite(number):
-        raise NotAllowed(value, allowed, hint=", which is not finite")
-    if abs(number) > LARGEST_NUMBER:
-        raise NotAllowed(value, allowed, hint=", which is too large")
-    return number
+def _finite(number: Any, value: object, allowed: str) -> float:
+    if not is_usable(number):
+        large = -math.inf < number < math.inf
+        raise NotAllowed(value, allowed, hint=f", which is {'too large' if large else 'not finite'}")
+    return float(number)
 
 
 # Kinds of values.
@@ -261,12 +253,10 @@ class InputFile(Protocol):
 
     Attributes:
         arm: the arm of the task, if it is known.
-        scene: the scene of the task, if it is known.
         described: what `described` of a task is made of: the description of each part that has one.
     """
 
     arm: Any
-    scene: Any
     described: dict[Hashable, object]
 
     def resolve(self, name: str) -> Path:

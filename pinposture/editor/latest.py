@@ -138,10 +138,10 @@ class Latest(Generic[Request, Answer]):
         Args:
             patience: how long to wait at most [s].
         """
-        self.cancel()
         with self._changed:
-            self._closed = True
+            self._closed = True  # before cancelling: what is asked in between would be worked on
             thread = self._thread
+        self.cancel()
         if thread is not None:
             thread.join(patience)
 

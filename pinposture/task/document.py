@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.loading import description_text
 from pinposture.arm.specification import MOST_MODULES_IN_FILE
@@ -23,7 +24,16 @@ from pinposture.collision import Scene
 from pinposture.control import EndEffector
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, numbered, warn_caller
-from pinposture.schema import Place, mistakes_of, place_in_words, read_as, shown, shown_key
+from pinposture.schema import (
+    Place,
+    Refusal,
+    mistakes_of,
+    place_in_words,
+    read_as,
+    refusing,
+    shown,
+    shown_key,
+)
 from pinposture.storage import (
     check_writable,
     parse_json,
@@ -105,7 +115,6 @@ class Document:
     """
 
     arm: Any = None
-    scene: Any = None
 
     def __init__(self, path: Path, values: dict[str, Any], toml: str | None = None) -> None:
         self.path = path
@@ -141,8 +150,10 @@ class Document:
             value: plain data.
 
         Raises:
+            InvalidValue: a key that is not text.
             FileError: there is no such place.
         """
+        require_instance("key to change", key, str, 'text such as "limits.velocity"')
         place: Place = tuple(int(each) - 1 if each.isdecimal() else each for each in key.split("."))
         inside: Any = self.values
         for depth, each in enumerate(place):
@@ -207,17 +218,13 @@ class Document:
         return error
 
     @contextmanager
-    def blaming(self, where: Place, key: str | None = None) -> Iterator[None]:
-        """Report an error of the library at the key of the table that it names, or at this key."""
-        table = self.at(where)
-        named = where if key is None else (*where, key)
+    def blaming(self, where: Place) -> Iterator[None]:
+        """Report an error of the library at the key of the table that it names, or at the table."""
         try:
-            yield
-        except PostureError as error:
-            if isinstance(error, InvalidValue) and isinstance(table, Mapping) and error.name in table:
-                reason = f"is {shown(table[error.name])}; allowed: {error.allowed}"
-                raise self.fault((*where, error.name), reason) from error
-            raise self.fault(named, str(error)) from error
+            with refusing(self.at(where)):
+                yield
+        except Refusal as refusal:
+            raise self.fault((*where, *refusal.within), str(refusal)) from refusal.__cause__
 
     def resolve(self, name: str) -> Path:
         """Return a path named in the file, relative to its folder; raise ValueError if there is none."""

@@ -733,9 +733,8 @@ class Leader(Declared):
     def _check(self, info: ValidationInfo) -> Leader:
         source = in_file(info)
         if source is not None:
-            longest = MAX_SIZE_RATIO * source.arm.length
-            if self.path.length > longest:
-                allowed = f"{length_text(longest)}, {MAX_SIZE_RATIO} times the arm"
+            allowed = _allowed_length(self.path, source.arm)
+            if allowed:
                 raise Refusal(f"is {length_text(self.path.length)} long; allowed: {allowed}", "path")
         return self
 
@@ -748,16 +747,21 @@ class Leader(Declared):
         }
 
 
+def _allowed_length(path: Curve, arm: Arm) -> str:
+    """Return what is allowed for a path that is too long for an arm; empty if it is not."""
+    longest = MAX_SIZE_RATIO * arm.length
+    return "" if path.length <= longest else f"{length_text(longest)}, {MAX_SIZE_RATIO} times the arm"
+
+
 def check_leader(leader: Leader, arm: Arm, scene: Scene | None = None) -> None:
     """Refuse sizes out of proportion to the arm, and a narrow pipe.
 
     Raises:
         InvalidValue: names the attribute.
     """
-    longest = MAX_SIZE_RATIO * arm.length
     narrowest = arm.length / MAX_SIZE_RATIO
-    if leader.path.length > longest:
-        allowed = f"{longest:.4g} m, {MAX_SIZE_RATIO} times the arm"
+    allowed = _allowed_length(leader.path, arm)
+    if allowed:
         raise InvalidValue("length of the path [m]", leader.path.length, allowed)
     if leader.pipe is not None and leader.pipe < narrowest:
         raise InvalidValue("pipe", leader.pipe, f"{narrowest:.4g} m or more, 1/{MAX_SIZE_RATIO} of the arm")

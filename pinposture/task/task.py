@@ -236,6 +236,7 @@ class Task:
                 what is allowed.
         """
         document = Document.load(Path(path))
+        require_instance("changes", changes, Mapping | None, "a mapping from keys to values, or None")
         for key, value in (changes or {}).items():
             document.change(key, value)
         task = cls._read(document)
@@ -531,16 +532,17 @@ def _check_keys(values: Mapping[str, Any], _: object) -> Mapping[str, Any]:
     return read_keys(values, [key for key in _TASK_KEYS if key not in others])
 
 
-def _read_list(kind: type[Keyframe | Phase], key: str, least: str) -> PlainValidator:
-    """Read a list of tables: one or more, or two or more."""
+def _read_list(kind: type[Keyframe | Phase], key: str, least: int) -> PlainValidator:
+    """Read a list of `least` or more tables."""
 
     def read(value: Any, info: ValidationInfo) -> Any:
         listed = value or []
         if not is_list_of(is_table)(listed):
             raise NotAllowed(value, f"a list of tables, each begun by [[{key}]]")
-        if len(listed) < (2 if least == "two" else 1):
+        if len(listed) < least:
             found = "only one" if listed else "none"
-            raise Refusal(f"there is {found}; allowed: {least} or more, each begun by [[{key}]]")
+            words = {1: "one", 2: "two"}[least]
+            raise Refusal(f"there is {found}; allowed: {words} or more, each begun by [[{key}]]")
         return read_as(tuple[kind, ...], listed, in_file(info))  # type: ignore[valid-type]
 
     return read_by(read)
@@ -548,9 +550,9 @@ def _read_list(kind: type[Keyframe | Phase], key: str, least: str) -> PlainValid
 
 _READ_AS: Mapping[str, Any] = {
     "scene": SceneField,
-    "keyframes": Annotated[Any, _read_list(Keyframe, "keyframes", "two")],
+    "keyframes": Annotated[Any, _read_list(Keyframe, "keyframes", 2)],
     "leader": Leader,
-    "phases": Annotated[Any, _read_list(Phase, "phases", "one")],
+    "phases": Annotated[Any, _read_list(Phase, "phases", 1)],
     "limits": Limits,
     "controller": Annotated[Any, read_by(read_controller)],
     "start": Annotated[Any, read_by(read_start)],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 from task_texts import LEADER, VALID
 
 import pinposture as pp
-from pinposture.errors import FileError
+from pinposture.errors import FileError, PostureError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -199,3 +200,30 @@ def test_a_task_holds_what_a_file_says_in_si_units(tmp_path: Path) -> None:
     assert (first.name, first.curve) == ("straight", pp.Curve.line((0, 0, 0), (0.3, 0, 0)))
     assert (second.time, second.hold, second.placement, second.trim) == (1.0, 0.1, "align", True)
     assert second.curve == pp.Curve.helix(radius=0.1, pitch=0, turns=0.6)
+
+
+def test_values_of_a_file_are_replaced_by_their_keys(tmp_path: Path) -> None:
+    path = tmp_path / "task.toml"
+    path.write_text(VALID)
+    task = pp.Task.load(path, {"limits.velocity": 1.0, "keyframes.2.hold": "500 ms", "name": "other"})
+    assert (task.limits.velocity, task.motion[1].hold, task.name) == (1.0, 0.5, "other")
+    assert pp.Task.load(task.save(tmp_path / "saved.toml")).limits == task.limits
+    assert pp.Task.load(path).limits.velocity == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (3, "changes is 3; allowed: a mapping from keys to values, or None"),
+        ({3: 1}, 'key to change is 3; allowed: text such as "limits.velocity"'),
+        ({"keyframes.0.hold": 1}, "there is no 'keyframes.0.hold' to change"),
+        ({"": 1}, "there is no '' to change"),
+        ({"limits.velocity": np.nan}, "limits.velocity: is nan"),
+        ({"arm": None}, "arm: "),
+    ],
+)
+def test_a_value_that_cannot_be_replaced_is_named(tmp_path: Path, changes: Any, message: str) -> None:
+    path = tmp_path / "task.toml"
+    path.write_text(VALID)
+    with pytest.raises(PostureError, match=re.escape(message)):
+        pp.Task.load(path, changes)
