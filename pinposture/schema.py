@@ -220,17 +220,22 @@ def read_quantity(value: object, *kinds: str) -> float:
     Raises:
         NotAllowed: anything else.
     """
+    if is_usable(value):
+        return float(cast(float, value))
     known = ", ".join(unit for kind in kinds for unit in UNITS[kind])
     allowed = f"a number in SI units, or text with one of the units {known}"
     if is_number(value):
-        return _finite(value, value, allowed)
+        raise NotAllowed(value, allowed, hint=_beyond(value))
     found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if found is None:
         raise NotAllowed(value, allowed)
     unit = (found[2] or "").replace("**", "^").replace("²", "^2").replace(" ", "").replace("/s/s", "/s^2")
     for kind in kinds:
         if unit in UNITS[kind]:
-            return _finite(float(found[1]) * UNITS[kind][unit], value, allowed)
+            number = float(found[1]) * UNITS[kind][unit]
+            if not is_usable(number):
+                raise NotAllowed(value, allowed, hint=_beyond(number))
+            return number
     what = f"and {shown(unit)} is not a known unit" if unit else "without a unit"
     for kind, units in UNITS.items():
         if unit in units:
@@ -238,11 +243,8 @@ def read_quantity(value: object, *kinds: str) -> float:
     raise NotAllowed(value, allowed, hint=f", {what}")
 
 
-def _finite(number: Any, value: object, allowed: str) -> float:
-    if not is_usable(number):
-        large = -math.inf < number < math.inf
-        raise NotAllowed(value, allowed, hint=f", which is {'too large' if large else 'not finite'}")
-    return float(number)
+def _beyond(number: Any) -> str:
+    return ", which is too large" if -math.inf < number < math.inf else ", which is not finite"
 
 
 # Kinds of values.
