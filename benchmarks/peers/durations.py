@@ -32,8 +32,8 @@ import pinposture as pp
 from benchmarks.peers import environments
 from pinposture.arm import smooth_configuration
 from pinposture.kernels import load
+from pinposture.task.perform import ReferencePath
 from pinposture.task.reference import Reference
-from pinposture.task.task import ReferencePath
 
 CYCLE = 0.01
 LIMITS = ((1.0, 2.0), (1.0, 5.0), (1.0, 20.0), (1000.0, 5.0))

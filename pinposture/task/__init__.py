@@ -4,9 +4,10 @@ from pinposture.task.find_path import find_path
 from pinposture.task.follow_leader import Deviation, Leader, follow_leader, path_deviation
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.perform import move_through, perform
 from pinposture.task.phases import Phase, TipGoal, Withdrawal
 from pinposture.task.reference import Mark, Reference
-from pinposture.task.task import Task, move_through, perform
+from pinposture.task.task import Task
 
 __all__ = [
     "Deviation",

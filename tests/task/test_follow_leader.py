@@ -25,8 +25,8 @@ from pinposture.errors import (
     UnsupportedModule,
 )
 from pinposture.task.follow_leader import advance, follow_leader, path_deviation
+from pinposture.task.perform import perform
 from pinposture.task.reference import off_curve
-from pinposture.task.task import perform
 from pinposture.units import length_text
 
 LINK = 0.05

@@ -19,7 +19,7 @@ from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureWarning, TaskError, no_warnings
 from pinposture.task.follow_leader import follow_leader
 from pinposture.task.passage import require_passage
-from pinposture.task.task import perform
+from pinposture.task.perform import perform
 
 TASK = Path(__file__).parents[2] / "examples" / "tasks" / "pipe.toml"
 

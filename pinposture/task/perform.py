@@ -1,0 +1,607 @@
+"""Performing a motion: the arm follows a reference, and the plan waits where necessary."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import ceil
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import require_instance, require_positive
+from pinposture.arm import Arm
+from pinposture.arm.configurations import SLACK
+from pinposture.collision import Scene
+from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
+from pinposture.control.limits import DEFAULT_CYCLE, JerkFilter, cycle_of
+from pinposture.control.planner.follow import GeodesicMemory
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
+from pinposture.errors import InvalidValue
+from pinposture.motion.run import Run
+from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
+from pinposture.motion.trajectory import Trajectory, Waypoint
+from pinposture.placement import Target
+from pinposture.task.keyframe import Keyframe, as_keyframes, placed
+from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.passage import require_passage
+from pinposture.task.reference import Mark, Reference, Way, off_curve, tip_off
+from pinposture.units import length_text
+
+Array = NDArray[np.float64]
+
+Progress = Callable[[float, float], object]
+
+logger = logging.getLogger(__name__)
+
+MAX_MEAN_LAG = 0.1
+"""Mean distance of the control points from their targets, in module lengths, beyond which the plan waits for
+a controller that does not look ahead, and beyond which a named posture is missed."""
+
+ROW_TOLERANCE = 1e-9
+"""Distance before a row at which it counts as reached, in rows."""
+
+STOPPED = "stopped by the callback"
+
+MAX_PERFORMED_CYCLES = 1e6
+"""Largest number of cycles of a motion."""
+
+STEP_BUDGET_RATIO = 10.0
+STEP_BUDGET_EXTRA = 3000
+"""Number of steps after which a motion is given up: a multiple of the expected number, plus an extra."""
+
+
+MARK_SHARE = 0.6
+"""Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a mark."""
+
+MAX_SLOWDOWNS = 10
+SLOWDOWN_MARGIN = 1.02
+"""Number of attempts to pass all marks closely enough, and the factor by which each slows down more than the
+error requires."""
+
+HELD_ROUNDING = 1e-12
+"""Motion from one row to the next that counts as none [rad or m]."""
+
+
+class ReferencePath:
+    """A reference as a path that can be followed at any speed. Places are row numbers, not only whole ones.
+
+    Args:
+        reference: the reference.
+        limits: the limits of a step, with dt.
+
+    Attributes:
+        reference: the reference.
+        times: planned time of each of its rows, (N + 1,) [s].
+        path: its configurations as a path through joint space, within the position limits.
+        timed: the path at the largest speed that limits and marks allow, up to that of the plan, and slower
+            where a jerk limit would lead the arm past a mark.
+
+    Raises:
+        InvalidValue: limits so tight that it would take too many cycles.
+    """
+
+    def __init__(self, reference: Reference, limits: Limits) -> None:
+        arm = reference.arm
+        bounds = limits.for_arm(reference.arm)
+        self.reference = reference
+        self.times = reference.times
+        self._rows = np.arange(reference.rows, dtype=np.float64)
+        self._dt = cycle_of(limits)
+        self._lower, self._upper = bounds.edges - arm.positions(reference.start)
+        offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
+        # Joints that do not move the arm stay where they are.
+        offsets = np.ascontiguousarray(offsets * (arm.moved > 0.0))
+        q = arm.integrate(reference.start, offsets[0])
+        first = Target(arm.at(q).compiled.points, reference.weights[0], q)
+        self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
+        self._limits = limits
+        durations = reference.interval if reference.durations is None else reference.durations
+        self._rates = np.full(reference.rows - 1, self._dt / durations)
+        self._retime()
+        cycles = JerkFilter(arm, limits).cycles
+        if any(mark.speed < 1.0 for mark in reference.marks):
+            self._limit_speeds(0)
+            self._limit_speeds(1 + cycles // 2)  # averaged steps lie on both sides of a mark
+        self._slow_down_at_marks(cycles)
+
+    @property
+    def _profile(self) -> SpeedProfile:
+        return cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
+
+    def _retime(self) -> None:
+        self.timed = retime(self.path, self._limits, self._rates)
+        if self.steps > MAX_PERFORMED_CYCLES:
+            most = f"{MAX_PERFORMED_CYCLES:g}"
+            allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
+            raise InvalidValue("cycles of the motion", round(self.steps), allowed)
+
+    def _limit_speeds(self, beside: int) -> None:
+        """Lower the rates to the speeds of the marks, for so many cycles also before and after."""
+        before = self.path.slopes[:-1]
+        after = self.path.slopes[1:]
+        middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
+        slopes = np.abs([before, middle, after]).max(axis=0)  # the slope in between is in their hull
+        bound = SPEED_SHARE * self.timed.bounds.bound
+        full = np.maximum((slopes / bound).max(axis=1), ROW_TOLERANCE)  # cycles per row at full speed
+        begin = 0
+        places = self.timed.places
+        for mark in self.reference.marks:
+            if mark.speed < 1.0:
+                cycles = np.searchsorted(places, (begin, mark.row)) + (-beside, beside)
+                first, last = places[np.clip(cycles, 0, len(places) - 1)]
+                piece = slice(min(int(first), begin), max(ceil(last), mark.row))
+                self._rates[piece] = np.minimum(self._rates[piece], mark.speed / full[piece])
+            begin = mark.row
+        self._retime()
+
+    def _slow_down_at_marks(self, cycles: int) -> None:
+        """Lower the rates at marks that the arm would miss if its steps are averaged over so many cycles.
+
+        The arm is then at the mean of the configurations at as many places. Its distance from the path is
+        proportional to the square of the rate.
+        """
+        offsets = self.path.offsets
+        module = self.path.arm.length / self.path.arm.n_modules
+        moving = np.flatnonzero(np.any(np.abs(np.diff(offsets, axis=0)) > HELD_ROUNDING, axis=1))
+        for _ in range(MAX_SLOWDOWNS if cycles > 1 else 0):
+            places = np.pad(self.timed.places, (cycles - 1, cycles), mode="edge")
+            slower = False
+            passed = np.cumsum(np.append(0.0, places))
+            means = (passed[cycles:] - passed[:-cycles]) / cycles
+            for mark in self.reference.marks:
+                left = moving[np.searchsorted(moving, mark.row) :]
+                middle = 0.5 * (mark.row + left[0]) if len(left) else self.end  # of the time it is held
+                after = int(np.searchsorted(means, middle))
+                if not 0 < after < len(means):
+                    continue
+                share = (middle - means[after - 1]) / (means[after] - means[after - 1])
+                averaged = places[after - 1 : after + cycles]
+                averaged = (1.0 - share) * averaged[:-1] + share * averaged[1:]
+                excess = self._distance(averaged, middle) / (MARK_SHARE * MAX_MEAN_LAG * module)
+                if excess > 1.0:
+                    ratio = SLOWDOWN_MARGIN * np.sqrt(excess)
+                    slower = True
+                    first, last = middle + (averaged[[0, -1]] - middle) / ratio
+                    piece = slice(int(first), ceil(last))
+                    rate = (averaged[-1] - averaged[0]) / (cycles - 1) / ratio
+                    self._rates[piece] = np.minimum(self._rates[piece], rate)
+            if not slower:
+                break
+            self._retime()
+
+    def _distance(self, averaged: Array, place: float) -> float:
+        """Return the mean distance of the control points, at a mean of configurations, from a place [m]."""
+        arm = self.path.arm
+        target = self.target(place)
+        q = arm.integrate(self.path.start, self.path.smooth_offset(averaged).mean(axis=0))
+        return target.mean_distance(arm.at(q).compiled.points)
+
+    @property
+    def end(self) -> float:
+        """The last place."""
+        return self.path.end
+
+    @property
+    def steps(self) -> float:
+        """Smallest possible number of cycles."""
+        return self._profile.steps
+
+    def is_within_limits(self, row: int) -> bool:
+        """Whether the path goes through a row of the reference, which the position limits may prevent."""
+        offset = self.reference.offsets[row] * (self.reference.arm.moved > 0.0)
+        return bool(np.abs(offset - self.path.offsets[row]).max() <= SLACK)
+
+    def time(self, place: float | Array) -> Array:
+        """Return the planned time at places [s]."""
+        return np.asarray(np.interp(place, self._rows, self.times))
+
+    def cycles(self, place: float, row: int) -> int:
+        """Return the planned number of cycles from a place to a row."""
+        return ceil((float(self.times[row]) - float(self.time(place))) / self._dt - ROW_TOLERANCE)
+
+    def next(self, place: float, speed: float) -> float:
+        """Return the place after the next cycle; the previous one advanced by `speed`."""
+        return min(place + self._profile.next(place, speed), self.end)
+
+    def target(self, place: float) -> Target:
+        """Return the target posture at a place."""
+        arm = self.reference.arm
+        row = min(int(np.ceil(place)), self.reference.rows - 1)
+        offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
+        q = arm.integrate(self.reference.start, offset)
+        return Target(arm.at(q).compiled.points, self.reference.weights[row], q)
+
+    def remaining(self, place: float, controller: Geodesic) -> TimedPath:
+        """Return the rest of the path from a place, which is a whole row."""
+        row = int(place)
+        path = self.path
+        objective = controller.objective(path.arm, self.target(place))
+        if row == 0:
+            return retime(path.revised(objective=objective), self.timed.limits, self._rates)
+        offsets = path.offsets[row:] - path.offsets[row]
+        rest = JointPath(objective, path.configuration(row), offsets, controller.scene)
+        return retime(rest, self.timed.limits, self._rates[row:])
+
+    def next_mark(self, place: float) -> Mark:
+        """Return the next named place; the last row if there is none."""
+        last = self.reference.rows - 1
+        ahead = [mark for mark in self.reference.marks if mark.row > place]
+        return ahead[0] if ahead else Mark("the end", last, self.target(float(last)))
+
+
+def perform(
+    reference: Reference,
+    controller: str | Controller = "geodesic",
+    limits: Limits | None = None,
+    scene: Scene | None = None,
+    q0: ArrayLike | None = None,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+) -> Trajectory:
+    """Move an arm along a reference, within its limits.
+
+    The arm first moves to the start of the reference, unless it is there. Then the plan advances in real
+    time where the limits allow it, and more slowly elsewhere. "geodesic" looks ahead: it slows down early
+    enough and follows the path of the reference; where an obstacle blocks it, it plans its own path to the
+    next named place. Other controllers get a moving target, which waits for them when they fall behind.
+
+    Args:
+        reference: the planned motion.
+        controller: as for `track`.
+        limits: limits of a step, with `dt`, the duration of a control cycle; cycles of 20 ms and the velocity
+            limits of the arm if None.
+        scene: as for `track`.
+        q0: initial configuration, (nq,); that of the reference if None.
+        tolerance: as for `track`, for the first and the last posture.
+        progress: called in each cycle with the time and the duration of the plan [s]; the motion stops if it
+            returns True.
+
+    Returns:
+        The motion. `run.status` is "converged" if the arm took all named postures, "missed" if it passed one
+        of them at a mean distance of more than a tenth of a module and half a cycle's motion, else as for
+        `track`; `time_scale` is its duration relative to the plan.
+
+    Raises:
+        InvalidValue: limits without dt, or so tight that it would never end; an invalid q0 or tolerance.
+        UnknownName: no controller of that name.
+    """
+    require_instance("reference", reference, Reference, "a Reference, as `keyframe_reference` returns it")
+    arm = reference.arm
+    controller, scene = in_scene(controller_named(controller), scene)
+    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
+    dt = cycle_of(limits)
+    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    require_positive("tolerance", tolerance)
+    start = reference.start if q0 is None else arm.checked_start(q0, "q0")
+    require_passage(reference, scene, MAX_MEAN_LAG * arm.length / arm.n_modules)
+    guide = ReferencePath(reference, limits)
+    loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
+    performance = _Performance(guide, loop, tolerance, progress)
+    motion = performance.trajectory(*performance.run())
+    status = motion.run.status
+    reason = motion.run.reason
+    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * motion.steps, reason)
+    return motion
+
+
+def move_through(
+    arm: Arm,
+    keyframes: Sequence[Keyframe],
+    controller: str | Controller = "geodesic",
+    limits: Limits | None = None,
+    scene: Scene | None = None,
+    q0: ArrayLike | None = None,
+    continuity: Literal["velocity", "acceleration"] = "velocity",
+    repeat: int = 1,
+) -> Trajectory:
+    """Move through keyframes at their times: `keyframe_reference` and `perform` in one call.
+
+    Args:
+        arm: the arm.
+        keyframes: the keyframes, in order. By default, curves stay as drawn if the scene has obstacles.
+        controller: as for `track`.
+        limits: as for `perform`.
+        scene: as for `track`.
+        q0: initial configuration, (nq,); that of the first keyframe if None.
+        continuity: as for `keyframe_reference`.
+        repeat: likewise.
+
+    Returns:
+        The motion.
+
+    Raises:
+        PostureError: as those two.
+    """
+    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
+    require_instance("scene", scene, Scene | None, "a Scene(...), or None")
+    keyframes = placed(as_keyframes(keyframes), scene)
+    reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat)
+    return perform(reference, controller, limits, scene, q0)
+
+
+class _Performance:
+    """A motion in progress: the place on the reference and the target after each step."""
+
+    def __init__(
+        self, guide: ReferencePath, loop: ControlLoop, tolerance: float, progress: Progress | None
+    ) -> None:
+        self.guide = guide
+        self.loop = loop
+        self.tolerance = tolerance
+        self.progress = progress
+        self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
+        self._max_lag = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
+        self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
+        self._set_place(0.0)
+        self._places = [0.0]
+        self._targets = [guide.target(0.0)]
+        self._start_index: int | None = None  # None until the first posture is reached
+        self._notes: list[str] = []
+
+    def _set_place(self, place: float) -> None:
+        """Set the place of an arm at rest."""
+        self._place = place
+        self._latest.extend([place] * self.loop.filter.cycles)
+
+    def _advance(self, place: float) -> float:
+        """Set the place of the arm ahead; return that of the arm itself, which a jerk limit delays."""
+        self._place = place
+        self._latest.append(place)
+        return place if len(self._latest) == 1 else sum(self._latest) / len(self._latest)
+
+    def run(self) -> tuple[str, str]:
+        """Move to the first posture, along the reference, and to rest; return status and reason."""
+        status, reason = self._go_to(0.0)
+        if status != "converged":
+            return status, f"on the way to the first posture: {reason}"
+        self._start_index = len(self._places) - 1
+        controller = self.loop.controller
+        ended = self._look_ahead(controller) if isinstance(controller, Geodesic) else self._lead()
+        return self._go_to(self.guide.end) if ended is None else ended
+
+    def trajectory(self, status: str, reason: str) -> Trajectory:
+        """Return everything so far as a result; "missed" if only the last of its postures was reached."""
+        reference = self.guide.reference
+        loop = self.loop
+        places = np.array(self._places)
+        run = loop.record.run(loop.arm, loop.controller, loop.limits, status, reason)
+        nexts = [*(mark.row for mark in reference.marks[1:]), np.inf]
+        waypoints = tuple(
+            self._waypoint(mark, until, places, run)
+            for mark, until in zip(reference.marks, nexts, strict=False)
+        )
+        if status == "converged" and any(waypoint.missed for waypoint in waypoints):
+            reason = f"{self._describe_missed(waypoints)}; at the end, {run.reason}"
+            run = replace(run, status="missed", reason=reason)
+        return Trajectory(
+            run=run,
+            targets=np.array([target.points for target in self._targets]),
+            target_mask=np.array([target.has_target for target in self._targets]),
+            plan_time=self.guide.time(places),
+            start_index=len(places) - 1 if self._start_index is None else self._start_index,
+            planned=float(self.guide.times[-1]),
+            waypoints=waypoints,
+            deviations=tuple(self._notes),
+        )
+
+    def _waypoint(self, mark: Mark, until: float, places: Array, run: Run) -> Waypoint:
+        """Return how a named place was passed, before the next one, which is at `until`.
+
+        That is at the first step at which the arm is near it; at the step nearest in time if it never is.
+        """
+        reference = self.guide.reference
+        begun = self._start_index
+        moved = mark.target.moved
+        planned = float(self.guide.times[mark.row])
+        off = off_curve(mark)
+        there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
+        if begun is None or not len(there):
+            return Waypoint(mark.name, planned, None, None, None, off, moved=moved, speed=mark.speed)
+        row = begun + int(there[0])
+        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
+            row -= 1
+        end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - ROW_TOLERANCE)))
+        chosen = mark.target.has_target
+        first = max(row - 1, 0)
+        points = run.points[first : end + 1]
+        errors = mark.target.distances(points)[:, chosen].mean(axis=1)
+        steps = np.linalg.norm(np.diff(points[:, chosen], axis=0), axis=2).mean(axis=1)
+        allowed = self._max_lag + 0.5 * np.maximum(np.append(0.0, steps), np.append(steps, 0.0))
+        near = (errors <= allowed)[row - first : end - first]
+        row = row + int(np.argmax(near))
+        missed = not np.any(near)
+        reached = (row - begun) * cycle_of(run.limits)
+        error = float(errors[row - first])
+        tip = tip_off(mark.tip, mark.target, reference.arm.at(run.q[row]))
+        if mark.way is not None:
+            since = max([other.row for other in reference.marks if other.row < mark.row], default=0)
+            first = begun + int(np.searchsorted(places[begun : row + 1], since))
+            off = mark.way.distance(run.q[min(first, row) : row + 1])
+            missed = missed or off > self._max_distance(mark.way)
+        return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed, missed)
+
+    def _max_distance(self, way: Way) -> float:
+        """Return the largest accepted distance of the arm from its path [m]."""
+        return way.planned + self._max_lag
+
+    def _describe_missed(self, waypoints: tuple[Waypoint, ...]) -> str:
+        """Say which named postures the arm passed at a distance, and why if that is known."""
+        for mark, waypoint in zip(self.guide.reference.marks, waypoints, strict=True):
+            off = waypoint.off_curve or 0.0
+            if mark.way is not None and waypoint.missed and off > self._max_distance(mark.way):
+                most = length_text(self._max_distance(mark.way))
+                allowed = f"planned: {length_text(mark.way.planned)}, allowed: {most}"
+                return f"the arm left its path by {length_text(off)} on the way to {mark.name} ({allowed})"
+        missed = [waypoint for waypoint in waypoints if waypoint.missed]
+        worst = max(missed, key=lambda waypoint: waypoint.mean_error or 0.0)
+        one = len(missed) == 1
+        number = f"{len(missed)} of {len(waypoints)} postures"
+        text = f"{number} {'is' if one else 'are'} missed, {'' if one else 'most '}{worst.name}, by "
+        text += f"{length_text(worst.mean_error or 0.0)} on average (allowed: {length_text(self._max_lag)})"
+        row = self.guide.reference.marks[waypoints.index(worst)].row
+        if not self.guide.is_within_limits(row):
+            text += "; it is outside the joint limits, or within their position margin"
+        return text
+
+    def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
+        """Come to rest at a place, by any path, not before step `due`; return status and reason."""
+        target = self.guide.target(place)
+        loop = self.loop
+        record = loop.record
+        begun = record.steps
+        record.set_target(target)
+        most = begun + STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * self._cycles_to(target))
+        ended = loop.run(target, self.tolerance, most, lambda *_: self._report())
+        loop.brake_to_rest()
+        while ended[0] == "converged" and record.steps < due:
+            loop.brake()
+            if self._report():
+                ended = "stopped", STOPPED
+        if ended[0] == "converged":
+            self._set_place(place)
+        self._fill(self._place, target)
+        self._max_steps += record.steps - begun
+        return ended
+
+    def _cycles_to(self, target: Target) -> float:
+        """Estimate the number of cycles of a straight path to a target in joint space."""
+        loop = self.loop
+        bounds = loop.limits.for_arm(loop.arm)
+        q = loop.state.q
+        distance = np.abs(loop.arm.difference(q, q if target.q is None else target.q))
+        braking = 0.0 if bounds.brake is None else 2.0 * np.sqrt(distance / bounds.brake)
+        return float((distance / bounds.bound + braking).max())
+
+    def _report(self) -> bool:
+        """Report progress; return whether to stop."""
+        if self.progress is None:
+            return False
+        guide = self.guide
+        return self.progress(float(guide.time(self._place)), guide.reference.duration) is True
+
+    def _record(self, place: float, target: Target) -> tuple[str, str] | None:
+        """Record the place after a step; return status and reason if the motion ends there."""
+        self._places.append(place)
+        self._targets.append(target)
+        ended = None
+        if self._report():
+            ended = "stopped", STOPPED
+        elif self.loop.record.steps > self._max_steps:
+            seconds = float(self.guide.time(place))
+            ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._max_steps} cycles"
+        if ended is not None:
+            self.loop.brake_to_rest()
+            self._fill(place, target)
+        return ended
+
+    def _fill(self, place: float, target: Target) -> None:
+        """Record the steps towards a target during which the plan did not advance."""
+        missing = self.loop.record.steps + 1 - len(self._places)
+        self._places += [self._places[-1]] * missing
+        self._targets += [target] * missing
+        self._places[-1] = place
+
+    def _note(self, place: float, text: str) -> None:
+        """Record a deviation from the plan."""
+        self._notes.append(f"at {float(self.guide.time(place)):.4g} s of the plan {text}")
+
+    def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
+        """Follow the path with a controller that knows it; return None at its end, else status and reason."""
+        loop = self.loop
+        guide = self.guide
+        while self._place < guide.end:
+            begun = self._place
+            progress = None
+            remaining = guide.remaining(begun, controller)
+            mark = guide.next_mark(begun)
+            loop.memory = controller.start(remaining, loop.ahead.compiled, loop.memory)
+            while self._place < guide.end:
+                foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
+                target = guide.target(foreseen)
+                step = loop.compute_step(target)
+                ahead = step.memory.progress if isinstance(step.memory, GeodesicMemory) else None
+                if ahead is None or not ahead.timed.scheduled:
+                    break
+                if step.reason and not ahead.arrived:
+                    break
+                if begun + ahead.place >= mark.row:
+                    if self._leaves_path(step, begun + ahead.place):
+                        break
+                    mark = guide.next_mark(begun + ahead.place)
+                progress = ahead
+                place = self._advance(begun + ahead.place)
+                target = target if place == foreseen else guide.target(place)
+                loop.take_step(step, target)
+                ended = self._record(place, target)
+                if ended is not None:
+                    return ended
+            else:
+                return self._catch_up()
+            mark = guide.next_mark(self._place)
+            left = self._place
+            # A shorter path does not advance the plan faster.
+            due = loop.record.steps + guide.cycles(self._place, mark.row)
+            status, reason = self._go_to(float(mark.row), due)
+            if status != "converged":
+                self._note(left, f"the arm left the path, and did not reach {mark.name} by another")
+                return status, f"on the way to {mark.name}: {reason}"
+            self._note(left, f"the arm left the path, and reached {mark.name} by another")
+        return None
+
+    def _leaves_path(self, step: Step, place: float) -> bool:
+        """Whether the arm is off the path after a step to a place, so that it would miss a mark there."""
+        target = self.guide.target(place)
+        points = self.loop.ahead.moved(step.dq).compiled.points
+        apart = target.mean_distance(points)
+        return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.cycles > 1 else 1.0))
+
+    def _catch_up(self) -> tuple[str, str] | None:
+        """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""
+        ended = None
+        while ended is None and self.loop.filter.moving:
+            place = self._advance(self._place)
+            target = self.guide.target(place)
+            self.loop.record.set_target(target)
+            self.loop.brake()
+            ended = self._record(place, target)
+        return ended
+
+    def _lead(self) -> tuple[str, str] | None:
+        """Move the target of a controller that does not look ahead; the plan waits if it falls behind."""
+        loop = self.loop
+        guide = self.guide
+        speed = 0.0
+        patient = True
+        target = guide.target(self._place)
+        while self._place < guide.end:
+            place = self._place
+            behind = loop.record.mean_error > self._max_lag
+            if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
+                error = loop.record.mean_error
+                self._note(place, f"the arm was {length_text(error)} behind on average, and did not catch up")
+                patient = False
+            if behind and patient:
+                speed = 0.0
+            else:
+                patient = patient or not behind
+                place = guide.next(place, speed)
+                speed = place - self._place
+                target = guide.target(place)
+            place = self._advance(place)
+            shown = target if place == self._place else guide.target(place)
+            if not (behind and patient):
+                loop.record.set_target(shown)
+            step = loop.compute_step(target)
+            if step.reason:
+                loop.brake()
+            else:
+                loop.take_step(step)
+            ended = self._record(place, shown)
+            if ended is not None:
+                return ended
+        return None
