@@ -13,6 +13,7 @@ from typing import Any
 from xml.dom.minidom import Document, parseString
 
 from pinposture._validation import is_number, require_known
+from pinposture.arm.expressions import Expressions
 from pinposture.arm.packages import find_packages, package_folders, package_name
 from pinposture.arm.urdf_reader import is_urdf_text, parse_xml
 from pinposture.errors import FileError, InvalidValue, PostureError, URDFError
@@ -29,7 +30,10 @@ MACROS = "http://www.ros.org/wiki/xacro"
 MOST_ELEMENTS = 100_000
 """Most elements to which macros may expand: xacro takes 2 s for 32,000, and minutes for 300,000."""
 
-_ARGUMENT = re.compile(r"""<xacro:arg\s[^>]*?\bname\s*=\s*["']([^"']+)|\$\(arg\s+([^\s()]+)""")
+_ARGUMENT = re.compile(r"""<xacro:arg\s[^<>]*?\bname\s*=\s*["']([^"']+)|\$\(arg\s+([^\s()]+)""")
+_PARAMETER = re.compile(
+    r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'[^']*'|"[^"]*"|[^\s'"])+|)(?:\s+|$)(.*)"""
+)  # a parameter of a macro as in xacro, whose own pattern takes time exponential in the length of a default
 _LOCK = Lock()  # xacro keeps the state of an expansion in its modules
 
 
@@ -62,6 +66,23 @@ class Arguments(dict[str, str]):
     def __missing__(self, name: str) -> str:
         self.missing = self.missing or name
         raise KeyError(name)
+
+
+class Substituted(dict[str, Any]):
+    """What $(eval ...) may name: functions, and the arguments of a description as numbers or text.
+
+    Attributes:
+        arguments: the arguments.
+    """
+
+    def __init__(self, arguments: Arguments, functions: Mapping[str, Any]) -> None:
+        super().__init__(functions)
+        self.arguments = arguments
+
+    def __missing__(self, name: str) -> Any:
+        from xacro.substitution_args import convert_value
+
+        return convert_value(self.arguments[name], "auto")
 
 
 def read_arguments(given: object) -> dict[str, str]:
@@ -142,6 +163,8 @@ def _blame(error: BaseException, label: str, arguments: Arguments) -> None:
         raise URDFError(label, f"xacro argument {name!r}", reason) from error
     behind: BaseException | None = error
     while behind is not None:
+        if isinstance(behind, URDFError):
+            raise behind from error
         if isinstance(behind, PostureError):
             raise FileError(label, f"cannot be expanded: {behind}") from error
         behind = getattr(behind, "exc", None) or behind.__cause__
@@ -162,8 +185,8 @@ def _require_links(root: Any, label: str, arguments: Arguments) -> None:
 
 
 def _parsed(text: str, label: str, arguments: Arguments) -> Document:
-    arguments.look_through(text)
     parse_xml(text, label)  # raises clear errors, and refuses entities
+    arguments.look_through(text)
     document: Document = parseString(text.lstrip("\ufeff \t\r\n"))
     return document
 
@@ -193,7 +216,7 @@ def _find_package(folders: Sequence[Path], reading: Sequence[str | None]) -> Cal
 
 @contextmanager
 def _adapted(xacro: Any, arguments: Arguments, folders: Sequence[Path]) -> Iterator[None]:
-    """Let xacro find packages without ROS, read files in any encoding, and log rather than print."""
+    """Let xacro find packages without ROS, read any encoding, evaluate within bounds, and log, not print."""
     from xacro import color, substitution_args
 
     def find(name: str) -> str:
@@ -211,15 +234,34 @@ def _adapted(xacro: Any, arguments: Arguments, folders: Sequence[Path]) -> Itera
             xacro.filestack.pop()  # it is not being read
             raise xacro.XacroException(str(error), exc=error) from error  # which "optional" includes catch
 
+    def read() -> str:
+        return str(xacro.filestack[-1] or "xacro text")
+
+    expressions = Expressions(read)
     evaluate = xacro.eval_all
     evaluated = count(1)
 
-    def evaluate_counted(node: Any, macros: Any, symbols: Any) -> None:
+    def evaluate_elements(node: Any, macros: Any, symbols: Any) -> None:
         if next(evaluated) > MOST_ELEMENTS:
-            label = xacro.filestack[-1] or "xacro text"
             reason = f"expands to more than {MOST_ELEMENTS} elements; call fewer macros in macros"
-            raise URDFError(str(label), "<robot>", reason)
+            raise URDFError(read(), "<robot>", reason)
+        with expressions.naming(node.tagName):
+            expressions.spend(len(node.childNodes))
         evaluate(node, macros, symbols)
+
+    evaluate_pieces = xacro.eval_text
+
+    def evaluate_text(text: str, symbols: Any) -> Any:
+        if "$" not in text:
+            return text
+        with expressions.naming(text):
+            expressions.spend(len(text) * (1 + text.count("$") // 100))  # each piece cuts what is left of it
+            return expressions.checked(evaluate_pieces(text, symbols))
+
+    substituted = expressions.functions(substitution_args._eval_dict, xacro.NameSpace)
+
+    def evaluate_argument(text: str, context: dict[str, Any]) -> str:
+        return str(expressions.evaluate(text, Substituted(arguments, substituted)))
 
     def log(*words: object, **_: object) -> None:
         logger.warning(" ".join(map(str, words)))
@@ -227,8 +269,13 @@ def _adapted(xacro: Any, arguments: Arguments, folders: Sequence[Path]) -> Itera
     replaced: list[tuple[dict[str, Any], str, Any]] = [
         (vars(substitution_args), "_eval_find", find),
         (substitution_args._eval_dict, "find", find),
+        (vars(substitution_args), "_eval", evaluate_argument),
         (vars(xacro), "parse", parse),
-        (vars(xacro), "eval_all", evaluate_counted),
+        (vars(xacro), "eval_all", evaluate_elements),
+        (vars(xacro), "eval_text", evaluate_text),
+        (vars(xacro), "safe_eval", expressions.evaluate),
+        (vars(xacro), "_global_symbols", expressions.functions(xacro._global_symbols, xacro.NameSpace)),
+        (vars(xacro), "re_macro_arg", _PARAMETER),
         (vars(xacro), "print", log),
         (vars(color), "print", log),
     ]

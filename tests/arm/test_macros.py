@@ -5,11 +5,13 @@ from __future__ import annotations
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from xml.dom.minidom import parseString
 
 import numpy as np
 import pytest
 
 import pinposture as pp
+from pinposture.arm.macros import expand_macros
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, URDFError
 
 ROBOT = '<robot name="s" xmlns:xacro="http://www.ros.org/wiki/xacro">'
@@ -215,3 +217,163 @@ def test_without_the_extra_the_message_names_it(parametric: Path, monkeypatch: p
     monkeypatch.setitem(sys.modules, "xacro", None)
     with pytest.raises(FileError, match=r"pinposture\[descriptions\]"):
         pp.Arm.load(parametric)
+
+
+VALUES = [
+    "0.05 * 2",
+    "2**8 + 7 // 2 - 7 % 4 + (1 &lt;&lt; 3) + (9 >> 1) + (6 &amp; 3 | 8 ^ 1)",
+    "max(0.1, min(0.05, 1)) * math.cos(0) + radians(180)",
+    "'%.3f %s' % (0.1, 'a')",
+    "[2, 0.1][1:] + [3] * 2",
+    "python.sum([x * 2 for x in python.range(4) if x > 1])",
+    "python.sum(x for x in (1, 2))",
+    "(lambda x, y=1, *z: x / 2 + y)(0.2, 3)",
+    "'a_0.1'.split('_')[1].upper().rjust(9)",
+    "''.join(['0', '.', '1']).replace('.', '__')",
+    "0.1 if True and not 1 &lt; 2 &lt; 3 else None",
+    "dict(a=0.1, b=[1])['b'][0]",
+    "python.sorted([3, 0.1, 2], key=lambda x: -x)",
+    "list(map(str.strip, [' a ', 'b ']))",
+    "[b for a, b in python.zip([1], [0.1])] + [i for i, _ in python.enumerate('ab')]",
+    "max(*[0.1, 0.05]) + (lambda y: y)(y=2) + math.factorial(5) + math.prod([2, 3]) + round(1.26, 1)",
+    "[[x + y for y in [1, 2]] for x in [1, 2]]",
+    "(x := 3) + x",
+    "python.isinstance('a', str) and 'a' in 'abc' and 1 in [1]",
+    "-1.5 if ~1 == -2 else +2",
+]
+
+
+@pytest.mark.parametrize("expression", VALUES)
+def test_expressions_have_the_values_of_xacro(expression: str) -> None:
+    import xacro
+
+    text = f'{ROBOT}<link name="b" value="${{{expression}}}"/></robot>'
+    document = parseString(text)
+    xacro.process_doc(document)
+    assert expand_macros(text, {}) == document.toxml()
+
+
+def test_expressions_format_text_with_arguments(tmp_path: Path) -> None:
+    (tmp_path / "sizes.yaml").write_text("text: '{0:.2f} {a:>{1}} {1!r}'\na: &a {n: 0.1}\nb: {<<: *a}")
+    sizes = f"${{xacro.load_yaml('{tmp_path}/sizes.yaml')}}"
+    name = "${s.text.format(2, 5, a='x')} ${s.b.n + s['a']['n']} ${len(s.keys())}"
+    link = f'<xacro:property name="s" value="{sizes}"/><link name="{name}"/><link name="$(eval 1 + n)"/>'
+    expanded = expand_macros(f"{ROBOT}{link}</robot>", {"n": "3"})
+    assert 'name="2.00     x 5 0.2 3"' in expanded
+    assert 'name="4"' in expanded
+
+
+SEVERAL = "(lambda f, x: f(f(f(f(f(f(f(f(f(f(x)))))))))))"
+ENDLESS = [
+    "9**9**9",
+    "(-9)**9**9",
+    "1 &lt;&lt; 10**10",
+    "~(1 &lt;&lt; 10**9)",
+    "10**3000 * 10**3000",
+    "'a' * 10**10",
+    "10**10 * (1, 2)",
+    "[[0] * 1000] * 1000",
+    "b'a' * 10**10",
+    "list(python.range(10**9))",
+    "list(python.range(10**30))",
+    "python.sum(python.range(10**9))",
+    "[0 for a in python.range(9999) for b in python.range(9999) for c in python.range(9999)]",
+    "python.sum(1 for a in python.range(99999) for b in python.range(99999))",
+    "python.any(map(lambda a: a &lt; 0, python.range(10**9)))",
+    pytest.param(
+        "(lambda f, n: f(f, n))(lambda f, n: 1 if n == 0 else f(f, n - 1) + f(f, n - 1), 100)",
+        marks=pytest.mark.long,
+    ),
+    pytest.param("[l.append(1) for l in [[1]] for x in l]", marks=pytest.mark.long),
+    "[l.extend(l) for l in [[1]] for x in python.range(60)]",
+    "[l.extend(python.zip(l)) for l in [[1] * 99999] for x in [1, 2]]",
+    "[str(l) for l in [[1]] for x in [l.append(l)]]",
+    SEVERAL + "(lambda x: [*x, *x, *x, *x], [1, 2])",
+    "str(" + SEVERAL + "(lambda x: [x] * 40, 1))",
+    "(1, " + SEVERAL + "(lambda x: (x, x, x, x), 1)) == 1",
+    "python.hash(" + SEVERAL + "(lambda x: (x, x, x, x), 1))",
+    "math.factorial(10**7)",
+    "math.comb(10**6, 5 * 10**5)",
+    "list(map(math.perm, [10**6]))",
+    "math.prod([10**300] * 9999)",
+    "round(5, -10**10)",
+    "list(map('a'.ljust, [10**10]))",
+    "'a'.zfill(10**10)",
+    "'a'.expandtabs(10**10)",
+    "('a' * 1000).replace('a', 'b' * 10000)",
+    "('a' * 1000).join('b' * 1000)",
+    "''.join(['a' * 1000] * 1000)",
+    "('a' * 90000).rfind('b' + 'a' * 9000)",
+    "'%1000000000d' % 1",
+    "'%*d' % (10**9, 1)",
+    "b'%.1000000000f' % 1",
+    "python.sum([[0] * 500] * 500, [])",
+    "xacro.tokenize('a' * 30, ']|(a+)+$|[b')",
+    "xacro.load_yaml('/dev/zero')",
+    "(1).to_bytes(10**10, 'big')",
+    "+".join(["1"] * 9999),
+]
+
+
+@pytest.mark.parametrize("expression", ENDLESS)
+def test_an_expression_that_takes_too_long_is_refused_by_name(expression: str) -> None:
+    text = f'{ROBOT}<link name="b" value="${{{expression}}}"/></robot>'
+    with pytest.raises(PostureError) as caught:
+        expand_macros(text, {})
+    if "/dev" not in expression:
+        assert isinstance(caught.value, URDFError)
+        assert repr(expression.replace("&lt;", "<"))[1:150] in caught.value.element
+
+
+def test_all_places_of_expressions_are_bounded(tmp_path: Path) -> None:
+    (tmp_path / "unit.yaml").write_text("a: !degrees 9**9**9")
+    (tmp_path / "long.yaml").write_text("[1, 1]" * 100_000)
+    bomb = "${9**9**9}"
+    for inside in (
+        '<link name="$(eval 9**9**9)"/>',
+        f'<xacro:property name="{bomb}" value="1"/>',
+        f'<xacro:property name="a" value="{bomb}"/>${{a}}',
+        f'<xacro:arg name="a" default="{bomb}"/>',
+        f'<xacro:if value="{bomb}"/>',
+        f'<xacro:element xacro:name="{bomb}"/>',
+        f'<xacro:macro name="m" params="a:={bomb}"><link name="a"/></xacro:macro><xacro:m/>',
+        f'<xacro:call macro="{bomb}"/>',
+        f'<xacro:include filename="{bomb}"/>',
+        *(f"${{xacro.load_yaml('{tmp_path}/{name}.yaml')}}" for name in ("unit", "long")),
+        '<link name="' + "${1}" * 90_000 + '"/>',
+    ):
+        with pytest.raises(PostureError, match=r"bits|too long|too large"):
+            expand_macros(f"{ROBOT}{inside}</robot>", {})
+    for grown in ("${{a{0}}}${{a{0}}}", "${{a{0} + a{0}}}", "${{[a{0}, a{0}]}}", "${{dict(a=a{0}, b=a{0})}}"):
+        properties = "".join(
+            f'<xacro:property name="a{k + 1}" value="{grown.format(k)}"/>' for k in range(99)
+        )
+        with pytest.raises(URDFError, match="more than 100000 characters and items"):
+            expand_macros(f'{ROBOT}<xacro:property name="a0" value="aa"/>{properties}${{a99}}</robot>', {})
+    default = "a:=" + "a" * 60 + "'"  # on which the pattern of xacro would take years
+    expand_macros(f'{ROBOT}<link name="b"/><xacro:macro name="m" params="{default}"/></robot>', {})
+    expand_macros(f'{ROBOT}<link name="b"/><!--{"<xacro:arg " * 20_000}--></robot>', {})
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "(lambda: ().__class__)()",
+        "[a.__class__ for a in [1]]",
+        "(a for a in [1]).gi_frame",
+        "(lambda: __import__('os'))()",
+        "(lambda __builtins__: 1)(2)",
+        "python.vars(python.type)",
+        "python.type('A', (), dict())",
+        "python.type(1).mro()",
+        "math.update(pi=3)",
+        "python.sum.func",
+        "(lambda: (yield))()",
+    ],
+)
+def test_expressions_reach_no_more_than_they_may(expression: str) -> None:
+    with pytest.raises(PostureError):
+        expand_macros(f'{ROBOT}<link name="b" value="${{{expression}}}"/></robot>', {})
+    evaluated = '<xacro:property name="p" value="\')\'"/><link name="$(eval open(\'/etc/hosts\'${p})"/>'
+    with pytest.raises(PostureError):  # xacro itself would open the file
+        expand_macros(f"{ROBOT}{evaluated}</robot>", {})
