@@ -29,7 +29,7 @@ from pinposture.arm.configurations import (
     check_joint_positions,
     plausible_positions,
 )
-from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
+from pinposture.arm.couplings import Coupling, Drive, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
@@ -429,6 +429,15 @@ class Arm(ConfigurationSpace):
     def couplings(self) -> tuple[Coupling, ...]:
         """Joints that follow others and have no degree of freedom of their own."""
         return read_couplings(self.model)
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """Joints that move on their own in the description, where a leader of this arm follows them.
+
+        The leader is the first of coupled joints from the base. A drive moves the joint that the description
+        lets move on its own; see `JointTrajectory.driven`.
+        """
+        return self.report.drives if self.report else ()
 
     @property
     def columns(self) -> NDArray[np.intp]:

@@ -41,6 +41,24 @@ class Coupling(NamedTuple):
     offset: float
 
 
+class Drive(NamedTuple):
+    """A joint that moves on its own in a description, but that a leader of the arm stands for.
+
+    Attributes:
+        joint: name of the joint.
+        leader: name of the leader, which follows the joint in the description.
+        ratio: motion of the joint relative to that of the leader.
+        offset: position of the joint when the leader is at zero [rad or m].
+        turns: whether the joint is revolute.
+    """
+
+    joint: str
+    leader: str
+    ratio: float
+    offset: float
+    turns: bool
+
+
 class JointRange(NamedTuple):
     """Smallest and largest position [rad or m] and largest speed [rad/s or m/s] of a joint."""
 
@@ -56,11 +74,13 @@ class CoupledJoints(NamedTuple):
         moving: the joints that move, from base to tip.
         couplings: those of them that follow others.
         ranges: limits of each leader, by name, within which its followers keep their own limits.
+        drives: joints on the chain behind a leader, or off it, that the leader follows in the description.
     """
 
     moving: list[JointDescription]
     couplings: list[Coupling]
     ranges: dict[str, JointRange]
+    drives: list[Drive]
 
 
 def with_couplings(description: Description, given: Mapping[str, object] | None) -> Description:
@@ -120,7 +140,7 @@ def find_couplings(
         if follows.joint not in still and (leader is joint or leader.moves) and follows.multiplier != 0.0:
             groups.setdefault(follows.joint, []).append((joint, follows))
     moving = {joint.name for group in groups.values() for joint, _ in group}
-    found = CoupledJoints([joint for joint in chain if joint.name in moving], [], {})
+    found = CoupledJoints([joint for joint in chain if joint.name in moving], [], {}, [])
     for name, group in groups.items():
         first, own = group[0]
         members = group
@@ -136,6 +156,9 @@ def find_couplings(
             offset = follows.offset - ratio * own.offset
             if joint is not first and joint.name in moving:
                 found.couplings.append(Coupling(joint.name, first.name, ratio, offset))
+            if joint is not first and joint.name == name:
+                turns = joint.type != "prismatic"
+                found.drives.append(Drive(name, first.name, ratio, offset, turns))
             low, high = sorted(((joint.lower - offset) / ratio, (joint.upper - offset) / ratio))
             lower = max(lower, low)
             upper = min(upper, high)

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from pinposture._validation import require_known, rigid_placement
 from pinposture.arm.configurations import NO_LIMIT, ConfigurationSpace
-from pinposture.arm.couplings import CoupledJoints, couple_joints, find_couplings, with_couplings
+from pinposture.arm.couplings import CoupledJoints, Drive, couple_joints, find_couplings, with_couplings
 from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.model_builder import build_model
@@ -60,6 +60,7 @@ class LoadReport:
         warnings: decisions that the user may not expect.
         segmentation: how the joints were grouped into modules.
         soft_limited: joints whose position limits are narrowed by those of <safety_controller>.
+        drives: see `Arm.drives`.
     """
 
     base: str
@@ -68,6 +69,7 @@ class LoadReport:
     warnings: tuple[str, ...]
     segmentation: Segmentation
     soft_limited: tuple[str, ...] = ()
+    drives: tuple[Drive, ...] = ()
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any]) -> LoadReport:
@@ -76,7 +78,8 @@ class LoadReport:
         segmentation = Segmentation(**{**described["segmentation"], "sizes": sizes})
         lists = tuple(described["package_dirs"]), tuple(described["warnings"])
         narrowed = tuple(described.get("soft_limited", ()))
-        return cls(described["base"], described["tip"], *lists, segmentation, narrowed)
+        drives = tuple(Drive(*each) for each in described.get("drives", ()))
+        return cls(described["base"], described["tip"], *lists, segmentation, narrowed, drives)
 
 
 class LoadedModel(NamedTuple):
@@ -134,7 +137,8 @@ def load_model(
     _check_length(skeleton.length, description.source, f"chain from {base!r} to {tip!r}")
     segmentation = _modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
     points = _add_end_frames(model, names, tip, segmentation.sizes, links)
-    warnings = _lock_warnings(description, base, tip, names, locks)
+    warnings = [*description.doubled]
+    warnings += _lock_warnings(description, base, tip, names, locks)
     if not hard_limits:
         warnings.extend(soft_limit_warnings(read, names))
     if skeleton.length > SUSPECT_LENGTH:
@@ -145,7 +149,8 @@ def load_model(
         warnings.append(f"the arm ends in a finger, at link {tip!r}; tip={wrist!r} ends it before the hand")
     folders = _mesh_folders(found, given_folders)
     narrowed = soft_limited(description, read, names)
-    report = LoadReport(base, tip, folders, tuple(warnings), segmentation, narrowed)
+    decided = (folders, tuple(warnings), segmentation, narrowed, tuple(coupled.drives))
+    report = LoadReport(base, tip, *decided)
     return LoadedModel(model, points, placement, description.text, report)
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
@@ -50,6 +50,14 @@ _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "calibration": ((), ("rising", "falling")),
     "dynamics": ((), ("damping", "friction")),
     "mimic": ((), ("multiplier", "offset")),
+}
+# The elements of which each of these has one; urdfdom, which ROS and Pinocchio use, reads the first.
+_ONCE: dict[str, tuple[str, ...]] = {
+    "joint": ("parent", "child", "origin", "axis", *_PARTS),
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry", "material"),
+    "collision": ("origin", "geometry"),
 }
 
 
@@ -108,6 +116,7 @@ class Description:
     links: tuple[str, ...]  # names of the links, in the order of the text
     joints: tuple[JointDescription, ...]  # the joints, in the order of the text
     root: str  # the one link that is not the child of any joint
+    doubled: tuple[str, ...] = ()  # warnings on elements that are there more than once, and differ
 
     @cached_property
     def joint_before(self) -> dict[str, JointDescription]:
@@ -258,7 +267,7 @@ def read_description(source: str | Path, name: str = URDF_TEXT) -> Description:
     _read_names(robot.findall("joint"), "joint", label)
     joints = tuple(_read_joint(element, label) for element in robot.findall("joint"))
     root = _find_root(links, joints, label)
-    return Description(name, text_for_pinocchio(text), label, links, joints, root)
+    return Description(name, text_for_pinocchio(text), label, links, joints, root, _doubled_elements(robot))
 
 
 def is_urdf_text(source: object) -> bool:
@@ -381,6 +390,26 @@ def _refuse_doubles(names: Sequence[str], kind: str, source: str) -> None:
     for name, count in Counter(names).items():
         if count > 1:
             raise URDFError(source, f"{kind} {name!r}", f"is defined {count} times")
+
+
+def _doubled_elements(robot: Element) -> tuple[str, ...]:
+    """Return a warning for each kind of element of which a link or joint has several that differ."""
+    doubled = []
+    for owner in [*robot.findall("joint"), *robot.findall("link")]:
+        for element in owner.iter():
+            groups = {f"<{tag}>": element.findall(tag) for tag in _ONCE.get(element.tag, ())}
+            if element.tag == "geometry":
+                groups = {"shapes": list(element)}
+            for what, found in groups.items():
+                if any(_content(each) != _content(found[0]) for each in found):
+                    inside = "" if element is owner else f" in <{element.tag}>"
+                    counted = f"has {len(found)} different {what}{inside}: the first counts, as in ROS"
+                    doubled.append(f"{owner.tag} {owner.get('name')!r} {counted}")
+    return tuple(doubled)
+
+
+def _content(element: Element) -> tuple[str, dict[str, str], list[Any]]:
+    return element.tag, element.attrib, [_content(each) for each in element]
 
 
 def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source: str) -> str:

@@ -50,7 +50,7 @@ class JointStateLines:
     """Reads lines for an arm.
 
     Attributes:
-        columns: degree of freedom of each joint that has one, by its name.
+        columns: degree of freedom of each joint that has one, or whose drive moves one, by its name.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -58,6 +58,8 @@ class JointStateLines:
         self._all = np.arange(arm.nv)
         joints = zip(list(arm.model.joints)[1:], list(arm.model.names)[1:], strict=True)
         self.columns = {str(name): int(joint.idx_v) for joint, name in joints if joint.nv == 1}
+        self._drives = {each.joint: each for each in arm.drives}
+        self.columns |= {each.joint: self.columns[each.leader] for each in arm.drives}
 
     def read(self, line: bytes) -> JointPositions:
         """Read a line; other values of a message, velocities for instance, are ignored.
@@ -95,10 +97,15 @@ class JointStateLines:
         if positions == []:  # a message may hold velocities only
             names = []
         positions = _numbers("position", positions, len(names))
-        known = [(self.columns[name], k) for k, name in enumerate(names) if name in self.columns]
-        columns = np.array([column for column, _ in known], dtype=np.intp)
-        unknown = tuple(name for name in names if name not in self.columns)
-        return JointPositions(columns, np.array([positions[k] for _, k in known]), unknown, stamp)
+        known = [name for name in names if name in self.columns]
+        columns = np.array([self.columns[name] for name in known], dtype=np.intp)
+        given = dict(zip(names, positions, strict=True))
+        own = np.array([self._of_leader(name, given[name]) for name in known])
+        return JointPositions(columns, own, tuple(name for name in names if name not in self.columns), stamp)
+
+    def _of_leader(self, name: str, position: float) -> float:
+        drive = self._drives.get(name)
+        return position if drive is None else (position - drive.offset) / drive.ratio
 
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:

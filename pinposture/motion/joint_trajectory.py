@@ -21,7 +21,7 @@ from pinposture._validation import (
 )
 from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN
-from pinposture.arm.couplings import joint_axes
+from pinposture.arm.couplings import Drive, joint_axes
 from pinposture.errors import InvalidValue, enumerated
 
 START_TOLERANCE = 0.5
@@ -53,6 +53,18 @@ def check_names(names: Sequence[str]) -> tuple[str, ...]:
             allowed = f"a unique name; joint {names.index(name)} has the same"
             raise InvalidValue(f"joint_names[{k}]", name, allowed)
     return tuple(names)
+
+
+def _themselves(arm: Arm) -> list[Drive]:
+    """Return the degrees of freedom of an arm as joints that follow themselves."""
+    units = zip(arm.joint_names, joint_units(arm), strict=True)
+    return [Drive(name, name, 1.0, 0.0, unit == RADIAN) for name, unit in units]
+
+
+def _followers(arm: Arm) -> list[Drive]:
+    """Return the coupled joints of an arm."""
+    turns = joint_axes(arm.model, [arm.model.getJointId(each.joint) for each in arm.couplings])[1]
+    return [Drive(*each, bool(turn)) for each, turn in zip(arm.couplings, turns, strict=True)]
 
 
 def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
@@ -329,7 +341,7 @@ class JointTrajectory:
 
     @classmethod
     def from_configurations(cls, arm: Arm, q: ArrayLike, time: ArrayLike) -> JointTrajectory:
-        """Return the trajectory of an arm through configurations, with all joints of its model.
+        """Return the trajectory of an arm through configurations, with the joints that are `driven`.
 
         Continuous joints start within +-pi (see `starting_at`) and turn the shorter way between rows. The
         first and the last row are at rest, as ros2_control may require. In between, rates keep the limits
@@ -344,7 +356,8 @@ class JointTrajectory:
             InvalidValue: configurations or times that do not fit.
         """
         units = joint_units(arm)
-        return cls.from_positions(arm.joint_names, unwrap_positions(arm, q), time, units, str(arm.model.name))
+        rows = unwrap_positions(arm, q)
+        return cls.from_positions(arm.joint_names, rows, time, units, str(arm.model.name)).driven(arm)
 
     @property
     def duration(self) -> float:
@@ -374,63 +387,84 @@ class JointTrajectory:
         }
 
     def with_coupled(self, arm: Arm) -> JointTrajectory:
-        """Return the trajectory with the coupled joints (`Arm.couplings`) appended.
+        """Return the trajectory of the joints that drives move, with the coupled ones of the chain appended.
 
         Raises:
             InvalidValue: as `matched`.
         """
         led = self.matched(arm)
-        couplings = arm.couplings
-        leaders = [arm.joint_names.index(each.leader) for each in couplings]
-        ratios = np.array([each.ratio for each in couplings])
-        turns = joint_axes(arm.model, [arm.model.getJointId(each.joint) for each in couplings])[1]
-
-        def joined(values: Array, offsets: Array) -> Array:
-            return np.hstack([values, values[:, leaders] * ratios + offsets])
-
-        none = np.zeros(len(couplings))
+        driven = led.driven(arm)
+        every = [*_themselves(arm), *_followers(arm)]
+        added = led._followed([each for each in every if each.joint not in driven.joint_names])
         return replace(
-            led,
-            joint_names=(*led.joint_names, *(each.joint for each in couplings)),
-            positions=joined(led.positions, np.array([each.offset for each in couplings])),
-            velocities=joined(led.velocities, none),
-            accelerations=joined(led.accelerations, none),
-            units=(*led.units, *(RADIAN if turn else METRE for turn in turns)),
+            driven,
+            joint_names=driven.joint_names + added.joint_names,
+            positions=np.hstack([driven.positions, added.positions]),
+            velocities=np.hstack([driven.velocities, added.velocities]),
+            accelerations=np.hstack([driven.accelerations, added.accelerations]),
+            units=driven.units + added.units,
         )
+
+    def driven(self, arm: Arm) -> JointTrajectory:
+        """Return the trajectory of the joints that drives move: those that follow none in the description.
+
+        These are the joints of the arm, but for `Arm.drives`, which are named in place of their leaders.
+
+        Raises:
+            InvalidValue: as `matched`.
+        """
+        drives = {each.leader: each for each in arm.drives}
+        return self.matched(arm)._followed([drives.get(each.joint, each) for each in _themselves(arm)])
 
     def matched(self, arm: Arm) -> JointTrajectory:
         """Return the trajectory with the joints in the order of an arm, with their units.
 
-        Coupled joints may be included, and are dropped.
+        Coupled joints, and joints of drives (`Arm.drives`), may be included, and are dropped. A drive may
+        stand for its leader.
 
         Raises:
             InvalidValue: a joint of the arm is missing, there are others, a unit is wrong, or a coupled joint
                 violates its coupling.
         """
         require_instance("arm", arm, Arm, "an Arm")
-        followers = {each.joint: each for each in arm.couplings}
-        check_same_joints([name for name in self.joint_names if name not in followers], arm.joint_names)
+        drives = {each.leader: each for each in arm.drives if each.leader not in self.joint_names}
+        given = [drives.get(each.joint, each) for each in _themselves(arm)]
+        names = [each.joint for each in given]
+        followers = {each.joint: each for each in (*_followers(arm), *arm.drives) if each.joint not in names}
+        check_same_joints([name for name in self.joint_names if name not in followers], names)
+        for each in given:
+            unit = self.units[self.joint_names.index(each.joint)]
+            if unit not in ("", RADIAN if each.turns else METRE):
+                raise InvalidValue(
+                    f"unit of joint {each.joint!r}", unit, repr(RADIAN if each.turns else METRE)
+                )
+        matched = self._followed(
+            [
+                Drive(own.joint, each.joint, 1.0 / each.ratio, -each.offset / each.ratio, own.turns)
+                for own, each in zip(_themselves(arm), given, strict=True)
+            ]
+        )
         for number, name in enumerate(self.joint_names):
             if name in followers:
-                _, leader, ratio, offset = followers[name]
-                led = ratio * self.positions[:, self.joint_names.index(leader)] + offset
+                led = matched._followed([followers[name]]).positions[:, 0]
                 apart = float(np.abs(self.positions[:, number] - led).max())
                 if apart > COUPLING_TOLERANCE:
-                    allowed = f"to follow joint {leader!r} to {COUPLING_TOLERANCE:g}"
+                    allowed = f"to follow joint {followers[name].leader!r} to {COUPLING_TOLERANCE:g}"
                     raise InvalidValue(f"joint {name!r}", f"up to {apart:.3g} off", allowed)
-        order = [self.joint_names.index(name) for name in arm.joint_names]
-        units = joint_units(arm)
-        for number, unit in zip(order, units, strict=True):
-            if self.units[number] not in ("", unit):
-                joint = self.joint_names[number]
-                raise InvalidValue(f"unit of joint {joint!r}", self.units[number], repr(unit))
+        return matched
+
+    def _followed(self, joints: Sequence[Drive]) -> JointTrajectory:
+        """Return the trajectory of joints that follow those of this one."""
+        leaders = [self.joint_names.index(each.leader) for each in joints]
+        ratios = np.array([each.ratio for each in joints])
+        offsets = np.array([each.offset for each in joints])
         return replace(
             self,
-            joint_names=arm.joint_names,
-            positions=self.positions[:, order],
-            velocities=self.velocities[:, order],
-            accelerations=self.accelerations[:, order],
-            units=units,
+            joint_names=tuple(each.joint for each in joints),
+            positions=np.take(self.positions, leaders, axis=1) * ratios + offsets,
+            velocities=np.take(self.velocities, leaders, axis=1) * ratios,
+            accelerations=np.take(self.accelerations, leaders, axis=1) * ratios,
+            units=tuple(RADIAN if each.turns else METRE for each in joints),
         )
 
     def starting_at(self, arm: Arm, positions: ArrayLike) -> JointTrajectory:
@@ -446,7 +480,7 @@ class JointTrajectory:
             InvalidValue: a continuous joint is farther than half a radian from the first row, apart from full
                 turns; or the joints are not those of the arm.
         """
-        matched = self.matched(arm)
+        matched = self.driven(arm)
         given = finite_vector("positions", positions, arm.nv)
         first = matched.positions[0]
         turns = np.where(arm.kinematics.endless, np.rint((given - first) / FULL_TURN), 0.0)

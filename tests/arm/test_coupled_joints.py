@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -128,6 +129,94 @@ def test_a_leader_may_come_behind_or_beside_and_followers_may_follow_followers()
     np.testing.assert_allclose(arm.limits.lower, [-1.0, -0.1])  # b = 0.1 - 0.5 motor
     np.testing.assert_allclose(arm.limits.upper, [1.0, 0.3])
     assert arm.limits.velocity.tolist() == [2.0, 1.0]  # d: 2 / 2; the motor: 6 * 0.5
+
+
+def leading(first: str, second: str) -> pp.Arm:
+    """Two coupled slides and two coupled hinges, of which one or the other follows; then a free hinge."""
+    follow = {
+        "a": '<mimic joint="c" multiplier="2" offset="0.1"/>',
+        "c": '<mimic joint="a" multiplier="0.5" offset="-0.05"/>',
+    }
+    slide = {
+        "b": '<mimic joint="d" multiplier="-4" offset="0"/>',
+        "d": '<mimic joint="b" multiplier="-0.25" offset="0"/>',
+    }
+    chain = (
+        moving("a", "l0", "l1", axis=Y, limits=limit(-1, 1), more=follow["a"] if first == "c" else "")
+        + moving("b", "l1", "l2", axis=Z, limits=limit(-0.4, 0.4), more=slide["b"] if second == "d" else "")
+        + moving("c", "l2", "l3", axis=Y, limits=limit(-1, 1), more=follow["c"] if first == "a" else "")
+        + moving(
+            "d", "l3", "l4", "prismatic", Z, limits=limit(-0.1, 0.1), more=slide["d"] if second == "b" else ""
+        )
+        + moving("e", "l4", "l5", axis=Z, limits=limit(-1, 1))
+    )
+    return pp.Arm.load(robot(links([f"l{k}" for k in range(6)]) + chain), tip="l5")
+
+
+@pytest.mark.parametrize(("first", "second"), [("a", "b"), ("c", "b"), ("a", "d"), ("c", "d")])
+def test_exported_motions_name_the_joints_that_move_on_their_own(first, second, tmp_path):
+    arm = leading(first, second)
+    same = leading("a", "b")
+    assert [each.joint for each in arm.drives] == [name for name in (first, second) if name in "cd"]
+    q = np.cumsum(np.random.default_rng(0).uniform(-0.02, 0.02, (20, 3)), axis=0)
+    exported = pp.JointTrajectory.from_configurations(arm, q, 0.1)
+    reference = pp.JointTrajectory.from_configurations(same, q, 0.1).with_coupled(same)
+    every = exported.with_coupled(arm)
+    assert exported.joint_names == (first, second, "e")
+    assert sorted(every.joint_names) == sorted(reference.joint_names)
+    columns = [reference.joint_names.index(name) for name in every.joint_names]
+    for values in ("positions", "velocities", "accelerations"):
+        np.testing.assert_allclose(getattr(every, values), getattr(reference, values)[:, columns], atol=1e-13)
+    assert every.units == tuple(reference.units[column] for column in columns)
+    free = pin.buildModelFromXML(arm.urdf)  # where the description, without couplings, has its tip
+    for row, points in zip(every.positions, [arm.at(each).points for each in q], strict=True):
+        data = free.createData()
+        named = dict(zip(every.joint_names, row, strict=True))
+        pin.framesForwardKinematics(free, data, np.array([named[name] for name in list(free.names)[1:]]))
+        np.testing.assert_allclose(data.oMf[free.getFrameId("l5")].translation, points[-1], atol=1e-12)
+    for file in ("motion.json", "motion.csv", "goal.yaml"):
+        write = pp.motion.write_goal if file == "goal.yaml" else pp.save
+        for motion in (exported, every):
+            write(motion, tmp_path / file)
+            read = pp.load(tmp_path / file)
+            assert read.joint_names == motion.joint_names
+            np.testing.assert_allclose(read.configurations(arm), q, atol=1e-9)
+    again = pp.Arm.from_dict(arm.to_dict())
+    assert again.drives == arm.drives
+    np.testing.assert_allclose(
+        reference.configurations(arm), q, atol=1e-12
+    )  # whatever was exported of others
+
+
+def test_a_motion_of_an_actuator_beside_the_chain_is_exported_and_checked():
+    chain = (
+        moving(
+            "a",
+            "l0",
+            "l1",
+            axis=Y,
+            limits=limit(-1, 1),
+            more='<mimic joint="motor" multiplier="-0.5" offset="0.1"/>',
+        )
+        + moving("b", "l1", "l2", axis=Z, limits=limit(-1, 1))
+        + moving("motor", "l0", "side", "prismatic", axis=Z, limits=limit(-0.4, 0.4, 6))
+    )
+    with pytest.warns(PostureWarning, match="locked"):
+        arm = pp.Arm.load(robot(links(["l0", "l1", "l2", "side"]) + chain), tip="l2")
+    q = np.array([[0.1, 0.0], [0.0, 0.2]])
+    exported = pp.JointTrajectory.from_configurations(arm, q, 1.0)
+    assert exported.joint_names == ("motor", "b")
+    assert exported.units == ("m", "rad")
+    np.testing.assert_allclose(
+        exported.positions, [[0.0, 0.0], [0.2, 0.2]], atol=1e-15
+    )  # a = 0.1 - 0.5 motor
+    every = exported.with_coupled(arm)
+    assert every.joint_names == ("motor", "b", "a")
+    wrong = replace(every, positions=every.positions + [0.01, 0.0, 0.0])
+    with pytest.raises(InvalidValue, match=r"'motor' is 'up to 0\.01 off'; allowed: to follow"):
+        wrong.matched(arm)
+    with pytest.raises(InvalidValue, match="missing: 'motor'"):
+        pp.JointTrajectory.from_positions(("b",), q[:, 1:], 1.0).matched(arm)
 
 
 FOUR = [("revolute", Y, LINK, ""), ("revolute", Z, LINK, "")] * 2

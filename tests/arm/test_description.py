@@ -7,12 +7,14 @@ import math
 import pickle
 from xml.etree import ElementTree
 
+import numpy as np
 import pinocchio as pin
 import pytest
-from arm.describing import LIMIT, joint, links, one_joint, pinocchio_loads, robot
+from arm.describing import LIMIT, joint, limit, links, one_joint, pinocchio_loads, robot
 
+import pinposture as pp
 from pinposture.arm.urdf_reader import Follows, read_description
-from pinposture.errors import FileError, URDFError
+from pinposture.errors import FileError, PostureWarning, URDFError
 
 
 def test_a_good_description_is_read_field_by_field():
@@ -193,3 +195,41 @@ def test_text_that_is_not_in_its_encoding_is_named_with_it(tmp_path):
         with pytest.raises(FileError) as caught:
             read_description(file)
         assert all(word in str(caught.value) for word in (str(file), *words))
+
+
+@pytest.mark.parametrize(
+    ("once", "again", "words"),
+    [
+        ('<parent link="l0"/>', '<parent link="l2"/>', "joint 'j1' has 2 different <parent>"),
+        ('<child link="l1"/>', '<child link="l0"/>', "joint 'j1' has 2 different <child>"),
+        ('<origin xyz="0.1 0 0"/>', '<origin xyz="0.3 0 0"/>', "joint 'j1' has 2 different <origin>"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>', "joint 'j1' has 2 different <axis>"),
+        (limit(-1, 1), limit(-2, 1), "joint 'j1' has 2 different <limit>"),
+        ('<dynamics damping="1"/>', '<dynamics damping="2"/>', "joint 'j1' has 2 different <dynamics>"),
+        (
+            "<inertial><mass value='1'/></inertial>",
+            "<inertial><mass value='2'/></inertial>",
+            "'l1' has 2 different <inertial>",
+        ),
+        ("<mass value='1'/>", "<mass value='2'/>", "link 'l1' has 2 different <mass> in <inertial>"),
+        ("<box size='1 1 1'/>", "<sphere radius='1'/>", "link 'l1' has 2 different shapes in <geometry>"),
+    ],
+)
+def test_the_first_of_doubled_elements_counts_and_others_are_told(once: str, again: str, words: str) -> None:
+    text = robot(
+        "<link name='l0'/><link name='l2'/><link name='l1'><inertial><mass value='1'/></inertial>"
+        "<collision><geometry><box size='1 1 1'/></geometry></collision></link>"
+        f'<joint name=\'j1\' type=\'revolute\'><parent link="l0"/><child link="l1"/><origin xyz="0.1 0 0"/>'
+        f'<axis xyz="0 0 1"/>{limit(-1, 1)}<dynamics damping="1"/></joint>'
+        "<joint name='j2' type='fixed'><parent link='l1'/><child link='l2'/><origin xyz='0.1 0 0'/></joint>"
+    )
+    assert once in text
+    arm = pp.Arm.load(text)
+    assert pp.Arm.load(text.replace(once, once + once)).warnings == arm.warnings  # the same twice
+    with pytest.warns(PostureWarning, match=words):
+        doubled = pp.Arm.load(text.replace(once, once + again))
+    assert len(doubled.warnings) == len(arm.warnings) + 1
+    np.testing.assert_array_equal(doubled.at([0.4]).points, arm.at([0.4]).points)
+    assert doubled.limits.lower == arm.limits.lower
+    read = [pin.buildModelFromXML(each) for each in (text, text.replace(once, once + again))]
+    assert read[0] == read[1]  # as urdfdom has it

@@ -92,6 +92,9 @@ SETTLED: dict[str, Load] = {
     "a base that floats": loading(
         robot(links(["world"]) + joint("free", "world", "l0", "floating") + ARM[len('<robot name="r">') : -8])
     ),
+    "an element twice, differently": loading(
+        arm_text(pairs(2)).replace("<axis", f'<axis xyz="{X}"/><axis', 1)
+    ),
     "limits that leave one position": loading(
         arm_text([*pairs(1), ("revolute", X, LINK, limit(0.5, 0.5)), *pairs(1)])
     ),
