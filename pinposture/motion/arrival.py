@@ -6,36 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.motion import tolerances
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
-
-ARRIVAL_TOLERANCE = 1e-6
-"""Mean distance of the control points from their targets at which the arm has converged, in arm lengths."""
-
-AVERAGED_TIME = 0.25
-AVERAGED_READINGS = 8
-"""Least duration [s] and least number of different readings that are averaged."""
-
-LONGEST_TIME = 1.0
-"""Longest duration of an average [s], whatever the number of readings."""
-
-DEVIATIONS = 3.0
-"""Distance from a target that noise explains, in standard deviations of the average."""
-
-LEAVING = 2.0
-"""Ratio of the distances at which an arm leaves its target and arrives, against a status that flickers."""
-
-DRIFT = 4.0
-"""Ratio of the motion during an average that noise explains to that distance: a fitted slope over n readings
-varies by sqrt(12 / n), their mean by sqrt(1 / n)."""
-
-STANDING_DRIFT = 0.02
-"""Motion of the control points during an average that counts as standing, as a share of their distances from
-the targets: an arm that comes closer faster than that is there within some seconds."""
-
-APPROACH = 0.5
-"""Ratio of the distances of two successive averages below which the arm still approaches its target."""
 
 
 class Arrival:
@@ -56,7 +30,7 @@ class Arrival:
     """
 
     def __init__(self, length: float) -> None:
-        self._tolerance = ARRIVAL_TOLERANCE * length
+        self._tolerance = tolerances.ARRIVAL * length
         self._last: tuple[Array, Array] | None = None
         self.restart()
 
@@ -103,8 +77,12 @@ class Arrival:
         self._joints = self._joints + positions
         self._count += 1
         self._time += dt
-        enough = self._different >= AVERAGED_READINGS or not self._different or self._time >= LONGEST_TIME
-        if enough and self._time >= AVERAGED_TIME and self._count >= AVERAGED_READINGS:
+        enough = (
+            self._different >= tolerances.AVERAGED_READINGS
+            or not self._different
+            or self._time >= tolerances.LONGEST_TIME
+        )
+        if enough and self._time >= tolerances.AVERAGED_TIME and self._count >= tolerances.AVERAGED_READINGS:
             self._judge(target)
             self._begin()
 
@@ -120,32 +98,20 @@ class Arrival:
             variance = self._changes / (2.0 * self._different**2 * len(mean))  # of the average
         kept = self._variance if self.arrived and self._variance is not None else variance
         self._variance = 0.5 * (kept + variance)
-        within = self._tolerance + DEVIATIONS * float(np.sqrt(self._variance))
+        within = self._tolerance + tolerances.DEVIATIONS * float(np.sqrt(self._variance))
         off = target.mean_distance(mean)
         if self.arrived:
-            self.arrived = off <= LEAVING * within
+            self.arrived = off <= tolerances.LEAVING * within
         else:
-            approaches = off < APPROACH * self._off
-            self.arrived = off <= within and drift <= DRIFT * within and not approaches
+            approaches = off < tolerances.APPROACH * self._off
+            self.arrived = off <= within and drift <= tolerances.DRIFT * within and not approaches
         self._off = off
-        still = drift <= (DRIFT * within + STANDING_DRIFT * off) * (LEAVING if self.standing else 1.0)
+        most = tolerances.DRIFT * within + tolerances.STANDING_DRIFT * off
+        still = drift <= (tolerances.LEAVING * most if self.standing else most)
         self.standing = self.standing + self._time if still else 0.0
 
 
 # Arms that obstacles hinder.
-
-GAIN = 1e-3
-"""Decrease of a distance that counts as coming closer, in arm lengths: half the clearance that steps keep
-beyond the margin."""
-
-PATIENCE = 2.0
-AVERAGES = 4.0
-"""Time after which an arm that comes no closer gives up [s], and time constants of the averaged measurements
-to add: after four, less than 2 % of a change is still to come."""
-
-OTHER_DISPLACEMENT = 5e-3
-"""Change of the displacement of an arm at rest that makes another attempt worthwhile, in `Arm.joint_units`:
-more than the noise and the backlash of most drives."""
 
 
 class Hindrance:
@@ -166,8 +132,8 @@ class Hindrance:
 
     def __init__(self, arm: Arm, time_constant: float) -> None:
         self._arm = arm
-        self._settling_time = AVERAGES * time_constant
-        self.patience = PATIENCE + self._settling_time
+        self._settling_time = tolerances.AVERAGES * time_constant
+        self.patience = tolerances.PATIENCE + self._settling_time
         self.restart()
 
     def restart(self) -> None:
@@ -188,7 +154,7 @@ class Hindrance:
         self._rested = 0.0
         if distances is None:
             return
-        gain = GAIN * self._arm.length
+        gain = tolerances.GAIN * self._arm.length
         closer = {name: at for name, at in distances.items() if at < self._least.get(name, np.inf) - gain}
         self._least.update(closer)
         self._time = 0.0 if closer else self._time + dt
@@ -207,5 +173,5 @@ class Hindrance:
         found = np.zeros(self._arm.nv) if displacement is None else displacement
         if self._displacement is None:
             self._displacement = found
-        if np.any(np.abs(found - self._displacement) > OTHER_DISPLACEMENT * self._arm.joint_units):
+        if np.any(np.abs(found - self._displacement) > tolerances.OTHER_DISPLACEMENT * self._arm.joint_units):
             self.restart()

@@ -35,7 +35,7 @@ class DirectStep:
         deadline: how long to wait for a step [s]; infinite: it is computed in this thread.
     """
 
-    def __init__(self, controller: Controller, deadline: float) -> None:
+    def __init__(self, controller: Controller, deadline: float = inf) -> None:
         self.controller = controller
         self._deadline = deadline
         self._pending: Future[Step] | None = None

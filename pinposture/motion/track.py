@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +16,13 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
-from pinposture.control.controller import Info, Memory, next_step
+from pinposture.control.controller import Info
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import JerkFilter, require_limits
 from pinposture.errors import InvalidValue, enumerated, warn_caller
+from pinposture.motion import tolerances
+from pinposture.motion.deadline import DirectStep
+from pinposture.motion.loop import Loop
 from pinposture.motion.run import ENDINGS, RAISE_STEPS, Run
 from pinposture.placement import Target
 from pinposture.units import length_text
@@ -28,9 +31,6 @@ Array = NDArray[np.float64]
 
 MAX_CONSTRAINTS = 8
 """Largest number of violated constraints that are recorded for each step."""
-
-ERROR_ROUNDING = 1e-12
-"""Increase of the posture error that is attributed to rounding, in arm lengths."""
 
 
 class RunRecord:
@@ -64,7 +64,8 @@ class RunRecord:
 
     def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error at a state exceeds the current one, by more than rounding."""
-        return float(self._point_errors(state).sum()) > self.posture_error + ERROR_ROUNDING * state.arm.length
+        rounding = tolerances.ERROR_ROUNDING * state.arm.length
+        return float(self._point_errors(state).sum()) > self.posture_error + rounding
 
     def mean_error_at(self, state: ArmState) -> float:
         """Return the mean distance of the control points from their targets at a state [m]."""
@@ -122,12 +123,12 @@ class RunRecord:
                 raise InvalidValue(f"info[{name!r}]", value, f"{known[1]} of shape {known[0]}, as before")
         return values
 
-    def travel_without_progress(self, share: float) -> float:
-        """Return the joint travel since the posture error last fell by a share below its minimum [rad].
+    def travel_without_progress(self) -> float:
+        """Return the joint travel since the posture error last fell noticeably below its minimum [rad].
 
         It is the travel that the limits allowed, without steps along a path, and hence independent of dt.
         """
-        if self.posture_error < self._best * (1.0 - share):
+        if self.posture_error < self._best * (1.0 - tolerances.PROGRESS_SHARE):
             self._best = self.posture_error
             self._idle = 0.0
         return self._idle
@@ -175,15 +176,6 @@ def _as_columns(reports: Sequence[Mapping[str, Info]]) -> dict[str, NDArray[Any]
 
 
 Callback = Callable[[int, ArmState, Step], object]
-
-STALL_TRAVEL = 6.0
-"""Joint travel without progress after which a run is stalled [rad]: 60 usual steps."""
-
-PROGRESS_SHARE = 1e-3
-"""Relative decrease of the posture error that counts as progress."""
-
-STEP_ROUNDING = 1e-9
-"""Relative rounding error of a sum of steps."""
 
 MAX_NAMED_LIMITS = 6
 """Largest number of binding limits and distances that are listed."""
@@ -235,20 +227,23 @@ def ample_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
     return max(FEWEST_STEPS, ceil(min(needed, MAX_USUAL_STEPS)))
 
 
-class ControlLoop:
-    """An arm, its controller, and the record of their run.
+class RecordedLoop(Loop):
+    """A control loop in equal cycles, with the record of its run.
 
     Attributes:
+        record: the run so far.
+        last_step: the last step that was computed; None before the first.
+
+    Args:
         arm: the arm.
+        q0: the initial configuration, (nq,).
+        target: the initial target.
         controller: the controller.
         limits: the limits of each step.
-        state: the current state.
-        ahead: the state before the jerk filter, from which the controller steps.
-        filter: the jerk filter.
-        memory: memory of the controller; None before the first step.
-        last_step: the last step that was computed; None before the first.
-        record: the run so far.
+        scene: the scene whose distances are recorded; None: none.
     """
+
+    filter: JerkFilter
 
     def __init__(
         self,
@@ -259,27 +254,16 @@ class ControlLoop:
         limits: Limits,
         scene: Scene | None = None,
     ) -> None:
-        self.arm = arm
-        self.controller = controller
-        self.limits = limits
-        self.state = arm.at(q0)
-        self.memory: Memory | None = None
+        super().__init__(arm.at(q0), DirectStep(controller), limits, JerkFilter(arm, limits))
         self.last_step: Step | None = None
         self.record = RunRecord(target, self.state, scene)
-        self.filter = JerkFilter(arm, limits)
-        self.ahead = self.state
 
-    def compute_step(self, target: Target) -> Step:
-        """Compute the next step towards a target, without taking it."""
-        before = self.memory
-        step = next_step(self.controller, self.ahead, target, self.limits, before)
-        # Keep the plan of the controller, but not the motion: the arm has not moved yet.
-        before = Memory(np.zeros(self.arm.nv)) if before is None else before
-        self.memory = step.memory.with_motion_of(before)
-        self.last_step = step
-        return step
+    def compute(self, target: Target) -> Step:
+        """Return the next step towards a target, without taking it; as `Loop.compute`, but never late."""
+        self.last_step = cast(Step, super().compute(target))
+        return self.last_step
 
-    def take_step(self, step: Step, target: Target | None = None) -> None:
+    def take(self, step: Step, target: Target | None = None) -> None:
         """Take a step and record it.
 
         Args:
@@ -288,11 +272,9 @@ class ControlLoop:
         """
         dq = self.filter.apply(step.dq)
         self.memory = step.memory
-        self.state = self.ahead = self.state.moved(dq)
-        if self.filter.cycles > 1:
-            rises = self.record.error_rises_at(self.state)
-            step = step._replace(dq=dq, error_increasing=rises)
-            self.ahead = self.state.moved(self.filter.ahead)
+        self.start_at(self.state.moved(dq))
+        if self.filter.active:
+            step = step._replace(dq=dq, error_increasing=self.record.error_rises_at(self.state))
         self.record.append(self.state, step, self.limits.travel(self.state), target)
 
     def run(
@@ -313,7 +295,7 @@ class ControlLoop:
             status, reason = self._check_end(target, tolerance, max_steps)
             if status:
                 break
-            step = self.compute_step(target)
+            step = self.compute(target)
             if step.reason and self.filter.moving:
                 self.brake()  # let the jerk filter settle first
                 continue
@@ -322,7 +304,7 @@ class ControlLoop:
                 status = "stalled" if step.active else "no_control_points"
                 reason = step.reason
                 break
-            self.take_step(step)
+            self.take(step)
             number = self.record.steps
             if callback is not None and callback(number, self.state, step) is True:
                 return "stopped", f"stopped by the callback after {number} steps"
@@ -332,18 +314,15 @@ class ControlLoop:
 
     def brake_to_rest(self) -> None:
         """Brake until no joint moves; without acceleration limits that takes no step."""
-        while self.memory is not None and (
-            self.filter.moving or np.any(self.memory.braked(self.limits, self.ahead).dq)
-        ):
+        while self.memory is not None and (self.filter.moving or np.any(self.braked().dq)):
             self.brake()
 
     def brake(self) -> None:
         """Take a step that decelerates all joints as much as the limits allow."""
-        before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
-        memory = before.braked(self.limits, self.ahead)
+        memory = self.braked()
         rises = self.record.error_rises_at(self.ahead.moved(memory.dq))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
-        self.take_step(Step(memory.dq, (), still, error_increasing=rises, memory=memory))
+        self.take(Step(memory.dq, (), still, error_increasing=rises, memory=memory))
 
     def _check_end(self, target: Target, tolerance: float, max_steps: int) -> tuple[str, str]:
         """Return status and reason if the run is over, else empty strings."""
@@ -357,8 +336,8 @@ class ControlLoop:
         if self.record.steps >= max_steps:
             above = f"mean point error {length_text(mean)}, above the tolerance of {length_text(tolerance)}"
             return "max_steps", above
-        idle = self.record.travel_without_progress(PROGRESS_SHARE)
-        if idle >= STALL_TRAVEL * (1.0 - STEP_ROUNDING):
+        idle = self.record.travel_without_progress()
+        if idle >= tolerances.STALL_TRAVEL * (1.0 - tolerances.STEP_ROUNDING):
             error = f"mean point error {length_text(mean)}"
             return "stalled", f"{error}, no progress in the last {idle:.3g} rad of joint travel"
         return "", ""
@@ -441,14 +420,14 @@ def track(
         arm.checked_start(target.q, "target.q")
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
-    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    tolerance = tolerances.ARRIVAL * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
 
     start = arm.checked_start(q0, "q0")
     if max_steps is None:
         max_steps = usual_max_steps(arm, start, target, limits)
 
-    loop = ControlLoop(arm, start, target, controller, limits, scene)
+    loop = RecordedLoop(arm, start, target, controller, limits, scene)
     status, reason = loop.run(target, tolerance, max_steps, callback)
     loop.brake_to_rest()
     if status == "converged":  # at rest it may be nearer

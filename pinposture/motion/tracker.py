@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 from math import inf, isfinite
 from time import perf_counter
 from typing import Literal, NamedTuple, cast
@@ -20,7 +19,7 @@ from pinposture._validation import (
     require_known,
     require_positive,
 )
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import Arm
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
@@ -29,10 +28,12 @@ from pinposture.control.limits import POSITION_SLACK, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.errors import InvalidValue, PostureError
-from pinposture.motion.arrival import ARRIVAL_TOLERANCE, Arrival, Hindrance
+from pinposture.motion import tolerances
+from pinposture.motion.arrival import Arrival, Hindrance
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
-from pinposture.motion.track import ERROR_ROUNDING, in_scene
+from pinposture.motion.loop import Loop
+from pinposture.motion.track import in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
 from pinposture.units import length_text
@@ -45,31 +46,12 @@ PLANNING = ("process", "thread")
 MIN_CYCLE = 1e-4
 """Shortest duration of a cycle, relative to the nominal one."""
 
-REST_TOLERANCE = 1e-9
-"""Largest step of an arm that counts as at rest, in `Arm.joint_units`."""
-
-MARGIN_ROUNDING = 1e-3
-"""Share of the margin to obstacles whose loss is not reported."""
-
 LONGEST_ARM = 2.0
 """Largest distance of a point of the arm from the axis of a joint, in arm lengths: shapes may extend beyond
 the control points."""
 
 BRAKES_FIRST = "other limits of jerk take effect at rest; the arm brakes within the former ones"
 """Reason for which the arm holds after a change of limits."""
-
-SETTLING_TOLERANCE = 1e-6
-"""Largest step of an arm that still settles where it is, in `Arm.joint_units`."""
-
-STANDING_TIME = 1.0
-"""Time for which an arm that is not at its target stands before it counts as stalled [s]."""
-
-AIMED_TOLERANCE = 1e-3
-"""Mean distance of the control points of the command from where it aims, in arm lengths, below which only the
-feedback moves it."""
-
-SAME_TARGET = 1e-9
-"""Difference of targets that count as the same, in radians and in arm lengths."""
 
 
 class Report(NamedTuple):
@@ -117,14 +99,14 @@ class Decision(NamedTuple):
 
     Attributes:
         step: the step of the controller; None if it computed none.
-        memory: its memory after the step to take, `memory.dq`: that of the controller, or one that brakes.
+        dq: the step to take, (nv,) [rad or m]: that of the controller, or one that brakes.
         reason: why the arm holds, stalls or evades; else empty.
         compensated: the target for the command; None if the controller was not asked.
         evading: whether the arm evades obstacles while it holds.
     """
 
     step: Step | None
-    memory: Memory
+    dq: Array
     reason: str
     compensated: Target | None
     evading: bool
@@ -222,15 +204,15 @@ class Tracker:
         self.arm = arm
         self._limits = limits
         self._period = period
-        self._smooth = SmoothSteps(arm, limits)
         self._rates = RateCheck(arm, period)
         self._former: Limits | None = None
         controller, self.scene = in_scene(controller_named(controller), scene)
-        self._steps: DirectStep | PlannedStep
+        steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
-            self._steps = PlannedStep(arm, controller)
+            steps = PlannedStep(arm, controller)
         else:
-            self._steps = DirectStep(controller, deadline)
+            steps = DirectStep(controller, deadline)
+        self._loop = Loop(arm.at(arm.neutral()), steps, limits, SmoothSteps(arm, limits))
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
@@ -241,7 +223,6 @@ class Tracker:
         self._timeout = timeout
         self._target: Target | None = None
         self._age = 0.0
-        self._memory: Memory | None = None
         self._decision: Decision | None = None
         self._dt = period
         self.overruns = 0
@@ -250,7 +231,7 @@ class Tracker:
         build_models(arm, self.scene)
 
     def __repr__(self) -> str:
-        return f"Tracker({self.arm.name!r}, {self._steps.controller.name!r}, {self.report})"
+        return f"Tracker({self.arm.name!r}, {self._loop.steps.controller.name!r}, {self.report})"
 
     @property
     def limits(self) -> Limits:
@@ -270,7 +251,7 @@ class Tracker:
         period = cycle_of(limits)
         smooth = SmoothSteps(self.arm, limits)
         former = self._limits if self._former is None else self._former
-        same = smooth.like(self._smooth) and (period == cycle_of(former) or not smooth.active)
+        same = smooth.like(self._smoothing) and (period == cycle_of(former) or not smooth.active)
         self._limits = limits
         self._former = None if same else former
         if same:
@@ -346,7 +327,7 @@ class Tracker:
         apart = np.abs(target.errors(before.points)).max() / self.arm.length
         if target.q is not None and before.q is not None:
             apart = max(apart, np.abs(target.q - before.q).max())
-        return bool(apart <= SAME_TARGET)
+        return bool(apart <= tolerances.SAME_TARGET)
 
     def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
         """Restart from the measured configuration, keeping the target.
@@ -360,9 +341,9 @@ class Tracker:
         """
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
         self._feedback.restart(read_start(self.arm, q_measured), moved is not None)
-        self._memory = None if moved is None else Memory(moved)
+        self._loop.memory = None if moved is None else Memory(moved)
         self._dt = self._period
-        self._smooth.restart(moved)
+        self._smoothing.restart(moved)
         self._rates.restart(moved)
         self._arrival.restart()
         self._feedback.settled = False
@@ -404,26 +385,25 @@ class Tracker:
         if scene is not None and scene is not self.scene:
             if scene != self.scene:
                 self._try_again()
-            controller, self.scene = in_scene(self._steps.controller, scene)
-            if self._smooth.active and scene.velocities:  # obstacles where the filtered steps meet them
-                controller, _ = in_scene(controller, scene.after(self._smooth.delay * self._period))
-            self._steps.controller = controller
+            controller, self.scene = in_scene(self._loop.steps.controller, scene)
+            if self._smoothing.active and scene.velocities:  # obstacles where the filtered steps meet them
+                controller, _ = in_scene(controller, scene.after(self._smoothing.delay * self._period))
+            self._loop.steps.controller = controller
         if self._former is not None and self._is_at_rest():
             self._take_limits()
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         feedback = self._feedback.update(q_measured, points, dt)
-        if self._feedback.restarted or self._memory is None:
-            self._memory = None
-            self._smooth.restart()
+        if self._feedback.restarted or self._loop.memory is None:
+            self._loop.memory = None
+            self._smoothing.restart()
             self._rates.restart()
         self._age += passed
         self._judge_arrival(feedback, dt)
         self._watch_clearance()
         share = dt / self._period
-        needed = self._smooth.needs_step(share) or self._decision is None
+        needed = self._smoothing.needs_step(share) or self._decision is None
         decision = self._decide(feedback, dt) if needed or self._decision is None else self._decision
-        dq = self._smooth.advance(share, decision.memory.dq if needed else None)
-        self._memory = decision.memory
+        dq = self._smoothing.advance(share, decision.dq if needed else None)
         self._decision = decision
         self._feedback.apply_step(dq)
         decision = decision._replace(step=self._describe_sent(feedback, decision, dq))
@@ -439,12 +419,8 @@ class Tracker:
 
         With a limit of jerk it is a step of a nominal cycle, and only some shorter cycles need one.
         """
-        limits = self._limits if self._former is None else self._former
-        memory = self._memory
-        if not self._smooth.active:
-            limits = limits if dt == self._period else replace(limits, dt=dt)
-            memory = self._rescaled_memory(dt)
-            self._dt = dt
+        loop = self._loop
+        self._begin_cycle(dt)
         step = None
         reason = feedback.reason or self._target_problem()
         compensated = None
@@ -452,41 +428,62 @@ class Tracker:
             reason = BRAKES_FIRST
         if not reason and self._pursuit.lasting:
             reason = self._describe_hindrance("it has come no closer to its target", self._pursuit)
-        state = self._ahead(feedback.state)
         aim = feedback.held
         if self._target is not None and not reason and not self._rests:
             aim = compensated = self._feedback.compensate(self._target)
-        if state is not None and aim is not None:
-            try:
-                step, memory = self._steps.compute(state, aim, limits, memory)
-                computed = NOT_DONE if step is None else step.reason
+        if feedback.state is not None:
+            loop.start_at(feedback.state)
+            if aim is not None:
+                step, computed = self._compute(aim)
                 reason = feedback.reason or computed
-            except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
-                reason = str(error)  # unusable input, such as a target without a configuration
-            if step is not None and not isfinite(step.dq @ step.dq):
-                step = None
-                reason = "the step of the controller is not finite"
         if step is not None and (not reason or aim is feedback.held):
-            return Decision(step, step.memory, reason, compensated, False)
-        held, evading = self._hold(None if feedback.reason else state, limits, memory)
-        memory = held if step is None else step.memory.with_motion_of(held)
+            loop.memory = step.memory
+            return Decision(step, step.dq, reason, compensated, False)
+        held, evading = self._hold(feedback.state is not None and not feedback.reason)
+        loop.memory = held
         if self._evasion.lasting and not self._pursuit.lasting:
             reason += f"; {self._describe_hindrance('it has gained no clearance', self._evasion)}"
-        return Decision(step, memory, reason, compensated, evading)
+        return Decision(step, held.dq, reason, compensated, evading)
+
+    def _begin_cycle(self, dt: float) -> None:
+        """Set the limits and the last step to those of a cycle of a duration [s]."""
+        loop = self._loop
+        loop.limits = self._limits if self._former is None else self._former
+        if self._smoothing.active:
+            return
+        if dt != self._period:
+            loop.limits = replace(loop.limits, dt=dt)
+        if loop.memory is not None and dt != self._dt:
+            loop.memory = replace(loop.memory, dq=loop.memory.dq * (dt / self._dt), stopping=None)
+        self._dt = dt
+
+    def _compute(self, aim: Target) -> tuple[Step | None, str]:
+        """Return the step of the controller, if there is one, and why the arm cannot take it."""
+        before = self._loop.memory
+        try:
+            step = self._loop.compute(aim)
+        except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
+            return None, str(error)  # unusable input, such as a target without a configuration
+        if step is None:
+            return None, NOT_DONE
+        if not isfinite(step.dq @ step.dq):
+            self._loop.memory = before
+            return None, "the step of the controller is not finite"
+        return step, step.reason
 
     def _watch_clearance(self) -> None:
         """Let the controller keep the measured arm clear, too, where drives lag or sag."""
-        controller = self._steps.controller
+        controller = self._loop.steps.controller
         displacement = self._feedback.displacement
         if not isinstance(controller, Geodesic) or controller.offset is displacement:
             return
         if controller.scene is not None:
-            self._steps.controller = controller.with_offset(displacement)
+            self._loop.steps.controller = controller.with_offset(displacement)
 
     def _watch_hindrances(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
         """Watch whether obstacles keep the measured arm from its target [m], or from its margin, for long."""
         displacement = self._feedback.displacement
-        if not np.any(np.abs(dq) > SETTLING_TOLERANCE * self.arm.joint_units):
+        if not np.any(np.abs(dq) > tolerances.SETTLING * self.arm.joint_units):
             self._pursuit.rest(displacement, dt)
             self._evasion.rest(displacement, dt)
             return
@@ -520,13 +517,14 @@ class Tracker:
 
     def _is_at_rest(self) -> bool:
         """Whether the arm does not move, and no step that is still to come moves it."""
-        return self._memory is None or not (self._smooth.moving or bool(np.any(self._memory.dq)))
+        memory = self._loop.memory
+        return memory is None or not (self._smoothing.moving or bool(np.any(memory.dq)))
 
     def _take_limits(self) -> None:
         """Let the latest limits take effect, at rest."""
         self._former = None
         self._period = self._dt = cycle_of(self._limits)
-        self._smooth = SmoothSteps(self.arm, self._limits)
+        self._loop.filter = SmoothSteps(self.arm, self._limits)
 
     def _judge_arrival(self, feedback: FeedbackState, dt: float) -> None:
         """Judge from the measurements so far whether the arm is at its target, and settle there."""
@@ -544,34 +542,27 @@ class Tracker:
         """Whether the arm is to rest where it is, as it would only follow the noise of its measurements."""
         return self._arrival.arrived and not self._feedback.compensates
 
-    def _ahead(self, state: ArmState | None) -> ArmState | None:
-        """Return the state before the jerk filter, from which the controller steps."""
-        if state is None or not self._smooth.active:
-            return state
-        return state.moved(self._smooth.ahead)
+    @property
+    def _smoothing(self) -> SmoothSteps:
+        return cast(SmoothSteps, self._loop.filter)
 
-    def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> tuple[Memory, bool]:
+    def _hold(self, measured: bool) -> tuple[Memory, bool]:
         """Brake and hold, or evade obstacles that approach or are too close, which needs a measured state.
 
         Returns:
             The memory after that step, and whether the arm evades.
         """
-        memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
-        braked = memory.braked(limits, self._neutral_state)
-        controller = self._steps.controller
-        if state is None or not isinstance(controller, Geodesic) or controller.scene is None:
+        loop = self._loop
+        braked = loop.braked()
+        controller = loop.steps.controller
+        if not measured or not isinstance(controller, Geodesic) or controller.scene is None:
             return braked, False
         if not controller.scene.velocities and (controller.offset is None or self._evasion.lasting):
             return braked, False
+        state = loop.ahead
         target = self._target or Target.from_configuration(self.arm, state.q)
-        kept = controller.keep_clear(state, target, limits, memory)
-        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > REST_TOLERANCE * self.arm.joint_units))
-
-    def _rescaled_memory(self, dt: float) -> Memory | None:
-        """Return the memory of the controller, its last step scaled to the duration of this cycle."""
-        if self._memory is None or dt == self._dt:
-            return self._memory
-        return replace(self._memory, dq=self._memory.dq * (dt / self._dt), stopping=None)
+        kept = controller.keep_clear(state, target, loop.limits, loop.motion)
+        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > tolerances.AT_REST * self.arm.joint_units))
 
     def _target_problem(self) -> str:
         """Return why the target cannot be used; empty if it can."""
@@ -580,11 +571,6 @@ class Tracker:
         if self._age > self._timeout:
             return f"the target is {self._age:.3g} s old; it expired after {self._timeout:.3g} s"
         return ""
-
-    @cached_property
-    def _neutral_state(self) -> ArmState:
-        """A state for braking, for which only the limits of the arm matter."""
-        return self.arm.at(self.arm.neutral())
 
     def _make_report(self, feedback: FeedbackState, decision: Decision, dq: Array, passed: float) -> Report:
         step = decision.step
@@ -613,7 +599,7 @@ class Tracker:
         if step is None or aim is None or command is None or before is None or np.array_equal(step.dq, dq):
             return step
         after = self.arm.at(command).compiled
-        most = ERROR_ROUNDING * self.arm.length
+        most = tolerances.ERROR_ROUNDING * self.arm.length
         rises = aim.mean_distance(after.points) > aim.mean_distance(before.compiled.points) + most
         return step._replace(dq=np.array(dq), error_increasing=rises)
 
@@ -623,7 +609,7 @@ class Tracker:
         """Return status and reason of a cycle with a step dq and a measured mean error [m]."""
         reason = feedback.reason or decision.reason
         compensated = decision.compensated
-        if decision.step is not None and self._smooth.moving and not feedback.reason:
+        if decision.step is not None and self._smoothing.moving and not feedback.reason:
             reason = ""  # the jerk filter has not settled yet
         stalled = (decision.step is not None or self._pursuit.lasting) and not feedback.reason
         stopped = "evading" if decision.evading else "stalled" if stalled else "holding"
@@ -632,21 +618,22 @@ class Tracker:
         if feedback.reason or decision.evading or not aimed or error is None or feedback.state is None:
             return status, reason
         moved = float((np.abs(dq) / self.arm.joint_units).max())
-        if moved <= REST_TOLERANCE and error <= ARRIVAL_TOLERANCE * self.arm.length:
+        if moved <= tolerances.AT_REST and error <= tolerances.ARRIVAL * self.arm.length:
             self._arrival.arrive()
-        if moved <= SETTLING_TOLERANCE and self._arrival.arrived:
+        if moved <= tolerances.SETTLING and self._arrival.arrived:
             return "converged", ""
         if compensated is not None:
             distance = compensated.mean_distance(feedback.state.compiled.points)
-            if distance <= AIMED_TOLERANCE * self.arm.length:
+            if distance <= tolerances.AIMED * self.arm.length:
                 return self._await_arrival()
         return status, reason
 
     def _await_arrival(self) -> tuple[str, str]:
         """Return status and reason of an arm whose command is where it aims, but which is not there yet."""
-        if self._arrival.standing < STANDING_TIME or self._target is None or self._arrival.positions is None:
+        positions = self._arrival.positions
+        if self._arrival.standing < tolerances.STANDING_TIME or self._target is None or positions is None:
             return "moving", ""
-        return "stalled", self._feedback.describe_shortfall(self._target, self._arrival.positions)
+        return "stalled", self._feedback.describe_shortfall(self._target, positions)
 
     def _lost_limits(self, known: tuple[str, ...]) -> tuple[str, ...]:
         """Return a message if a joint of the command is outside its limits, unless it is known."""
@@ -673,7 +660,7 @@ class Tracker:
         if self.scene is None or command is None:
             return ()
         found: list[str] = []
-        if self._smooth.active:
+        if self._smoothing.active:
             found += self._describe_clearance(CollisionModel(self.arm, self.scene).minimum(command))
         if measured is not None and self._feedback.compensates and self._may_be_close(measured):
             model = CollisionModel(self.arm, self.scene)
@@ -692,6 +679,6 @@ class Tracker:
 
     def _describe_clearance(self, closest: Closest) -> tuple[str, ...]:
         margin = 0.0 if self.scene is None else self.scene.margin
-        if closest.distance >= (1.0 - MARGIN_ROUNDING) * margin:
+        if closest.distance >= (1.0 - tolerances.MARGIN_ROUNDING) * margin:
             return ()
         return (describe_lost_margin(closest.pair or (), closest.distance, margin),)

@@ -22,8 +22,9 @@ from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import InvalidValue
+from pinposture.motion import tolerances
 from pinposture.motion.run import Run
-from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
+from pinposture.motion.track import RecordedLoop, in_scene
 from pinposture.motion.trajectory import Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.task.keyframe import Keyframe, as_keyframes, placed
@@ -275,12 +276,12 @@ def perform(
     controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
     dt = cycle_of(limits)
-    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    tolerance = tolerances.ARRIVAL * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     start = reference.start if q0 is None else arm.checked_start(q0, "q0")
     require_passage(reference, scene, MAX_MEAN_LAG * arm.length / arm.n_modules)
     guide = ReferencePath(reference, limits)
-    loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
+    loop = RecordedLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress)
     motion = performance.trajectory(*performance.run())
     status = motion.run.status
@@ -328,7 +329,7 @@ class _Performance:
     """A motion in progress: the place on the reference and the target after each step."""
 
     def __init__(
-        self, guide: ReferencePath, loop: ControlLoop, tolerance: float, progress: Progress | None
+        self, guide: ReferencePath, loop: RecordedLoop, tolerance: float, progress: Progress | None
     ) -> None:
         self.guide = guide
         self.loop = loop
@@ -360,7 +361,7 @@ class _Performance:
         if status != "converged":
             return status, f"on the way to the first posture: {reason}"
         self._start_index = len(self._places) - 1
-        controller = self.loop.controller
+        controller = self.loop.steps.controller
         ended = self._look_ahead(controller) if isinstance(controller, Geodesic) else self._lead()
         return self._go_to(self.guide.end) if ended is None else ended
 
@@ -369,7 +370,7 @@ class _Performance:
         reference = self.guide.reference
         loop = self.loop
         places = np.array(self._places)
-        run = loop.record.run(loop.arm, loop.controller, loop.limits, status, reason)
+        run = loop.record.run(loop.arm, loop.steps.controller, loop.limits, status, reason)
         nexts = [*(mark.row for mark in reference.marks[1:]), np.inf]
         waypoints = tuple(
             self._waypoint(mark, until, places, run)
@@ -523,7 +524,7 @@ class _Performance:
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
                 target = guide.target(foreseen)
-                step = loop.compute_step(target)
+                step = loop.compute(target)
                 ahead = step.memory.progress if isinstance(step.memory, GeodesicMemory) else None
                 if ahead is None or not ahead.timed.scheduled:
                     break
@@ -536,7 +537,7 @@ class _Performance:
                 progress = ahead
                 place = self._advance(begun + ahead.place)
                 target = target if place == foreseen else guide.target(place)
-                loop.take_step(step, target)
+                loop.take(step, target)
                 ended = self._record(place, target)
                 if ended is not None:
                     return ended
@@ -558,7 +559,7 @@ class _Performance:
         target = self.guide.target(place)
         points = self.loop.ahead.moved(step.dq).compiled.points
         apart = target.mean_distance(points)
-        return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.cycles > 1 else 1.0))
+        return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.active else 1.0))
 
     def _catch_up(self) -> tuple[str, str] | None:
         """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""
@@ -581,7 +582,7 @@ class _Performance:
         while self._place < guide.end:
             place = self._place
             behind = loop.record.mean_error > self._max_lag
-            if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
+            if behind and patient and loop.record.travel_without_progress() >= tolerances.STALL_TRAVEL:
                 error = loop.record.mean_error
                 self._note(place, f"the arm was {length_text(error)} behind on average, and did not catch up")
                 patient = False
@@ -596,11 +597,11 @@ class _Performance:
             shown = target if place == self._place else guide.target(place)
             if not (behind and patient):
                 loop.record.set_target(shown)
-            step = loop.compute_step(target)
+            step = loop.compute(target)
             if step.reason:
                 loop.brake()
             else:
-                loop.take_step(step)
+                loop.take(step)
             ended = self._record(place, shown)
             if ended is not None:
                 return ended

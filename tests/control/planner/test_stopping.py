@@ -16,7 +16,7 @@ import pinposture as pp
 from pinposture.control import Memory
 from pinposture.control.limits import full_braking, stopping_steps
 from pinposture.control.planner.path import JointPath, retime
-from pinposture.motion.track import ControlLoop
+from pinposture.motion.track import RecordedLoop
 
 pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
 
@@ -80,16 +80,16 @@ def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed:
     rng = np.random.default_rng(seed)
     arm = progress.arm
     length = progress.arm.length
-    loop = ControlLoop(arm, progress.stops[0], progress.goal, pp.Geodesic(), progress.limits)
+    loop = RecordedLoop(arm, progress.stops[0], progress.goal, pp.Geodesic(), progress.limits)
     loop.run(progress.goal, 1e-6 * length, int(rng.integers(3, 30)))
     beside = loop.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
     ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, self_collision=False, margin=0.01 * length)
     around = pp.CollisionModel(arm, ball)
     first = loop.record.steps
-    loop.controller = loop.controller.with_scene(ball)
+    loop.steps.controller = loop.steps.controller.with_scene(ball)
     loop.run(progress.goal, 1e-6 * length, first + 60)
     loop.brake_to_rest()
-    run = loop.record.run(arm, loop.controller, progress.limits, "stopped", "enough")
+    run = loop.record.run(arm, loop.steps.controller, progress.limits, "stopped", "enough")
     check_output(run)
     distances = np.array([around.minimum(q).distance for q in run.q[first:]])
     closer = np.flatnonzero(distances < min(ball.margin, distances[0]) - 1e-9 * length)
@@ -152,14 +152,14 @@ def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: in
     start, end = (arm.configuration(np.full(arm.nv, value)) for value in (0.0, 0.4))
     goal = pp.Target.from_configuration(arm, end)
     limits = pp.Limits(dt=0.05, acceleration=1.0)
-    loop = ControlLoop(arm, start, goal, pp.Geodesic(), limits)
+    loop = RecordedLoop(arm, start, goal, pp.Geodesic(), limits)
     for _ in range(min(steps, 24)):
-        loop.take_step(loop.compute_step(goal))
+        loop.take(loop.compute(goal))
     for _ in range(steps // 10):
-        loop.compute_step(pp.Target.from_configuration(arm, start))
+        loop.compute(pp.Target.from_configuration(arm, start))
     loop.brake()
     loop.brake_to_rest()
-    run = loop.record.run(arm, loop.controller, limits, "stopped", "enough")
+    run = loop.record.run(arm, loop.steps.controller, limits, "stopped", "enough")
     assert accelerations(arm, run.q, limits).max() <= 1.0 + 1e-9
 
 
