@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import struct
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
@@ -21,11 +22,16 @@ import typer
 
 import pinposture as pp
 from pinposture.cli import app
+from pinposture.editor import Editor
+from pinposture.sim import Simulation, simulate
 from pinposture.storage import parse_toml
+from pinposture.viz.simulation import plot_simulation
 
 SHIPPED = Path(__file__).parents[1] / "examples"
 BEND = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.05, 0.0], [0.3, 0.1, 0.0]]
 """Control points of a curve for short arms [m]."""
+TETRAHEDRON = [[0.3, 0.3, 0.3], [0.4, 0.3, 0.3], [0.3, 0.4, 0.3], [0.3, 0.3, 0.4]]
+CORNERS = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 QUANTITY = re.compile(r"([-+]?[\d.]+) ?([a-zA-Z][\w/^]*)")
 
 
@@ -160,6 +166,111 @@ def read_mesh(corners: Any) -> Any:
     return pp.CollisionModel(an_arm(), pp.Scene({"mesh": mesh})).minimum(np.zeros(6)).distance
 
 
+def stored(values: Any, kind: str) -> bytes:
+    """Numbers as a file of a type holds them: whole ones within its range, large ones as infinite."""
+    try:
+        numbers = np.asarray(values, dtype=np.float64)
+    except (OverflowError, TypeError, ValueError) as error:
+        raise pp.PostureError("no file holds this") from error
+    with np.errstate(over="ignore"):
+        if kind != "<f4":
+            limits = np.iinfo(kind)
+            numbers = np.nan_to_num(np.clip(numbers, limits.min, limits.max))
+        return numbers.astype(kind).tobytes()
+
+
+def read_ply(vertices: Any, faces: Any, counts: Any, form: str) -> Any:
+    """A surface in a file that says how many vertices and faces there are."""
+    vertex = "".join(f"property float {name}\n" for name in "xyz")
+    given = counts if isinstance(counts, list) and counts else [counts]
+    lines = [f"format {form} 1.0", f"element vertex {given[0]}", vertex.strip()]
+    lines += [f"element face {given[-1]}", "property list uchar int vertex_indices"]
+    header = "\n".join(["ply", *lines, "end_header", ""])
+    listed = faces if isinstance(faces, list) else [faces]
+    if form == "ascii":
+        rows = [[3, *(each if isinstance(each, list) else [each])] for each in listed]
+        content = (header + rows_of(vertices, " ") + rows_of(rows, " ")).encode()
+    else:
+        corners = b"".join(b"\3" + stored(each, "<i4") for each in listed)
+        content = header.encode() + stored(vertices, "<f4") + corners
+    return _clearances(content, ".ply")
+
+
+def read_glb(content: Any, vertices: Any, faces: Any) -> Any:
+    """A surface in a file of glTF, whose description is given."""
+    data = stored(vertices, "<f4") + stored(faces, "<u2")
+    text = json.dumps(content, default=str).encode()
+    text += b" " * (-len(text) % 4)
+    data += bytes(-len(data) % 4)
+    size = struct.pack("<II", 2, 28 + len(text) + len(data))
+    parts = (
+        struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
+    )
+    return _clearances(b"glTF" + size + parts, ".glb")
+
+
+def _clearances(content: bytes, suffix: str) -> Any:
+    """The points of a file as a scan, and the distances of an arm from it as a scan and as a mesh."""
+    path = Path(f"surface{suffix}")
+    path.write_bytes(content)
+    scan = pp.Scan.load(path)
+    told = [scan.points, pp.CollisionModel(an_arm(), pp.Scene({"s": scan})).minimum(np.zeros(6)).distance]
+    if suffix == ".ply":
+        mesh = pp.Mesh.load(path)
+        told.append(pp.CollisionModel(an_arm(), pp.Scene({"s": mesh})).minimum(np.zeros(6)).distance)
+    return told
+
+
+GLTF = {
+    "asset": {"version": "2.0"},
+    "scene": 0,
+    "scenes": [{"nodes": [0]}],
+    "nodes": [
+        {"children": [1], "translation": [0.3, 0.3, 0.3], "rotation": [0.0, 0.0, 0.0, 1.0]},
+        {"mesh": 0, "scale": [0.1, 0.1, 0.1]},
+    ],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": 4}]}],
+    "buffers": [{"byteLength": 72}],
+    "bufferViews": [
+        {"buffer": 0, "byteOffset": 0, "byteLength": 48},
+        {"buffer": 0, "byteOffset": 48, "byteLength": 24},
+    ],
+    "accessors": [
+        {
+            "bufferView": 0,
+            "componentType": 5126,
+            "count": 4,
+            "type": "VEC3",
+            "min": [0, 0, 0],
+            "max": [1, 1, 1],
+        },
+        {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+    ],
+}
+"""The description of a tetrahedron."""
+
+
+def read_mjcf(numbers: Any) -> Any:
+    """An arm of two joints, one of which follows the other, whose numbers are given."""
+    given = dict(numbers) if isinstance(numbers, Mapping) else {"pos": [numbers]}
+    word = {key: " ".join(map(str, each)) for key, each in given.items()}
+    of = lambda key: word.get(key, "0")  # noqa: E731
+    joint = f'range="{of("range")}" damping="{of("damping")}" ref="{of("ref")}" armature="{of("armature")}"'
+    text = (
+        f'<mujoco model="m"><compiler angle="radian"/><option timestep="{of("timestep")}"/><worldbody>'
+        f'<body name="a"><inertial pos="0 0 0" mass="{of("mass")}" diaginertia="{of("inertia")}"/>'
+        f'<joint name="j1" axis="{of("axis")}" {joint}/><geom type="capsule" size="{of("size")}"/>'
+        f'<body name="b" pos="{of("pos")}" quat="{of("quat")}"><joint name="j2" axis="0 1 0" range="-1 1"/>'
+        f'<geom size="0.01" mass="1"/><body name="c" pos="0.1 0 0" euler="{of("euler")}"><joint name="j3"/>'
+        f'<geom size="0.01" density="{of("density")}"/><site name="tip" pos="{of("pos")}"/></body></body>'
+        "</body></worldbody><equality>"
+        f'<joint joint1="j3" joint2="j2" polycoef="{of("polycoef")}"/></equality></mujoco>'
+    )
+    arm = pp.Arm.load(text)
+    state = arm.at(arm.neutral())
+    return state.points, state.jacobians, arm.length
+
+
 def read_description(numbers: Any) -> Any:
     """An arm of two joints whose numbers are given."""
     given = dict(numbers) if isinstance(numbers, Mapping) else {"xyz": [numbers]}
@@ -207,6 +318,10 @@ def load_result(content: Any) -> Any:
     if isinstance(result, pp.JointTrajectory):
         pp.save(result, "again.csv")
         return vars(result), result.sampled(0.02).positions
+    if isinstance(result, Simulation):
+        told = result.summary()
+        plot_simulation(result)
+        return told, result.points, result.time, str(result), result.faults
     if isinstance(result, pp.Batch):
         return result.final_error, str(result), [run.q for run in result]
     run = result.run if isinstance(result, pp.Trajectory) else result
@@ -298,6 +413,8 @@ VERBS: dict[str, tuple[str, ...]] = {
     "run": ("small.toml", "--json"),
     "export": ("run.npz", "--output=out.csv"),
     "view": ("run.npz", "--output=view.html"),
+    "simulate": ("run.npz", "--hold=0.1", "--json"),
+    "edit": ("arm.urdf", "--no-browser"),
 }
 
 
@@ -334,6 +451,7 @@ def run_command(verb: str, options: Any) -> Any:
             words.append(f"{option}={PATTERNS.get(name, '{}').format(value)}")
     out = io.StringIO()
     err = io.StringIO()
+    Editor.wait = _end_at_once  # type: ignore[method-assign]
     try:
         with redirect_stdout(out), redirect_stderr(err):
             app(words, prog_name="pinposture")
@@ -350,6 +468,10 @@ def run_command(verb: str, options: Any) -> Any:
     if "NaN" in out.getvalue():
         raise AssertionError(f"NaN in what is printed: {out.getvalue()[:200]}")
     return None
+
+
+def _end_at_once(editor: Editor) -> None:
+    raise KeyboardInterrupt
 
 
 def options_of(verb: str) -> dict[str, Any]:
@@ -411,7 +533,7 @@ def message() -> dict[str, Any]:
 
 CALLS: dict[str, Callable[..., Any]] = {
     **{f"plan_task.{name}": plan_task for name in ("around", "inspection", "keyframes", "pipe")},
-    **{f"load_result.{name}": load_result for name in ("run", "motion", "batch", "joints")},
+    **{f"load_result.{name}": load_result for name in ("run", "motion", "batch", "joints", "simulation")},
     **{f"read_points.{name}": read_points for name in ("xyz", "csv")},
     **{f"run_command.{verb}": run_command for verb in VERBS},
     "perform_task": perform_task,
@@ -421,6 +543,9 @@ CALLS: dict[str, Callable[..., Any]] = {
     "read_array": read_array,
     "read_mesh": read_mesh,
     "read_description": read_description,
+    "read_mjcf": read_mjcf,
+    **{f"read_ply.{form}": read_ply for form in ("ascii", "binary_little_endian")},
+    "read_glb": read_glb,
     "read_table": read_table,
     "read_message": read_message,
     "make_cycles": make_cycles,
@@ -436,8 +561,9 @@ def examples() -> dict[str, Any]:
     points = np.random.default_rng(0).uniform(0.3, 0.4, (30, 3)).round(3)
     batch = pp.track_many(an_arm(), [a_target()], [np.zeros(6), np.full(6, 0.2)], max_steps=5, keep="motions")
     results = {"run": a_run(), "motion": a_motion(), "batch": batch, "joints": a_run().joint_trajectory()}
+    results["simulation"] = simulate(an_arm(), a_run(), hold=0.0, scene=a_run().scene)
     contents = {name: packed(result) for name, result in results.items()}
-    for name in ("motion", "batch"):  # the arm is that of the run
+    for name in ("motion", "batch", "simulation"):  # the arm is that of the run
         contents[name]["about"]["arm"] = json.dumps(contents[name]["about"]["arm"])
     return {
         "plan_task.around.content": shipped("tasks/around.toml"),
@@ -456,12 +582,25 @@ def examples() -> dict[str, Any]:
         "read_points.csv.separator": ",",
         "read_points.csv.suffix": ".csv",
         "read_array.points": points,
-        "read_mesh.corners": [[0.3, 0.3, 0.3], [0.4, 0.3, 0.3], [0.3, 0.4, 0.3], [0.3, 0.3, 0.4]],
+        "read_mesh.corners": TETRAHEDRON,
         "read_description.numbers": {
             **{"lower": [-1.0], "upper": [1.0], "effort": [1.0], "velocity": [1.0], "mass": [1.0]},
             **{"inertia": [1.0], "radius": [0.01], "ratio": [0.5], "offset": [0.1]},
             **{"xyz": [0.1, 0.0, 0.0], "rpy": [0.0, 0.1, 0.0], "axis": [0.0, 0.0, 1.0]},
         },
+        "read_mjcf.numbers": {
+            **{"range": [-1.0, 1.0], "damping": [0.1], "ref": [0.1], "armature": [0.01], "mass": [1.0]},
+            **{"inertia": [0.1, 0.1, 0.1], "axis": [0.0, 0.0, 1.0], "size": [0.01, 0.05], "density": [100.0]},
+            **{"pos": [0.1, 0.0, 0.0], "quat": [1.0, 0.0, 0.1, 0.0], "euler": [0.1, 0.0, 0.2]},
+            **{"polycoef": [0.1, 0.5, 0.0, 0.0, 0.0], "timestep": [0.002]},
+        },
+        **{f"read_ply.{form}.vertices": TETRAHEDRON for form in ("ascii", "binary_little_endian")},
+        **{f"read_ply.{form}.faces": CORNERS for form in ("ascii", "binary_little_endian")},
+        **{f"read_ply.{form}.counts": [4, 4] for form in ("ascii", "binary_little_endian")},
+        **{f"read_ply.{form}.form": form for form in ("ascii", "binary_little_endian")},
+        "read_glb.content": GLTF,
+        "read_glb.vertices": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "read_glb.faces": CORNERS,
         "read_table.header": "time [s],a position [rad],b position [rad]",
         "read_table.rows": [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2], [1.0, 0.2, 0.4]],
         "read_message.content": message(),

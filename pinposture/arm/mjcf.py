@@ -24,6 +24,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pinposture._validation import LARGEST_NUMBER, entries_beyond
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.urdf_reader import Description, quote_names, read_description
 from pinposture.arm.urdf_writer import (
@@ -139,11 +140,20 @@ def mjcf_to_urdf(source: str | Path, label: str) -> str:
             reason = "has names that are not UTF-8, the only encoding that MuJoCo reads; save it as UTF-8"
             raise FileError(label, reason) from None
         compiled = _Compiled(mujoco, model, _read_names(mujoco, model))
+        _require_finite_masses(compiled, label)
         text = _write(compiled, _mesh_files(compiled, source))
         description = read_description(text, label)
         _compare_limits(compiled, description)
         _compare_kinematics(compiled, description)
     return text
+
+
+def _require_finite_masses(compiled: _Compiled, label: str) -> None:
+    model = compiled.model
+    numbers = np.column_stack([model.body_mass, model.body_inertia, model.body_ipos])
+    for body, _ in entries_beyond(numbers, LARGEST_NUMBER)[:1]:
+        reason = f"its mass or inertia is not finite, or above {LARGEST_NUMBER:g}"
+        raise URDFError(label, f"body {compiled.names.bodies[body]!r}", reason)
 
 
 def _require_one_model(text: str, label: str) -> None:

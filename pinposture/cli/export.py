@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument
+from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument, read_numbers
 from pinposture.cli.output import (
     examples,
     find_kept,
@@ -64,6 +64,14 @@ def run(
     coupled: Annotated[
         bool, OUTPUT("Also write the joints that follow others (<mimic>).", flags="--coupled")
     ] = False,
+    start: Annotated[
+        str | None,
+        OUTPUT(
+            "Positions at which the drives of the robot stand, one per joint: continuous joints start with "
+            "their full turns.",
+            "NUMBERS",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a motion as joint positions, velocities and accelerations over time.
@@ -88,6 +96,8 @@ def run(
         raise FileError(output, "is the input; allowed: another file")
     kept = load_kept(source)
     trajectory = _joint_trajectory(kept, dt, force)
+    if start is not None:
+        trajectory = trajectory.starting_at(kept.arm, read_numbers("--start", start))
     if coupled:
         trajectory = trajectory.with_coupled(kept.arm)
     _write(trajectory, output, form, kept.arm)

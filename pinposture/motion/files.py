@@ -278,18 +278,20 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[
             raise InvalidValue(f"{name} (type)", str(array.dtype), allowed)
 
 
-def _check_postures(arm: Arm, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Raise InvalidValue unless the control points of a run are those of its configurations."""
-    for name in ("q", "points", "point_errors"):
+def check_postures(
+    arm: Arm, arrays: Mapping[str, NDArray[Any]], configurations: str = "q", points: str = "points"
+) -> None:
+    """Raise InvalidValue unless control points are those of configurations; both are named among arrays."""
+    for name in (configurations, points):
         require_finite(name, arrays[name])
-    q = arrays["q"]
+    q = arrays[configurations]
     rows = np.unique(np.linspace(0, len(q) - 1, COMPARED_ROWS).round().astype(np.intp))
     for row in rows:
-        points = arm.at(arm.checked(q[row], f"q[{row}]")).forward.points
-        off = float(np.abs(points - arrays["points"][row]).max())
+        expected = arm.at(arm.checked(q[row], f"{configurations}[{row}]")).forward.points
+        off = float(np.abs(expected - arrays[points][row]).max())
         if off > SAME_POINTS * arm.length:
             allowed = "those of the configuration in this row"
-            raise InvalidValue(f"points[{row}]", f"{length_text(off)} off", allowed)
+            raise InvalidValue(f"{points}[{row}]", f"{length_text(off)} off", allowed)
 
 
 # Runs.
@@ -335,7 +337,8 @@ def _unpack_run(about: About, arrays: Arrays) -> Run:
     check_arrays(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS})
     _check_info(arrays, steps)
     check_arrays(arrays, {"target_points": (m, 3), "target_weights": (m,)})
-    _check_postures(arm, arrays)
+    check_postures(arm, arrays)
+    require_finite("point_errors", arrays["point_errors"])
     require_known("status", about["status"], ENDINGS)
     return Run(
         arm=arm,

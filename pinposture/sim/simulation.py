@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -9,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import make_read_only, require_positive
+from pinposture._validation import make_read_only, require_finite, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
-from pinposture.motion.files import Format, check_arrays, register
+from pinposture.errors import InvalidValue
+from pinposture.motion.files import Format, check_arrays, check_postures, register
 from pinposture.motion.run import Outcome, closest, ending
 from pinposture.sim.model import Servos
 from pinposture.units import length_text
@@ -294,7 +296,18 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
         "weights": (rows, m),
     }
     check_arrays(arrays, {name: shape for name, shape in shapes.items() if name in arrays})
-    require_positive("dt", about["dt"])
+    check_postures(arm, arrays)
+    check_postures(arm, arrays, "commanded", "commanded_points")
+    for name in ("gravity", "torques", "saturated", "targets", "weights"):
+        if name in arrays:
+            require_finite(name, arrays[name])
+    for name in ("torque_limits", "clearance"):  # which may be infinite
+        if np.isnan(arrays[name]).any():
+            raise InvalidValue(name, math.nan, "numbers")
+    for name in ("dt", "timestep"):
+        require_positive(name, about[name])
+    for name in ("tolerance", "measured"):
+        require_positive(name, about.get(name, 0.0), zero=True)
     return Simulation(
         arm=arm,
         servos=Servos(**about["servos"]),

@@ -199,3 +199,24 @@ def test_goals_and_bags_are_written_by_their_format(command, timed_run, tmp_path
         result = command("export", timed_run, *refused)
         assert result.code == 2
         assert words in result.err
+
+
+def test_a_motion_starts_at_the_turns_at_which_the_robot_stands(command, tmp_path) -> None:
+    arm = pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf.replace('"revolute"', '"continuous"'))
+    q = [arm.configuration([3.0 + 0.1 * k, 0.0, 0.1 * k, 0.0]) for k in range(4)]
+    limits = pp.Limits(step=None, dt=0.1, velocity=2.0)
+    run = pp.track(arm, pp.Target.from_configuration(arm, q[-1]), q[0], limits=limits)
+    file = pp.save(run, tmp_path / "run.npz")
+    assert command("export", file, "-o", tmp_path / "plain.csv").code == 0
+    plain = pp.load(tmp_path / "plain.csv")
+    robot = plain.positions[0] + 2.0 * np.pi * np.array([1.0, 0.0, -2.0, 0.0]) + 0.01
+    given = ",".join(map(str, robot))
+    assert command("export", file, "-o", tmp_path / "turned.csv", f"--start={given}").code == 0
+    turned = pp.load(tmp_path / "turned.csv")
+    expected = plain.positions + 2.0 * np.pi * np.array([1.0, 0.0, -2.0, 0.0])
+    np.testing.assert_allclose(turned.positions, expected, atol=1e-9)
+    np.testing.assert_array_equal(turned.velocities, plain.velocities)
+    for wrong, words in (("3,0,3,0", "move there first"), ("1,2", "shape"), ("a", "--start")):
+        result = command("export", file, "-o", tmp_path / "wrong.csv", f"--start={wrong}")
+        assert result.code == 2
+        assert words in result.err
