@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from numbers import Integral, Real
 from types import UnionType
 from typing import Any, TypeAlias
@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.errors import CurveError, InvalidValue, UnknownName, did_you_mean
+from pinposture.errors import CurveError, InvalidValue, UnknownName
 
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
@@ -48,10 +48,11 @@ def require_known(kind: str, name: object, known: Collection[str]) -> None:
         raise UnknownName(kind, name, known)
 
 
-def require_name(what: str, name: object) -> None:
-    """Raise InvalidValue unless a name is printable text that is not blank."""
+def require_name(what: str, name: object) -> str:
+    """Return a name; raise InvalidValue unless it is printable text that is not blank."""
     if not isinstance(name, str) or not name.strip() or not name.isprintable():
         raise InvalidValue(what, name, "printable text that is not blank")
+    return name
 
 
 def is_number(value: object) -> bool:
@@ -64,14 +65,15 @@ def is_usable(value: object) -> bool:
     return is_number(value) and -LARGEST_NUMBER <= value <= LARGEST_NUMBER  # type: ignore[operator]
 
 
-def require_positive(name: str, value: float, zero: bool = False) -> None:
-    """Raise InvalidValue unless the value is a finite number > 0 (or >= 0), neither huge nor tiny."""
+def require_positive(name: str, value: float, zero: bool = False) -> float:
+    """Return a finite number > 0 (or >= 0), neither huge nor tiny, else raise InvalidValue."""
     if not (is_usable(value) and (value >= SMALLEST_NUMBER or (zero and value == 0))):
         allowed = f"a finite number {'>=' if zero else '>'} 0"
         extreme = is_number(value) and 0 < value < math.inf
         raise InvalidValue(
             name, value, f"{allowed}, from {SMALLEST_NUMBER:g} to {LARGEST_NUMBER:g}" if extreme else allowed
         )
+    return float(value)
 
 
 def require_share(name: str, value: float) -> None:
@@ -85,11 +87,12 @@ def is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def require_whole(name: str, value: int, least: int, most: int = LARGEST_COUNT) -> None:
-    """Raise InvalidValue unless the value is a whole number of at least `least` and at most `most`."""
+def require_whole(name: str, value: int, least: int, most: int = LARGEST_COUNT) -> int:
+    """Return a whole number of at least `least` and at most `most`, else raise InvalidValue."""
     if not (is_whole(value) and least <= value <= most):
         allowed = f"at least {least}" if is_whole(value) and value < least else f"{least} to {most}"
         raise InvalidValue(name, value, f"a whole number of {allowed}")
+    return int(value)
 
 
 def as_number(name: str, value: object, allowed: str, test: Callable[[float], bool]) -> float:
@@ -114,26 +117,11 @@ def as_count(name: str, value: object, low: int, high: int) -> int:
     return int(as_number(name, value, allowed, lambda x: low <= x <= high and x == int(x)))
 
 
-def as_flag(name: str, value: object) -> bool:
-    """Read True or False, else raise InvalidValue."""
-    if not isinstance(value, (bool, np.bool_)):
-        raise InvalidValue(name, value, "true or false")
-    return bool(value)
-
-
 def length(name: str, value: Any, zero: bool = False) -> float:
     """Read a length above 0, or not below it [m], else raise InvalidValue."""
     least = 0.0 if zero else SMALLEST_LENGTH
     allowed = f"a length of {least:g} to {LARGEST_LENGTH:g} m"
     return as_number(name, value, allowed, lambda x: least <= x <= LARGEST_LENGTH)
-
-
-def known_keys(what: str, given: Mapping[str, Any], allowed: Iterable[str]) -> None:
-    """Raise InvalidValue for an unknown key; the message suggests a similar one."""
-    names = tuple(allowed)
-    for key in given:
-        if key not in names:
-            raise InvalidValue(f"key of {what}", key, ", ".join(names) + did_you_mean(key, names))
 
 
 def as_points(

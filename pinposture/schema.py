@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import math
 import re
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
+from copy import copy
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import (
@@ -33,16 +35,24 @@ import pydantic
 from pydantic import (
     BeforeValidator,
     ConfigDict,
+    GetCoreSchemaHandler,
     PlainValidator,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
     model_validator,
 )
-from pydantic_core import ArgsKwargs, to_jsonable_python
-from typing_extensions import Self, dataclass_transform
+from pydantic_core import ArgsKwargs, CoreSchema, to_jsonable_python
+from typing_extensions import ParamSpec, Self, dataclass_transform
 
-from pinposture._validation import LARGEST_NUMBER, SMALLEST_NUMBER, is_number, is_usable, is_whole
+from pinposture._validation import (
+    LARGEST_NUMBER,
+    SMALLEST_NUMBER,
+    is_number,
+    is_usable,
+    require_positive,
+    require_whole,
+)
 from pinposture.errors import InvalidValue, PostureError, UnknownName, did_you_mean
 
 # Values and keys in messages: on one line, truncated.
@@ -146,7 +156,7 @@ def read_within(key: str | int, read: Callable[..., Read], *arguments: Any) -> R
         return read(*arguments)
     except ValueError as error:
         mistakes = [_refusal(each, None) for each in getattr(error, "all", (error,))]
-        raise _at(key, [(each.within, each) for each in mistakes]) from None
+        raise _joined([((key, *each.within), each) for each in mistakes]) from None
 
 
 def mistakes_of(error: ValidationError) -> list[tuple[Place, Refusal]]:
@@ -171,13 +181,25 @@ def _refusal(cause: Exception, table: object) -> Refusal:
         return cause
     if isinstance(cause, InvalidValue) and isinstance(table, Mapping) and cause.name in table:
         return NotAllowed(table[cause.name], cause.allowed, cause.name)
+    if isinstance(cause, InvalidValue) and cause.value is table and table is not None:
+        return NotAllowed(table, cause.allowed)
     return Refusal(str(cause), error=cause if isinstance(cause, PostureError) else None)
 
 
-def _at(key: str | int, mistakes: Sequence[tuple[Place, Refusal]]) -> Refusal | Refusals:
-    """Return mistakes in the value of a key as mistakes in its table."""
+def error_of(place: Place, refusal: Refusal) -> PostureError:
+    """Return the error of a mistake at a place, for a reader that has no file to name."""
+    name = place_in_words(place) if place else "description"
+    if isinstance(refusal, NotAllowed) and not isinstance(refusal.error, UnknownName):
+        return InvalidValue(name, refusal.value, refusal.allowed)
+    failure = copy(refusal.error or InvalidValue(name, None, str(refusal)))
+    failure.args = (f"{name}: {refusal}" if place else str(refusal),)
+    return failure
+
+
+def _joined(mistakes: Sequence[tuple[Place, Refusal]]) -> Refusal | Refusals:
+    """Return mistakes in a value, each with the keys to its part, as one exception."""
     for place, each in mistakes:
-        each.within = (key, *place)
+        each.within = place
     found = [each for _, each in mistakes]
     return found[0] if len(found) == 1 else Refusals(found)
 
@@ -271,10 +293,12 @@ class OutputFile(Protocol):
     Attributes:
         arm: the arm of the task.
         scene: its scene.
+        embeds: whether points that were loaded from files are written, rather than the names of these files.
     """
 
     arm: Any
     scene: Any
+    embeds: bool
 
     def find(self, part: Hashable, kind: Any) -> Any:
         """Return the known description of a part, read as `kind`, if it still holds; otherwise None."""
@@ -296,6 +320,10 @@ def read_by(read: Callable[[Any, ValidationInfo], object]) -> PlainValidator:
     return PlainValidator(read)
 
 
+AS_GIVEN = read_by(lambda value, _: value)
+"""Annotation of values that a class checks together."""
+
+
 def check(test: Callable[[Any], bool], allowed: str) -> PlainValidator:
     """Refuse values for which a test does not hold."""
 
@@ -305,6 +333,36 @@ def check(test: Callable[[Any], bool], allowed: str) -> PlainValidator:
         return value
 
     return read_by(read)
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckedBy:
+    """Annotation of values that a check of arguments reads.
+
+    Attributes:
+        test: given the name and the value, it returns what is read or raises a `PostureError`.
+        kind: the kind of quantity that text is, alone or listed; empty: text is not read.
+    """
+
+    test: Callable[[str, Any], object]
+    kind: str = ""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        reader = read_by(lambda value, info: self.read(str(info.field_name), value))
+        return reader.__get_pydantic_core_schema__(source, handler)
+
+    def read(self, name: str, value: object) -> object:
+        """Read a value; raise a `Refusal` or an error of the check that is about several parts."""
+        plain = read_units(value, self.kind) if self.kind else value
+        try:
+            return self.test(name, plain)
+        except InvalidValue as error:
+            part = re.fullmatch(r"\[(\d+)\]", error.name.removeprefix(name))
+            if part is not None:
+                raise NotAllowed(error.value, error.allowed, int(part[1])) from None
+            if error.value is not plain:
+                raise
+            raise NotAllowed(value, error.allowed) from None
 
 
 def one_of(what: str, *words: str) -> PlainValidator:
@@ -372,16 +430,22 @@ def read_quantities(value: object, kinds: Sequence[str], unlimited: bool = False
     )
 
 
-def in_si(table: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]:
-    """Read the text in these keys as quantities, alone or listed; keep all other values."""
-    plain = dict(table)
-    for key, kind in kinds.items():
-        value = plain.get(key)
-        if isinstance(value, str):
-            plain[key] = read_within(key, read_quantity, value, kind)
-        elif isinstance(value, list) and any(isinstance(each, str) for each in value):
-            plain[key] = list(read_within(key, read_quantities, value, [kind] * len(value)))
-    return plain
+def read_units(value: object, kind: str) -> object:
+    """Return a value with text, alone or listed, as quantities; any other value as it is."""
+    if isinstance(value, str):
+        return read_quantity(value, kind)
+    if isinstance(value, list | tuple) and any(isinstance(each, str) for each in value):
+        return list(read_quantities(value, [kind] * len(value)))
+    return value
+
+
+def in_si(table: Mapping[str, Any], reader: Any) -> dict[str, Any]:
+    """Read the text in a table as the quantities that a class or function declares; keep other values."""
+    kinds = {key: each.kind for key, each in _annotations(reader, CheckedBy).items() if each.kind}
+    return {
+        key: read_within(key, read_units, value, kinds[key]) if key in kinds else value
+        for key, value in table.items()
+    }
 
 
 def is_text(value: object) -> bool:
@@ -425,25 +489,11 @@ def _read_flag(value: object, _: ValidationInfo) -> bool:
     return bool(value)
 
 
-def _read_positive_number(value: Any, _: ValidationInfo) -> float:
-    if not is_usable(value):
-        raise NotAllowed(value, "a number")
-    if value < SMALLEST_NUMBER:
-        raise NotAllowed(value, "a finite number > 0")
-    return float(value)
-
-
-def _read_count(value: Any, _: ValidationInfo) -> int:
-    if not (is_whole(value) and value > 0):
-        raise NotAllowed(value, "a whole number, 1 or more")
-    return int(value)
-
-
 Text = Annotated[str, check(is_text, "text")]
 Flag = Annotated[bool, read_by(_read_flag)]
 Number = Annotated[float, check(is_usable, "a number")]
-PositiveNumber = Annotated[float, read_by(_read_positive_number)]
-Count = Annotated[int, read_by(_read_count)]
+PositiveNumber = Annotated[float, CheckedBy(require_positive)]
+Count = Annotated[int, CheckedBy(partial(require_whole, least=1))]
 Length = Annotated[float, quantity("length", above=0.0)]
 AnyLength = Annotated[float, quantity("length")]
 Angle = Annotated[float, quantity("angle")]
@@ -457,6 +507,7 @@ Table = BeforeValidator(_read_table)
 # Declared classes.
 
 Class = TypeVar("Class")
+Annotation = TypeVar("Annotation")
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
@@ -474,11 +525,13 @@ def declared(*, eq: bool = True) -> Callable[[type[Class]], type[Class]]:
 
         @functools.wraps(read)
         def __init__(self: object, *arguments: Any, **named: Any) -> None:
+            # By name: pydantic has another order than Python where a base that is no dataclass names fields.
+            given = dict(zip(names, arguments, strict=False))
             try:
-                read(self, *arguments, **named)
+                read(self, *arguments[len(names) :], **given, **named)
             except ValidationError as error:
                 failure = _error_of_call(made, names, error)
-                subject = made.subject({**dict(zip(names, arguments, strict=False)), **named})
+                subject = made.subject({**given, **named})
                 if subject:
                     failure.args = (f"{subject}: {failure}",)
                 raise failure from None
@@ -491,7 +544,9 @@ def declared(*, eq: bool = True) -> Callable[[type[Class]], type[Class]]:
 
 def _error_of_call(kind: type, names: Sequence[str], error: ValidationError) -> Exception:
     found = error.errors(include_url=False)[0]
-    if found["type"] in ("missing", "unexpected_keyword_argument", "unexpected_positional_argument"):
+    if found["type"] == "multiple_argument_values":
+        return TypeError(f"{kind.__name__} has {len(names)} arguments: {', '.join(names)}")
+    if found["type"] in ("missing", "unexpected_keyword_argument"):
         what = found["type"].partition("_")[0]
         return TypeError(f"{kind.__name__}: {what} argument {found['loc'][-1]!r}")
     cause = found.get("ctx", {}).get("error")
@@ -538,11 +593,11 @@ class Declared:
         """Return the values of fields that differ from their defaults, as a file contains them."""
         table = {}
         kind = cast(Any, type(self))
-        writers = _writers(kind)
+        writers = _annotations(kind, WrittenBy)
         for key, default in _fields(kind).items():
             value = getattr(self, key)
             if isinstance(value, np.ndarray) or value != default:
-                table[key] = writers[key](value, file) if key in writers else write_parts(value, file)
+                table[key] = writers[key].write(value, file) if key in writers else write_parts(value, file)
         return table
 
     @model_validator(mode="wrap")
@@ -570,23 +625,29 @@ def _fields(cls: Any) -> Mapping[str, object]:
     }
 
 
+_hints = cache(partial(get_type_hints, include_extras=True))
+
+
 @cache
-def _writers(cls: Any) -> Mapping[str, Callable[[Any, OutputFile], object]]:
-    """Return the functions that write fields, of those whose annotations have one."""
-    hints = get_type_hints(cls, include_extras=True)
+def _annotations(described: Any, kind: type[Annotation]) -> Mapping[str, Annotation]:
+    """Return the annotations of a kind in a class or function, by field or argument."""
     return {
-        key: each.write
-        for key, hint in hints.items()
+        key: each
+        for key, hint in _hints(described).items()
         for part in (hint, *get_args(hint))  # also of what may be None
         for each in getattr(part, "__metadata__", ())
-        if isinstance(each, WrittenBy)
+        if isinstance(each, kind)
     }
 
 
 def write_parts(value: object, file: OutputFile) -> object:
-    """Return what a file contains for a value: tables for declared classes, alone or listed."""
+    """Return what a file contains for a value: tables for declared classes, alone, listed or by name."""
     if isinstance(value, Declared):
         return value.to_table(file)
+    if isinstance(value, Mapping):
+        return {key: write_parts(each, file) for key, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
     if isinstance(value, tuple) and any(isinstance(each, Declared) for each in value):
         return [write_parts(each, file) for each in value]
     return value
@@ -611,14 +672,124 @@ def read_as(kind: Any, value: object, source: InputFile | None) -> Any:
     return _adapter(kind).validate_python(value, context=source)
 
 
-def read_part(key: str, kind: Any, value: object, source: InputFile) -> Any:
+def read_part(key: str | int, kind: Any, value: object, source: InputFile) -> Any:
     """Read the value of a key of a table; report mistakes at this key."""
+    return read_within(key, read_again, kind, value, source)
+
+
+def read_again(kind: Any, value: object, source: InputFile) -> Any:
+    """Read, within a reader, a value as what the reader has found it to be."""
     try:
         return read_as(kind, value, source)
     except ValidationError as error:
-        raise _at(key, mistakes_of(error)) from None
+        raise _joined(mistakes_of(error)) from None
 
 
-def as_plain(part: Declared) -> Any:
-    """Return a part of which files keep no descriptions as JSON-compatible data, without defaults."""
-    return to_jsonable_python(part.to_table(cast(OutputFile, None)))
+# Parts that are described alone: in plain data, in a folder.
+
+
+class InFolder:
+    """The folder to which paths are relative in a description that belongs to no task.
+
+    Attributes:
+        folder: the folder.
+        described: as in `InputFile`.
+        embeds: as in `OutputFile`.
+    """
+
+    arm: Any = None
+    scene: Any = None
+
+    def __init__(self, folder: Path, embeds: bool = False) -> None:
+        self.folder = folder
+        self.embeds = embeds
+        self.described: dict[Hashable, object] = {}
+
+    def resolve(self, name: str) -> Path:
+        """Return a path named in the description; raise ValueError if there is none."""
+        try:
+            return self.folder / Path(name).expanduser()
+        except RuntimeError as error:  # the home of an unknown user
+            raise ValueError(f"is {shown(name)}, which cannot be found ({error})") from None
+
+    def find(self, part: Hashable, kind: Any) -> Any:
+        """Return None: no descriptions are known."""
+
+
+def read_plain(kind: Any, value: object, name: str = "", folder: str | Path | None = None) -> Any:
+    """Read a value as a declared class or an annotated type.
+
+    Args:
+        kind: what it is read as.
+        value: plain data, or what a Python call accepts.
+        name: what errors call it.
+        folder: the folder to which paths in plain data are relative; None: not plain data.
+
+    Raises:
+        PostureError: the first mistake; names its place.
+    """
+    try:
+        return read_as(kind, value, None if folder is None else InFolder(Path(folder)))
+    except ValidationError as error:
+        place, refusal = mistakes_of(error)[0]
+        raise error_of((name, *place) if name else place, refusal) from refusal.__cause__
+
+
+def as_plain(part: Declared, embed: bool = True) -> Any:
+    """Return a part as JSON-compatible data, without defaults; `embed`: as `OutputFile.embeds`."""
+    return to_jsonable_python(part.to_table(InFolder(Path(), embed)))
+
+
+# Calls: functions whose arguments are declared.
+
+Parameters = ParamSpec("Parameters")
+Returned = TypeVar("Returned")
+
+
+def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
+    """Make a function that reads its arguments as their annotations say, if these are `Annotated`.
+
+    A call raises a `PostureError` for the first argument that is refused.
+    """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Returned:
+        given = signature.bind(*arguments, **named)
+        for name, hint in _hints(function).items():
+            if name in given.arguments and hasattr(hint, "__metadata__"):  # others have their default
+                given.arguments[name] = read_plain(hint, given.arguments[name], name)
+        return function(*given.args, **given.kwargs)
+
+    return call
+
+
+def read_call(
+    table: Mapping[str, Any], functions: Mapping[str, Callable[..., Returned]], what: str
+) -> Returned:
+    """Return what a function returns, given its name as `type` and its arguments by name.
+
+    Args:
+        table: for example {"type": "line", "a": [0, 0, 0], "b": [1, 0, 0]}.
+        functions: by name.
+        what: what they make.
+
+    Raises:
+        ValueError: with all mistakes in the keys, or what the function refuses.
+    """
+    function = functions[read_type(table, functions, what)]
+    arguments = inspect.signature(function).parameters
+    given = {key: value for key, value in table.items() if key != "type"}
+    read_keys(given, arguments)
+    for key, argument in arguments.items():
+        if argument.default is argument.empty and key not in given:
+            raise Refusal(f"the key {key!r} is missing")
+    with refusing(given):
+        return function(**in_si(given, function))
+
+
+def read_type(table: Mapping[str, Any], known: Collection[str], what: str) -> str:
+    """Return the `type` that a table names, one of those known; `what`: what has such types."""
+    if "type" not in table:
+        raise Refusal(f"the key 'type' is missing; allowed: {', '.join(known)}")
+    return read_within("type", read_word, table["type"], known, f"type of {what}")

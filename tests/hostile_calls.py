@@ -249,8 +249,7 @@ RESULTS = (
 ON_FILES = (
     *("load", "save", "save_html", "view", "animate", "plot", "plot_arm", "plot_comparison", "template"),
     *("Curve.load", "Curve.save", "Mesh.load", "Scan.load", "Scene.load", "Scene.save", "Task.load"),
-    *("Arm.from_dict", "Arm.from_spec", "Arm.from_model", "Curve.from_dict", "Mesh.from_dict"),
-    *("Scan.from_dict", "Scene.from_dict"),
+    *("Arm.from_dict", "Arm.from_spec", "Arm.from_model", "Curve.from_dict", "Scene.from_dict"),
 )
 """What reads and writes, which has tests of its own."""
 IN_LOOPS = (

@@ -20,13 +20,15 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import ArmSpec, FeedSpec
-from pinposture.errors import InvalidValue, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.schema import mistakes_of, read_as
 from pinposture.task import Leader, TipGoal, Withdrawal
 
 
 class File:
     """Where values are read from and written to, without a file."""
+
+    embeds = False
 
     def __init__(self) -> None:
         self.arm = template_arm("RyRz", 6)
@@ -54,6 +56,12 @@ NEEDED: dict[type, dict[str, Any]] = {
     Withdrawal: {},
     FeedSpec: {"stroke": 0.3},
     ArmSpec: {"template": "RyRz", "modules": 3},
+    pp.Sphere: {"center": (0.1, 0.2, 0.3), "radius": 0.1},
+    pp.Capsule: {"start": (0.1, 0.2, 0.3), "end": (0.4, 0.5, 0.6), "radius": 0.1},
+    pp.Box: {"center": (0.1, 0.2, 0.3), "size": (0.1, 0.2, 0.3)},
+    pp.HalfSpace: {"point": (0.1, 0.2, 0.3), "normal": (0.0, 0.0, 1.0)},
+    pp.Scan: {"points": [(0.1, 0.2, 0.3), (0.4, 0.5, 0.6)]},
+    pp.Scene: {},
 }
 IN_FILE: dict[type, dict[str, Any]] = {
     pp.Limits: {"cycle": 0.02, "acceleration": 3.0},
@@ -81,6 +89,7 @@ VALUES = (
         [],
         [1.0],
         [0.0, 1.0, 2.0],
+        [0.5, 1.0, 2.0],
         [1, "2", 3],
         {},
         {"a": 1},
@@ -95,6 +104,12 @@ SHARED = [
     (Withdrawal, ("speed",)),
     (FeedSpec, ("stroke", "length", "speed")),
     (ArmSpec, ("joint_limits", "characteristic_length")),
+    (pp.Sphere, ("center", "radius")),
+    (pp.Capsule, ("start", "end", "radius")),
+    (pp.Box, ("center", "size", "rotation")),
+    (pp.HalfSpace, ("point", "normal")),
+    (pp.Scan, ("center", "rotation", "point_radius")),
+    (pp.Scene, ("self_collision", "margin", "arm_radius", "velocities")),
 ]
 FIELDS = [(kind, name) for kind, names in SHARED for name in names]
 
@@ -131,6 +146,54 @@ def test_text_with_a_unit_is_a_quantity_in_a_call_too() -> None:
     assert TipGoal(("10 cm", 0, 0)).position == (0.1, 0.0, 0.0)  # type: ignore[arg-type]
     with pytest.raises(InvalidValue, match=r"^dt is '20 mm'; allowed: .* s, ms, min$"):
         pp.Limits(dt="20 mm")  # type: ignore[arg-type]
+
+
+def test_obstacles_and_curves_are_given_with_units_in_calls_and_files() -> None:
+    ball = pp.Sphere(("10 cm", 0, 0.3), "25 mm")  # type: ignore[arg-type]
+    assert ball == pp.Sphere((0.1, 0.0, 0.3), 0.025)
+    described = {"type": "box", "center": ["1 cm", 0, 0], "size": [1, 1, 1], "rotation": ["90 deg", 0, 0]}
+    turned = pp.Box((0.01, 0, 0), (1, 1, 1), (math.pi / 2, 0, 0))
+    scene = pp.Scene.from_dict({"margin": "5 mm", "obstacles": {"box": described}})
+    assert scene == pp.Scene({"box": turned}, margin=0.005)
+    helix: Any = pp.Curve.helix
+    assert helix("6 cm", "150 mm", 4, phase="90 deg") == pp.Curve.helix(0.06, 0.15, 4, phase=math.pi / 2)
+    with pytest.raises(InvalidValue, match=r"^radius is '6 kg'; allowed: .* m, cm, mm$"):
+        helix("6 kg", 0.1, 4)
+
+
+def test_the_mistakes_in_a_scene_file_are_told_together(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    ball = '[obstacles.a]\ntype = "sphere"\ncenter = [0, 0]\nradius = -1\n'
+    file.write_text(f"{ball}\n[obstacles.b]\ntype = 3\n")
+    with pytest.raises(FileError) as caught:
+        pp.Scene.load(file)
+    said = [error.reason for error in caught.value.reasons if isinstance(error, FileError)]
+    assert said == [
+        "line 3: obstacles.a.center: is [0, 0]; allowed: three finite numbers",
+        "line 4: obstacles.a.radius: is -1; allowed: a length of 1e-09 to 10000 m",
+        "line 7: obstacles.b.type: is 3; allowed: 'sphere', 'capsule', 'cylinder', 'box', 'half_space', "
+        "'mesh', 'scan'",
+    ]
+
+
+def test_a_description_in_which_nothing_is_left_out_is_read() -> None:
+    turn = np.eye(3).tolist()
+    described = {
+        "version": 1,
+        "self_collision": True,
+        "margin": 0.005,
+        "obstacles": {
+            "box": {"type": "box", "center": [0.0, 0.0, 1.0], "size": [1.0, 1.0, 1.0], "rotation": turn},
+            "cloud": {
+                "type": "scan",
+                "points": [[0.0, 0.0, 1.0]],
+                "center": [0.0, 0.0, 0.0],
+                "rotation": turn,
+            },
+        },
+    }
+    obstacles = {"box": pp.Box((0, 0, 1), (1, 1, 1)), "cloud": pp.Scan([(0, 0, 1)])}
+    assert pp.Scene.from_dict(described) == pp.Scene(obstacles)
 
 
 @pytest.mark.parametrize("kind", NEEDED, ids=lambda each: each.__name__)

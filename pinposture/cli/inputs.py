@@ -600,7 +600,9 @@ class ControllerOptions:
             UnknownName: an unknown controller.
             InvalidValue: an option of geodesic is given for another controller.
         """
-        _controller_named(self.controller)
+        from pinposture.control import controller_named
+
+        controller_named(self.controller)
         told = {"joint_weight": self.joint_weight, **only_geodesic}
         given = [f"--{name.replace('_', '-')}" for name, value in told.items() if value not in (None, False)]
         if given and self.controller != "geodesic":
@@ -614,20 +616,13 @@ class ControllerOptions:
             UnknownName: an unknown controller.
             InvalidValue: joint_weight is not a positive number.
         """
-        from pinposture.control import Geodesic
+        from pinposture.control import Geodesic, controller_named
 
-        chosen = _controller_named(self.controller)
+        chosen = controller_named(self.controller)
         if not isinstance(chosen, Geodesic):
             return chosen
         weight = chosen.joint_weight if self.joint_weight is None else self.joint_weight
         return replace(chosen, joint_weight=weight, tasks=() if task is None else (task,))
-
-
-def _controller_named(name: str) -> Controller:
-    """Return the controller of a name."""
-    from pinposture.control import controller_named
-
-    return controller_named(name)
 
 
 CURVE_HELP = (

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_number, require_instance
 from pinposture.arm.packages import find_packages, is_file, model_folders, package_folders
 from pinposture.errors import FileError, InvalidValue
+from pinposture.schema import shown
 from pinposture.storage import read_text, require_suffix
 
 _FOLDERS = {"package": package_folders, "model": model_folders}  # where to search, by scheme
@@ -198,7 +199,7 @@ def _read_text(path: Path) -> ReadScan:
         names = _names(first, mark)
         skipped = number
         if not set(names) >= _XYZ:
-            raise FileError(path, f"line {number} is {_short(first)}; allowed: {_LINES}")
+            raise FileError(path, f"line {number} is {shown(first)}; allowed: {_LINES}")
     # A comment counts as column names only if it names all columns.
     if set(names) >= _XYZ and (skipped == number or len(names) == count):
         columns = (names.index("x"), names.index("y"), names.index("z"))
@@ -241,7 +242,7 @@ def _fault(text: str, skipped: int, mark: str | None, columns: tuple[int, ...]) 
         if content and number > skipped:
             words = content.split(mark)
             if len(words) <= max(columns) or not _are_numbers([words[column] for column in columns]):
-                return f"line {number} is {_short(content)}; allowed: {_LINES}"
+                return f"line {number} is {shown(content)}; allowed: {_LINES}"
     return ""
 
 
@@ -283,10 +284,6 @@ def _rows(path: Path, name: str, values: NDArray[Any]) -> Array:
         found = f"{name} is {values.dtype} {values.shape}"
         raise FileError(path, f"{found}; allowed: numbers, (n, 3) or (rows, columns, 3)")
     return np.asarray(values[..., :3].reshape(-1, 3), dtype=np.float64)
-
-
-def _short(text: str) -> str:
-    return repr(text if len(text) < 60 else text[:57] + "...")
 
 
 def _read_model(path: Path) -> ReadScan:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, cast
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from pydantic import ValidationInfo
 
-from pinposture._validation import known_keys, require_instance, require_known
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import (
     Box,
@@ -21,7 +20,7 @@ from pinposture.collision.shapes import (
     MeshShape,
     Sphere,
 )
-from pinposture.errors import InvalidValue
+from pinposture.schema import NotAllowed, in_file, read_again, read_by, read_plain, read_type
 
 Array = NDArray[np.float64]
 
@@ -39,12 +38,31 @@ DIRECTIONS = ("rotation", "normal")
 """Names of the fields of obstacles that turn with them."""
 
 
+def _read_obstacle(value: object, info: ValidationInfo) -> Obstacle:
+    """Read an obstacle: a table with its type and the values of that type."""
+    if isinstance(value, tuple(OBSTACLE_TYPES.values())):
+        return cast(Obstacle, value)
+    source = in_file(info)
+    if source is None:
+        raise NotAllowed(value, ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values()))
+    if not isinstance(value, Mapping):
+        raise NotAllowed(value, "a table with a 'type'")
+    kind = OBSTACLE_TYPES[read_type(value, OBSTACLE_TYPES, "obstacle")]
+    obstacle: Obstacle = read_again(kind, value, source)
+    return obstacle
+
+
+ObstacleField: TypeAlias = Annotated[Any, read_by(_read_obstacle)]
+"""An obstacle, in a call and in a file."""
+
+
 def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obstacle:
     """Create an obstacle from its description by `to_dict`.
 
     Args:
         described: "type", and the attributes of that type by name. A mesh has "vertices" or "path", a file
-            name, with an optional "scale"; a scan has "points" or "path".
+            name, with an optional "scale"; a scan has "points" or "path". Lengths and angles may be text with
+            a unit, as in files.
         folder: folder to which paths are relative.
 
     Raises:
@@ -52,25 +70,13 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
         UnknownName: an unknown type.
         FileError: the file of a mesh or scan is missing or invalid.
     """
-    require_instance("obstacle", described, Mapping, "a table with a 'type'")
-    values = dict(described)
-    name = values.pop("type", None)
-    if name is None:
-        raise InvalidValue("type", None, ", ".join(OBSTACLE_TYPES))
-    require_known("type of obstacle", name, OBSTACLE_TYPES)
-    kind = OBSTACLE_TYPES[name]
-    if issubclass(kind, Mesh | Scan):
-        return kind.from_dict(values, folder)
-    known_keys(f"a {name}", values, kind.keys())
-    for key in (each.name for each in fields(kind) if each.default is MISSING):
-        if key not in values:
-            raise InvalidValue(key, None, f"a value; a {name} has {', '.join(kind.keys())}")
-    return kind(**values)
+    obstacle: Obstacle = read_plain(ObstacleField, described, folder=folder)
+    return obstacle
 
 
 def describe_types() -> list[str]:
     """Return the types of obstacles, each with the names that its description may have."""
-    return [f"{name} ({', '.join(kind.keys())})" for name, kind in OBSTACLE_TYPES.items()]
+    return [f"{name} ({', '.join(kind.check_keys()[1:])})" for name, kind in OBSTACLE_TYPES.items()]
 
 
 def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:

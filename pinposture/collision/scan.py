@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,10 +17,7 @@ from scipy.spatial import cKDTree
 from pinposture import _validation
 from pinposture._validation import (
     LARGEST_LENGTH,
-    Matrix,
-    Vector,
     as_floats,
-    known_keys,
     length,
     make_read_only,
     point,
@@ -27,8 +26,9 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.collision.files import read_scan, scale_factor
-from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, warn_of_width
+from pinposture.collision.shapes import UNTURNED, Point, Size, Surface, Turn, check_faces, warn_of_width
 from pinposture.errors import FileError, InvalidValue, no_warnings
+from pinposture.schema import AS_GIVEN, CheckedBy, Number, declared
 
 logger = logging.getLogger(__name__)
 
@@ -51,13 +51,13 @@ scanner sees from within a room, 3 % are farther apart."""
 _SAMPLE = 10_000  # points of which the median is taken
 
 
-def _points(values: ArrayLike) -> Array:
+def _points(name: str, values: ArrayLike) -> Array:
     """Return a new array of points, (n, 3), finite or not."""
-    points = as_floats("points", values, "points, (n, 3) [m]")
+    points = as_floats(name, values, "points, (n, 3) [m]")
     if points.ndim != 2 or points.shape[1] != 3:
-        raise InvalidValue("points (shape)", points.shape, "(n, 3)")
+        raise InvalidValue(f"{name} (shape)", points.shape, "(n, 3)")
     if len(points) > MAX_SCAN_SIZE:
-        raise InvalidValue("points (number)", len(points), f"at most {MAX_SCAN_SIZE}")
+        raise InvalidValue(f"{name} (number)", len(points), f"at most {MAX_SCAN_SIZE}")
     return points
 
 
@@ -166,7 +166,7 @@ def _reach(points: Array, tree: cKDTree, most: float) -> Array:
     return np.asarray(distances[:, 0])
 
 
-@dataclass(frozen=True, eq=False)
+@declared(eq=False)
 class Scan(Surface):
     """A scanned surface or point cloud as an obstacle, including its cavities.
 
@@ -200,33 +200,34 @@ class Scan(Surface):
     """
 
     type: ClassVar[str] = "scan"
+    own: ClassVar[str] = "points"
     convex: ClassVar[bool] = False
-    points: Array = field(repr=False)
-    faces: NDArray[np.int32] | None = field(default=None, repr=False)
-    colors: NDArray[np.uint8] | None = field(default=None, repr=False)
-    name: str = "scan"
+    points: Annotated[Array, CheckedBy(_points)] = field(repr=False)
+    faces: Annotated[NDArray[np.int32] | None, AS_GIVEN] = field(default=None, repr=False)
+    colors: Annotated[NDArray[np.uint8] | None, AS_GIVEN] = field(default=None, repr=False)
+    name: Annotated[str, CheckedBy(require_name)] = "scan"
     path: Path | None = None
-    scale: float = 1.0
-    center: Vector = (0.0, 0.0, 0.0)
-    rotation: Matrix = UNTURNED
-    point_radius: float = 0.0
-    outlier_distance: float | None = None
+    scale: Number = 1.0
+    center: Point = (0.0, 0.0, 0.0)
+    rotation: Turn = UNTURNED
+    point_radius: Annotated[float, CheckedBy(partial(length, zero=True), "length")] = 0.0
+    outlier_distance: Size | None = None
     dropped: int = field(init=False, default=0)
     outliers: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
-        points = _points(self.points)
+        points = self.points
         colors = None if self.colors is None else _colors(self.colors, len(points))
         faces = None if self.faces is None else check_faces(self.faces, len(points))
         if faces is not None and len(faces) > MAX_SCAN_SIZE:
             raise InvalidValue("faces (number)", len(faces), f"at most {MAX_SCAN_SIZE}")
-        radius = length("point_radius", self.point_radius, zero=True)
-        if faces is not None and radius > 0.0:
-            raise InvalidValue("point_radius", radius, "0 for a surface; give the scene a larger margin")
+        if faces is not None and self.point_radius > 0.0:
+            raise InvalidValue(
+                "point_radius", self.point_radius, "0 for a surface; give the scene a larger margin"
+            )
         if self.outlier_distance is not None and self.path is None:
             allowed = "None: use Scan(points).without_outliers(distance)"
             raise InvalidValue("outlier_distance", self.outlier_distance, allowed)
-        require_name("name", self.name)
         finite = np.asarray(np.isfinite(points).all(axis=1))
         dropped = int(len(points) - finite.sum())
         if dropped:
@@ -245,13 +246,7 @@ class Scan(Surface):
             raise InvalidValue("points (largest coordinate)", farthest, allowed)
         warn_of_width(self.name, points)
         make_read_only(points, faces, colors)
-        set_fields(self, points=points, faces=faces, colors=colors, point_radius=radius)
-        set_fields(self, dropped=dropped, outliers=0)
-        set_fields(
-            self,
-            center=point("center", self.center),
-            rotation=_validation.rotation("rotation", self.rotation),
-        )
+        set_fields(self, points=points, faces=faces, colors=colors, dropped=dropped, outliers=0)
 
     @classmethod
     def load(
@@ -296,34 +291,10 @@ class Scan(Surface):
             raise FileError(path, str(error)) from error
 
     @classmethod
-    def keys(cls) -> tuple[str, ...]:
-        """Return the names that a description of it may have, beside its type."""
+    def check_keys(cls, values: Mapping[str, Any] = MappingProxyType({})) -> tuple[str, ...]:
+        """Return the names that a description of it may have."""
         pose = ("center", "rotation")
-        return "path", "scale", *pose, "point_radius", "outlier_distance", "points", "faces"
-
-    @classmethod
-    def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scan:
-        """Create a scan from its description by `to_dict`, or from a file; see `obstacle_from_dict`."""
-        known_keys("a scan", described, cls.keys())
-        scan: Scan = from_points_or_path(cls, described, "points", folder)
-        return scan
-
-    def to_dict(self, embed: bool = True) -> dict[str, Any]:
-        """Return the scan as JSON-compatible data; see `obstacle_from_dict`.
-
-        Args:
-            embed: whether to include points that were loaded from a file, rather than its path.
-        """
-        described = super().to_dict(embed)
-        if self.point_radius:
-            described["point_radius"] = self.point_radius
-        if self.outlier_distance is not None and "path" in described:
-            described["outlier_distance"] = self.outlier_distance
-        return described
-
-    def _data(self) -> dict[str, Any]:
-        faces = {} if self.faces is None else {"faces": self.faces.tolist()}
-        return {"points": self.points.tolist(), **faces}
+        return "type", "path", "scale", *pose, "point_radius", "outlier_distance", "points", "faces"
 
     @property
     def content(self) -> tuple[Array, NDArray[np.int32] | None]:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import ItemsView, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import field, fields, replace
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
+from pydantic import AfterValidator, BeforeValidator, ValidationInfo
 
 from pinposture._validation import (
     Vector,
-    known_keys,
     length,
     point,
     require_instance,
@@ -26,26 +26,61 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.collision.distances import PairDistances, Placements
-from pinposture.collision.obstacles import (
-    OBSTACLE_TYPES,
-    Obstacle,
-    displaced,
-    obstacle_from_dict,
+from pinposture.collision.obstacles import Obstacle, ObstacleField, displaced
+from pinposture.collision.shapes import Size, Sphere
+from pinposture.document import Document, plain_data
+from pinposture.errors import warn_caller
+from pinposture.schema import (
+    CheckedBy,
+    Declared,
+    Flag,
+    InFolder,
+    InputFile,
+    NotAllowed,
+    OutputFile,
+    as_plain,
+    declared,
+    in_file,
+    is_text,
+    read_again,
+    read_by,
+    read_keys,
+    read_plain,
+    read_within,
+    refusing,
 )
-from pinposture.collision.shapes import Sphere
-from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
-from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix, write_text
+from pinposture.storage import require_suffix, settled, write_text
 
 VERSION = 1
 USUAL_MARGIN = 0.005  # the clearance to keep unless another one is given [m]
 MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
 PROBE_RADIUS = 1e-6  # radius of the sphere that represents a point [m]
 
-_KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius", "velocities")
+
+def _require_named(value: object) -> dict[str, object]:
+    """Return a mapping from names of obstacles as a new dictionary."""
+    if not isinstance(value, Mapping):
+        raise NotAllowed(value, "a table or mapping from names of obstacles")
+    for name in value:
+        require_name("name of an obstacle", name)
+    return dict(value)
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+def _require_known_names(value: Mapping[str, Vector], info: ValidationInfo) -> Mapping[str, Vector]:
+    for name in value:
+        require_known("obstacle", name, info.data.get("obstacles", value))
+    return value
+
+
+Velocity = Annotated[Vector, CheckedBy(point, "speed")]
+"""A velocity, (3,) [m/s]."""
+
+_Named = BeforeValidator(_require_named)
+_ReadOnly = AfterValidator(MappingProxyType)
+
+
+@declared(eq=False)
+class Scene(Declared):
     """Obstacles, and the clearance that an arm must keep from them and from itself.
 
     A scene is immutable, comparable and picklable, and independent of arms; `CollisionModel` takes both:
@@ -65,38 +100,36 @@ class Scene:
         velocities: velocities of moving obstacles by name, (3,) [m/s]; all others stand still.
     """
 
-    obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
-    self_collision: bool = True
-    margin: float = USUAL_MARGIN
-    arm_radius: float | None = None
-    velocities: Mapping[str, Vector] = field(default_factory=dict)
-    _first: Scene | None = field(init=False, repr=False, default=None)
-    _hash: int = field(init=False, repr=False)
+    _first: ClassVar[Scene | None] = None  # of a scene that is another one at some moment
+    obstacles: Annotated[Mapping[str, ObstacleField], _ReadOnly, _Named] = field(default_factory=dict)
+    self_collision: Flag = True
+    margin: Annotated[float, CheckedBy(partial(length, zero=True), "length")] = USUAL_MARGIN
+    arm_radius: Size | None = None
+    velocities: Annotated[Mapping[str, Velocity], _ReadOnly, AfterValidator(_require_known_names), _Named] = (
+        field(default_factory=dict)
+    )
 
-    def __post_init__(self) -> None:
-        require_instance("obstacles", self.obstacles, Mapping, "a mapping from names to obstacles")
-        for name, obstacle in self.obstacles.items():
-            require_name("name of an obstacle", name)
-            if not isinstance(obstacle, tuple(OBSTACLE_TYPES.values())):
-                allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
-                raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
-        require_instance("self_collision", self.self_collision, bool, "True or False")
-        obstacles = MappingProxyType(dict(self.obstacles))
-        margin = length("margin", self.margin, zero=True)
-        set_fields(self, obstacles=obstacles, margin=margin)
-        if self.arm_radius is not None:
-            set_fields(self, arm_radius=length("arm_radius", self.arm_radius))
-        velocities = {name: point(f"velocities[{name!r}]", v) for name, v in self._known(self.velocities)}
-        set_fields(self, velocities=MappingProxyType(velocities))
-        # The hash is precomputed: every control step may look up the collision model of a scene.
-        set_fields(self, _hash=hash(self._key()))
+    @classmethod
+    def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the keys of its table."""
+        return ("version", *(each.name for each in fields(cls)))
 
-    def _known(self, values: Mapping[str, Any]) -> ItemsView[str, Any]:
-        """Return the items of a mapping from obstacle names; raise UnknownName for an unknown obstacle."""
-        require_instance("values", values, Mapping, "a mapping from names of obstacles")
-        for name in values:
-            require_known("obstacle", name, self.obstacles)
-        return values.items()
+    @classmethod
+    def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
+        """Return the values of fields, without the version of the format."""
+        version = values.get("version", VERSION)
+        if isinstance(version, bool) or version != VERSION:
+            raise NotAllowed(version, str(VERSION), "version")
+        return {key: value for key, value in values.items() if key != "version"}
+
+    def to_table(self, file: OutputFile) -> dict[str, Any]:
+        """Return the table: the file of the scene if it is known, or its content."""
+        known: dict[str, Any] | None = file.find(self, SceneField)
+        return known or {"margin": self.margin, **self.written(file)}
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash(self._key())
 
     @property
     def first(self) -> Scene:
@@ -139,7 +172,9 @@ class Scene:
         """
         first = self.first
         obstacles = dict(self.obstacles)
-        for name, placement in self._known(placements):
+        require_instance("placements", placements, Mapping, "a mapping from names of obstacles")
+        for name, placement in placements.items():
+            require_known("obstacle", name, first.obstacles)
             if isinstance(placement, pin.SE3):
                 motion = placement
             else:
@@ -184,16 +219,8 @@ class Scene:
         Args:
             embed: whether to include the points of meshes and scans from files, rather than their paths.
         """
-        radius = {} if self.arm_radius is None else {"arm_radius": self.arm_radius}
-        velocities = {name: list(velocity) for name, velocity in self.velocities.items()}
-        return {
-            "version": VERSION,
-            "self_collision": self.self_collision,
-            "margin": self.margin,
-            **radius,
-            **({"velocities": velocities} if velocities else {}),
-            "obstacles": {name: each.to_dict(embed) for name, each in self.obstacles.items()},
-        }
+        table = as_plain(self, embed)
+        return {"version": VERSION, "self_collision": self.self_collision, **table}
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scene:
@@ -208,22 +235,15 @@ class Scene:
             UnknownName: an unknown type of obstacle.
             FileError: a missing or unreadable mesh or scan.
         """
-        require_instance("scene", described, Mapping, f"a table of: {', '.join(_KEYS)}")
-        known_keys("the scene", described, _KEYS)
-        version = described.get("version", VERSION)
-        if isinstance(version, bool) or version != VERSION:
-            raise InvalidValue("version", version, str(VERSION))
-        values = {key: described[key] for key in _KEYS[2:] if key in described}
-        listed = described.get("obstacles", {})
-        require_instance("obstacles", listed, Mapping, "a table of obstacles, each under its name")
-        obstacles = {name: _obstacle(name, each, folder) for name, each in listed.items()}
-        return cls(obstacles, **values)
+        scene: Scene = read_plain(cls, described, folder=folder)
+        return scene
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
         """Read a scene from a TOML or JSON file; both have the keys of `to_dict`.
 
-        A `PostureWarning` reports a file without obstacles that does not set self-collision either.
+        Lengths and angles may be text with a unit, such as "25 mm". A `PostureWarning` reports a file without
+        obstacles that does not set self-collision either.
 
         Paths of meshes and scans are relative to the folder of the file.
 
@@ -231,18 +251,9 @@ class Scene:
             FileError: missing, unreadable, malformed, or not a scene; names the line, or key and allowed
                 values.
         """
-        path = Path(path)
-        suffix = require_suffix(path, ".toml", ".json")
-        text = read_text(path)
-        try:
-            content = parse_toml(text) if suffix == ".toml" else parse_json(path, text)
-        except (ValueError, RecursionError) as error:  # of TOML, with the line
-            raise FileError(path, str(error).replace("\n", " ")) from error
-        try:
-            scene = cls.from_dict(content, str(path.parent))
-        except PostureError as error:
-            raise FileError(path, str(error)) from error
-        if not scene.obstacles and "self_collision" not in content:
+        document = Document.load(Path(path))
+        scene: Scene = document.read(cls, ())
+        if not scene.obstacles and "self_collision" not in document.values:
             warn_caller(f"{path} contains no obstacles")
         return scene
 
@@ -256,11 +267,10 @@ class Scene:
         """
         path = Path(path)
         require_suffix(path, ".json")
-        described = self.to_dict(embed=False)
-        for each in described["obstacles"].values():
-            if "path" in each:
-                each["path"] = relative(Path(each["path"]), path.parent)
-        write_text(path, json.dumps(described, allow_nan=False, indent=1) + "\n")
+        table = self.to_table(InFolder(path.parent))
+        described = {"version": VERSION, "self_collision": self.self_collision, **table}
+        text = json.dumps(plain_data(described, path.parent), allow_nan=False, indent=1)
+        write_text(path, text + "\n")
         return path
 
     def __repr__(self) -> str:
@@ -289,17 +299,27 @@ class Scene:
         return obstacles, velocities, self.self_collision, self.margin, self.arm_radius
 
 
-def _obstacle(name: str, described: Any, folder: str) -> Obstacle:
-    try:
-        return obstacle_from_dict(described, folder)
-    except InvalidValue as error:
-        raise InvalidValue(f"obstacle {name!r}: {error.name}", error.value, error.allowed) from None
-    except UnknownName as error:
-        raise UnknownName(f"type of obstacle {name!r}", error.name, error.allowed) from None
-    except FileError as error:
-        raise FileError(
-            error.path, f"{error.reason}; the {described['type']} of obstacle {name!r}"
-        ) from error
+def _read_scene(value: object, info: ValidationInfo) -> Scene | None:
+    """Read a scene of a task: a table with its file, or with its content; None for an empty one."""
+    source = in_file(info)
+    if value is None or isinstance(value, Scene):
+        return value
+    if source is None:
+        raise NotAllowed(value, "a Scene, or None")
+    if isinstance(value, Mapping) and "file" in value:
+        name = read_keys(value, ("file",))["file"]
+        if not is_text(name):
+            raise NotAllowed(name, "text", "file")
+        path = read_within("file", source.resolve, name)
+        with refusing(key="file"):
+            scene = Scene.load(path)
+        source.described[scene] = {"file": settled(path)}
+        return scene
+    return None if value == {} else read_again(Scene, value, source)
+
+
+SceneField: TypeAlias = Annotated[Scene | None, read_by(_read_scene)]
+"""A scene, in a call and in a task file."""
 
 
 def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tuple[str, ...]:

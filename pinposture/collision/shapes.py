@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeAlias, TypeVar
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
 import coal
 import numpy as np
@@ -22,7 +23,6 @@ from pinposture._validation import (
     Vector,
     as_floats,
     direction,
-    known_keys,
     length,
     make_read_only,
     point,
@@ -34,6 +34,19 @@ from pinposture.collision.files import Triangles, merge_corners, read_mesh, scal
 from pinposture.collision.solids import Solid, Tree, capsule_around, z_along
 from pinposture.errors import InvalidValue, warn_caller
 from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
+from pinposture.schema import (
+    AS_GIVEN,
+    CheckedBy,
+    Declared,
+    InputFile,
+    Number,
+    OutputFile,
+    as_plain,
+    declared,
+    in_si,
+    refusing,
+)
+from pinposture.storage import settled
 
 Array = NDArray[np.float64]
 
@@ -70,10 +83,19 @@ UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 CONVEX = 1e-7  # relative tolerance of the volumes of a convex mesh and its hull
 
+Size = Annotated[float, CheckedBy(length, "length")]
+"""A length above 0 [m]."""
 
-@dataclass(frozen=True)
-class Described:
-    """Base class of shapes with a description that `obstacle_from_dict` reads.
+Point = Annotated[Vector, CheckedBy(point, "length")]
+"""A point, (3,) [m]."""
+
+Turn = Annotated[Matrix, CheckedBy(rotation, "angle")]
+"""A rotation, (3, 3); read also from roll, pitch and yaw [rad], and None as the identity."""
+
+
+@declared()
+class Described(Declared):
+    """Base class of shapes, which tables with a `type` describe.
 
     Attributes:
         type: type name in scene files.
@@ -90,9 +112,36 @@ class Described:
     convex: ClassVar[bool] = True
 
     @classmethod
-    def keys(cls) -> tuple[str, ...]:
-        """Return the names that a description of it may have, beside its type."""
-        return tuple(each.name for each in fields(cls))
+    def check_keys(cls, values: Mapping[str, Any] = MappingProxyType({})) -> tuple[str, ...]:
+        """Return the names that a description of it may have."""
+        return ("type", *(each.name for each in fields(cls)))
+
+    @classmethod
+    def from_table(cls, values: Mapping[str, Any], source: InputFile) -> Any:
+        """Return the values of fields."""
+        return {key: value for key, value in in_si(values, cls).items() if key != "type"}
+
+    def remember(self, values: Mapping[str, Any], source: InputFile) -> None:
+        """Keep angles and names of files as they were given."""
+        path = {"path": settled(source.resolve(values["path"]))} if "path" in values else {}
+        source.described[self] = in_si(values, type(self)) | path
+
+    def to_table(self, file: OutputFile) -> dict[str, Any]:
+        """Return the table: as the file describes it already, or its type and its values."""
+        known: dict[str, Any] | None = file.find(self, type(self))
+        if known is not None:
+            return known
+        table = {"type": self.type, **self.written(file)}
+        return {key: table[key] for key in self.check_keys() if key in table}
+
+    def to_dict(self, embed: bool = True) -> dict[str, Any]:
+        """Return the shape as JSON-compatible data; see `obstacle_from_dict`.
+
+        Args:
+            embed: whether to include the points of a mesh or scan from a file, rather than its path.
+        """
+        described: dict[str, Any] = as_plain(self, embed)
+        return described
 
     @classmethod
     def of_size(cls, center: Vector, axis: Array, size: float) -> Any:
@@ -110,7 +159,7 @@ class Described:
             "end": center + half,
             "size": np.full(3, 2.0 * size),
         }
-        names = cls.keys()
+        names = cls.check_keys()
         number = 0.5 * size if "start" in names else size
         values |= {each.name: number for each in number_fields(cls) if each.default is MISSING}
         return cls(**{name: value for name, value in values.items() if name in names})
@@ -141,20 +190,8 @@ class Described:
         own: Any = self
         return pin.SE3(np.array(getattr(self, "rotation", UNTURNED)), np.array(own.center))
 
-    def to_dict(self, embed: bool = True) -> dict[str, Any]:
-        """Return the shape as JSON-compatible data; see `obstacle_from_dict`.
 
-        Args:
-            embed: whether to include the points of a mesh or scan from a file, rather than its path.
-        """
-        described: dict[str, Any] = {"type": self.type}
-        for each in fields(self):
-            value = getattr(self, each.name)
-            described[each.name] = np.array(value).tolist() if isinstance(value, tuple) else value
-        return described
-
-
-@dataclass(frozen=True)
+@declared()
 class Sphere(Described):
     """A ball.
 
@@ -166,11 +203,8 @@ class Sphere(Described):
     type: ClassVar[str] = "sphere"
     handles: ClassVar[tuple[str, ...]] = ("radius",)
     symmetry: ClassVar[Symmetry] = "ball"
-    center: Vector
-    radius: float
-
-    def __post_init__(self) -> None:
-        set_fields(self, center=point("center", self.center), radius=length("radius", self.radius))
+    center: Point
+    radius: Size
 
     def solid(self) -> Solid:
         """Return it as a solid."""
@@ -180,7 +214,7 @@ class Sphere(Described):
         return Solid(geometry, np.eye(3), center, center, center, self.radius, center, half, SEGMENT, True)
 
 
-@dataclass(frozen=True)
+@declared()
 class Rounded(Described):
     """Base class of capsules and cylinders: a line from start to end, and a radius."""
 
@@ -188,13 +222,11 @@ class Rounded(Described):
     symmetry: ClassVar[Symmetry] = "axis"
     primitive: ClassVar[int]
     advice: ClassVar[str]
-    start: Vector
-    end: Vector
-    radius: float
+    start: Point
+    end: Point
+    radius: Size
 
     def __post_init__(self) -> None:
-        set_fields(self, start=point("start", self.start), end=point("end", self.end))
-        set_fields(self, radius=length("radius", self.radius))
         if np.linalg.norm(np.subtract(self.end, self.start)) < SMALLEST_LENGTH:
             raise InvalidValue("end", self.end, f"another point than start; {self.advice}")
 
@@ -221,7 +253,7 @@ class Rounded(Described):
         return pin.SE3(rotation_to(end - start), 0.5 * (start + end))
 
 
-@dataclass(frozen=True)
+@declared()
 class Capsule(Rounded):
     """All points within a radius of a line: a cylinder with round ends.
 
@@ -236,7 +268,7 @@ class Capsule(Rounded):
     advice: ClassVar[str] = "a capsule without length is a Sphere"
 
 
-@dataclass(frozen=True)
+@declared()
 class Cylinder(Rounded):
     """A cylinder with flat ends.
 
@@ -251,7 +283,14 @@ class Cylinder(Rounded):
     advice: ClassVar[str] = "a cylinder has a length"
 
 
-@dataclass(frozen=True)
+def _edge_lengths(name: str, value: Any) -> Vector:
+    size = point(name, value)
+    for axis, edge in enumerate(size):
+        length(f"{name}[{axis}]", edge)
+    return size
+
+
+@declared()
 class Box(Described):
     """A box.
 
@@ -264,15 +303,9 @@ class Box(Described):
 
     type: ClassVar[str] = "box"
     handles: ClassVar[tuple[str, ...]] = ("x", "y", "z")
-    center: Vector
-    size: Vector
-    rotation: Matrix = UNTURNED
-
-    def __post_init__(self) -> None:
-        set_fields(self, center=point("center", self.center), size=point("size", self.size))
-        for axis, edge in enumerate(self.size):
-            length(f"size[{axis}]", edge)
-        set_fields(self, rotation=rotation("rotation", self.rotation))
+    center: Point
+    size: Annotated[Vector, CheckedBy(_edge_lengths, "length")]
+    rotation: Turn = UNTURNED
 
     def solid(self) -> Solid:
         """Return it as a solid."""
@@ -284,7 +317,7 @@ class Box(Described):
         return Solid(coal.Box(*self.size), turn, center, start, end, radius, center, half, BOX, True)
 
 
-@dataclass(frozen=True)
+@declared()
 class HalfSpace(Described):
     """Everything on one side of a plane: a floor, a wall, a ceiling.
 
@@ -297,11 +330,8 @@ class HalfSpace(Described):
     handles: ClassVar[tuple[str, ...]] = ("height",)
     symmetry: ClassVar[Symmetry] = "axis"
     bounded: ClassVar[bool] = False
-    point: Vector
-    normal: Vector
-
-    def __post_init__(self) -> None:
-        set_fields(self, point=point("point", self.point), normal=direction("normal", self.normal))
+    point: Point
+    normal: Annotated[Vector, CheckedBy(direction)]
 
     def solid(self) -> Solid:
         """Return it as a solid."""
@@ -325,8 +355,10 @@ class Surface(Described):
         rotation: from the axes of that frame to the world axes, (3, 3).
         path: the file they were loaded from, if any.
         scale: scale factor applied to the coordinates in that file.
+        own: the key of its points in a description.
     """
 
+    own: ClassVar[str]
     center: Vector
     rotation: Matrix
     path: Path | None
@@ -384,22 +416,34 @@ class Surface(Described):
         points, faces = self.content
         return zlib.crc32(points.data) if faces is None else zlib.crc32(faces.data, zlib.crc32(points.data))
 
-    def to_dict(self, embed: bool = True) -> dict[str, Any]:
-        """Return the surface as JSON-compatible data; see `obstacle_from_dict`.
+    @classmethod
+    def from_table(cls, values: Mapping[str, Any], source: InputFile) -> Any:
+        """Return the values of fields, with the points themselves; or one that is loaded from a file."""
+        given = super().from_table(values, source)
+        own = cls.own
+        if ("path" in given) == (own in given):
+            both = "both" if "path" in given else None
+            raise InvalidValue(f"path or {own}", both, "one of the two: a file, or points (n, 3) [m]")
+        if "path" not in given:
+            if "scale" in given:
+                raise InvalidValue("scale", given["scale"], f"nothing: {own} are in metres")
+            return given
+        path = given.pop("path")
+        require_instance("path", path, str, "the name of a file")
+        if "faces" in given:
+            raise InvalidValue("faces", given["faces"], "nothing: they are read from the file")
+        with refusing(values, "path"):
+            return cast(Any, cls).load(source.resolve(path), **given)
 
-        Args:
-            embed: whether to include points that were loaded from a file, rather than its path.
-        """
-        if self.path is None or embed:
-            data = self._data()
+    def written(self, file: OutputFile) -> dict[str, Any]:
+        """Return the values of fields that differ from their defaults: a file, or points and triangles."""
+        table = super().written(file)
+        if self.path is None or file.embeds:
+            left = {"path", "scale", "outlier_distance", "faces" if self.convex else ""}
         else:
-            data = {"path": str(self.path.absolute()), "scale": self.scale}
-        pose = {"center": list(self.center), "rotation": [list(row) for row in self.rotation]}
-        return {"type": self.type, **data, **pose}
-
-    def _data(self) -> dict[str, Any]:
-        """Return points and triangles as JSON-compatible data."""
-        raise NotImplementedError
+            left = {self.own, "faces"}
+            table["path"] = self.path.absolute()
+        return {key: value for key, value in table.items() if key not in left}
 
     def placed(self: Own, center: ArrayLike, turn: Any = None) -> Own:
         """Return a copy with another placement; cached data is kept.
@@ -461,11 +505,21 @@ def check_faces(values: ArrayLike, count: int) -> NDArray[np.int32]:
     return faces.astype(np.int32)
 
 
+def _finite_points(name: str, values: ArrayLike) -> Array:
+    allowed = "points (n, 3) [m] that span a volume"
+    points = as_floats(name, values, allowed)
+    if points.ndim != 2 or points.shape[1:] != (3,) or not np.all(np.isfinite(points)):
+        raise InvalidValue(name, values, allowed)
+    if points.size and np.abs(points).max() > LARGEST_LENGTH:
+        raise InvalidValue(f"{name} (largest)", float(np.abs(points).max()), f"at most {LARGEST_LENGTH:g} m")
+    return points
+
+
 def _no_faces() -> NDArray[np.int32]:
     return np.zeros((0, 3), dtype=np.int32)
 
 
-@dataclass(frozen=True, eq=False)
+@declared(eq=False)
 class Mesh(Surface):
     """A mesh, including its cavities, or the convex hull of points.
 
@@ -485,16 +539,17 @@ class Mesh(Surface):
     """
 
     type: ClassVar[str] = "mesh"
-    vertices: Array = field(repr=False)
-    center: Vector = (0.0, 0.0, 0.0)
-    rotation: Matrix = UNTURNED
-    faces: NDArray[np.int32] = field(default_factory=_no_faces, repr=False)
+    own: ClassVar[str] = "vertices"
+    vertices: Annotated[Array, CheckedBy(_finite_points)] = field(repr=False)
+    center: Point = (0.0, 0.0, 0.0)
+    rotation: Turn = UNTURNED
+    faces: Annotated[NDArray[np.int32], AS_GIVEN] = field(default_factory=_no_faces, repr=False)
     path: Path | None = None
-    scale: float = 1.0
+    scale: Number = 1.0
     convex: bool = field(init=False, default=True)  # type: ignore[misc]
 
     def __post_init__(self) -> None:
-        vertices = _finite_points(self.vertices)
+        vertices = self.vertices
         hull = np.size(self.faces) == 0
         if not hull:
             vertices, faces = merge_corners(
@@ -506,8 +561,7 @@ class Mesh(Surface):
             faces = _hull_faces(vertices)
         faces = faces.astype(np.int32)
         make_read_only(vertices, faces)
-        set_fields(self, vertices=vertices, faces=faces, convex=hull, center=point("center", self.center))
-        set_fields(self, rotation=rotation("rotation", self.rotation))
+        set_fields(self, vertices=vertices, faces=faces, convex=hull)
 
     @classmethod
     def load(
@@ -532,25 +586,14 @@ class Mesh(Surface):
         return mesh.placed(center, rotation)
 
     @classmethod
-    def keys(cls) -> tuple[str, ...]:
-        """Return the names that a description of it may have, beside its type."""
-        return "path", "scale", "center", "rotation", "vertices", "faces"
-
-    @classmethod
-    def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Mesh:
-        """Create a mesh from its description by `to_dict`, or from a file; see `obstacle_from_dict`."""
-        known_keys("a mesh", described, cls.keys())
-        mesh: Mesh = from_points_or_path(cls, described, "vertices", folder)
-        return mesh
+    def check_keys(cls, values: Mapping[str, Any] = MappingProxyType({})) -> tuple[str, ...]:
+        """Return the names that a description of it may have."""
+        return "type", "path", "scale", "center", "rotation", "vertices", "faces"
 
     @property
     def content(self) -> tuple[Array, NDArray[np.int32]]:
         """The vertices, (n, 3) [m], in their own frame, and the triangles, (t, 3)."""
         return self.vertices, self.faces
-
-    def _data(self) -> dict[str, Any]:
-        faces = {} if self.convex else {"faces": self.faces.tolist()}
-        return {"vertices": self.vertices.tolist(), **faces}
 
     @cached_property
     def closed(self) -> bool:
@@ -584,9 +627,9 @@ class Mesh(Surface):
 class MeshShape(Described):
     """Base class of obstacles whose surface is a mesh that a few numbers describe.
 
-    A subclass is a frozen dataclass with the fields `center`, numbers of its own, and `rotation`, and has a
-    method `build`. A number (float) is a length [m], and checked as one, unless its field names another unit,
-    as in `field(metadata={"unit": "deg"})`; the subclass checks such numbers itself.
+    A subclass is declared with the fields `center`, numbers of its own, and `rotation`, and has a method
+    `build`. Numbers are a `Size` [m], or of another kind whose unit the field names, as in
+    `bend: Number = field(metadata={"unit": "deg"})`.
 
     Attributes:
         center: position of the origin of its frame in the world, (3,) [m].
@@ -597,10 +640,9 @@ class MeshShape(Described):
     rotation: Matrix
 
     def __post_init__(self) -> None:
-        set_fields(self, center=point("center", self.center), rotation=rotation("rotation", self.rotation))
-        for each in number_fields(type(self)):
-            if each.metadata.get("unit", "m") == "m":
-                set_fields(self, **{each.name: length(each.name, getattr(self, each.name))})
+        own = next(each for each in type(self).__mro__ if "__dataclass_fields__" in vars(each))
+        if "__pydantic_validator__" not in vars(own):
+            raise TypeError(f"{own.__name__} is a plain dataclass; needed: @declared() of pinposture.schema")
 
     def build(self) -> Mesh:
         """Return its mesh in its own frame, without a placement; only a closed mesh has an inside."""
@@ -640,7 +682,8 @@ def rotation_to(axis: ArrayLike) -> Array:
 
 def number_fields(kind: Any) -> list[Field[Any]]:
     """Return the fields of a type of shape that are numbers."""
-    return [each for each in fields(kind) if each.type in (float, "float")]
+    hints = get_type_hints(kind)
+    return [each for each in fields(kind) if hints[each.name] is float]
 
 
 def warn_of_width(name: str, points: Array) -> None:
@@ -648,33 +691,6 @@ def warn_of_width(name: str, points: Array) -> None:
     width = float(np.ptp(points, axis=0).max())
     if width > MAX_PLAUSIBLE_WIDTH:
         warn_caller(f"{name} is {width:.4g} m wide; if it is in millimetres, load it with scale=0.001")
-
-
-def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folder: str) -> Any:
-    """Create a surface from a description with either its points, under a key, or a file path."""
-    values = dict(described)
-    if ("path" in values) == (key in values):
-        given = "both" if "path" in values else None
-        raise InvalidValue(f"path or {key}", given, "one of the two: a file, or points (n, 3) [m]")
-    if "path" in values:
-        path = values.pop("path")
-        require_instance("path", path, str, "the name of a file")
-        if "faces" in values:
-            raise InvalidValue("faces", values["faces"], "nothing: they are read from the file")
-        return kind.load(Path(folder) / path, **values)
-    if "scale" in values:
-        raise InvalidValue("scale", values["scale"], f"nothing: {key} are in metres")
-    return kind(**values)
-
-
-def _finite_points(values: ArrayLike) -> Array:
-    allowed = "points (n, 3) [m] that span a volume"
-    points = as_floats("vertices", values, allowed)
-    if points.ndim != 2 or points.shape[1:] != (3,) or not np.all(np.isfinite(points)):
-        raise InvalidValue("vertices", values, allowed)
-    if points.size and np.abs(points).max() > LARGEST_LENGTH:
-        raise InvalidValue("vertices (largest)", float(np.abs(points).max()), f"at most {LARGEST_LENGTH:g} m")
-    return points
 
 
 def _hull_vertices(points: Array) -> Array:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import math
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationInfo
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg import LinAlgError, solve, solveh_banded
 from scipy.optimize import brentq
@@ -22,17 +24,60 @@ from pinposture import kernels
 from pinposture._validation import (
     LARGEST_COORDINATE,
     as_count,
-    as_flag,
     as_floats,
     as_number,
     as_points,
     as_vector,
     check_distinct,
-    require_known,
 )
 from pinposture.curve.geometry import MAX_DEGREE, Geometry, Parts, trim
-from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
-from pinposture.storage import parse_json, read_text, require_suffix, write_text
+from pinposture.errors import CurveError, FileError, InvalidValue, PostureError, did_you_mean
+from pinposture.schema import (
+    CheckedBy,
+    Flag,
+    NotAllowed,
+    WrittenBy,
+    checked,
+    in_file,
+    in_si,
+    is_file_name,
+    one_of,
+    read_by,
+    read_call,
+    read_keys,
+    read_plain,
+    read_within,
+    refusing,
+)
+from pinposture.storage import parse_json, read_text, require_suffix, settled, write_text
+
+_MAX_TURNS = 1000
+
+
+def _number(allowed: str, test: Callable[[float], bool], kind: str = "") -> CheckedBy:
+    """Read a number for which a test holds; `kind`: the kind of quantity that text is."""
+    return CheckedBy(partial(as_number, allowed=allowed, test=test), kind)
+
+
+def _direction(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    vector = as_vector(name, value)
+    if np.linalg.norm(vector) < 1e-9:
+        raise InvalidValue(name, value, "a direction, so not zero")
+    return vector
+
+
+_Degree = Annotated[int, CheckedBy(partial(as_count, low=1, high=MAX_DEGREE))]
+_Point = Annotated[ArrayLike, CheckedBy(as_vector, "length")]
+_Radius = Annotated[float, _number("a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9, "length")]
+_Pitch = Annotated[
+    float, _number("0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6, "length")
+]
+_Turns = Annotated[float, _number(f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)]
+_Phase = Annotated[float, _number("a finite angle [rad]", lambda x: True, "angle")]
+_Smoothing = Annotated[
+    float,
+    _number("an RMS distance of 0 m (through the points) up to 1e9 m", lambda x: 0 <= x <= 1e9, "length"),
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,7 +91,13 @@ class Curve(Geometry):
     """
 
     @classmethod
-    def spline(cls, control_points: ArrayLike, degree: int = 3, through: bool = False) -> Curve:
+    @checked
+    def spline(
+        cls,
+        control_points: ArrayLike,
+        degree: _Degree = 3,
+        through: Flag = False,
+    ) -> Curve:
         """Create a spline from a few points.
 
         Args:
@@ -60,38 +111,40 @@ class Curve(Geometry):
             CurveError: the points are too few, malformed, not finite or repeated, or give a cusp.
             InvalidValue: invalid `degree` or `through`.
         """
-        k = as_count("degree", degree, 1, MAX_DEGREE)
         points = as_points(control_points, least=2)
-        if len(points) <= k:
-            raise CurveError("points", f"{len(points)} given; a spline of degree {k} needs at least {k + 1}")
+        if len(points) <= degree:
+            reason = f"{len(points)} given; a spline of degree {degree} needs at least {degree + 1}"
+            raise CurveError("points", reason)
         check_distinct(points)
-        if as_flag("through", through):
-            return cls(*interpolate(points, k))
-        return cls(clamped_uniform_knots(len(points), k), points, k)
+        if through:
+            return cls(*interpolate(points, degree))
+        return cls(clamped_uniform_knots(len(points), degree), points, degree)
 
     @classmethod
-    def line(cls, a: ArrayLike, b: ArrayLike) -> Curve:
+    @checked
+    def line(cls, a: _Point, b: _Point) -> Curve:
         """Create the straight line from `a` to `b`, each shape (3,), or (2,) with z = 0 [m].
 
         Raises:
             CurveError: `a` and `b` coincide.
             InvalidValue: one of them is not 2 or 3 finite numbers.
         """
-        ends = np.stack([as_vector("a", a), as_vector("b", b)])
+        ends = np.stack([a, b])
         check_distinct(ends, ("a", "b").__getitem__)
         return cls(clamped_uniform_knots(2, 1), ends, 1)
 
     @classmethod
+    @checked
     def helix(
         cls,
-        radius: float,
-        pitch: float,
-        turns: float,
-        axis: ArrayLike = (1, 0, 0),
+        radius: _Radius,
+        pitch: _Pitch,
+        turns: _Turns,
+        axis: Annotated[ArrayLike, CheckedBy(_direction)] = (1, 0, 0),
         *,
-        center: ArrayLike = (0, 0, 0),
-        phase: float = 0.0,
-        handedness: Literal["right", "left"] = "right",
+        center: _Point = (0, 0, 0),
+        phase: _Phase = 0.0,
+        handedness: Annotated[Literal["right", "left"], one_of("handedness", "right", "left")] = "right",
     ) -> Curve:
         """Create a helix, or with pitch 0 a circle.
 
@@ -114,33 +167,29 @@ class Curve(Geometry):
             UnknownName: another handedness.
             InvalidValue: another invalid argument, which is named.
         """
-        r = as_number("radius", radius, "a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9)
-        rise = as_number("pitch", pitch, "0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6)
-        n_turns = as_number("turns", turns, f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)
-        begin = as_number("phase", phase, "a finite angle [rad]", lambda x: True)
-        require_known("handedness", handedness, ("right", "left"))
-        along, zero, quarter = _frame(as_vector("axis", axis), axis)
+        along, zero, quarter = _frame(np.asarray(axis))
         if handedness == "left":
             quarter = -quarter
-        spans = math.ceil(_SPANS_PER_TURN * n_turns)
-        step = 2 * math.pi * n_turns / spans
+        spans = math.ceil(_SPANS_PER_TURN * turns)
+        step = 2 * math.pi * turns / spans
         # The coefficients of a quintic spline with uniform knots lie on a helix, too. It is wider by a factor
         # that follows from the values 1, 26, 66, 26, 1 (of 120) of the basis at the knots. The knots extend
         # beyond the ends, because clamping would break the symmetry.
-        wider = r * 60 / (33 + 26 * math.cos(step) + math.cos(2 * step))
+        wider = radius * 60 / (33 + 26 * math.cos(step) + math.cos(2 * step))
         knots = np.arange(-5, spans + 6) / spans
         fraction = np.arange(-2, spans + 3) / spans  # of the length, at each coefficient
-        angle = (begin + 2 * math.pi * n_turns * fraction)[:, None]
+        angle = (phase + 2 * math.pi * turns * fraction)[:, None]
         around = np.cos(angle) * zero + np.sin(angle) * quarter
-        rising = (rise * n_turns * fraction)[:, None] * along
-        return cls(knots, as_vector("center", center) + wider * around + rising, 5)
+        rising = (pitch * turns * fraction)[:, None] * along
+        return cls(knots, np.asarray(center) + wider * around + rising, 5)
 
     @classmethod
-    def points(cls, xyz: ArrayLike, smoothing: float = 0.0) -> Curve:
+    @checked
+    def points(cls, points: ArrayLike, smoothing: _Smoothing = 0.0) -> Curve:
         """Create a curve from sampled or measured points.
 
         Args:
-            xyz: shape (n, 3), or (n, 2) with z = 0, n >= 2 [m].
+            points: shape (n, 3), or (n, 2) with z = 0, n >= 2 [m].
             smoothing: allowed RMS distance [m] of a smoother curve from the points; use about the RMS
                 measurement error. 0: through the points (a cubic; a parabola through 3, a line through 2), as
                 also for 3 points or fewer, or if no smoother curve is close enough.
@@ -149,17 +198,15 @@ class Curve(Geometry):
             CurveError: the points are too few, malformed, not finite or repeated, or give a cusp.
             InvalidValue: invalid smoothing.
         """
-        data = as_points(xyz)
-        allowed = "an RMS distance of 0 m (through the points) up to 1e9 m"
-        distance = as_number("smoothing", smoothing, allowed, lambda x: 0 <= x <= 1e9)
+        data = as_points(points)
         check_distinct(data)
         n = len(data)
-        if distance > 0 and n > _FIT_DEGREE:
+        if smoothing > 0 and n > _FIT_DEGREE:
             spans = 4
             while spans < n:
                 fit = _Fit(data, spans)
-                if fit.rms(fit.least) <= distance:
-                    return cls(*fit.smoothest(distance))
+                if fit.rms(fit.least) <= smoothing:
+                    return cls(*fit.smoothest(smoothing))
                 spans *= 2
         # Too few points to smooth, or no smoother curve is close enough.
         return cls(*interpolate(data, min(_FIT_DEGREE, n - 1)))
@@ -175,26 +222,12 @@ class Curve(Geometry):
                 coefficients, degree).
 
         Raises:
-            UnknownName: no such type or key.
-            CurveError: a missing key, or as the constructor.
-            InvalidValue: as the constructor.
+            UnknownName: no such type.
+            InvalidValue: a missing key, one that does not exist, or as the constructor.
+            CurveError: as the constructor.
         """
-
-        def points(points: ArrayLike, smoothing: float = 0.0) -> Curve:
-            return cls.points(points, smoothing)
-
-        def bspline(knots: Any, coefficients: Any, degree: int) -> Curve:
-            return cls(knots, coefficients, degree)
-
-        constructors: dict[str, Callable[..., Curve]] = {
-            "spline": cls.spline,
-            "line": cls.line,
-            "helix": cls.helix,
-            "points": points,
-            "bspline": bspline,
-        }
-        kind, arguments = read_call(description, constructors)
-        return constructors[kind](**arguments)
+        curve: Curve = read_plain(_Described, description)
+        return curve
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON-compatible data from which `from_dict` creates an equal curve."""
@@ -226,7 +259,9 @@ class Curve(Geometry):
         try:
             read = cls.from_dict(read_description(path))
             return read if factor == 1.0 else cls(read.knots, factor * read.coefficients, read.degree)
-        except (CurveError, InvalidValue, UnknownName) as error:
+        except PostureError as error:
+            if isinstance(error, FileError):
+                raise
             raise FileError(path, str(error)) from error
 
     def save(self, path: str | Path) -> None:
@@ -422,7 +457,7 @@ def _table(path: Path, text: str) -> list[list[float]]:
         if not content:
             continue
         fields = _fields(content)
-        values = [_number(field) for field in fields]
+        values = [_coordinate(field) for field in fields]
         if not rows and headings is None and all(fields) and not any(value is not None for value in values):
             found = [_HEADING.fullmatch(field.strip("\"'").lower()) for field in fields]
             headings = [each[1] if each else "" for each in found]
@@ -461,46 +496,11 @@ def _fields(content: str) -> list[str]:
     return content.split()
 
 
-def _number(field: str) -> float | None:
+def _coordinate(field: str) -> float | None:
     try:
         return float(field)
     except ValueError:
         return None
-
-
-def read_call(
-    description: object, constructors: Mapping[str, Callable[..., object]]
-) -> tuple[str, dict[str, Any]]:
-    """Check a description: a constructor's name under "type" and its arguments under their names.
-
-    Args:
-        description: for example {"type": "line", "a": [0, 0, 0], "b": [1, 0, 0]}.
-        constructors: by type.
-
-    Returns:
-        The type, and the arguments by name.
-
-    Raises:
-        CurveError: not a mapping, or a required key is missing.
-        UnknownName: no such type or key.
-    """
-    if not isinstance(description, Mapping):
-        raise CurveError("description", f"{type(description).__name__}; allowed: an object with a 'type'")
-    if "type" not in description:
-        raise CurveError("description", f"needs the key 'type'; allowed: {', '.join(constructors)}")
-    kind = description["type"]
-    require_known("type of curve", kind, constructors)
-    keys = {
-        name: parameter.default is inspect.Parameter.empty
-        for name, parameter in inspect.signature(constructors[kind]).parameters.items()
-    }
-    for key in description:
-        if key != "type":
-            require_known(f"key of a {kind!r} curve", key, keys)
-    for key, needed in keys.items():
-        if needed and key not in description:
-            raise CurveError(f"{kind!r} curve", f"needs the key {key!r}")
-    return kind, {key: description[key] for key in keys if key in description}
 
 
 Array = NDArray[np.float64]
@@ -514,7 +514,6 @@ SAMPLES_PER_SPAN = 2
 """Minimum number of samples per knot span of the curve, so that no winding is missed."""
 
 _SPANS_PER_TURN = 256  # gives a torsion error of 1.2e-7 for a quintic
-_MAX_TURNS = 1000
 _KNOT_TOLERANCE = 1e-12  # deviation from uniform knots, relative to the whole range
 _FIT_DEGREE = 3
 _PENALTY_ORDER = 3  # order of the penalised derivative; the second would flatten the ends
@@ -538,12 +537,9 @@ def interpolate(points: Array, degree: int) -> Parts:
     return spline.t, spline.c, degree
 
 
-def _frame(axis: Array, given: ArrayLike) -> tuple[Array, Array, Array]:
+def _frame(axis: Array) -> tuple[Array, Array, Array]:
     """Return unit vectors along the axis, to phase 0, and to a quarter of a right-handed turn."""
-    size = float(np.linalg.norm(axis))
-    if size < 1e-9:
-        raise InvalidValue("axis", given, "a direction, so not zero")
-    along = axis / size
+    along = axis / np.linalg.norm(axis)
     up = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(np.cross(along, up)) < 1e-6:
         up = np.array([1.0, 0.0, 0.0])
@@ -640,6 +636,15 @@ def _fit(basis: csr_array, places: Array) -> tuple[Array, float]:
     return coefficients, float(np.einsum("ij,ij->", left, left))
 
 
+_CONSTRUCTORS: dict[str, Callable[..., Curve]] = {
+    "spline": Curve.spline,
+    "line": Curve.line,
+    "helix": Curve.helix,
+    "points": Curve.points,
+    "bspline": Curve,
+}
+"""The functions that make a curve from a description, by its `type`."""
+
 LINE = Curve.line((0.0, 0.0, 0.0), (1.1, 0.0, 0.0))
 """The singular target posture (6.16): a straight line, 1.1 m long."""
 
@@ -653,3 +658,73 @@ PLANAR_LINE = Curve.line((0.0, 0.0, 0.0), (7.425, 0.0, 0.0))
 
 CURVES = {"line": LINE, "helix": HELIX}
 """The curves by name, as on the command line."""
+
+# Curves as values of other descriptions.
+
+
+def _read_described(value: object, _: ValidationInfo) -> Curve:
+    """Read a table with the name of a constructor as `type`, and its arguments."""
+    if not isinstance(value, Mapping):
+        raise NotAllowed(value, "a table with a 'type'")
+    return read_call(value, _CONSTRUCTORS, "curve")
+
+
+_Described: TypeAlias = Annotated[Any, read_by(_read_described)]
+
+
+def _read_curve(value: object, info: ValidationInfo) -> Curve:
+    """Read a curve: a preset, a file, or a description."""
+    source = in_file(info)
+    if isinstance(value, Curve):
+        return value
+    if source is None:
+        raise NotAllowed(value, "a Curve")
+    description: object = value
+    if isinstance(value, str) and (value in CURVES or not Path(value).suffix):
+        if value not in CURVES:
+            allowed = f"{', '.join(CURVES)}, a .json, .csv or .txt file, or a table with a type"
+            raise NotAllowed(value, allowed, hint=did_you_mean(value, CURVES))
+        curve = CURVES[value]
+    elif isinstance(value, str):
+        path = source.resolve(value)
+        with refusing():
+            curve = Curve.load(path)
+        description = settled(path)
+    elif not isinstance(value, Mapping):
+        raise NotAllowed(value, "a name, a file, or a table with a type")
+    elif "path" in value:
+        table = read_keys(value, ("path", "scale"))
+        if not is_file_name(table["path"]):
+            raise NotAllowed(table["path"], "the name of a file as path")
+        path = read_within("path", source.resolve, table["path"])
+        with refusing(table):
+            curve = Curve.load(path, table.get("scale", 1.0))
+        description = {**table, "path": settled(path)}
+    else:
+        curve = _read_described(value, info)
+        description = in_si(value, _CONSTRUCTORS[value["type"]])
+    source.described[curve] = description
+    return curve
+
+
+def describe_curve(curve: Curve) -> dict[str, Any]:
+    """Describe a curve by its control points, or by its knots and coefficients."""
+    if curve.control_points is not None:
+        points = curve.control_points.tolist()
+        table: dict[str, Any] = {"type": "spline", "control_points": points, "degree": curve.degree}
+        if curve.degree == 1 and len(points) == 2:
+            table = {"type": "line", "a": points[0], "b": points[1]}
+        with suppress(PostureError):  # points may be too close
+            if Curve.from_dict(table) == curve:  # knots may be rounded
+                if curve.degree == 3:
+                    del table["degree"]
+                return table
+    return curve.to_dict()
+
+
+CurveField: TypeAlias = Annotated[
+    Curve,
+    read_by(_read_curve),
+    WrittenBy(lambda curve, file: file.find(curve, CurveField) or describe_curve(curve)),
+]
+"""A curve in a call; in a file also the name of a preset or of a file, or a description."""

@@ -1,258 +1,49 @@
-"""Task files: their text, the line of each value, the arm, and descriptions of parts that still hold."""
+"""Task files: the arm, joints, controller and files in them, and descriptions of parts that still hold."""
 
 from __future__ import annotations
 
 import json
-import math
-import re
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, cast
 
 import numpy as np
-from pydantic import ValidationError
+from numpy.typing import NDArray
+from pydantic import ValidationInfo
 
-from pinposture._validation import require_instance
+from pinposture._validation import finite_vector
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.loading import description_text
 from pinposture.arm.specification import MOST_MODULES_IN_FILE
 from pinposture.arm.urdf_reader import load_text
 from pinposture.collision import Scene
-from pinposture.control import EndEffector
+from pinposture.control import CONTROLLERS, Controller, EndEffector, Geodesic, controller_named
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, numbered, warn_caller
+from pinposture.document import Document, plain_data
+from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName, warn_caller
 from pinposture.schema import (
-    Place,
+    InputFile,
+    NotAllowed,
+    Number,
     Refusal,
-    mistakes_of,
-    place_in_words,
-    read_as,
+    in_file,
+    is_file_name,
+    is_list_of,
+    read_by,
+    read_keys,
+    read_part,
+    read_quantities,
+    read_within,
+    read_word,
     refusing,
     shown,
-    shown_key,
 )
-from pinposture.storage import (
-    check_writable,
-    parse_json,
-    parse_toml,
-    read_text,
-    relative,
-    require_suffix,
-    settled,
-)
-from pinposture.task.toml import TomlLayout, Usual, drop_defaults, lines_of_toml, toml_text
+from pinposture.storage import check_writable, relative, settled
+from pinposture.toml import TomlLayout, drop_defaults, toml_text
 
-# Text parsed into plain data.
-
-TASK_SUFFIXES = (".toml", ".json")
-
-MAX_NESTING = 20
-"""Largest depth of nested tables and lists; three times that of a task."""
-
-MAX_INTEGER_BITS = 64
-"""Largest size of a whole number, as in TOML."""
-
-_TOML_ERROR = re.compile(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", re.DOTALL)
-
-
-def _parsed(path: Path, text: str) -> dict[str, Any]:
-    try:
-        is_toml = path.suffix.lower() == ".toml"
-        values = parse_toml(text) if is_toml else parse_json(path, text, object_pairs_hook=_unique_keys)
-    except RecursionError:
-        raise FileError(
-            path, f"tables and lists are nested too deep; allowed: {MAX_NESTING} levels"
-        ) from None
-    except ValueError as error:
-        message = " ".join(str(error).split())
-        found = _TOML_ERROR.fullmatch(message)
-        # The line comes first, as in all other messages.
-        raise FileError(path, f"{found[2] or 'end of the file'}: {found[1]}" if found else message) from error
-    if not isinstance(values, dict):
-        raise FileError(path, "contains no table; allowed: keys and values, as in version = 1")
-    _check_size(path, (), values)
-    return values
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON table; refuse duplicate keys, of which JSON would use the last."""
-    table = dict(pairs)
-    if len(table) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {shown_key(twice)!r} appears twice in a table")
-    return table
-
-
-def _check_size(path: Path, place: Place, value: Any) -> None:
-    """Refuse deep nesting and huge integers, which would be too expensive later."""
-    if len(place) > MAX_NESTING:
-        reason = f"is nested too deep; allowed: {MAX_NESTING} levels of tables and lists"
-        raise FileError(path, f"{place_in_words(place)}: {reason}")
-    if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
-        reason = f"is a whole number of more than {MAX_INTEGER_BITS} bits"
-        raise FileError(path, f"{place_in_words(place)}: {reason}")
-    if isinstance(value, Mapping | list):
-        items = value.items() if isinstance(value, Mapping) else enumerate(value)
-        for key, each in items:
-            _check_size(path, (*place, key), each)
-
-
-class Document:
-    """A file; mistakes in it are reported as a FileError with the line, key and value.
-
-    Attributes:
-        path: the file.
-        values: its contents.
-        toml: the text if the file is TOML; None if it is JSON.
-        changed: the places of values that are not those of the file.
-        arm: the arm, once it has been read.
-        described: the description of each part of the task: plain data in SI units, with an absolute `Path`
-            for each path.
-    """
-
-    arm: Any = None
-
-    def __init__(self, path: Path, values: dict[str, Any], toml: str | None = None) -> None:
-        self.path = path
-        self.values = values
-        self.toml = toml
-        self.described: dict[Hashable, object] = {}
-        self.changed: set[Place] = set()
-
-    @classmethod
-    def load(cls, path: Path) -> Document:
-        """Read a file.
-
-        Raises:
-            FileError: it is missing, unreadable, of another format, or as for `parse`.
-        """
-        require_suffix(path, *TASK_SUFFIXES)
-        return cls.parse(path, read_text(path))
-
-    @classmethod
-    def parse(cls, path: Path, text: str) -> Document:
-        """Return the document of a file with this text.
-
-        Raises:
-            FileError: the text is malformed, or contains no table; names the line.
-        """
-        return cls(path, _parsed(path, text), text if path.suffix.lower() == ".toml" else None)
-
-    def change(self, key: str, value: object) -> None:
-        """Put another value in the place of one in the file, or where there was none.
-
-        Args:
-            key: its place, as in "limits.velocity" or "keyframes.2.time"; list items count from 1.
-            value: plain data.
-
-        Raises:
-            InvalidValue: a key that is not text.
-            FileError: there is no such place.
-        """
-        require_instance("key to change", key, str, 'text such as "limits.velocity"')
-        place: Place = tuple(int(each) - 1 if each.isdecimal() else each for each in key.split("."))
-        inside: Any = self.values
-        for depth, each in enumerate(place):
-            listed = isinstance(inside, list) and isinstance(each, int) and 0 <= each < len(inside)
-            if not listed and not (isinstance(inside, dict) and isinstance(each, str) and each):
-                where = place_in_words(place[:depth])
-                raise FileError(self.path, f"there is no {key!r} to change: nothing of that name in {where}")
-            if depth == len(place) - 1:
-                inside[each] = value
-            elif not listed:
-                inside = inside.setdefault(each, {})
-            else:
-                inside = inside[each]
-        self.changed.add(place)
-
-    def at(self, where: Place) -> Any:
-        """Return the value at a place; None if there is none."""
-        value: Any = self.values
-        for key in where:
-            there = key in value if isinstance(value, Mapping) else isinstance(key, int) and key < len(value)
-            if not there:
-                return None
-            value = value[key]
-        return value
-
-    def read(self, kind: Any, where: Place) -> Any:
-        """Return the value at a place as a declared class or an annotated type; a missing table is empty.
-
-        Raises:
-            FileError: all mistakes in it.
-        """
-        value = self.at(where)
-        try:
-            return read_as(kind, {} if value is None else value, self)
-        except ValidationError as error:
-            mistakes = mistakes_of(error)
-            failure = self.together([self.fault((*where, *inside), str(each)) for inside, each in mistakes])
-            raise failure from mistakes[0][1].__cause__
-
-    def read_all(self, kinds: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values of some keys, by key, as `read` does.
-
-        Raises:
-            FileError: all mistakes in all of them.
-        """
-        found: dict[str, Any] = {}
-        errors: list[PostureError] = []
-        for key, kind in kinds.items():
-            try:
-                found[key] = self.read(kind, (key,))
-            except FileError as error:
-                errors.append(error)
-        if errors:
-            raise self.together(errors)
-        return found
-
-    def together(self, errors: Sequence[PostureError]) -> FileError:
-        """Return one error with all reasons of several."""
-        listed = [each for error in errors for each in (error.reasons or (error,))]
-        error = FileError(self.path, numbered([getattr(each, "reason", str(each)) for each in listed]))
-        error.reasons = tuple(listed) if len(listed) > 1 else ()
-        return error
-
-    @contextmanager
-    def blaming(self, where: Place) -> Iterator[None]:
-        """Report an error of the library at the key of the table that it names, or at the table."""
-        try:
-            with refusing(self.at(where)):
-                yield
-        except Refusal as refusal:
-            raise self.fault((*where, *refusal.within), str(refusal)) from refusal.__cause__
-
-    def resolve(self, name: str) -> Path:
-        """Return a path named in the file, relative to its folder; raise ValueError if there is none."""
-        try:
-            return self.path.parent / Path(name).expanduser()
-        except RuntimeError as error:  # the home of an unknown user
-            raise ValueError(f"is {shown(name)}, which cannot be found ({error})") from None
-
-    def line(self, where: Place) -> int | None:
-        """Return the line of a place, or of its parent; None if unknown, as in JSON, or changed."""
-        for end in range(len(where), 0, -1):
-            if where[:end] in self.changed:
-                return None
-            if where[:end] in self._lines:
-                return self._lines[where[:end]]
-        return None
-
-    def fault(self, where: Place, reason: str) -> FileError:
-        """Return an error about a place."""
-        line = self.line(where)
-        text = " ".join(reason.split())
-        before = "" if line is None else f"line {line}: "
-        return FileError(self.path, f"{before}{place_in_words(where)}: {text}")
-
-    @cached_property
-    def _lines(self) -> dict[Place, int]:
-        return {} if self.toml is None else lines_of_toml(self.toml.replace("\r\n", "\n"))
-
+Array = NDArray[np.float64]
 
 # Descriptions of parts of a task, as far as they are still valid.
 
@@ -267,6 +58,8 @@ class Descriptions:
         scene: its scene.
         just_read: whether the descriptions come from this file, and need no test.
     """
+
+    embeds = False
 
     def __init__(self, file: Path, task: Any, just_read: bool = False) -> None:
         self.file = file
@@ -307,21 +100,6 @@ class Descriptions:
             reason = f"but {getattr(error, 'reason', error)}"
         warn_caller(f"{self.file}: {key} was {shown(plain)}, {reason}; it is written out")
         return False
-
-
-def plain_data(value: Any, folder: Path) -> Any:
-    """Return plain data: relative paths, Python numbers, and integers without a decimal point."""
-    if isinstance(value, Usual | bool | int | str):
-        return value
-    if isinstance(value, Path):
-        return relative(value, folder)
-    if isinstance(value, Mapping):
-        return {key: plain_data(each, folder) for key, each in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [plain_data(each, folder) for each in value]
-    number = float(value)
-    whole = number.is_integer() and abs(number) < 1e15 and (number != 0.0 or math.copysign(1.0, number) > 0.0)
-    return int(number) if whole else number
 
 
 # The arm: its specification, with a URDF file next to the task if necessary.
@@ -398,6 +176,128 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
         reason = "exists already, and differs from the arm of the task"
         raise FileError(file, f"{reason}; save the task under another name")
     return spec, None
+
+
+# Joint positions and the start.
+
+
+def joint_count_misfit(arm: Arm, count: int) -> str:
+    """Return the message on a wrong number of joint positions."""
+    unit = "rad, m for joints that slide" if np.any(arm.slides) else "rad"
+    return f"has {count} value{'s' * (count != 1)}; needed: {arm.nv}, one for each joint [{unit}]"
+
+
+def read_joints(value: object, arm: Arm) -> tuple[float, ...]:
+    """Read the positions of the joints of an arm."""
+    if isinstance(value, list) and len(value) != arm.nv:
+        raise Refusal(joint_count_misfit(arm, len(value)))
+    return read_quantities(value, ["length" if slides else "angle" for slides in arm.slides])
+
+
+def _read_joints_of_any_arm(value: Any, info: ValidationInfo) -> tuple[float, ...]:
+    """Read joint positions; with a curve they may be those of another arm, and are then ignored later."""
+    source = in_file(info)
+    if source is None:
+        with refusing():
+            return tuple(finite_vector("joints", value, np.size(value)).tolist())
+    arm = source.arm
+    if info.data.get("curve") is None or not isinstance(value, list) or len(value) in (0, arm.nv):
+        return read_joints(value, arm)
+    return read_quantities(value, ["angle"] * len(value))
+
+
+Joints = Annotated[tuple[float, ...], read_by(_read_joints_of_any_arm)]
+
+
+def read_start(value: object, info: ValidationInfo) -> Array | None:
+    """Read the configuration to start from, (nq,)."""
+    table = read_keys(value, ("posture", "joints"))
+    if "joints" in table and "posture" in table:
+        raise Refusal("does not go with 'joints'", "posture")
+    arm: Arm = cast(InputFile, in_file(info)).arm
+    if "joints" in table:
+        positions = read_within("joints", read_joints, table["joints"], arm)
+        with refusing(key="joints"):
+            found: Array = arm.checked_start(arm.configuration(positions), "start")
+            return found
+    if "posture" not in table:
+        return None
+    posture = read_within("posture", read_word, table["posture"], ("straight", "neutral"))
+    return arm.straight() if posture == "straight" else arm.neutral()
+
+
+def write_start(start: Array, arm: Arm) -> dict[str, Any]:
+    """Return the table of the configuration to start from."""
+    if np.array_equal(start, arm.straight()):
+        return {"posture": "straight"}
+    if np.array_equal(start, arm.neutral()):
+        return {"posture": "neutral"}
+    return {"joints": arm.positions(start)}
+
+
+# The controller, by name, with the parameters of "geodesic".
+
+_WEIGHTS = ("joint_weight", "relative_position_weight")
+
+
+def read_controller(value: object, info: ValidationInfo) -> Controller:
+    """Read the controller."""
+    table = read_keys(value, ("name", *_WEIGHTS))
+    name = read_within("name", read_word, table.get("name", "geodesic"), CONTROLLERS)
+    controller = controller_named(name)
+    for key in _WEIGHTS:
+        if key not in table:
+            continue
+        number = read_part(key, Number, table[key], cast(InputFile, in_file(info)))
+        if not isinstance(controller, Geodesic):
+            raise Refusal(f"is for the controller 'geodesic'; it is {name!r}", key)
+        with refusing(table, key):
+            controller = replace(controller, **{key: number})
+    return controller
+
+
+def write_controller(controller: Controller, file: Path) -> dict[str, Any]:
+    """Return the table of the controller; an empty one for the default.
+
+    Raises:
+        FileError: it has parameters that a file cannot represent.
+    """
+    if isinstance(controller, Geodesic):
+        own = {key: getattr(controller, key) for key in _WEIGHTS}
+        if replace(Geodesic(), **own) == controller:
+            own = {key: value for key, value in own.items() if value != getattr(Geodesic(), key)}
+            return {"name": "geodesic", **own} if own else {}
+    for name, make in CONTROLLERS.items():
+        if make() == controller:
+            return {"name": name}
+    allowed = "a name with its usual parameters; joint_weight and relative_position_weight for 'geodesic'"
+    raise FileError(file, f"controller: a file cannot represent {shown(controller)}; allowed: {allowed}")
+
+
+# Files.
+
+RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
+"""Formats in which the result of a task can be saved."""
+
+
+def read_formats(value: object, _: ValidationInfo) -> tuple[str, ...]:
+    """Read the formats in which to save the result."""
+    given = read_keys(value, ("formats",)).get("formats", RESULT_FORMATS)
+    if not is_list_of(lambda each: each in RESULT_FORMATS)(given):
+        raise NotAllowed(given, f"a list of {', '.join(RESULT_FORMATS)}", "formats")
+    return tuple(each for each in RESULT_FORMATS if each in given)
+
+
+def read_scans(value: object, info: ValidationInfo) -> tuple[Path, ...]:
+    """Read the files that the editor shows; they need not exist."""
+    given = read_keys(value, ("scans",)).get("scans", [])
+    if not isinstance(given, list):
+        raise NotAllowed(given, "a list of files", "scans")
+    for index, name in enumerate(given):
+        if not is_file_name(name):
+            raise NotAllowed(name, "the name of a file", "scans", index)
+    source = cast(InputFile, in_file(info))
+    return tuple(settled(read_within("scans", source.resolve, name)) for name in given)
 
 
 # The text.

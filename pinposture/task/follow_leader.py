@@ -26,6 +26,7 @@ from pinposture.collision import Capsule, Cylinder, Scene, Sphere
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.pipe import PIPE_MARGIN
 from pinposture.curve import Curve
+from pinposture.curve.curve import CurveField
 from pinposture.errors import (
     CurveBendsTooMuch,
     InvalidValue,
@@ -49,10 +50,9 @@ from pinposture.schema import (
     in_file,
     one_of,
 )
-from pinposture.task.fields import CurveField
 from pinposture.task.keyframe import usual_placement
 from pinposture.task.reference import Mark, Reference
-from pinposture.task.toml import Usual
+from pinposture.toml import Usual
 from pinposture.units import length_text
 
 # An arm on a feed: a slide that pushes the whole arm along its axis.

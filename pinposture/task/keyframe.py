@@ -24,6 +24,7 @@ from pinposture.control.planner.plan import find_goal
 from pinposture.control.reach import bring_to_goal
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import CURVES, Curve
+from pinposture.curve.curve import CurveField
 from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, raise_together, warn_caller
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
@@ -46,9 +47,9 @@ from pinposture.schema import (
     one_of,
     read_by,
 )
-from pinposture.task.fields import CurveField, Joints, joint_count_misfit
+from pinposture.task.document import Joints, joint_count_misfit
 from pinposture.task.reference import AnchoredCurve, BentCurve
-from pinposture.task.toml import Usual
+from pinposture.toml import Usual
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]

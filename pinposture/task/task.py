@@ -23,10 +23,11 @@ from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
 from pinposture.collision.model import effective_scene
 from pinposture.collision.obstacles import OBSTACLE_TYPES
-from pinposture.collision.scene import obstacles_around
+from pinposture.collision.scene import SceneField, obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import LONGEST_CYCLE, cycle_of
 from pinposture.curve import Curve
+from pinposture.document import SUFFIXES, Document, plain_data
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
 from pinposture.motion.trajectory import Trajectory
 from pinposture.schema import (
@@ -49,24 +50,17 @@ from pinposture.schema import (
 )
 from pinposture.storage import require_suffix, settled, write_text
 from pinposture.task.document import (
-    TASK_SUFFIXES,
+    RESULT_FORMATS,
     Descriptions,
-    Document,
     document_text,
     folder_of,
-    plain_data,
     read_arm,
-    write_arm,
-)
-from pinposture.task.fields import (
-    RESULT_FORMATS,
-    SceneField,
     read_controller,
     read_formats,
     read_scans,
     read_start,
+    write_arm,
     write_controller,
-    write_scene,
     write_start,
 )
 from pinposture.task.follow_leader import Leader, check_leader, follow_leader
@@ -100,7 +94,7 @@ from pinposture.task.reference import (
     outlook,
     require_room,
 )
-from pinposture.task.toml import TomlLayout, Usual
+from pinposture.toml import TomlLayout, Usual
 
 Array = NDArray[np.float64]
 
@@ -258,7 +252,7 @@ class Task:
                 parameters.
         """
         file = Path(path)
-        require_suffix(file, *TASK_SUFFIXES)
+        require_suffix(file, *SUFFIXES)
         with folder_of(file):  # relative paths in the file start from it
             descriptions = Descriptions(file, self)
             spec, urdf = write_arm(self.arm, descriptions)
@@ -631,7 +625,7 @@ def _contents(task: Task, arm: ArmSpec, file: Descriptions) -> dict[str, Any]:
     if task.start is not None:
         contents["start"] = write_start(task.start, task.arm)
     if task.scene is not None:
-        contents["scene"] = write_scene(task.scene, file)
+        contents["scene"] = task.scene.to_table(file)
     if isinstance(task.motion, Leader):
         contents["leader"] = task.motion.to_table(file)
     elif is_phased(task.motion):

@@ -213,20 +213,20 @@ BALL_TABLE = {"type": "sphere", "center": [0.2, 0.1, 0], "radius": 0.04}
         ("scene.yaml", "", ".toml, .json"),
         ("broken.toml", "margin =\nobstacles = 1", "line 1"),
         ("broken.json", '{"obstacles":', "line 1"),
-        ("key.toml", "obstacle = 1", "'obstacle'"),
+        ("key.toml", "obstacle = 1", "obstacle: there is no such key (did you mean 'obstacles'?)"),
         ("type.json", json.dumps({"obstacles": {"a": {"type": "ball"}}}), "'ball'"),
         (
             "radius.json",
             json.dumps({"obstacles": {"a": {**BALL_TABLE, "radius": -1}}}),
-            "obstacle 'a': radius",
+            "obstacles.a.radius: is -1",
         ),
         (
             "center.json",
             json.dumps({"obstacles": {"a": {**BALL_TABLE, "center": [0, 1]}}}),
-            "obstacle 'a': cen",
+            "obstacles.a.center: is [0, 1]",
         ),
         ("mesh.json", json.dumps({"obstacles": {"a": {"type": "mesh", "path": "x.stl"}}}), "x.stl"),
-        ("margin.toml", "margin = -1", "margin is -1"),
+        ("margin.toml", "margin = -1", "margin: is -1"),
     ],
 )
 def test_a_bad_scene_is_refused_in_one_line(command, arm_file, tmp_path, verb, name, text, says):

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from sampling import cases, examples
 
 import pinposture as pp
+from pinposture.curve.curve import describe_curve
 from pinposture.editor.edits import DEGREE, FIT_TOLERANCE, MAX_SHAPE_POINTS, MIN_POINT_DISTANCE, Shape
 from pinposture.editor.solver import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets
 from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
-from pinposture.task.fields import describe_curve
 
 AWAY = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.7, -0.4, 1.1]))
 

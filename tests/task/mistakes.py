@@ -18,8 +18,9 @@ margin = "5 mm" + margn = 1 :: scene.margn: there is no such key (did you mean '
 name = "bowed" + methd = 1 :: keyframe 2, methd: there is no such key (did you mean 'method'?); allowed:
 [output] -> [output]\nformts = 1 :: output.formts: there is no such key (did you mean 'formats'?); allowed:
 radius = 0.1 + radus = 1
-    :: scene.obstacles.ball: key of a sphere is 'radus' | did you mean 'radius' @ [scene.obstacles.ball]
-LINE -> curve = { type = "line", a = [0, 0, 0], c = 1, b = [0.3, 0, 0] } :: keyframe 1, curve:  | 'c'
+    :: scene.obstacles.ball.radus: there is no such key (did you mean 'radius'?); allowed: type, center
+LINE -> curve = { type = "line", a = [0, 0, 0], c = 1, b = [0.3, 0, 0] }
+    :: keyframe 1, curve.c: there is no such key; allowed: a, b
 hold = 0.1 -> tip = { positon = [0, 0, 0] } :: tip.positon | 'position'
 modules = 6 + feed = { strok = 1 } :: feed.strok | 'stroke'
 "90 deg/s" -> { turn = 1 } :: velocity.turn | 'turning'
@@ -102,19 +103,19 @@ posture = "straight" -> posture = "straight"§\njoints = [0, 0, 0, 0, 0, 0, 0, 0
     :: start.posture: does not go with 'joints'
 SCENE -> [scene]\nfile = "none.toml" :: scene.file | none.toml: no such file
 SCENE -> [scene]\nfile = "broken.toml" :: scene.file | broken.toml | line 1
-margin = "5 mm" -> file = "scene.toml"\nmargin = "5 mm" :: scene.margin: there is no such key; allowed: file
-"sphere" -> "spher" :: scene.obstacles.ball | 'spher' | did you mean 'sphere' @ [scene.obstacles.ball]
-type = "sphere"\n -> :: scene.obstacles.ball: type is not given | sphere @ [scene.obstacles.ball]
-radius = 0.1\n -> :: scene.obstacles.ball: radius is not given | center, radius @ [scene.obstacles.ball]
+SCENE -> [scene]\nfile = "scene.toml"\nmargin = "5 mm"§\n :: scene.margin: there is no such key; allowed: file
+"sphere" -> "spher" :: scene.obstacles.ball.type: is 'spher' (did you mean 'sphere'?); allowed: 'sphere'
+type = "sphere"\n -> :: scene.obstacles.ball: the key 'type' is missing; allowed: @ [scene.obstacles.ball]
+radius = 0.1\n -> :: scene.obstacles.ball: the key 'radius' is missing @ [scene.obstacles.ball]
 radius = 0.1 -> radius = 0 :: scene.obstacles.ball.radius: is 0; allowed: a length
 radius = 0.1 -> radius = "1 kg" :: scene.obstacles.ball.radius: is '1 kg' | 'kg'
 [0.0, 0.0, "-50 cm"] -> [0, 0] :: scene.obstacles.ball.center: is [0, 0]
 SCENE -> [scene.obstacles]\nball = 3 :: scene.obstacles.ball: is 3; allowed: a table
 SCENE -> [scene]\nobstacles = [] :: scene.obstacles: is []; allowed: a table
-SCENE -> [scene.obstacles.rock]§\ntype = "mesh"\npath = "rock.stl"\n :: scene.obstacles.rock | rock.stl
+SCENE -> [scene.obstacles.rock]\ntype = "mesh"\npath = "rock.stl"§\n :: scene.obstacles.rock.path: | rock.stl
 "5 mm" -> "-5 mm" :: scene.margin: is '-5 mm'
 margin = "5 mm" -> version = 7 :: scene.version: is 7
-margin = "5 mm" -> self_collision = 1 :: scene.self_collision: is 1; allowed: True or False
+margin = "5 mm" -> self_collision = 1 :: scene.self_collision: is 1; allowed: true or false
 [0.0, 0.0, "-50 cm"] -> [0.0, 0.0, "-5 cm"]
     :: scene.obstacles.ball | base of the arm | (0, 0, 0) | move it @ [scene.obstacles.ball]
 SCENE -> [scene]§\nfile = "scene.toml"\n :: scene.obstacles.rock | base of the arm
@@ -134,10 +135,11 @@ BOWED -> [[keyframes]]\ntime = 1\njoints = [0, -40, 0, 0, 0, 0, 0, 0, 0, 0, 30, 
 BOW -> curve = { type = "helix", radius = 100, pitch = 0, turns = 0.6 }
     :: keyframe 2, curve: is 377 m long; allowed: 30 m at most, 100 times the arm; if it is in millimetres
 BOW -> curve = { path = 3 } :: keyframe 2, curve: is 3 | name of a file
-BOW -> curve = { path = "way.csv", scle = 2 } :: keyframe 2, curve: key of a curve file is | mean 'scale'
+BOW -> curve = { path = "way.csv", scle = 2 }
+    :: keyframe 2, curve.scle: there is no such key (did you mean 'scale'?)
 hold = 0.1 -> speed = 0 :: keyframe 2, speed: is 0; allowed: a share of the velocity limits, in (0, 1]
 hold = 0.1 -> speed = "9 cm/s" :: keyframe 2, speed: is '9 cm/s'; allowed: a share of the velocity limits
-version = 1 + repeat = 0 :: repeat: is 0; allowed: a whole number, 1 or more
+version = 1 + repeat = 0 :: repeat: is 0; allowed: a whole number of at least 1
 time = "1 s" + duration = 1 :: keyframe 2:  | time and duration | one of them @ SECOND
 "1 s" -> "-1 s" :: keyframe 2, time: is '-1 s'; allowed: a finite number >= 0
 hold = 0.1 -> hold = -0.1 :: keyframe 2, hold: is -0.1

@@ -18,8 +18,9 @@ from task.same_tasks import assert_same
 from task_texts import LEADER, VALID
 
 import pinposture as pp
+from pinposture import toml
 from pinposture.errors import FileError, PostureWarning
-from pinposture.task import document, toml
+from pinposture.task import document
 from pinposture.task.follow_leader import Leader
 
 if sys.version_info >= (3, 11):

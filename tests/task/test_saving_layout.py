@@ -16,7 +16,7 @@ from task.same_tasks import assert_same
 from task_texts import VALID
 
 import pinposture as pp
-from pinposture.task.toml import TomlLayout, Usual, lines_of_toml, toml_text
+from pinposture.toml import TomlLayout, Usual, lines_of_toml, toml_text
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.task.toml import lines_of_toml
+from pinposture.toml import lines_of_toml
 
 if sys.version_info >= (3, 11):
     import tomllib

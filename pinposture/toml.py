@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import tomlkit
 from tomlkit.items import AbstractTable, Array, InlineTable, Item
 
-from pinposture.schema import Place
+from pinposture.schema import Place, is_table
 from pinposture.storage import parse_toml
 
 # The lines on which tables, keys and list items begin, which tomlkit does not provide.
@@ -287,7 +287,7 @@ class _Editor:
         kept = {
             key
             for key, listed in children.items()
-            if (_is_list_of_tables if listed else _is_table)(new.get(key))
+            if (_is_list_of_tables if listed else is_table)(new.get(key))
         }
         own_old = {key: value for key, value in old.items() if key not in kept}
         own = {key: value for key, value in new.items() if key not in kept}
@@ -355,18 +355,14 @@ class _Editor:
 
 
 def _is_list_of_tables(value: object) -> bool:
-    return isinstance(value, list) and bool(value) and all(map(_is_table, value))
-
-
-def _is_table(value: object) -> bool:
-    return isinstance(value, Mapping)
+    return isinstance(value, list) and bool(value) and all(map(is_table, value))
 
 
 def _is_section(value: object, outermost: bool = False, headless: bool = False) -> bool:
     """Whether a new value becomes a section, and not an entry of the section that it is in."""
     if not isinstance(value, Mapping):
         return outermost and _is_list_of_tables(value)
-    return outermost or headless or (bool(value) and all(map(_is_table, value.values())))
+    return outermost or headless or (bool(value) and all(map(is_table, value.values())))
 
 
 def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:

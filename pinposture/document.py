@@ -1,0 +1,243 @@
+"""Files in TOML and JSON that users write: their text, and the line of each value."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pinposture._validation import require_instance
+from pinposture.errors import FileError, PostureError, numbered
+from pinposture.schema import (
+    InFolder,
+    Place,
+    Refusal,
+    mistakes_of,
+    place_in_words,
+    read_as,
+    refusing,
+    shown_key,
+)
+from pinposture.storage import parse_json, parse_toml, read_text, relative, require_suffix
+from pinposture.toml import Usual, lines_of_toml
+
+# Text parsed into plain data.
+
+SUFFIXES = (".toml", ".json")
+
+MAX_NESTING = 20
+"""Largest depth of nested tables and lists; three times that of a task file."""
+
+MAX_INTEGER_BITS = 64
+"""Largest size of a whole number, as in TOML."""
+
+_TOML_ERROR = re.compile(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", re.DOTALL)
+
+
+def _parsed(path: Path, text: str) -> dict[str, Any]:
+    try:
+        is_toml = path.suffix.lower() == ".toml"
+        values = parse_toml(text) if is_toml else parse_json(path, text, object_pairs_hook=_unique_keys)
+    except RecursionError:
+        raise FileError(
+            path, f"tables and lists are nested too deep; allowed: {MAX_NESTING} levels"
+        ) from None
+    except ValueError as error:
+        message = " ".join(str(error).split())
+        found = _TOML_ERROR.fullmatch(message)
+        # The line comes first, as in all other messages.
+        raise FileError(path, f"{found[2] or 'end of the file'}: {found[1]}" if found else message) from error
+    if not isinstance(values, dict):
+        raise FileError(path, "contains no table; allowed: keys and values, as in version = 1")
+    _check_size(path, (), values)
+    return values
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON table; refuse duplicate keys, of which JSON would use the last."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {shown_key(twice)!r} appears twice in a table")
+    return table
+
+
+def _check_size(path: Path, place: Place, value: Any) -> None:
+    """Refuse deep nesting and huge integers, which would be too expensive later."""
+    if len(place) > MAX_NESTING:
+        reason = f"is nested too deep; allowed: {MAX_NESTING} levels of tables and lists"
+        raise FileError(path, f"{place_in_words(place)}: {reason}")
+    if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
+        reason = f"is a whole number of more than {MAX_INTEGER_BITS} bits"
+        raise FileError(path, f"{place_in_words(place)}: {reason}")
+    if isinstance(value, Mapping | list):
+        items = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, each in items:
+            _check_size(path, (*place, key), each)
+
+
+class Document(InFolder):
+    """A file; mistakes in it are reported as a FileError with the line, key and value.
+
+    Attributes:
+        path: the file.
+        values: its contents.
+        toml: the text if the file is TOML; None if it is JSON.
+        changed: the places of values that are not those of the file.
+        arm: the arm of a task, once it has been read.
+        described: the description of each part of a task: plain data in SI units, with an absolute `Path`
+            for each path.
+    """
+
+    def __init__(self, path: Path, values: dict[str, Any], toml: str | None = None) -> None:
+        super().__init__(path.parent)
+        self.path = path
+        self.values = values
+        self.toml = toml
+        self.changed: set[Place] = set()
+
+    @classmethod
+    def load(cls, path: Path) -> Document:
+        """Read a file.
+
+        Raises:
+            FileError: it is missing, unreadable, of another format, or as for `parse`.
+        """
+        require_suffix(path, *SUFFIXES)
+        return cls.parse(path, read_text(path))
+
+    @classmethod
+    def parse(cls, path: Path, text: str) -> Document:
+        """Return the document of a file with this text.
+
+        Raises:
+            FileError: the text is malformed, or contains no table; names the line.
+        """
+        return cls(path, _parsed(path, text), text if path.suffix.lower() == ".toml" else None)
+
+    def change(self, key: str, value: object) -> None:
+        """Put another value in the place of one in the file, or where there was none.
+
+        Args:
+            key: its place, as in "limits.velocity" or "keyframes.2.time"; list items count from 1.
+            value: plain data.
+
+        Raises:
+            InvalidValue: a key that is not text.
+            FileError: there is no such place.
+        """
+        require_instance("key to change", key, str, 'text such as "limits.velocity"')
+        place: Place = tuple(int(each) - 1 if each.isdecimal() else each for each in key.split("."))
+        inside: Any = self.values
+        for depth, each in enumerate(place):
+            listed = isinstance(inside, list) and isinstance(each, int) and 0 <= each < len(inside)
+            if not listed and not (isinstance(inside, dict) and isinstance(each, str) and each):
+                where = place_in_words(place[:depth])
+                raise FileError(self.path, f"there is no {key!r} to change: nothing of that name in {where}")
+            if depth == len(place) - 1:
+                inside[each] = value
+            elif not listed:
+                inside = inside.setdefault(each, {})
+            else:
+                inside = inside[each]
+        self.changed.add(place)
+
+    def at(self, where: Place) -> Any:
+        """Return the value at a place; None if there is none."""
+        value: Any = self.values
+        for key in where:
+            there = key in value if isinstance(value, Mapping) else isinstance(key, int) and key < len(value)
+            if not there:
+                return None
+            value = value[key]
+        return value
+
+    def read(self, kind: Any, where: Place) -> Any:
+        """Return the value at a place as a declared class or an annotated type; a missing table is empty.
+
+        Raises:
+            FileError: all mistakes in it.
+        """
+        value = self.at(where)
+        try:
+            return read_as(kind, {} if value is None else value, self)
+        except ValidationError as error:
+            mistakes = mistakes_of(error)
+            failure = self.together([self.fault((*where, *inside), str(each)) for inside, each in mistakes])
+            raise failure from mistakes[0][1].__cause__
+
+    def read_all(self, kinds: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of some keys, by key, as `read` does.
+
+        Raises:
+            FileError: all mistakes in all of them.
+        """
+        found: dict[str, Any] = {}
+        errors: list[PostureError] = []
+        for key, kind in kinds.items():
+            try:
+                found[key] = self.read(kind, (key,))
+            except FileError as error:
+                errors.append(error)
+        if errors:
+            raise self.together(errors)
+        return found
+
+    def together(self, errors: Sequence[PostureError]) -> FileError:
+        """Return one error with all reasons of several."""
+        listed = [each for error in errors for each in (error.reasons or (error,))]
+        error = FileError(self.path, numbered([getattr(each, "reason", str(each)) for each in listed]))
+        error.reasons = tuple(listed) if len(listed) > 1 else ()
+        return error
+
+    @contextmanager
+    def blaming(self, where: Place) -> Iterator[None]:
+        """Report an error of the library at the key of the table that it names, or at the table."""
+        try:
+            with refusing(self.at(where)):
+                yield
+        except Refusal as refusal:
+            raise self.fault((*where, *refusal.within), str(refusal)) from refusal.__cause__
+
+    def line(self, where: Place) -> int | None:
+        """Return the line of a place, or of its parent; None if unknown, as in JSON, or changed."""
+        for end in range(len(where), 0, -1):
+            if where[:end] in self.changed:
+                return None
+            if where[:end] in self._lines:
+                return self._lines[where[:end]]
+        return None
+
+    def fault(self, where: Place, reason: str) -> FileError:
+        """Return an error about a place."""
+        line = self.line(where)
+        text = " ".join(reason.split())
+        before = "" if line is None else f"line {line}: "
+        return FileError(self.path, f"{before}{place_in_words(where)}: {text}")
+
+    @cached_property
+    def _lines(self) -> dict[Place, int]:
+        return {} if self.toml is None else lines_of_toml(self.toml.replace("\r\n", "\n"))
+
+
+def plain_data(value: Any, folder: Path) -> Any:
+    """Return plain data: relative paths, Python numbers, and integers without a decimal point."""
+    if isinstance(value, Usual | bool | int | str):
+        return value
+    if isinstance(value, Path):
+        return relative(value, folder)
+    if isinstance(value, Mapping):
+        return {key: plain_data(each, folder) for key, each in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain_data(each, folder) for each in value]
+    number = float(value)
+    whole = number.is_integer() and abs(number) < 1e15 and (number != 0.0 or math.copysign(1.0, number) > 0.0)
+    return int(number) if whole else number
