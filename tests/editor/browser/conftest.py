@@ -25,6 +25,7 @@ FLAGS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",  # what is drawn without a GPU is put together sooner without it, too
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",

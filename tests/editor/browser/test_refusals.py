@@ -53,7 +53,7 @@ def stiff(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_curve_that_the_arm_cannot_take(edit: Edit, look: Look, stiff: Path) -> None:
     editor = edit(pp.Task.load(stiff), stiff)
-    window = look(editor)
+    window = look(editor, drawn=True)
     session = editor.session
     arrived(editor)
     task = session.task

@@ -18,6 +18,15 @@ SIZE = {"width": 1280, "height": 720}
 COARSE = 0.4
 """How finely is drawn what nobody keeps, relative to pixels: drawing without a screen takes long."""
 
+UNDRAWN = """
+for (const name of ["drawArrays", "drawArraysInstanced", "drawElements", "drawElementsInstanced"])
+    WebGL2RenderingContext.prototype[name] = () => {};
+"""
+"""Keeps the picture empty: without a GPU, drawing it takes most of the time.
+
+Shaders are compiled all the same, and the page finds what the mouse is over.
+"""
+
 CANVAS = "canvas[data-engine]"
 
 CLOSE = 'document.querySelectorAll(".mantine-Notification-closeButton").forEach((each) => each.click())'
@@ -48,11 +57,19 @@ class Window:
         view: its initial camera.
         pictures: where to keep pictures; None if nobody wants any.
         toured: whether this is not the first visit.
+        drawn: whether somebody looks at the picture of the arm; it is drawn if pictures are kept, too.
     """
 
     def __init__(
-        self, browser: Any, url: str, view: Viewpoint, pictures: Path | None, toured: bool = True
+        self,
+        browser: Any,
+        url: str,
+        view: Viewpoint,
+        pictures: Path | None,
+        toured: bool = True,
+        drawn: bool = False,
     ) -> None:
+        self._drawn = drawn or pictures is not None
         self._view = view
         self._pictures = pictures
         self._context = browser.new_context(viewport=SIZE)
@@ -60,6 +77,8 @@ class Window:
         if toured:
             self._context.add_init_script(f"window.localStorage.setItem('viser-user:{TOUR_SEEN_KEY}', 'yes')")
         self._context.add_init_script(WATCH)
+        if not self._drawn:
+            self._context.add_init_script(UNDRAWN)
         self.page = self._context.new_page()
         self._mouse = (0.0, 0.0)
         self._held = False
@@ -174,7 +193,8 @@ class Window:
         return str(wait_until(lambda: words in (said := self.notice) and said, f"it says: {words}"))
 
     def shade(self, color: str) -> int:
-        """How many pixels of the picture have about a colour, such as "#D55E00"."""
+        """How many pixels of a picture that is drawn have about a colour, such as "#D55E00"."""
+        assert self._drawn
         box = self.page.locator(CANVAS).bounding_box()
         seen = np.asarray(Image.open(io.BytesIO(self.page.screenshot(clip=box))).convert("RGB"), dtype=int)
         wanted = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)])
