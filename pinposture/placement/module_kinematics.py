@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import qmc
 
 from pinposture import kernels
 from pinposture.arm import Arm
@@ -324,6 +323,8 @@ class NumericModule:
         if k <= 2:
             shares = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * k), axis=-1).reshape(-1, k)
         else:
+            from scipy.stats import qmc  # as slow to import as a quarter of the library
+
             shares = qmc.Sobol(k, scramble=False).random(MANY_SAMPLES)
         inside = np.clip(self.preferred, low, high)
         samples = np.ascontiguousarray(np.vstack([inside, low + shares * (high - low)]))
@@ -337,6 +338,8 @@ class NumericModule:
 
     def inverse(self, p: Array) -> list[Array]:
         """IK: positions (k,) within the limits that put the end at p, (3,) [m]; one or none."""
+        from scipy.stats import qmc  # slow to import
+
         joints = self.joints
         k = self.dof
         found = np.clip(self.preferred, self._low, self._high)
