@@ -24,8 +24,9 @@ COMPREHENSIONS = ("<listcomp>", "<setcomp>", "<dictcomp>", "<genexpr>")
 class Trace:
     """Files of the package in which a function runs, until another is called, or returns for the n-th time.
 
-    What runs while a module is imported does not count. Of kernels, which no tracing sees, those count that
-    Python calls, and those that they can call in turn. Comprehensions are no calls: newer Pythons have none.
+    Only the calling thread counts: how far others come meanwhile varies. What runs while a module is imported
+    does not count. Of kernels, which no tracing sees, those count that Python calls, and those that they can
+    call in turn. Comprehensions are no calls: newer Pythons have none.
 
     Attributes:
         files: the files, in the order in which they are come to.
@@ -44,19 +45,19 @@ class Trace:
         self._folder = str(folder) + "/"
         self._importing = 0
         self._over = True
+        self._thread = 0
         self._until_return = until_return
         self._until_call = until_call
         self._returns = returns
 
     def __enter__(self) -> Trace:
         self._over = False
-        threading.setprofile(self._see)
+        self._thread = threading.get_ident()
         sys.setprofile(self._see)
         return self
 
     def __exit__(self, *_: object) -> None:
         sys.setprofile(None)
-        threading.setprofile(None)
         self._over = True
 
     def _see(self, frame: Any, event: str, _: Any) -> None:
@@ -83,7 +84,8 @@ class Trace:
         self.switches += caller is not None and caller.f_code.co_filename != own
 
     def _counts(self, file: str) -> bool:
-        return file.startswith(self._folder) and not self._importing and not self._over
+        own = threading.get_ident() == self._thread  # kernels tell of calls in any thread
+        return own and file.startswith(self._folder) and not self._importing and not self._over
 
     def note(self, code: Any) -> None:
         """A function has been come to."""

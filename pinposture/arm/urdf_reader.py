@@ -401,7 +401,7 @@ def _doubled_elements(robot: Element) -> tuple[str, ...]:
             if element.tag == "geometry":
                 groups = {"shapes": list(element)}
             for what, found in groups.items():
-                if any(_content(each) != _content(found[0]) for each in found):
+                if any(_content(each) != _content(found[0]) for each in found[1:]):
                     inside = "" if element is owner else f" in <{element.tag}>"
                     counted = f"has {len(found)} different {what}{inside}: the first counts, as in ROS"
                     doubled.append(f"{owner.tag} {owner.get('name')!r} {counted}")
