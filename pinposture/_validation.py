@@ -281,10 +281,9 @@ def require_finite(name: str, array: NDArray[np.float64], largest: float = LARGE
 
 def entries_beyond(array: NDArray[np.float64], largest: float) -> NDArray[np.intp]:
     """Return the indices of entries that are not finite or larger than `largest` either way, (n, ndim)."""
-    flat = array.ravel()
-    with np.errstate(over="ignore"):
-        if flat.dot(flat) <= largest * largest:  # quick; false if many entries are near the largest
-            return np.empty((0, array.ndim), dtype=np.intp)
+    # Quick; false if many entries are near the largest. Other products warn when they overflow.
+    if np.vdot(array, array) <= largest * largest:
+        return np.empty((0, array.ndim), dtype=np.intp)
     return np.argwhere(~(np.abs(array) <= largest))
 
 

@@ -504,6 +504,8 @@ class CollisionModel:
         first = self._distances.first
         second = self._distances.second
         self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
+        self._named = np.empty(len(self.pairs), dtype=object)  # for access to many at once
+        self._named[:] = self.pairs
         joints = choice.objects.joints
         fixed = choice.objects.fixed
         self._carriers = np.array([*joints, *[0] * len(fixed)], dtype=np.int64)
@@ -543,7 +545,7 @@ class CollisionModel:
         return Distances(
             distances=near.distances,
             jacobian=jacobian,
-            pairs=tuple(self.pairs[k] for k in near.pairs),
+            pairs=tuple(self._named[near.pairs].tolist()),
             numbers=near.pairs,
             points=near.points,
             normals=normals,

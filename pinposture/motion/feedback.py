@@ -135,7 +135,7 @@ class Feedback:
     `LONGEST_LAG`, and c + b, or within `max_tracking_error` of them.
 
     Attributes:
-        command: commanded configuration, (nq,); None before the first measurement.
+        state: the state of the arm at the command; None before the first measurement.
         positions: its joint positions, (nv,) [rad or m]: continuous joints count full turns from the measured
             ones on; None before the first measurement.
         measured: last usable measured joint positions, (nv,) [rad or m], turns as in `positions`.
@@ -158,7 +158,7 @@ class Feedback:
 
     def __init__(self, arm: Arm, time_constant: float, max_tracking_error: float, resync_time: float) -> None:
         self.arm = arm
-        self.command: Array | None = None
+        self.state: ArmState | None = None
         self.positions: Array | None = None
         self.measured: Array | None = None
         self.restarted = False
@@ -173,8 +173,14 @@ class Feedback:
         self._agreed_for = 0.0
         self._at_rest = True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
+        self._aim: tuple[Target, Array] | None = None
         self.averaging_time = min(time_constant, SLOWEST_AVERAGE)
         self._forget(np.zeros(arm.nv))
+
+    @property
+    def command(self) -> Array:
+        """The commanded configuration, (nq,), after the first measurement."""
+        return cast(ArmState, self.state).q
 
     @property
     def offset(self) -> Array:
@@ -214,8 +220,8 @@ class Feedback:
         """Add the step of this cycle, (nv,) [rad or m], to the command."""
         self.restarted = False
         self._at_rest = not np.any(dq)
-        if self.command is not None and self.positions is not None:
-            self.command = self.arm.integrate(self.command, dq)
+        if self.state is not None and self.positions is not None:
+            self.state = self.state.moved(dq)
             self.positions = self.positions + dq
             self._sent = self._sent + dq
 
@@ -229,8 +235,8 @@ class Feedback:
         measured_points = self._checked_points(points)
         measured, reason = self._checked_configuration(q)
         if measured is None:
-            return FeedbackState(self._state(), reason, None)
-        if self.command is None:
+            return FeedbackState(self.state, reason, None)
+        if self.state is None:
             try:
                 self.restart(read_start(arm, cast(ArrayLike, q)))
             except InvalidValue as error:
@@ -248,7 +254,7 @@ class Feedback:
             far = self._describe(joint, largest * arm.joint_units[joint])
             most = self._describe(joint, self._max_difference * arm.joint_units[joint])
             reason = f"joint {arm.joint_names[joint]!r} is {far} from its expected position"
-            return FeedbackState(self._state(), f"{reason}; at most {most} is fed back", largest)
+            return FeedbackState(self.state, f"{reason}; at most {most} is fed back", largest)
         if self.restarted:
             difference = np.zeros(arm.nv)
             positions = cast(Array, self.positions)
@@ -258,9 +264,9 @@ class Feedback:
         self.points = self._filter(measured, difference, measured_points, dt)
         if self.response.stopped.any():
             reason = self._describe_stopped(positions)
-            return FeedbackState(self._state(), reason, largest, self._hold(positions))
+            return FeedbackState(self.state, reason, largest, self._hold(positions))
         self._held = None
-        return FeedbackState(self._state(), "", largest)
+        return FeedbackState(self.state, "", largest)
 
     def _watch(self, positions: Array, dt: float) -> None:
         """Watch the response of the drives to the command, or to the steps with a velocity interface."""
@@ -291,7 +297,7 @@ class Feedback:
 
     def _hold(self, positions: Array) -> Target | None:
         """Return where to hold with joints that do not follow; None until the arm is at rest."""
-        command = cast(Array, self.command)
+        command = self.command
         sent = cast(Array, self.positions)
         if self._held is None and self._at_rest and self.compensates:
             self.response.hold_standing(positions, sent)
@@ -333,7 +339,7 @@ class Feedback:
     def _compensated(self, target: Target, offset: Array, shift: Array) -> Target:
         arm = self.arm
         shifts = bool(np.any(shift))
-        if not (np.any(offset) or shifts) or self.command is None:
+        if not (np.any(offset) or shifts) or self.state is None:
             return target
         q = target.q
         q_compensated = None
@@ -343,16 +349,19 @@ class Feedback:
             inside = np.clip(positions - offset, limits.lower, limits.upper)
             inside = np.where((positions < limits.lower) | (positions > limits.upper), positions, inside)
             q_compensated = arm.integrate(q, inside - positions)
-            change = arm.at(q_compensated).compiled.points - arm.at(q).compiled.points
+            change = arm.at(q_compensated).compiled.points - self._points_at(target, q)
         else:
             beyond = arm.integrate(self.command, offset)
-            change = arm.at(self.command).compiled.points - arm.at(beyond).compiled.points
+            change = self.state.compiled.points - arm.at(beyond).compiled.points
         q = None if shifts else q_compensated
         velocity = None if q is None else target.velocity
         return Target(target.points + change - shift, target.weights, q, velocity=velocity)
 
-    def _state(self) -> ArmState | None:
-        return None if self.command is None else self.arm.at(self.command)
+    def _points_at(self, target: Target, q: Array) -> Array:
+        """Return the control points at the configuration q of a target, (m, 3) [m]; once for each target."""
+        if self._aim is None or self._aim[0] is not target:
+            self._aim = target, self.arm.at(q).compiled.points
+        return self._aim[1]
 
     def describe_shortfall(self, target: Target, positions: Array) -> str:
         """Say which joint stands farthest from its target, and why.
@@ -385,7 +394,7 @@ class Feedback:
 
     def _difference(self, measured: Measurement) -> Array:
         """Return measured minus commanded joint positions, (nv,); within half a turn if turns are unknown."""
-        if self.command is None or self.positions is None:
+        if self.state is None or self.positions is None:
             return np.zeros(self.arm.nv)
         if measured.positions is not None:
             return np.asarray(measured.positions - self.positions)
@@ -400,14 +409,14 @@ class Feedback:
             self.positions = self.arm.positions(measured.q)
         else:
             self.positions = self.positions + self._difference(measured)
-        self.command = measured.q
+        self.state = self.arm.at(measured.q)
 
     def _filter(
         self, measured: Measurement, difference: Array, measured_points: Array | None, dt: float
     ) -> Array:
         """Low-pass filter the estimates; return the measured control points, (m, 3) [m]."""
         share = 1.0 if self._time_constant == 0.0 else 1.0 - exp(-dt / self._time_constant)
-        expected = self.arm.at(cast(Array, self.command)).compiled.points
+        expected = cast(ArmState, self.state).compiled.points
         if self._time_constant == 0.0:
             self._move_to(measured)
         else:

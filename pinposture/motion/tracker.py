@@ -264,7 +264,7 @@ class Tracker:
         Raises:
             InvalidValue: before the first measurement.
         """
-        if self._feedback.command is None:
+        if self._feedback.state is None:
             raise InvalidValue("command", None, "a command after the first measurement (see `step`)")
         return np.array(self._feedback.command)
 
@@ -305,7 +305,9 @@ class Tracker:
             target = replace(target, velocity=finite_vector("velocity", velocity, self.arm.nv))
         target.check_arm(self.arm)
         before = self._target.q if self._target is not None else None
-        near = self._feedback.command if before is None else before
+        near = before
+        if near is None and self._feedback.state is not None:
+            near = self._feedback.command
         given = with_configuration(self.arm, target, near)
         if velocity is not None and given.q is None:
             raise InvalidValue("velocity", velocity, "None for a target without a configuration")
@@ -594,11 +596,11 @@ class Tracker:
         """Return the step dq that was sent, as the controller described it; None if it computed none."""
         step = decision.step
         aim = decision.compensated or self._target
-        command = self._feedback.command
+        sent = self._feedback.state
         before = feedback.state
-        if step is None or aim is None or command is None or before is None or np.array_equal(step.dq, dq):
+        if step is None or aim is None or sent is None or before is None or np.array_equal(step.dq, dq):
             return step
-        after = self.arm.at(command).compiled
+        after = sent.compiled
         most = tolerances.ERROR_ROUNDING * self.arm.length
         rises = aim.mean_distance(after.points) > aim.mean_distance(before.compiled.points) + most
         return step._replace(dq=np.array(dq), error_increasing=rises)
@@ -655,13 +657,13 @@ class Tracker:
 
         The command is as the jerk filter can cut a corner, the measured arm as it can lag or sag.
         """
-        command = self._feedback.command
+        sent = self._feedback.state
         measured = self._feedback.measured
-        if self.scene is None or command is None:
+        if self.scene is None or sent is None:
             return ()
         found: list[str] = []
         if self._smoothing.active:
-            found += self._describe_clearance(CollisionModel(self.arm, self.scene).minimum(command))
+            found += self._describe_clearance(CollisionModel(self.arm, self.scene).minimum(sent.q))
         if measured is not None and self._feedback.compensates and self._may_be_close(measured):
             model = CollisionModel(self.arm, self.scene)
             closest = model.minimum(self.arm.configuration(measured))

@@ -350,6 +350,10 @@ class Avoidance:
         """Return by how much the nearest pair violates the margin [m]; 0 if all keep it."""
         return max(0.0, self.margin - self.near(state).minimum)
 
+    def allows(self, state: ArmState) -> bool:
+        """Whether all pairs keep the margin at a state; as `intrusion`, without what its derivatives need."""
+        return self.clearance.minimum(state.q).distance >= self.margin
+
     def measure_clearance(self, q: Array, offsets: Array) -> PathClearance:
         """Return the missing clearance of pairs at several configurations of a planned path.
 

@@ -209,7 +209,7 @@ def short_path(
     """
     if goal is None:
         goal = _known_goal(objective, bounds, state.q)
-        if goal is None or not (avoidance is None or avoidance.intrusion(goal) == 0.0):
+        if goal is None or not (avoidance is None or avoidance.allows(goal)):
             return None
     motion = _size(objective, objective.arm.difference(state.q, goal.q))
     if motion * len(objective.columns) > MAX_SHORT_MOTION:
@@ -546,7 +546,7 @@ def replan(
     arm = objective.arm
     before = path.configuration(path.end)
     known = None if objective.has_tasks else _known_goal(objective, bounds, before)
-    if known is not None and (avoidance is None or avoidance.intrusion(known) == 0.0):
+    if known is not None and (avoidance is None or avoidance.allows(known)):
         goal = known
         clear = True
     else:
