@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import field, fields, replace
 from functools import cached_property, partial
@@ -194,6 +195,24 @@ class Scene(Declared):
         for name, velocity in self.velocities.items():
             obstacles[name] = displaced(obstacles[name], pin.SE3(np.eye(3), time * np.array(velocity)))
         return self._at_moment(obstacles, self.velocities)
+
+    def displacement(self, before: Scene, reach: float) -> float:
+        """Return how far obstacles are from where they were at another moment of the same scene [m].
+
+        Args:
+            before: a scene that `moved` or `after` derived from the same first one; infinity otherwise.
+            reach: distance from the middle of an obstacle at which its rotation counts [m].
+        """
+        if before.first != self.first:
+            return math.inf
+        farthest = 0.0
+        for name, each in self.obstacles.items():
+            there = before.obstacles[name]
+            if each is not there:
+                motion = there.pose(np.zeros(3)).actInv(each.pose(np.zeros(3)))
+                turned = float(np.linalg.norm(pin.log3(motion.rotation)))
+                farthest = max(farthest, float(np.linalg.norm(motion.translation)) + reach * turned)
+        return farthest
 
     def without_obstacles(self) -> Scene:
         """Return the scene without obstacles: the arm has only itself to keep clear of."""

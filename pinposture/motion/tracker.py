@@ -219,6 +219,7 @@ class Tracker:
         self._arrival = Arrival(arm.length)
         self._pursuit = Hindrance(arm, self._feedback.averaging_time)
         self._evasion = Hindrance(arm, self._feedback.averaging_time)
+        self._tried: Scene | None = None
         self._clearance: tuple[Scene, Array, Closest] | None = None
         self._timeout = timeout
         self._target: Target | None = None
@@ -385,12 +386,12 @@ class Tracker:
         if scene is None and self.scene is not None and self.scene.velocities:
             scene = self.scene.after(passed)
         if scene is not None and scene is not self.scene:
-            if scene != self.scene:
-                self._try_again()
             controller, self.scene = in_scene(self._loop.steps.controller, scene)
             if self._smoothing.active and scene.velocities:  # obstacles where the filtered steps meet them
                 controller, _ = in_scene(controller, scene.after(self._smoothing.delay * self._period))
             self._loop.steps.controller = controller
+            if self._has_other_obstacles(scene):
+                self._try_again()
         if self._former is not None and self._is_at_rest():
             self._take_limits()
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
@@ -504,8 +505,14 @@ class Tracker:
             distances = {"mean error": error, **distances}
         self._pursuit.move(distances if pursues else None, dt)
 
+    def _has_other_obstacles(self, scene: Scene) -> bool:
+        """Whether obstacles have moved, by more than noise within the margin, since the arm tried anew."""
+        noise = 2.0 * scene.margin + tolerances.GAIN * self.arm.length
+        return self._tried is None or scene.displacement(self._tried, self.arm.length) > noise
+
     def _try_again(self) -> None:
         """Begin anew to pursue the target and to evade obstacles."""
+        self._tried = self.scene
         self._pursuit.restart()
         self._evasion.restart()
 
@@ -559,7 +566,8 @@ class Tracker:
         controller = loop.steps.controller
         if not measured or not isinstance(controller, Geodesic) or controller.scene is None:
             return braked, False
-        if not controller.scene.velocities and (controller.offset is None or self._evasion.lasting):
+        may_evade = bool(controller.scene.moving) or controller.offset is not None
+        if not may_evade or (self._evasion.lasting and not controller.scene.velocities):
             return braked, False
         state = loop.ahead
         target = self._target or Target.from_configuration(self.arm, state.q)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from itertools import count, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -48,12 +50,13 @@ class Robot:
         self.sensors = Sensors(Sensing(noise=3e-4) if sensing is None else sensing)
         self.frozen = np.zeros(arm.nv, dtype=bool)
         self.seen = np.zeros(arm.nv)
+        self.scenes: Iterator[pp.Scene | None] = repeat(None)
 
     def go(self, seconds: float) -> Log:
         rows = []
         for _ in range(round(seconds / DT)):
             self.seen = np.where(self.frozen, self.seen, self.sensors.measure(self.drives.positions))
-            dq = self.tracker.step(self.seen)
+            dq = self.tracker.step(self.seen, scene=next(self.scenes))
             report = self.tracker.report
             rows.append(
                 (report.status, report.reason, self.tracker.positions, self.drives.positions, self.seen)
@@ -314,11 +317,16 @@ def test_an_arm_that_cannot_leave_an_obstacle_stands_and_says_so() -> None:
 
 @pytest.mark.soak
 @pytest.mark.parametrize(
-    ("modules", "place", "noise", "lag", "time_constant"),
-    [(10, 0.5, 0.0, 0.05, 0.25), (6, 0.27, 3e-4, 0.05, 0.25), (6, 0.27, 0.0, 0.2, 0.8)],
+    ("modules", "place", "noise", "lag", "time_constant", "jitter"),
+    [
+        (10, 0.5, 0.0, 0.05, 0.25, 0.0),
+        (6, 0.27, 3e-4, 0.05, 0.25, 0.0),
+        (6, 0.27, 0.0, 0.2, 0.8, 0.0),
+        (10, 0.5, 0.0, 0.05, 0.25, 1e-5),
+    ],
 )
 def test_an_arm_that_sags_in_a_narrow_gap_comes_to_rest_and_tries_again_without_the_sag(
-    modules: int, place: float, noise: float, lag: float, time_constant: float
+    modules: int, place: float, noise: float, lag: float, time_constant: float, jitter: float
 ) -> None:
     arm = template_arm("RyRz", modules)
     height = LINK_RADIUS + BALL_RADIUS + MARGIN + 0.002
@@ -339,6 +347,9 @@ def test_an_arm_that_sags_in_a_narrow_gap_comes_to_rest_and_tries_again_without_
     for share in np.linspace(0.01, 1.0, 100):
         robot.drives.sag[0] = 0.03 * share
         robot.go(DT)
+    if jitter:
+        rng = np.random.default_rng(0)
+        robot.scenes = (scene.moved({"low": rng.normal(0.0, jitter, 3)}) for _ in count())
     robot.go(11.0 if time_constant < 0.5 else 17.0)
     last = robot.go(2.0)
     assert np.abs(np.diff(last.sent, axis=0)).sum() < 1e-4

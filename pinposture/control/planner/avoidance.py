@@ -354,6 +354,10 @@ class Avoidance:
         """Whether all pairs keep the margin at a state; as `intrusion`, without what its derivatives need."""
         return self.clearance.minimum(state.q).distance >= self.margin
 
+    def lost(self, state: ArmState) -> bool:
+        """Whether the margin is lost, by more than rounding, in a scene whose obstacles have been moved."""
+        return bool(self.clearance.scene.moving) and self.intrusion(state) > MOTION_TOLERANCE * self._length
+
     def measure_clearance(self, q: Array, offsets: Array) -> PathClearance:
         """Return the missing clearance of pairs at several configurations of a planned path.
 

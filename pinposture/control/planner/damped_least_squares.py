@@ -63,8 +63,8 @@ class StepBounds(NamedTuple):
         lower: smallest step, (n,), in `Arm.joint_units`.
         upper: largest step, (n,).
         rows: further constraints; None: none.
-        retreating: whether an approaching obstacle, or a lost margin of the measured arm, forces the arm to
-            move.
+        retreating: whether an approaching or moved obstacle, or a lost margin of the measured arm, forces the
+            arm to move.
     """
 
     state: ArmState
@@ -82,7 +82,7 @@ class StepBounds(NamedTuple):
         if avoidance is None:
             return cls(state, lower, upper, None)
         rows = avoidance.rows(state, lower, upper)
-        may_retreat = rows is not None and (avoidance.moving or avoidance.offset is not None)
+        may_retreat = avoidance.moving or avoidance.offset is not None or avoidance.lost(state)
         least = 0.0 if avoidance.moving else RETREAT_TOLERANCE * state.arm.length
         retreating = may_retreat and rows is not None and bool(np.any(rows.least > least))
         return cls(state, lower, upper, rows, retreating)

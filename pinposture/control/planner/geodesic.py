@@ -339,7 +339,7 @@ class Geodesic:
     ) -> Memory:
         """Take the smallest step that keeps the arm clear, regardless of the target, while a path is planned.
 
-        Without moving obstacles and an `offset`, the arm brakes to a stop.
+        Without moving obstacles and an `offset`, the arm brakes to a stop, unless a moved one is too close.
 
         Args:
             state: the state of the arm.
@@ -356,12 +356,14 @@ class Geodesic:
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
         memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
-        if self.scene is None or not (self.scene.velocities or self.offset is not None):
+        if self.scene is None or not (self.scene.moving or self.offset is not None):
             return memory.braked(limits, state)
         objective = self.objective(state.arm, target)
         state = state.compiled
         model = CollisionModel(state.arm, self.scene)
         avoidance = Avoidance(model, objective, limits.for_arm(state.arm), memory.dq, self.offset)
+        if not (avoidance.moving or avoidance.offset is not None or avoidance.lost(state)):
+            return memory.braked(limits, state)
         box = limits.box(state, memory.dq)
         cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
         return replace(memory, dq=cleared.dq, stopping=cleared.stopping)
