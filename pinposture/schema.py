@@ -697,12 +697,12 @@ class InFolder:
         embeds: as in `OutputFile`.
     """
 
-    arm: Any = None
     scene: Any = None
 
-    def __init__(self, folder: Path, embeds: bool = False) -> None:
+    def __init__(self, folder: Path, embeds: bool = False, arm: Any = None) -> None:
         self.folder = folder
         self.embeds = embeds
+        self.arm = arm
         self.described: dict[Hashable, object] = {}
 
     def resolve(self, name: str) -> Path:
@@ -716,7 +716,9 @@ class InFolder:
         """Return None: no descriptions are known."""
 
 
-def read_plain(kind: Any, value: object, name: str = "", folder: str | Path | None = None) -> Any:
+def read_plain(
+    kind: Any, value: object, name: str = "", folder: str | Path | None = None, arm: Any = None
+) -> Any:
     """Read a value as a declared class or an annotated type.
 
     Args:
@@ -724,15 +726,43 @@ def read_plain(kind: Any, value: object, name: str = "", folder: str | Path | No
         value: plain data, or what a Python call accepts.
         name: what errors call it.
         folder: the folder to which paths in plain data are relative; None: not plain data.
+        arm: the arm to which plain data belongs, if it is known.
 
     Raises:
         PostureError: the first mistake; names its place.
     """
     try:
-        return read_as(kind, value, None if folder is None else InFolder(Path(folder)))
+        return read_as(kind, value, None if folder is None else InFolder(Path(folder), arm=arm))
     except ValidationError as error:
         place, refusal = mistakes_of(error)[0]
         raise error_of((name, *place) if name else place, refusal) from refusal.__cause__
+
+
+def read_call(kind: Any, values: Mapping[str, Any], arm: Any = None) -> Any:
+    """Return what a declared class makes of the arguments of a call, read as a file gives them.
+
+    Args:
+        kind: the class.
+        values: plain data by name of the argument, with units for instance.
+        arm: the arm to which they belong, if it is known.
+
+    Raises:
+        PostureError: the first mistake; names the argument.
+    """
+    return read_plain(kind, ArgsKwargs((), dict(values)), folder=".", arm=arm)
+
+
+def describe_field(kind: type, name: str) -> str:
+    """Return what the docstring of a declared class says of a field, and its default."""
+    listed = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2].split("\n\n")[0]
+    found = re.search(rf"^    {name}: (.*?)(?=^    \w+: |\Z)", listed, re.DOTALL | re.MULTILINE)
+    words = "" if found is None else " ".join(found[1].split())
+    default = _fields(kind)[name]
+    if default is None:
+        words = words.replace("None: ", "Default: ")
+    elif default is not dataclasses.MISSING and default is not False:
+        words = f"{words.replace('None: ', 'none: ')} Default: {default}."
+    return words[:1].upper() + words[1:]
 
 
 def as_plain(part: Declared, embed: bool = True) -> Any:
@@ -764,7 +794,7 @@ def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Re
     return call
 
 
-def read_call(
+def call_described(
     table: Mapping[str, Any], functions: Mapping[str, Callable[..., Returned]], what: str
 ) -> Returned:
     """Return what a function returns, given its name as `type` and its arguments by name.

@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import wraps
+from functools import partial, wraps
 from importlib import import_module
 from inspect import Parameter, signature
 from typing import Annotated, Any
@@ -82,8 +82,25 @@ REGISTERED = {
 returns them: they are imported where the help is printed."""
 
 
-def _with_registered_names(written: str | None) -> str | None:
-    """Return a help text with the names that are registered."""
+DECLARED = {"Limits": "pinposture.control"}
+"""Declared classes by name, and where they are: {Limits.dt} in a help text stands for what is said of it."""
+
+_FIELD = re.compile(r"\{(\w+)\.(\w+)\}")
+
+
+def _described_field(mark: re.Match[str], options: Mapping[str | None, str]) -> str:
+    """Return what a declared class says of a field, with options of a verb in place of arguments."""
+    from pinposture.schema import describe_field
+
+    words = describe_field(getattr(import_module(DECLARED[mark[1]]), mark[1]), mark[2])
+    named = re.sub(r"`(\w+)`", lambda found: options.get(found[1], found[1]), words)
+    return named.replace("[", "(").replace("]", ")")  # Typer takes brackets for markup
+
+
+def _with_registered_names(written: str | None, options: Mapping[str | None, str]) -> str | None:
+    """Return a help text with the names that are registered, and the words of declared classes."""
+    if written is not None:
+        written = _FIELD.sub(partial(_described_field, options=options), written)
     for mark, (home, attribute) in REGISTERED.items():
         if written is not None and mark in written:
             found = getattr(import_module(home), attribute)
@@ -110,8 +127,9 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
         def format_help(self, ctx: Any, formatter: Any) -> None:
             described: list[Any] = [self, *self.params]
             written = [each.help for each in described]
+            options = {each.name: each.opts[0] for each in self.params}
             for each in described:
-                each.help = _with_registered_names(each.help)
+                each.help = _with_registered_names(each.help, options)
             super().format_help(ctx, formatter)
             for each, text in zip(described, written, strict=True):
                 each.help = text

@@ -120,8 +120,8 @@ def run(
     controller_options.check()
     if ends_only and output is None:
         raise InvalidValue("--ends-only", ends_only, "only with --output")
-    limits = limit_options.read()
     arm = arm_options.read(urdf)
+    limits = limit_options.read(arm)
     surroundings = scene_options.read(arm)
     configurations = _read_starts(arm, starts, count, seed, degrees, surroundings)
     targets = [placement_options.place(arm, each, surroundings) for each in curve]

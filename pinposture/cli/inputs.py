@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -500,72 +501,66 @@ def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
     return points
 
 
+ARGUMENTS_OF_OPTIONS = {"step_limit": "step"}
+"""Arguments of declared classes that options call otherwise."""
+
+
+def read_declared(kind: Any, given: Mapping[str, object], arm: Arm | None = None) -> Any:
+    """Return what a declared class makes of options: numbers or text with units, alone or with commas.
+
+    Args:
+        kind: the class; its arguments are called as the options, but for those of `ARGUMENTS_OF_OPTIONS`.
+        given: the values by option; None: not given.
+        arm: the arm to which they belong, if any.
+
+    Raises:
+        PostureError: the first value that is refused; names the argument.
+    """
+    from pinposture.schema import read_call
+
+    values = {
+        ARGUMENTS_OF_OPTIONS.get(name, name): as_data(value) if isinstance(value, str) else value
+        for name, value in given.items()
+        if value is not None
+    }
+    return read_call(kind, values, arm)
+
+
+def as_data(text: str) -> Any:
+    """Return a number, other text, or a list of both if there are commas, as a file contains it."""
+    from pinposture.schema import UNLIMITED_WORD
+
+    values: list[float | str] = []
+    for field in text.split(","):
+        try:
+            number = float(field)
+            values.append(UNLIMITED_WORD if number == math.inf else number)
+        except ValueError:
+            values.append(field.strip())
+    return values[0] if len(values) == 1 else values
+
+
 @dataclass(frozen=True)
 class LimitOptions:
-    """The limits of a step."""
+    """The limits of a step, as of `Limits`."""
 
-    step_limit: Annotated[
-        float, LIMITS("Maximum motion of a joint in one step, in rad or metres; inf for none.")
-    ] = 0.1
-    velocity: Annotated[
-        str | None,
-        LIMITS(
-            "Maximum speed of joints, in rad/s or m/s, one number for all or one for each; default: "
-            "the limits of the arm. Needs --dt.",
-            "V,...",
-        ),
-    ] = None
-    acceleration: Annotated[
-        str | None,
-        LIMITS(
-            "Maximum acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; default: "
-            "no limit. Needs --dt.",
-            "A,...",
-        ),
-    ] = None
-    jerk: Annotated[
-        str | None,
-        LIMITS(
-            "Maximum joint jerk, in rad/s^3 or m/s^3, one number for all joints or one for each. "
-            "Default: no limit. Requires --acceleration.",
-            "J,...",
-        ),
-    ] = None
-    dt: Annotated[float | None, LIMITS("Duration of a step, in s. Default: speeds are not limited.")] = None
-    position_margin: Annotated[float, LIMITS("Margin to the joint limits, in rad or metres.")] = 0.0
+    step_limit: Annotated[str | None, LIMITS("{Limits.step}", "STEP,...")] = None
+    velocity: Annotated[str | None, LIMITS("{Limits.velocity}", "V,...")] = None
+    acceleration: Annotated[str | None, LIMITS("{Limits.acceleration}", "A,...")] = None
+    jerk: Annotated[str | None, LIMITS("{Limits.jerk}", "J,...")] = None
+    dt: Annotated[str | None, LIMITS("{Limits.dt}", "TIME")] = None
+    position_margin: Annotated[str | None, LIMITS("{Limits.position_margin}", "MARGIN")] = None
 
-    def read(self) -> Limits:
-        """Return the limits of these options.
+    def read(self, arm: Arm) -> Limits:
+        """Return the limits of these options for an arm.
 
         Raises:
-            InvalidValue: text that is not a number, an invalid value, or a missing `dt`.
+            InvalidValue: an invalid value, one that does not fit the arm, or a missing `dt`.
         """
         from pinposture.control import Limits
 
-        given = {"--velocity": self.velocity, "--acceleration": self.acceleration, "--jerk": self.jerk}
-        for option, text in given.items():
-            if self.dt is None and text is not None:
-                raise InvalidValue("--dt", None, f"the duration of a step [s], required with {option}")
-        if self.jerk is not None and self.acceleration is None:
-            raise InvalidValue("--acceleration", None, "the acceleration limit, required with --jerk")
-        speed, change, jerk = (_for_joints(option, text) for option, text in given.items())
-        return Limits(
-            step=self.step_limit,
-            velocity=speed,
-            dt=self.dt,
-            position_margin=self.position_margin,
-            acceleration=change,
-            jerk=jerk,
-        )
-
-
-def _for_joints(option: str, text: str | None) -> float | NDArray[np.float64] | None:
-    import numpy as np
-
-    if text is None:
-        return None
-    values = read_numbers(option, text)
-    return values[0] if len(values) == 1 else np.array(values)
+        limits: Limits = read_declared(Limits, vars(self), arm)
+        return limits
 
 
 ControllerOption = Annotated[

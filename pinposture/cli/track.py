@@ -114,8 +114,8 @@ def run(
     from pinposture.motion.track import name_enough_steps, usual_max_steps
 
     controller_options.check(**vars(tip_options))
-    limits = limit_options.read()
     arm = arm_options.read(urdf)
+    limits = limit_options.read(arm)
     surroundings = scene_options.read(arm)
     begin = read_start(arm, start, seed, degrees, surroundings)
     task = tip_options.read(arm.at(begin.q))

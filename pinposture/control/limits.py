@@ -406,19 +406,22 @@ LONGEST_CYCLE = 60.0
 class Limits(Declared):
     """Limits of one control step. The joint position limits of the arm always apply as well.
 
+    `track`, motions and `Tracker` keep a limit of jerk (see `JerkFilter`); `Controller.step` and `retime` do
+    not.
+
     Attributes:
-        step: largest |dq| of each joint in one step [rad or m]; one number or (nv,). None: no limit.
-        velocity: largest joint velocity [rad/s or m/s]; one number or (nv,). Needs `dt`. None: that of the
-            arm; a larger one replaces it, with a `PostureWarning`.
-        dt: duration of a step, the cycle time [s]; above 1 s with a `PostureWarning`. None: velocities are
-            not limited.
-        position_margin: distance to keep from each joint position limit [rad or m].
-        acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. dq
-            changes by at most acceleration * dt^2 between steps, and joints brake early enough to stop at
-            their position limits. None: no limit.
-        jerk: largest joint jerk [rad/s^3 or m/s^3]; one number or (nv,). Needs `acceleration`. `track`,
-            motions and `Tracker` keep it (see `JerkFilter`); `Controller.step` and `retime` do not. None: no
+        step: largest |dq| of each joint in one step [rad or m]; one number, or one for each joint. None: no
             limit.
+        velocity: largest joint velocity [rad/s or m/s]; one number, or one for each joint. Needs `dt`. None:
+            that of the arm; a larger one replaces it, with a warning.
+        dt: duration of a step, the cycle time [s]; above 1 s with a warning. None: velocities are not
+            limited.
+        position_margin: distance to keep from each joint position limit [rad or m].
+        acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number, or one for each joint. Needs
+            `dt`. dq changes by at most acceleration * dt^2 between steps, and joints brake early enough to
+            stop at their position limits. None: no limit.
+        jerk: largest joint jerk [rad/s^3 or m/s^3]; one number, or one for each joint. Needs `acceleration`.
+            None: no limit.
     """
 
     step: _Limit | None = 0.1

@@ -37,13 +37,13 @@ from pinposture.schema import (
     Flag,
     NotAllowed,
     WrittenBy,
+    call_described,
     checked,
     in_file,
     in_si,
     is_file_name,
     one_of,
     read_by,
-    read_call,
     read_keys,
     read_plain,
     read_within,
@@ -666,7 +666,7 @@ def _read_described(value: object, _: ValidationInfo) -> Curve:
     """Read a table with the name of a constructor as `type`, and its arguments."""
     if not isinstance(value, Mapping):
         raise NotAllowed(value, "a table with a 'type'")
-    return read_call(value, _CONSTRUCTORS, "curve")
+    return call_described(value, _CONSTRUCTORS, "curve")
 
 
 _Described: TypeAlias = Annotated[Any, read_by(_read_described)]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
+from pinposture.schema import describe_field
 
 SLACK = 1e-9
 
@@ -71,6 +72,21 @@ def test_a_margin_keeps_joints_away_from_their_limits(track):
     assert kept.limits.position_margin == margin
 
 
+def test_limits_are_given_with_units(track):
+    limits = track("--velocity", "90 deg/s", "--dt", "20 ms", "--position-margin", "1 deg").limits
+    assert (limits.velocity, limits.dt) == (pytest.approx(np.pi / 2), 0.02)
+    assert limits.position_margin == pytest.approx(np.pi / 180)
+    assert limits.step == pp.Limits().step
+
+
+@pytest.mark.parametrize("name", ["step", "velocity", "acceleration", "jerk", "dt", "position_margin"])
+def test_the_help_has_the_words_of_the_class(command, name):
+    said = describe_field(pp.Limits, name)
+    assert (said and "`" in said) or name in ("step", "dt", "position_margin")
+    words = said.partition(" [")[0]
+    assert words in " ".join(command("track", "--help", env={"COLUMNS": "300"}).out.split())
+
+
 def test_an_infinite_step_is_no_limit(track):
     assert np.abs(np.diff(track("--step-limit", "inf").q, axis=0)).max() > 0.15
 
@@ -78,13 +94,13 @@ def test_an_infinite_step_is_no_limit(track):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--velocity", 1), ("--dt is not given", "with --velocity")),
-        (("--acceleration", 1), ("--dt is not given", "with --acceleration")),
-        (("--jerk", 1, "--dt", 1), ("--acceleration is not given", "required with --jerk")),
-        (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "numbers separated by commas")),
+        (("--velocity", 1), ("--dt is not given", "needed to limit the velocity")),
+        (("--acceleration", 1), ("--dt is not given", "needed to limit the acceleration")),
+        (("--jerk", 1, "--dt", 1), ("--acceleration is not given", "needed to limit the jerk")),
+        (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "units rad/s, deg/s, turns/s, rpm")),
         (("--velocity", 0, "--dt", 1), ("velocity is 0", "positive")),
-        (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),
-        (("--velocity", "1,2", "--dt", 1), ("velocity (shape)", "(2,)", "(12,)")),
+        (("--velocity", "1,nan", "--dt", 1), ("--velocity is [1.0, nan]", "a list of 12")),
+        (("--velocity", "1,2", "--dt", 1), ("--velocity is [1.0, 2.0]", "a list of 12")),
         (("--acceleration", "-1", "--dt", 1), ("acceleration is -1", "positive")),
         (("--dt", 0), ("dt is 0", "more than 0")),
         (("--position-margin", "-0.1"), ("--position-margin is -0.1",)),
