@@ -125,12 +125,14 @@ class NotAllowed(Refusal):
     """A value that is not among the allowed ones.
 
     Attributes:
+        hint: what more is said of the value.
         value: the value.
         allowed: what is allowed.
     """
 
     def __init__(self, value: object, allowed: str, *within: str | int, hint: str = "") -> None:
         super().__init__(f"is {shown(value)}{hint}; allowed: {allowed}", *within)
+        self.hint = hint
         self.value = value
         self.allowed = allowed
 
@@ -189,8 +191,12 @@ def _refusal(cause: Exception, table: object) -> Refusal:
 def error_of(place: Place, refusal: Refusal) -> PostureError:
     """Return the error of a mistake at a place, for a reader that has no file to name."""
     name = place_in_words(place) if place else "description"
+    if isinstance(refusal.error, UnknownName) and len(place) == 1:
+        return refusal.error
     if isinstance(refusal, NotAllowed) and not isinstance(refusal.error, UnknownName):
-        return InvalidValue(name, refusal.value, refusal.allowed)
+        invalid = InvalidValue(name, refusal.value, refusal.allowed)
+        invalid.args = (f"{name} {refusal}",) if refusal.hint else invalid.args
+        return invalid
     failure = copy(refusal.error or InvalidValue(name, None, str(refusal)))
     failure.args = (f"{name}: {refusal}" if place else str(refusal),)
     return failure
@@ -416,7 +422,7 @@ def quantities(kind: str, count: int) -> PlainValidator:
 
 
 UNLIMITED_WORD = "none"
-"""The word for no limit."""
+"""The word for no limit, beside an infinite number."""
 
 
 def read_quantities(value: object, kinds: Sequence[str], unlimited: bool = False) -> tuple[float, ...]:
@@ -425,7 +431,9 @@ def read_quantities(value: object, kinds: Sequence[str], unlimited: bool = False
     if not isinstance(given, list | tuple) or len(given) != len(kinds):
         raise NotAllowed(value, f"a list of {len(kinds)}")
     return tuple(
-        math.inf if unlimited and each == UNLIMITED_WORD else read_within(index, read_quantity, each, kind)
+        math.inf
+        if unlimited and each in (UNLIMITED_WORD, math.inf)
+        else read_within(index, read_quantity, each, kind)
         for index, (each, kind) in enumerate(zip(given, kinds, strict=True))
     )
 
@@ -739,17 +747,17 @@ def read_plain(
 
 
 def read_call(kind: Any, values: Mapping[str, Any], arm: Any = None) -> Any:
-    """Return what a declared class makes of the arguments of a call, read as a file gives them.
+    """Return what a declared class makes of the arguments of a call.
 
     Args:
         kind: the class.
-        values: plain data by name of the argument, with units for instance.
-        arm: the arm to which they belong, if it is known.
+        values: by name of the argument.
+        arm: the arm of a file that gives the values; None: no file gives them.
 
     Raises:
         PostureError: the first mistake; names the argument.
     """
-    return read_plain(kind, ArgsKwargs((), dict(values)), folder=".", arm=arm)
+    return read_plain(kind, ArgsKwargs((), dict(values)), folder=None if arm is None else ".", arm=arm)
 
 
 def describe_field(kind: type, name: str) -> str:

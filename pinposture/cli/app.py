@@ -82,17 +82,15 @@ REGISTERED = {
 returns them: they are imported where the help is printed."""
 
 
-DECLARED = {"Limits": "pinposture.control"}
-"""Declared classes by name, and where they are: {Limits.dt} in a help text stands for what is said of it."""
-
-_FIELD = re.compile(r"\{(\w+)\.(\w+)\}")
+_FIELD = re.compile(r"\{(\w+)\.(\w+)\.(\w+)\}")
+"""What stands, as {control.Limits.dt}, for what a declared class says of a field."""
 
 
 def _described_field(mark: re.Match[str], options: Mapping[str | None, str]) -> str:
     """Return what a declared class says of a field, with options of a verb in place of arguments."""
     from pinposture.schema import describe_field
 
-    words = describe_field(getattr(import_module(DECLARED[mark[1]]), mark[1]), mark[2])
+    words = describe_field(getattr(import_module(f"pinposture.{mark[1]}"), mark[2]), mark[3])
     named = re.sub(r"`(\w+)`", lambda found: options.get(found[1], found[1]), words)
     return named.replace("[", "(").replace("]", ")")  # Typer takes brackets for markup
 
@@ -127,7 +125,7 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
         def format_help(self, ctx: Any, formatter: Any) -> None:
             described: list[Any] = [self, *self.params]
             written = [each.help for each in described]
-            options = {each.name: each.opts[0] for each in self.params}
+            options: dict[str | None, str] = {each.name: each.opts[0] for each in self.params}
             for each in described:
                 each.help = _with_registered_names(each.help, options)
             super().format_help(ctx, formatter)
@@ -140,11 +138,14 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
 
 
 OPTIONS_OF_ARGUMENTS = {
-    "max_steps": "steps",
-    "step": "step_limit",
-    "weight": "tip_weight",
+    "max_steps": ("steps",),
+    "step": ("step_limit",),
+    "weight": ("tip_weight",),
+    "position": ("tip_position", "tip_pose", "to"),
+    "rotation": ("tip_pose",),
+    "couplings": ("couple",),
 }
-"""Parameters of the verbs that are called otherwise in Python."""
+"""Parameters of the verbs that are called otherwise in Python: the first of these that a verb has."""
 
 
 def _text_with_options(error: PostureError, options: Mapping[str | None, str]) -> str:
@@ -160,8 +161,10 @@ def _text_with_options(error: PostureError, options: Mapping[str | None, str]) -
 
     text = str(error)
     if isinstance(error, InvalidValue):
-        named = options.get(OPTIONS_OF_ARGUMENTS.get(error.name, error.name), error.name)
-        text = named + text.removeprefix(error.name)
+        name = re.split(r"\W", error.name, maxsplit=1)[0]  # locked, of locked.elbow or locked[2]
+        known = [options[each] for each in (name, *OPTIONS_OF_ARGUMENTS.get(name, ())) if each in options]
+        if known:
+            text = known[0] + text.removeprefix(name).replace(".", " ", error.name.startswith(f"{name}."))
     return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*|[\d.]*\d)', option, text)
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import csv
-import math
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -132,9 +131,9 @@ class ArmOptions:
         """Load an arm as `Arm.load` does; "-" reads the URDF from stdin.
 
         Raises:
-            PostureError: as in `Arm.load` and `read_locked`; a template name; an empty field in `modules`.
+            PostureError: as in `Arm.load` and `ArmSpec`; a template name; an empty field in `modules`.
         """
-        from pinposture.arm import TEMPLATES, Arm
+        from pinposture.arm import TEMPLATES, Arm, ArmSpec
 
         if not urdf:
             raise InvalidValue("URDF", urdf, "a file, a name of robot_descriptions, or - for stdin")
@@ -149,16 +148,29 @@ class ArmOptions:
             source = "" if sys.stdin is None else decode_xml(sys.stdin.buffer.read(), "stdin")
             if not source.lstrip("\ufeff \t\r\n").startswith("<"):
                 raise FileError("stdin", "contains no URDF; allowed: XML text, which starts with '<'")
-        sizes = None if self.modules is None else read_modules(self.modules)
+        allowed = "NAME=LEADER, NAME=LEADER,RATIO or NAME=LEADER,RATIO,OFFSET, each name once"
+        coupled = read_pairs("--couple", self.couple, allowed)
+        spec: ArmSpec = read_declared(
+            ArmSpec,
+            {
+                "urdf": "arm.urdf",
+                "locked": {name: as_data(text) for name, text in read_pairs("--locked", self.locked).items()},
+                "couplings": {
+                    name: [leader.strip(), *map(as_data, numbers)]
+                    for name, text in coupled.items()
+                    for leader, *numbers in [text.split(",")]
+                },
+            },
+        )
         return Arm.load(
             source,
             base=self.base,
             tip=self.tip,
-            modules=sizes,
-            locked=read_locked(self.locked),
+            modules=None if self.modules is None else read_modules(self.modules),
+            locked=spec.locked,
             package_dirs=self.package_dir,
-            couplings=read_couplings(self.couple),
-            xacro_args=read_xacro_args(self.xacro_arg),
+            couplings=spec.couplings,
+            xacro_args=read_pairs("--xacro-arg", self.xacro_arg, "NAME:=VALUE, each name once", ":="),
             hard_limits=self.hard_limits,
         )
 
@@ -197,28 +209,17 @@ def refuse_given(options: Mapping[str, object], allowed: str) -> None:
             raise InvalidValue(name, value if isinstance(value, str) else f"{value}", allowed)
 
 
-def read_locked(given: list[str] | None) -> dict[str, float]:
-    """Return the positions of locked joints [rad or m]; raise InvalidValue unless NAME=VALUE, each once."""
-    locked: dict[str, float] = {}
+def read_pairs(
+    option: str, given: list[str] | None, allowed: str = "NAME=VALUE, each name once", separator: str = "="
+) -> dict[str, str]:
+    """Return the values of a repeated option by name; raise InvalidValue for other text, or a name twice."""
+    pairs: dict[str, str] = {}
     for text in given or ():
-        name, _, value = (part.strip() for part in text.rpartition("="))
-        if not name:
-            raise InvalidValue("--locked", text, "NAME=VALUE, such as elbow=0.5 or elbow=30deg")
-        if name in locked:
-            raise InvalidValue("--locked", text, f"one position of joint {name!r}")
-        try:
-            locked[name] = _read_position(value)
-        except ValueError as error:
-            raise InvalidValue("--locked", text, f"NAME=VALUE; the value {error}") from None
-    return locked
-
-
-def _read_position(text: str) -> float:
-    """Parse a joint position in rad or metres, or with a unit; raise ValueError for anything else."""
-    from pinposture.schema import read_quantity
-
-    numbers = _parsed(text)
-    return read_quantity(text if numbers is None else numbers[0], "angle", "length")
+        name, found, value = (part.strip() for part in text.partition(separator))
+        if not name or not found or (separator == "=" and not value) or name in pairs:
+            raise InvalidValue(option, text, allowed)
+        pairs[name] = value
+    return pairs
 
 
 def read_changes(given: list[str] | None) -> dict[str, object]:
@@ -226,46 +227,13 @@ def read_changes(given: list[str] | None) -> dict[str, object]:
     from pinposture.storage import parse_toml
 
     changes: dict[str, object] = {}
-    for text in given or ():
-        key, _, value = (part.strip() for part in text.partition("="))
-        if not key or not value or key in changes:
-            raise InvalidValue("--set", text, "KEY=VALUE, such as limits.velocity=2, each key once")
+    allowed = "KEY=VALUE, such as limits.velocity=2, each key once"
+    for key, value in read_pairs("--set", given, allowed).items():
         try:
             changes[key] = parse_toml(f"value = {value}")["value"]
         except ValueError:  # text without quotes, such as 20 ms
             changes[key] = value
     return changes
-
-
-def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float]]:
-    """Return leader, ratio and offset [rad or m] of coupled joints; raise InvalidValue for invalid text."""
-    couplings: dict[str, tuple[str, float, float]] = {}
-    for text in given or ():
-        name, _, value = (part.strip() for part in text.partition("="))
-        leader, *numbers = (part.strip() for part in value.split(","))
-        if not name or not leader or len(numbers) > 2 or name in couplings:
-            allowed = "NAME=LEADER, NAME=LEADER,RATIO or NAME=LEADER,RATIO,OFFSET, once for each joint"
-            raise InvalidValue("--couple", text, allowed)
-        try:
-            ratio = float(numbers[0]) if numbers else 1.0
-            offset = _read_position(numbers[1]) if numbers[1:] else 0.0
-        except ValueError as error:
-            raise InvalidValue("--couple", text, f"NAME=LEADER,RATIO,OFFSET; a value {error}") from None
-        couplings[name] = leader, ratio, offset
-    return couplings
-
-
-def read_xacro_args(given: list[str] | None) -> dict[str, str]:
-    """Return the values of xacro arguments; raise InvalidValue unless NAME:=VALUE, each once."""
-    arguments: dict[str, str] = {}
-    for text in given or ():
-        name, separator, value = (part.strip() for part in text.partition(":="))
-        if not name or not separator:
-            raise InvalidValue("--xacro-arg", text, "NAME:=VALUE, such as pitch:=0.2")
-        if name in arguments:
-            raise InvalidValue("--xacro-arg", text, f"one value of argument {name!r}")
-        arguments[name] = value
-    return arguments
 
 
 def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
@@ -528,13 +496,10 @@ def read_declared(kind: Any, given: Mapping[str, object], arm: Arm | None = None
 
 def as_data(text: str) -> Any:
     """Return a number, other text, or a list of both if there are commas, as a file contains it."""
-    from pinposture.schema import UNLIMITED_WORD
-
     values: list[float | str] = []
     for field in text.split(","):
         try:
-            number = float(field)
-            values.append(UNLIMITED_WORD if number == math.inf else number)
+            values.append(float(field))
         except ValueError:
             values.append(field.strip())
     return values[0] if len(values) == 1 else values
@@ -544,12 +509,12 @@ def as_data(text: str) -> Any:
 class LimitOptions:
     """The limits of a step, as of `Limits`."""
 
-    step_limit: Annotated[str | None, LIMITS("{Limits.step}", "STEP,...")] = None
-    velocity: Annotated[str | None, LIMITS("{Limits.velocity}", "V,...")] = None
-    acceleration: Annotated[str | None, LIMITS("{Limits.acceleration}", "A,...")] = None
-    jerk: Annotated[str | None, LIMITS("{Limits.jerk}", "J,...")] = None
-    dt: Annotated[str | None, LIMITS("{Limits.dt}", "TIME")] = None
-    position_margin: Annotated[str | None, LIMITS("{Limits.position_margin}", "MARGIN")] = None
+    step_limit: Annotated[str | None, LIMITS("{control.Limits.step}", "STEP,...")] = None
+    velocity: Annotated[str | None, LIMITS("{control.Limits.velocity}", "V,...")] = None
+    acceleration: Annotated[str | None, LIMITS("{control.Limits.acceleration}", "A,...")] = None
+    jerk: Annotated[str | None, LIMITS("{control.Limits.jerk}", "J,...")] = None
+    dt: Annotated[str | None, LIMITS("{control.Limits.dt}", "TIME")] = None
+    position_margin: Annotated[str | None, LIMITS("{control.Limits.position_margin}", "MARGIN")] = None
 
     def read(self, arm: Arm) -> Limits:
         """Return the limits of these options for an arm.
@@ -643,7 +608,7 @@ class PlacementOptions:
             "NAME",
         ),
     ] = None
-    roll: Annotated[float, TARGET("Rotation of an aligned curve about the axis of the arm, in rad.")] = 0.0
+    roll: Annotated[str | None, TARGET("{task.Keyframe.roll}", "ANGLE")] = None
     method: Annotated[
         str,
         TARGET(
@@ -669,19 +634,21 @@ class PlacementOptions:
         """
         from pinposture.curve import CURVES
         from pinposture.placement import resolve_targets
-        from pinposture.task.keyframe import usual_placement
+        from pinposture.task.keyframe import Keyframe, usual_placement
 
         form = read_curve(curve, arm, self.scale)
         placement = self.placement
         if placement is None:
             placement = "align" if curve in CURVES else usual_placement(scene, form)
+        given = {"placement": placement, "roll": self.roll, "method": self.method}
+        posture: Keyframe = read_declared(Keyframe, {"curve": form, **given})
         target = resolve_targets(
             arm,
             form,
-            placement=cast(Literal["as_is", "translate", "align"], placement),  # checked by the callee
-            roll=self.roll,
+            placement=posture.placement or "align",
+            roll=posture.roll,
             incomplete="partial" if self.partial else "raise",
-            method=cast(Literal["auto", "sequential", "smooth", "closest"], self.method),
+            method=posture.method,
         )
         count = target.has_target.sum()
         if not count:

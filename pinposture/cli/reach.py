@@ -17,7 +17,7 @@ from pinposture.cli.inputs import (
     JsonOption,
     SceneOptions,
     UrdfArgument,
-    read_numbers,
+    read_declared,
     read_start,
 )
 from pinposture.cli.output import (
@@ -58,8 +58,8 @@ def run(
     *,
     urdf: UrdfArgument,
     arm_options: ArmOptions,
-    to: Annotated[str, TARGET("Goal position of the tip, in metres.", "X,Y,Z", flags="--to")],
-    direction: Annotated[str | None, TARGET("Direction of the last link.", "X,Y,Z")] = None,
+    to: Annotated[str, TARGET("{task.TipGoal.position}", "X,Y,Z", flags="--to")],
+    direction: Annotated[str | None, TARGET("{task.TipGoal.direction}", "X,Y,Z")] = None,
     tolerance: Annotated[
         float | None, TARGET("Allowed error of the tip, in metres; default: 1e-6 of the arm length.")
     ] = None,
@@ -75,7 +75,7 @@ def run(
     degrees: DegreesOption = False,
     count: Annotated[int, TARGET("Number of different postures.")] = 1,
     seed: Annotated[int, MOTION("Seed of the search, and of a smooth or random start.")] = 0,
-    budget: Annotated[float, MOTION("Time for the search and the paths, in seconds.")] = 5.0,
+    budget: Annotated[str | None, MOTION("{task.TipGoal.budget}", "TIME")] = None,
     output: Annotated[
         Path | None,
         OUTPUT(
@@ -102,25 +102,25 @@ def run(
     from pinposture.control.reach import reach
     from pinposture.motion import track
     from pinposture.storage import write_figure, write_text
+    from pinposture.task import TipGoal
 
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
     arm = arm_options.read(urdf)
     surroundings = scene_options.read(arm)
-    place = read_numbers("--to", to)
-    pointing = None if direction is None else read_numbers("--direction", direction)
+    goal = read_declared(TipGoal, {"position": to, "direction": direction, "budget": budget})
     first = None if start is None else read_start(arm, start, seed, degrees, surroundings).q
     check_directory(output)
     with search_progress():
         found = reach(
             arm,
-            place,
-            direction=pointing,
+            goal.position,
+            direction=goal.direction,
             scene=surroundings,
             start=first,
             count=count,
             seed=seed,
-            budget=budget,
+            budget=goal.budget,
             tolerance=tolerance,
         )
     hindrance = found[0].path.hindrance if found[0].path else ""
@@ -129,13 +129,13 @@ def run(
         for number, each in enumerate(found, start=1):
             text = json.dumps(each.q.tolist()) + "\n"
             files.append((f"{number}", output / f"posture_{number}.json", partial(write_text, text=text)))
-        picture = _draw(arm, found, np.asarray(place), surroundings)
+        picture = _draw(arm, found, np.asarray(goal.position), surroundings)
         files.append(("picture", output / PICTURE, partial(write_figure, figure=picture)))
         if first is not None and not hindrance:
             files += run_files(track(arm, found[0].target, first, scene=surroundings), output)
     written, failure = write_files(files)
     if as_json:
-        asked = {"urdf": urdf, "to": place, "direction": pointing, "start": start, "seed": seed}
+        asked = {"urdf": urdf, "to": goal.position, "direction": goal.direction, "start": start, "seed": seed}
         postures = [each.summary() for each in found]
         kept = {"scene": scene_options.file, "postures": postures, "files": list(written.values())}
         print_json({**asked, **kept})

@@ -22,7 +22,7 @@ from pinposture.cli.inputs import (
     ToleranceOption,
     UrdfArgument,
     ViewOption,
-    read_numbers,
+    as_data,
     read_start,
 )
 from pinposture.cli.output import (
@@ -175,6 +175,7 @@ class TipOptions:
         """
         from pinposture.control import EndEffector
         from pinposture.control.reach import require_within_reach
+        from pinposture.schema import read_plain
 
         places = {
             "--tip-position": self.tip_position,
@@ -187,12 +188,16 @@ class TipOptions:
             raise InvalidValue(second, given[second], f"without {first}")
         options: dict[str, Any] = {"weight": 1.0 if self.tip_weight is None else self.tip_weight}
         options["priority"] = self.tip_priority
-        task = None
+        task: EndEffector | None = None
         if self.tip_position is not None:
-            task = EndEffector(_finite("--tip-position", self.tip_position, "X,Y,Z"), **options)
+            goal = {"position": as_data(self.tip_position), **options}
+            task = read_plain(EndEffector, goal, folder=".", arm=start.arm)
         if self.tip_pose is not None:
-            pose = _placement(_finite("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW"))
-            task = EndEffector(pose=pose, **options)
+            values = as_data(self.tip_pose)
+            if not isinstance(values, list) or len(values) != 6:
+                raise InvalidValue("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW")
+            goal = {"position": values[:3], "rotation": values[3:], **options}
+            task = read_plain(EndEffector, goal, folder=".", arm=start.arm)
         if task is not None:
             require_within_reach(start.arm, task)
             return task
@@ -205,22 +210,6 @@ class TipOptions:
             if value is not None:
                 raise InvalidValue(option, value, f"together with one of {', '.join(places)}")
         return None
-
-
-def _finite(option: str, text: str, names: str) -> list[float]:
-    import numpy as np
-
-    values = read_numbers(option, text)
-    if len(values) != names.count(",") + 1 or not np.all(np.isfinite(values)):
-        raise InvalidValue(option, text, f"finite numbers, {names}")
-    return values
-
-
-def _placement(values: list[float]) -> Any:
-    import numpy as np
-    import pinocchio as pin
-
-    return pin.SE3(pin.rpy.rpyToMatrix(*values[3:]), np.array(values[:3]))
 
 
 def tip_off(task: EndEffector, motion: Run) -> dict[str, float | None]:

@@ -343,7 +343,7 @@ def _read_limit(value: Any, info: ValidationInfo) -> float | Array:
 
 def _limit_in_file(value: object, name: str, arm: Arm) -> float | Array:
     turning, sliding = _QUANTITIES[name]
-    if value == UNLIMITED_WORD:
+    if value in (UNLIMITED_WORD, np.inf):
         return np.inf
     if isinstance(value, list):
         kinds = [sliding if slides else turning for slides in arm.slides]

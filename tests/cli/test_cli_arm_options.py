@@ -78,9 +78,9 @@ def test_joints_are_locked_where_it_is_said(command, arm_file):
     [
         (("m01_j1_y",), "--locked is 'm01_j1_y'; allowed: NAME=VALUE"),
         (("=0.5",), "NAME=VALUE"),
-        (("m01_j1_y=up",), "the value is 'up'"),
+        (("m01_j1_y=up",), "--locked m01_j1_y is 'up'; allowed: a number in SI units"),
         (("m01_j1_y=3 kg",), "'kg' is not a known unit"),
-        (("m01_j1_y=0", "m01_j1_y=1"), "one position of joint 'm01_j1_y'"),
+        (("m01_j1_y=0", "m01_j1_y=1"), "NAME=VALUE, each name once"),
         (("nobody=0",), "'nobody'"),
     ],
 )
@@ -122,7 +122,7 @@ def test_arguments_and_packages_of_xacro_are_given(command, tmp_path):
         (given, "$(find snake): no such package"),
         (("--package-dir", tmp_path / "ws"), "--xacro-arg pitch:=..."),
         (("--xacro-arg", "pitch=0.3"), "NAME:=VALUE"),
-        (("--xacro-arg", "pitch:=1", "--xacro-arg", "pitch:=2"), "one value of argument 'pitch'"),
+        (("--xacro-arg", "pitch:=1", "--xacro-arg", "pitch:=2"), "NAME:=VALUE, each name once"),
     ):
         refused = command("inspect", file, *options)
         assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)

@@ -35,8 +35,10 @@ CASES = [
     Case(
         "a length too few", "generate RyRz -n 3 --link-lengths 0.1", ("--link-lengths is [0.1]", "2 lengths")
     ),
-    Case("length NaN", "generate RyRz -n 3 --link-lengths 0.1,nan", ("link_lengths[1]", "nan", "0 to 1e6 m")),
-    Case("length -1", "generate RyRz -n 3 --link-lengths=-1,1", ("link_lengths[0]", "-1", "0 to 1e6 m")),
+    Case(
+        "length NaN", "generate RyRz -n 3 --link-lengths 0.1,nan", ("--link-lengths[1]", "nan", "0 to 1e6 m")
+    ),
+    Case("length -1", "generate RyRz -n 3 --link-lengths=-1,1", ("--link-lengths[0]", "-1", "0 to 1e6 m")),
     Case("no lengths", "generate RyRz -n 3 --link-lengths a,b", ("--link-lengths", "'a,b'", "numbers")),
     Case("output is a directory", "generate RyRz -n 3 -o DIR", ("DIR", "is a directory", "a file")),
     Case("output under a file", "generate RyRz -n 3 -o ARM/x.urdf", ("ARM", "a directory")),
@@ -97,7 +99,7 @@ CASES = [
     Case("unknown controller", "track ARM --curve line --controller magic", ("'magic'", "selection, projec")),
     Case("no steps", "track ARM --curve line --steps 0", ("--steps is 0", "at least 1")),
     Case("step limit 0", "track ARM --curve line --step-limit 0", ("--step-limit is 0", "positive")),
-    Case("step limit NaN", "track ARM --curve line --step-limit nan", ("--step-limit is nan", "positive")),
+    Case("step limit NaN", "track ARM --curve line --step-limit nan", ("--step-limit is nan", "not finite")),
     Case("tolerance 0", "track ARM --curve line --tolerance 0", ("tolerance is 0", "> 0")),
     Case("tolerance inf", "track ARM --curve line --tolerance inf", ("tolerance is inf", "> 0")),
     Case("seed -1", "track ARM --curve line --seed -1", ("--seed is -1", "at least 0")),

@@ -78,7 +78,7 @@ def test_with_a_start_it_keeps_pictures_postures_and_the_run(command, arm_file, 
     ("arguments", "told"),
     [
         (("--to", "1,0,0"), "the arm reaches 300 mm"),
-        (("--to", "0.1,0,0,0"), "goal"),
+        (("--to", "0.1,0,0,0"), "--to is [0.1, 0.0, 0.0, 0.0]; allowed: a list of 3"),
         (("--to", "a,b,c"), "--to"),
         (("--to", "0.1,0,0.1", "--direction", "0,0,0"), "direction"),
         (("--to", "0.1,0,0.1", "--count", "0"), "count"),

@@ -107,9 +107,9 @@ def test_haste_takes_joints_straight_there(command, arm_file, tmp_path, no_pictu
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--tip-position", "1,2"), ("--tip-position is '1,2'", "finite numbers, X,Y,Z")),
-        (("--tip-position", "1,2,inf"), ("--tip-position is '1,2,inf'", "finite numbers, X,Y,Z")),
-        (("--tip-position", "here"), ("--tip-position is 'here'", "numbers separated by commas")),
+        (("--tip-position", "1,2"), ("--tip-position is [1.0, 2.0]", "a list of 3")),
+        (("--tip-position", "1,2,inf"), ("--tip-position 3 is inf, which is not finite",)),
+        (("--tip-position", "here"), ("--tip-position is 'here'", "a list of 3")),
         (("--tip-pose", "1,2,3"), ("--tip-pose is '1,2,3'", "X,Y,Z,ROLL,PITCH,YAW")),
         (("--tip-position", "0.3,0.2,0"), ("361 mm from the base at (0, 0, 0) m", "reaches 300 mm; choose")),
         (("--tip-pose", "0,0,-0.301,0,0,0"), ("301 mm from the base", "reaches 300 mm")),

@@ -112,3 +112,16 @@ def test_limits_that_are_none_are_refused_in_one_line(command, arm_file, options
     assert (result.code, result.out, result.err.count("\n")) == (2, "", 1)
     for text in says:
         assert text in result.err
+
+
+def test_places_and_angles_are_given_with_units(command, arm_file):
+    asked = ("track", arm_file, "--curve", "line", "--steps", 3, "--json")
+    plain = command(*asked, "--roll", 0.5, "--tip-position", "0.2,0.1,0").out
+    told = command(*asked, "--roll", "500e-3 rad", "--tip-position", "20 cm,100 mm,0").out
+    assert plain == told
+
+
+def test_a_goal_is_given_with_units(command, arm_file):
+    asked = ("reach", arm_file, "--json", "--to")
+    plain = command(*asked, "0.1,0.05,0.2").out
+    assert plain == command(*asked, "10 cm,0.05,200 mm", "--budget", "5000 ms").out
