@@ -42,7 +42,7 @@ SCRIPTS = (
 )
 """Modules of `benchmarks.studies` with a command line of their own."""
 
-OPTIONS_OF_ARGUMENTS |= {"absolute": "index", "first_seed": "seed0", "threshold": "kappa"}
+OPTIONS_OF_ARGUMENTS |= {"absolute": ("index",), "first_seed": ("seed0",), "threshold": ("kappa",)}
 
 SETTINGS = {"help_option_names": ["-h", "--help"]}
 

@@ -157,7 +157,9 @@ def test_obstacles_and_curves_are_given_with_units_in_calls_and_files() -> None:
     assert scene == pp.Scene({"box": turned}, margin=0.005)
     helix: Any = pp.Curve.helix
     assert helix("6 cm", "150 mm", 4, phase="90 deg") == pp.Curve.helix(0.06, 0.15, 4, phase=math.pi / 2)
-    with pytest.raises(InvalidValue, match=r"^radius is '6 kg'; allowed: .* m, cm, mm$"):
+    with pytest.raises(
+        InvalidValue, match=r"^radius is '6 kg', and 'kg' is not a known unit; allowed: .* m, cm, mm$"
+    ):
         helix("6 kg", 0.1, 4)
 
 

@@ -82,12 +82,8 @@ REGISTERED = {
 returns them: they are imported where the help is printed."""
 
 
-_FIELD = re.compile(r"\{(\w+)\.(\w+)\.(\w+)\}")
-"""What stands, as {control.Limits.dt}, for what a declared class says of a field."""
-
-
 def _described_field(mark: re.Match[str], options: Mapping[str | None, str]) -> str:
-    """Return what a declared class says of a field, with options of a verb in place of arguments."""
+    """Return what a declared class says of a field, as {control.Limits.dt}, with options for arguments."""
     from pinposture.schema import describe_field
 
     words = describe_field(getattr(import_module(f"pinposture.{mark[1]}"), mark[2]), mark[3])
@@ -98,7 +94,8 @@ def _described_field(mark: re.Match[str], options: Mapping[str | None, str]) -> 
 def _with_registered_names(written: str | None, options: Mapping[str | None, str]) -> str | None:
     """Return a help text with the names that are registered, and the words of declared classes."""
     if written is not None:
-        written = _FIELD.sub(partial(_described_field, options=options), written)
+        described = partial(_described_field, options=options)
+        written = re.sub(r"\{(\w+)\.(\w+)\.(\w+)\}", described, written)
     for mark, (home, attribute) in REGISTERED.items():
         if written is not None and mark in written:
             found = getattr(import_module(home), attribute)

@@ -469,16 +469,12 @@ def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
     return points
 
 
-ARGUMENTS_OF_OPTIONS = {"step_limit": "step"}
-"""Arguments of declared classes that options call otherwise."""
-
-
 def read_declared(kind: Any, given: Mapping[str, object], arm: Arm | None = None) -> Any:
     """Return what a declared class makes of options: numbers or text with units, alone or with commas.
 
     Args:
-        kind: the class; its arguments are called as the options, but for those of `ARGUMENTS_OF_OPTIONS`.
-        given: the values by option; None: not given.
+        kind: the class.
+        given: the values by argument; None: not given.
         arm: the arm to which they belong, if any.
 
     Raises:
@@ -487,7 +483,7 @@ def read_declared(kind: Any, given: Mapping[str, object], arm: Arm | None = None
     from pinposture.schema import read_call
 
     values = {
-        ARGUMENTS_OF_OPTIONS.get(name, name): as_data(value) if isinstance(value, str) else value
+        name: as_data(value) if isinstance(value, str) else value
         for name, value in given.items()
         if value is not None
     }
@@ -524,7 +520,8 @@ class LimitOptions:
         """
         from pinposture.control import Limits
 
-        limits: Limits = read_declared(Limits, vars(self), arm)
+        others = {name: text for name, text in vars(self).items() if name != "step_limit"}
+        limits: Limits = read_declared(Limits, {"step": self.step_limit, **others}, arm)
         return limits
 
 
