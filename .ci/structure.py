@@ -43,7 +43,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 183,  # 170
-    "definitions": 3850,
+    "definitions": 3848,
     "constants": 1188,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
@@ -63,9 +63,9 @@ CEILINGS = {
     "calls of the first step": 355,  # 140
     "switches between files of the first step": 164,  # 90
     "calls of the second step": 145,  # 50
-    "calls of the second step in a scene": 276,  # 80
-    "calls of Task.load": 10380,  # 2500
-    "calls of a cycle of perform": 493,  # 80
+    "calls of the second step in a scene": 248,  # 80
+    "calls of Task.load": 3716,  # 2500
+    "calls of a cycle of perform": 446,  # 80
 }
 """The most that there may be of each."""
 

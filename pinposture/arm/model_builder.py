@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import pinocchio as pin
 
 from pinposture.arm.configurations import MOST_LINKS, MOST_MOVING, NO_LIMIT
-from pinposture.arm.urdf_reader import is_finite_number, parse_xml
+from pinposture.arm.urdf_reader import finite_numbers, parse_xml
 from pinposture.errors import URDFError
 
 _JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "dynamics")
@@ -93,4 +93,4 @@ def _is_readable(inertial: Element) -> bool:
     numbers = [mass.get("value", ""), *(inertia.get(name, "") for name in _MOMENTS)]
     vectors = [] if origin is None else [origin.get(name, "0 0 0") for name in ("xyz", "rpy")]
     words = [*numbers, *(word for vector in vectors for word in vector.split())]
-    return all(map(is_finite_number, words)) and all(len(vector.split()) == 3 for vector in vectors)
+    return finite_numbers(words) is not None and all(len(vector.split()) == 3 for vector in vectors)

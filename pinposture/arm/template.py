@@ -404,7 +404,7 @@ def _shape(tag: str, center: float, solid: str, colour: str) -> str:
 
 
 def _origin(x: float, pitch: float = 0.0) -> str:
-    return f'<origin xyz="{_numbers(x, 0.0, 0.0)}" rpy="{_numbers(0.0, pitch, 0.0)}"/>'
+    return f'<origin xyz="{x!r} 0.0 0.0" rpy="0.0 {pitch!r} 0.0"/>'
 
 
 class LinkInertia(NamedTuple):

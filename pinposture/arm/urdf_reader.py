@@ -38,7 +38,9 @@ URDF_TEXT = "URDF text"
 
 _BLANK = "\ufeff \t\r\n"
 _MAX_DEPTH = 400  # Pinocchio's XML parser fails slightly below 500
-_VECTOR_ATTRIBUTE = re.compile(r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<]*"|'[^'<]*')""")
+_SPLIT_VECTOR = re.compile(
+    r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<\t\r\n]*[\t\r\n][^"<]*"|'[^'<\t\r\n]*[\t\r\n][^'<]*')"""
+)
 _INFINITE_ATTRIBUTE = re.compile(r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])""", re.I)
 # What Pinocchio accepts as a number; Python would also accept "1_0" and "inf".
 _NUMBER = re.compile(r"[ \t\r\n]*[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -320,22 +322,8 @@ def parse_xml(text: str, source: str) -> Element:
         raise URDFError(source, "<!DOCTYPE>", "is not allowed, because it can define entities; remove it")
     builder = TreeBuilder()
     parser = expat.ParserCreate("utf-8")
-    depth = 0
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > _MAX_DEPTH:
-            raise URDFError(source, f"<{tag}>", f"is nested too deep; allowed: {_MAX_DEPTH} levels")
-        builder.start(tag, attributes)
-
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-        builder.end(tag)
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(body, True)
@@ -345,7 +333,13 @@ def parse_xml(text: str, source: str) -> Element:
         raise URDFError(source, f"line {line}", reason) from None
     except UnicodeEncodeError as error:
         raise URDFError(source, f"character {error.start}", "is half of a surrogate pair") from None
-    return builder.close()
+    root = builder.close()
+    level = [root]
+    for _ in range(_MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise URDFError(source, f"<{level[0].tag}>", f"is nested too deep; allowed: {_MAX_DEPTH} levels")
+    return root
 
 
 def text_for_pinocchio(text: str) -> str:
@@ -354,7 +348,7 @@ def text_for_pinocchio(text: str) -> str:
     Each vector is put on one line, because Pinocchio splits vectors only at blanks; an infinite speed or
     effort becomes a huge number, because Pinocchio reads only digits.
     """
-    text = _VECTOR_ATTRIBUTE.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
+    text = _SPLIT_VECTOR.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
     return _INFINITE_ATTRIBUTE.sub(r"\g<1>1e300", text)
 
 
@@ -502,15 +496,18 @@ def _read_link(element: Element, role: str, fault: MakeError) -> str:
     return link
 
 
-def is_finite_number(text: str) -> bool:
-    """Return whether Pinocchio reads a text as a finite number."""
-    return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
+def finite_numbers(words: Sequence[str]) -> list[float] | None:
+    """Return the numbers that Pinocchio reads from words; None unless each is finite."""
+    numbers = list(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else [math.nan]
+    return numbers if all(map(math.isfinite, numbers)) else None
 
 
-def _read_number(text: str, what: str, fault: MakeError) -> float:
-    if not is_finite_number(text):
-        raise fault(f"{what} is {text[:40]!r}; allowed: a finite number, no blank after it")
-    return float(text)
+def _read_numbers(words: Sequence[str], what: str, fault: MakeError) -> list[float]:
+    numbers = finite_numbers(words)
+    if numbers is None:
+        bad = next(word for word in words if finite_numbers([word]) is None)
+        raise fault(f"{what} is {bad[:40]!r}; allowed: a finite number, no blank after it")
+    return numbers
 
 
 def _read_vector(element: Element, tag: str, attribute: str, default: Vector, fault: MakeError) -> Vector:
@@ -519,7 +516,7 @@ def _read_vector(element: Element, tag: str, attribute: str, default: Vector, fa
     if text is None:
         return default
     what = f"<{tag}> {attribute}"
-    numbers = [_read_number(piece, what, fault) for piece in text.split(" ") if piece]
+    numbers = _read_numbers(list(filter(None, text.split(" "))), what, fault)
     if len(numbers) != 3:
         raise fault(f"{what} is {text[:40]!r}; allowed: three numbers with blanks between them")
     if max(map(abs, numbers)) > 1e100:
@@ -550,12 +547,14 @@ def _read_part(element: Element, tag: str, fault: MakeError) -> dict[str, float]
     given = [attribute for attribute in required + optional if attribute in part.attrib]
     if tag == "dynamics" and not given:
         raise fault("<dynamics> has neither damping nor friction")
-    return {
-        name: math.inf
-        if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
-        else _read_number(part.attrib[name], f"<{tag}> {name}", fault)
-        for name in given
-    }
+    unlimited = [
+        name for name in given if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
+    ]
+    numbers = dict.fromkeys(unlimited, math.inf)
+    for name in given:
+        if name not in numbers:
+            numbers[name] = _read_numbers([part.attrib[name]], f"<{tag}> {name}", fault)[0]
+    return numbers
 
 
 def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) -> tuple[float, float]:

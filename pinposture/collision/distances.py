@@ -103,7 +103,7 @@ class TreeKinematics:
                 data = self._model.joints[joint].createData()
                 self._model.joints[joint].calc(data, moved)
                 others[at, number] = [*data.M.rotation.ravel(), *data.M.translation]
-        return self._space.positions(q) + offsets, others
+        return self._space.difference(self._space.origin, q) + offsets, others
 
     def differentiate(
         self, placements: Placements, first: Indices, second: Indices, points: Array, normals: Array
