@@ -76,10 +76,11 @@ def require_positive(name: str, value: float, zero: bool = False) -> float:
     return float(value)
 
 
-def require_share(name: str, value: float) -> None:
-    """Raise InvalidValue unless the value is a number in [0, 1)."""
+def require_share(name: str, value: float) -> float:
+    """Return a number in [0, 1), else raise InvalidValue."""
     if not (is_number(value) and 0.0 <= value < 1.0):
         raise InvalidValue(name, value, "a number in [0, 1)")
+    return float(value)
 
 
 def is_whole(value: object) -> bool:

@@ -502,6 +502,7 @@ Flag = Annotated[bool, read_by(_read_flag)]
 Number = Annotated[float, check(is_usable, "a number")]
 PositiveNumber = Annotated[float, CheckedBy(require_positive)]
 Count = Annotated[int, CheckedBy(partial(require_whole, least=1))]
+WholeNumber = Annotated[int, CheckedBy(partial(require_whole, least=0))]
 Length = Annotated[float, quantity("length", above=0.0)]
 AnyLength = Annotated[float, quantity("length")]
 Angle = Annotated[float, quantity("angle")]
@@ -510,6 +511,8 @@ Duration = Annotated[float, quantity("time", above=0.0)]
 Speed = Annotated[float, quantity("speed", above=0.0)]
 Position = Annotated[tuple[float, ...], quantities("length", 3)]
 Rotation = Annotated[tuple[float, ...], quantities("angle", 3)]
+JointDistance = Annotated[float, quantity("angle", "length", least=0.0)]
+"""A distance of joint positions [rad or m]."""
 Table = BeforeValidator(_read_table)
 
 # Declared classes.

@@ -22,6 +22,7 @@ import pinposture as pp
 from pinposture.arm import ArmSpec, FeedSpec
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.schema import mistakes_of, read_as
+from pinposture.sim import DriveModel, Sensing, Servos
 from pinposture.task import Leader, TipGoal, Withdrawal
 
 
@@ -62,6 +63,9 @@ NEEDED: dict[type, dict[str, Any]] = {
     pp.HalfSpace: {"point": (0.1, 0.2, 0.3), "normal": (0.0, 0.0, 1.0)},
     pp.Scan: {"points": [(0.1, 0.2, 0.3), (0.4, 0.5, 0.6)]},
     pp.Scene: {},
+    Servos: {},
+    Sensing: {},
+    DriveModel: {},
 }
 IN_FILE: dict[type, dict[str, Any]] = {
     pp.Limits: {"cycle": 0.02, "acceleration": 3.0},
@@ -109,6 +113,9 @@ SHARED = [
     (pp.Box, ("center", "size", "rotation")),
     (pp.HalfSpace, ("point", "normal")),
     (pp.Scan, ("center", "rotation", "point_radius")),
+    (Servos, ("frequency", "damping", "torque_limits", "speed_reference", "armature", "timestep")),
+    (Sensing, ("noise", "resolution", "dropped", "latency", "period", "seed")),
+    (DriveModel, ("lag", "friction", "stiction", "delay")),
     (pp.Scene, ("self_collision", "margin", "arm_radius", "velocities")),
 ]
 FIELDS = [(kind, name) for kind, names in SHARED for name in names]

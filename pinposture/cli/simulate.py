@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import ARM, MOTION, OUTPUT, ArmOptions, JsonOption, SceneOption, refuse_given
+from pinposture.cli.inputs import (
+    ARM,
+    MOTION,
+    OUTPUT,
+    ArmOptions,
+    JsonOption,
+    SceneOption,
+    read_declared,
+    refuse_given,
+)
 from pinposture.cli.output import (
     MOTION_FILE,
     RUN_FILE,
@@ -64,9 +73,7 @@ def run(
         ),
     ] = False,
     no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False,
-    frequency: Annotated[
-        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ")
-    ] = 10.0,
+    frequency: Annotated[str | None, MOTION("{sim.Servos.frequency}", "HZ")] = None,
     no_torque_limits: Annotated[
         bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
     ] = False,
@@ -103,7 +110,7 @@ def run(
 
     load_mujoco()  # fails early if it is not installed
     require_positive("hold", hold, zero=True)
-    servos = Servos(frequency=frequency, torque_limits=not no_torque_limits)
+    servos = read_declared(Servos, {"frequency": frequency, "torque_limits": not no_torque_limits})
     surroundings = None if scene is None else Scene.load(scene)
     arm, motion = _read(path, urdf, arm_options)
     check_directory(output)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_array, finite_vector, require_positive
+from pinposture.schema import Declared, Duration, JointDistance, Time, declared
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class DriveModel:
+@declared()
+class DriveModel(Declared):
     """How the position drives of joints follow a command c: lag * dq/dt = e - friction * sign(e).
 
     Here e = c + sag - q, with the command of `delay` ago. A joint at rest stays there while |e| is at most
@@ -30,15 +30,10 @@ class DriveModel:
         delay: age of the commands that reach the drives [s].
     """
 
-    lag: float = 0.32
-    friction: float = 0.11
-    stiction: float = 0.0
-    delay: float = 0.008
-
-    def __post_init__(self) -> None:
-        require_positive("lag", self.lag)
-        for name in ("friction", "stiction", "delay"):
-            require_positive(name, getattr(self, name), zero=True)
+    lag: Duration = 0.32
+    friction: JointDistance = 0.11
+    stiction: JointDistance = 0.0
+    delay: Time = 0.008
 
 
 class Drives:

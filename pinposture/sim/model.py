@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_number, finite_vector, require_instance, require_positive
+from pinposture._validation import as_number, finite_vector, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
@@ -26,6 +27,7 @@ from pinposture.arm.model_builder import build_model
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
+from pinposture.schema import CheckedBy, Declared, Flag, declared, quantity
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -46,8 +48,34 @@ class Gains(NamedTuple):
     damping: Array
 
 
-@dataclass(frozen=True)
-class Servos:
+def _torque_limits(name: str, value: Any) -> bool | float:
+    return value if isinstance(value, bool) else require_positive(name, value)
+
+
+_Setting = Annotated[
+    float,
+    CheckedBy(
+        partial(
+            as_number,
+            allowed=f"a number above 0, at most {LARGEST_SETTING:g}",
+            test=lambda x: 0.0 < x <= LARGEST_SETTING,
+        )
+    ),
+]
+_Inertia = Annotated[
+    float,
+    CheckedBy(
+        partial(
+            as_number,
+            allowed=f"a number from 0 to {LARGEST_SETTING:g}",
+            test=lambda x: 0.0 <= x <= LARGEST_SETTING,
+        )
+    ),
+]
+
+
+@declared()
+class Servos(Declared):
     """Position servos: torque = stiffness (set point - position) - damping (velocity - its reference).
 
     Stiffnesses are proportional to the inertias at the joints, and so large that no vibration mode of the
@@ -71,24 +99,13 @@ class Servos:
         InvalidValue: a value is not positive (armature: negative), or one but a torque is above 1e5.
     """
 
-    frequency: float = 10.0
-    damping: float = 1.0
-    torque_limits: bool | float = True
-    gravity_compensation: bool = False
-    speed_reference: bool = True
-    armature: float = 0.0
-    timestep: float = 1e-3
-
-    def __post_init__(self) -> None:
-        for name in ("frequency", "damping", "timestep"):
-            allowed = f"a number above 0, at most {LARGEST_SETTING:g}"
-            as_number(name, getattr(self, name), allowed, lambda x: 0.0 < x <= LARGEST_SETTING)
-        allowed = f"a number from 0 to {LARGEST_SETTING:g}"
-        as_number("armature", self.armature, allowed, lambda x: 0.0 <= x <= LARGEST_SETTING)
-        if not isinstance(self.torque_limits, bool):
-            require_positive("torque_limits", self.torque_limits)
-        for name in ("gravity_compensation", "speed_reference"):
-            require_instance(name, getattr(self, name), bool, "True or False")
+    frequency: _Setting = 10.0
+    damping: _Setting = 1.0
+    torque_limits: Annotated[bool | float, CheckedBy(_torque_limits)] = True
+    gravity_compensation: Flag = False
+    speed_reference: Flag = True
+    armature: _Inertia = 0.0
+    timestep: Annotated[float, quantity("time", above=0.0, most=LARGEST_SETTING)] = 1e-3
 
     def limits(self, effort: Array) -> Array:
         """Return the torque limit of each servo, (n,) [N m or N]; infinite without a limit.

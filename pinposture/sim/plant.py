@@ -15,14 +15,15 @@ from __future__ import annotations
 
 from collections import deque
 from copy import copy
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_share, require_whole
+from pinposture._validation import require_positive, require_share
 from pinposture.arm.mjcf import load_mujoco, no_log_file
 from pinposture.errors import warn_caller
+from pinposture.schema import CheckedBy, Count, Declared, JointDistance, WholeNumber, declared
 from pinposture.sim.model import (
     PlantModel,
     Servos,
@@ -231,8 +232,8 @@ def _too_coarse(servos: Servos, timestep: float) -> str:
     return f"servos of {servos.frequency:g} Hz need physics steps below {longest:.3g} s to be stable"
 
 
-@dataclass(frozen=True)
-class Sensing:
+@declared()
+class Sensing(Declared):
     """Joint position sensors; ideal by default.
 
     Attributes:
@@ -244,20 +245,12 @@ class Sensing:
         seed: random seed for noise and dropped measurements.
     """
 
-    noise: float = 0.0
-    resolution: float = 0.0
-    dropped: float = 0.0
-    latency: int = 0
-    period: int = 1
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_positive("noise", self.noise, zero=True)
-        require_positive("resolution", self.resolution, zero=True)
-        require_share("dropped", self.dropped)
-        require_whole("latency", self.latency, 0)
-        require_whole("period", self.period, 1)
-        require_whole("seed", self.seed, 0)
+    noise: JointDistance = 0.0
+    resolution: JointDistance = 0.0
+    dropped: Annotated[float, CheckedBy(require_share)] = 0.0
+    latency: WholeNumber = 0
+    period: Count = 1
+    seed: WholeNumber = 0
 
 
 class Sensors:
