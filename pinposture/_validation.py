@@ -101,7 +101,8 @@ def as_number(name: str, value: object, allowed: str, test: Callable[[float], bo
     number = float(value) if is_usable(value) else math.nan  # type: ignore[arg-type]
     if not (math.isfinite(number) and test(number)):
         extreme = is_number(value) and LARGEST_NUMBER < abs(value) < math.inf  # type: ignore[arg-type]
-        raise InvalidValue(name, value, f"{allowed}, at most {LARGEST_NUMBER:g}" if extreme else allowed)
+        unbounded = extreme and test(LARGEST_NUMBER)
+        raise InvalidValue(name, value, f"{allowed}, at most {LARGEST_NUMBER:g}" if unbounded else allowed)
     return number
 
 

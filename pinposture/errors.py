@@ -110,7 +110,7 @@ def no_warnings() -> Iterator[None]:
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return a question about the most similar of the known names, with a leading blank, or ""."""
-    close = get_close_matches(str(name), tuple(known), n=1)
+    close = get_close_matches(name, tuple(known), n=1) if isinstance(name, str) else ()
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
@@ -118,6 +118,15 @@ def enumerated(items: Sequence[str], most: int, between: str = ", ") -> str:
     """Return the first items of a list for a message, and the number of the others."""
     more = f" and {len(items) - most} more" if len(items) > most else ""
     return between.join(items[:most]) + more
+
+
+def _in_words(value: object) -> str:
+    """Return the representation of a value on one line, truncated."""
+    try:
+        text = "not given" if value is None else " ".join(repr(value).split())  # arrays break over lines
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) < 120 else text[:117] + "..."
 
 
 class InvalidValue(PostureError, ValueError):
@@ -133,11 +142,7 @@ class InvalidValue(PostureError, ValueError):
         self.name = name
         self.value = value
         self.allowed = allowed
-        try:
-            text = "not given" if value is None else " ".join(repr(value).split())  # arrays break over lines
-        except ValueError:
-            text = "a number of thousands of digits"
-        super().__init__(f"{name} is {text if len(text) < 120 else text[:117] + '...'}; allowed: {allowed}")
+        super().__init__(f"{name} is {_in_words(value)}; allowed: {allowed}")
 
 
 class UnknownName(PostureError, KeyError):
@@ -155,7 +160,8 @@ class UnknownName(PostureError, KeyError):
         self.allowed = tuple(allowed)
         listed = ", ".join(self.allowed[:12]) + (", ..." if len(self.allowed) > 12 else "")
         hint = did_you_mean(name, self.allowed)
-        super().__init__(f"no {kind} is called {name!r}{hint}; there are: {listed or 'none'}")
+        words = repr(name) if isinstance(name, str | None) else _in_words(name)
+        super().__init__(f"no {kind} is called {words}{hint}; there are: {listed or 'none'}")
 
 
 class FileError(PostureError, OSError):

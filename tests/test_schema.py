@@ -1,4 +1,8 @@
-"""A declared class is the same in a call and in a file: values, refusals, and what is written."""
+"""A declared class is the same in a call and in a file: values, refusals, and what is written.
+
+`python tests/test_schema.py` writes the words of the refusals to refusals.txt; read the difference before you
+keep it.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +24,8 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import ArmSpec, FeedSpec
-from pinposture.errors import FileError, InvalidValue, PostureError
-from pinposture.schema import mistakes_of, read_as
+from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
+from pinposture.schema import mistakes_of, place_in_words, read_as
 from pinposture.sim import DriveModel, Sensing, Servos
 from pinposture.task import Leader, TipGoal, Withdrawal
 
@@ -119,6 +123,30 @@ SHARED = [
     (pp.Scene, ("self_collision", "margin", "arm_radius", "velocities")),
 ]
 FIELDS = [(kind, name) for kind, names in SHARED for name in names]
+REFUSALS = Path(__file__).with_name("refusals.txt")
+"""What is said of the values that each field refuses: the first of the values for each of the reasons."""
+
+
+def refusals() -> str:
+    """The words of all refusals, by class and field."""
+    lines = []
+    for kind, name in FIELDS:
+        reasons: dict[str, str] = {}
+        for value in VALUES:
+            try:
+                read_as(kind, {**IN_FILE.get(kind, needed(kind)), name: value}, File())
+            except ValidationError as error:
+                place, refusal = mistakes_of(error)[0]
+                reason = str(refusal)
+                reasons.setdefault(
+                    reason.partition("; allowed: ")[2] or reason, f"{place_in_words(place)}: {reason}"
+                )
+        lines += [f"{kind.__name__}.{each}" for each in reasons.values()]
+    return "".join(f"{each}\n" for each in lines)
+
+
+def test_the_words_of_refusals_are_those_of_the_snapshot() -> None:
+    assert refusals() == REFUSALS.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("kind", "name"), FIELDS, ids=lambda each: getattr(each, "__name__", each))
@@ -217,6 +245,19 @@ def test_calls_raise_what_python_functions_raise_for_wrong_arguments(kind: type)
         made.colour = "red"
 
 
+@pytest.mark.parametrize("name", [10**5000, 10**400, 3.5, [1]], ids=["huge", "large", "number", "list"])
+def test_what_is_no_text_is_an_unknown_name(name: Any) -> None:
+    for call in (
+        lambda: pp.Keyframe(line(), placement=name),
+        lambda: pp.Scene.from_dict({"obstacles": {"a": {"type": name}}}),
+        lambda: pp.Curve.from_dict({"type": name}),
+        lambda: pp.Arm.from_template(name, modules=2),
+    ):
+        with pytest.raises(UnknownName) as caught:
+            call()
+        assert len(str(caught.value)) < 400
+
+
 def test_a_part_of_a_value_is_named() -> None:
     with pytest.raises(InvalidValue, match=r"^position\[1\] is 'x'; allowed: a number in SI units"):
         TipGoal((0.1, "x", 0.3))  # type: ignore[arg-type]
@@ -266,3 +307,7 @@ def test_limits_that_were_written_read_back(velocity: Any, acceleration: Any, st
     limits = pp.Limits(step=step, velocity=given_velocity, dt=dt, acceleration=acceleration)
     file = File()
     assert read_as(pp.Limits, limits.to_table(file), file) == limits
+
+
+if __name__ == "__main__":
+    REFUSALS.write_text(refusals(), encoding="utf-8")
