@@ -78,6 +78,7 @@ Velocity = Annotated[Vector, CheckedBy(point, "speed")]
 
 _Named = BeforeValidator(_require_named)
 _ReadOnly = AfterValidator(MappingProxyType)
+_Velocities: TypeAlias = Annotated[Mapping[str, Velocity], _Named]
 
 
 @declared(eq=False)
@@ -106,8 +107,8 @@ class Scene(Declared):
     self_collision: Flag = True
     margin: Annotated[float, CheckedBy(partial(length, zero=True), "length")] = USUAL_MARGIN
     arm_radius: Size | None = None
-    velocities: Annotated[Mapping[str, Velocity], _ReadOnly, AfterValidator(_require_known_names), _Named] = (
-        field(default_factory=dict)
+    velocities: Annotated[_Velocities, AfterValidator(_require_known_names), _ReadOnly] = field(
+        default_factory=dict
     )
 
     @classmethod
@@ -182,7 +183,10 @@ class Scene(Declared):
                 allowed = "a pin.SE3 (of a matrix: pin.SE3(matrix)), or three finite numbers [m]"
                 motion = pin.SE3(np.eye(3), np.array(point(f"placements[{name!r}]", placement, allowed)))
             obstacles[name] = displaced(first.obstacles[name], motion)
-        return self._at_moment(obstacles, {} if velocities is None else velocities)
+        speeds = {} if velocities is None else read_plain(_Velocities, velocities, "velocities")
+        for name in speeds:
+            require_known("obstacle", name, obstacles)
+        return self._at_moment(obstacles, speeds)
 
     def after(self, time: float) -> Scene:
         """Return the scene after a time [s] in which obstacles keep their velocities.
@@ -194,7 +198,7 @@ class Scene(Declared):
         obstacles = dict(self.obstacles)
         for name, velocity in self.velocities.items():
             obstacles[name] = displaced(obstacles[name], pin.SE3(np.eye(3), time * np.array(velocity)))
-        return self._at_moment(obstacles, self.velocities)
+        return self._at_moment(obstacles, dict(self.velocities))
 
     def displacement(self, before: Scene, reach: float) -> float:
         """Return how far obstacles are from where they were at another moment of the same scene [m].
@@ -227,8 +231,11 @@ class Scene(Declared):
             set_fields(other, _first=replace(self._first, self_collision=False))
         return other
 
-    def _at_moment(self, obstacles: Mapping[str, Obstacle], velocities: Mapping[str, Vector]) -> Scene:
-        other = replace(self, obstacles=obstacles, velocities=velocities)
+    def _at_moment(self, obstacles: dict[str, Obstacle], velocities: dict[str, Vector]) -> Scene:
+        """Return the scene at another moment, without a check: that of many obstacles takes long."""
+        other = object.__new__(type(self))
+        other.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)})
+        set_fields(other, obstacles=MappingProxyType(obstacles), velocities=MappingProxyType(velocities))
         set_fields(other, _first=self.first)
         return other
 
