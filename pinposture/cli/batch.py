@@ -27,6 +27,7 @@ from pinposture.cli.inputs import (
     as_configuration,
     numbers_in,
     read_array,
+    read_option,
     read_start,
 )
 from pinposture.cli.output import (
@@ -116,6 +117,7 @@ def run(
     be saved.
     """
     from pinposture.motion import save, track_many
+    from pinposture.schema import Length
 
     controller_options.check()
     if ends_only and output is None:
@@ -135,7 +137,7 @@ def run(
             limits=limits,
             scene=surroundings,
             max_steps=steps,
-            tolerance=tolerance,
+            tolerance=read_option("--tolerance", tolerance, Length),
             jobs=jobs,
             keep="ends" if ends_only or output is None else "motions",
             progress=progress,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument, read_numbers
+from pinposture.cli.inputs import OUTPUT, JsonOption, RunArgument, read_numbers, read_option
 from pinposture.cli.output import (
     examples,
     find_kept,
@@ -55,7 +55,7 @@ def run(
         ),
     ] = "",
     dt: Annotated[
-        float | None, OUTPUT("Duration of a step in seconds; required if the run has none.", "S")
+        str | None, OUTPUT("Duration of a step in seconds; required if the run has none.", "TIME")
     ] = None,
     force: Annotated[
         bool,
@@ -85,6 +85,7 @@ def run(
     given. The summary lists the largest velocity and acceleration, from rest to rest.
     """
     from pinposture.motion import Trajectory
+    from pinposture.schema import Duration
     from pinposture.storage import check_writable
 
     check_form(output, form)
@@ -95,7 +96,8 @@ def run(
     if output.exists() and output.samefile(source):
         raise FileError(output, "is the input; allowed: another file")
     kept = load_kept(source)
-    trajectory = _joint_trajectory(kept, dt, force)
+    cycle = read_option("--dt", dt, Duration)
+    trajectory = _joint_trajectory(kept, cycle, force)
     if start is not None:
         trajectory = trajectory.starting_at(kept.arm, read_numbers("--start", start))
     if coupled:
@@ -105,8 +107,8 @@ def run(
     if limits.acceleration is None:
         most = words_of(trajectory.summary())["acceleration"]
         print_warning(
-            f"no acceleration limit: joints accelerate by {most}; plan again with --dt {limits.dt or dt:g} "
-            "--acceleration A, or acceleration in the [limits] of a task"
+            f"no acceleration limit: joints accelerate by {most}; plan again with "
+            f"--dt {limits.dt or cycle:g} --acceleration A, or acceleration in the [limits] of a task"
         )
     for fault in kept.faults:
         print_warning(f"exported despite a fault: {fault}")

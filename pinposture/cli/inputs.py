@@ -192,7 +192,8 @@ NoBrowserOption = Annotated[
 ]
 
 ToleranceOption = Annotated[
-    float | None, MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.")
+    str | None,
+    MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.", "LENGTH"),
 ]
 
 MOST_JOBS = 1000
@@ -488,6 +489,13 @@ def read_declared(kind: Any, given: Mapping[str, object], arm: Arm | None = None
         if value is not None
     }
     return read_call(kind, values, arm)
+
+
+def read_option(option: str, text: str | None, kind: Any) -> Any:
+    """Return the value of an option, a number or text with a unit, read as a kind; None if not given."""
+    from pinposture.schema import read_plain
+
+    return None if text is None else read_plain(kind, as_data(text), option)
 
 
 def as_data(text: str) -> Any:

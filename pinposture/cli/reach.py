@@ -18,6 +18,7 @@ from pinposture.cli.inputs import (
     SceneOptions,
     UrdfArgument,
     read_declared,
+    read_option,
     read_start,
 )
 from pinposture.cli.output import (
@@ -61,7 +62,7 @@ def run(
     to: Annotated[str, TARGET("{task.TipGoal.position}", "X,Y,Z", flags="--to")],
     direction: Annotated[str | None, TARGET("{task.TipGoal.direction}", "X,Y,Z")] = None,
     tolerance: Annotated[
-        float | None, TARGET("Allowed error of the tip, in metres; default: 1e-6 of the arm length.")
+        str | None, TARGET("Allowed error of the tip, in metres; default: 1e-6 of the arm length.", "LENGTH")
     ] = None,
     scene_options: SceneOptions,
     start: Annotated[
@@ -101,6 +102,7 @@ def run(
 
     from pinposture.control.reach import reach
     from pinposture.motion import track
+    from pinposture.schema import Length
     from pinposture.storage import write_figure, write_text
     from pinposture.task import TipGoal
 
@@ -121,7 +123,7 @@ def run(
             count=count,
             seed=seed,
             budget=goal.budget,
-            tolerance=tolerance,
+            tolerance=read_option("--tolerance", tolerance, Length),
         )
     hindrance = found[0].path.hindrance if found[0].path else ""
     files: list[File] = []

@@ -18,6 +18,7 @@ from pinposture.cli.inputs import (
     JsonOption,
     SceneOption,
     read_declared,
+    read_option,
     refuse_given,
 )
 from pinposture.cli.output import (
@@ -78,12 +79,14 @@ def run(
         bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
     ] = False,
     dt: Annotated[
-        float | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "S")
+        str | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "TIME")
     ] = None,
-    hold: Annotated[float, MOTION("Seconds to continue after the motion.", "S", max=3600.0)] = 2.0,
+    hold: Annotated[str, MOTION("Seconds to continue after the motion, 3600 at most.", "TIME")] = "2",
     tolerance: Annotated[
-        float | None,
-        MOTION("Final mean point error that counts as arrived, in metres; default: 1 % of the length."),
+        str | None,
+        MOTION(
+            "Final mean point error that counts as arrived, in metres; default: 1 % of the length.", "LENGTH"
+        ),
     ] = None,
     scene: SceneOption = None,
     output: Annotated[
@@ -103,20 +106,22 @@ def run(
     apply; those of templates are placeholders. The exit code is 0 if the arm arrived, stayed near its
     path and was clear of the scene, 1 if not, 2 if it could not start or be saved.
     """
-    from pinposture._validation import require_positive
     from pinposture.arm.mjcf import load_mujoco
     from pinposture.collision import Scene
+    from pinposture.schema import Duration, Length, quantity
     from pinposture.sim import Servos, simulate
 
     load_mujoco()  # fails early if it is not installed
-    require_positive("hold", hold, zero=True)
+    wait = read_option("--hold", hold, Annotated[float, quantity("time", least=0.0, most=3600.0)])
+    cycle = read_option("--dt", dt, Duration)
+    near = read_option("--tolerance", tolerance, Length)
     servos = read_declared(Servos, {"frequency": frequency, "torque_limits": not no_torque_limits})
     surroundings = None if scene is None else Scene.load(scene)
     arm, motion = _read(path, urdf, arm_options)
     check_directory(output)
     with count_progress("cycle") as progress:
         drive = _simulate_closed if closed else simulate
-        simulation = drive(arm, motion, servos, not no_gravity, dt, hold, progress, surroundings, tolerance)
+        simulation = drive(arm, motion, servos, not no_gravity, cycle, wait, progress, surroundings, near)
     files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
     if summary["saturated_joints"]:

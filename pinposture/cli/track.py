@@ -23,6 +23,7 @@ from pinposture.cli.inputs import (
     UrdfArgument,
     ViewOption,
     as_data,
+    read_option,
     read_start,
 )
 from pinposture.cli.output import (
@@ -112,6 +113,7 @@ def run(
     """
     from pinposture.motion import track
     from pinposture.motion.track import name_enough_steps, usual_max_steps
+    from pinposture.schema import Length
 
     controller_options.check(**vars(tip_options))
     arm = arm_options.read(urdf)
@@ -123,7 +125,8 @@ def run(
     target = placement_options.place(arm, curve, surroundings)
     check_directory(output)  # before the run, which would be lost otherwise
     most = usual_max_steps(arm, begin.q, target, limits) if steps is None else steps
-    move = partial(track, arm, target, begin.q, chosen, limits, surroundings, tolerance=tolerance)
+    near = read_option("--tolerance", tolerance, Length)
+    move = partial(track, arm, target, begin.q, chosen, limits, surroundings, tolerance=near)
     with step_progress(target, most) as callback:
         motion = move(max_steps=most, callback=callback)
     motion = name_enough_steps(motion, chosen, lambda steps: move(max_steps=steps))

@@ -100,8 +100,8 @@ CASES = [
     Case("no steps", "track ARM --curve line --steps 0", ("--steps is 0", "at least 1")),
     Case("step limit 0", "track ARM --curve line --step-limit 0", ("--step-limit is 0", "positive")),
     Case("step limit NaN", "track ARM --curve line --step-limit nan", ("--step-limit is nan", "not finite")),
-    Case("tolerance 0", "track ARM --curve line --tolerance 0", ("tolerance is 0", "> 0")),
-    Case("tolerance inf", "track ARM --curve line --tolerance inf", ("tolerance is inf", "> 0")),
+    Case("tolerance 0", "track ARM --curve line --tolerance 0", ("--tolerance is 0", "more than 0")),
+    Case("tolerance inf", "track ARM --curve line --tolerance inf", ("--tolerance is inf", "not finite")),
     Case("seed -1", "track ARM --curve line --seed -1", ("--seed is -1", "at least 0")),
     # the start
     Case("unknown start", "track ARM --curve line --start strait", ("'strait'", "did you mean 'straight'")),

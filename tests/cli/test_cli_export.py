@@ -134,7 +134,10 @@ def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
         (("-o", "motion.json"), "dt is not given; allowed: the duration of a step"),
         (("-o", "motion.json", "--dt", "0"), "dt is 0.0"),
         (("-o", "motion.json", "--dt", "nan"), "dt is nan"),
-        (("-o", "motion.json", "--dt", "x"), "--dt"),
+        (
+            ("-o", "motion.json", "--dt", "x"),
+            "--dt is 'x'; allowed: a number in SI units",
+        ),
         (("-o", "motion.txt", "--dt", "0.1"), "allowed: .npz, .csv, .json, .yaml, .yml, .mcap"),
         (("-o", "motion", "--dt", "0.1"), "allowed: .npz, .csv, .json, .yaml, .yml, .mcap"),
         (("-o", "motion.json", "--dt", "1e9", "--force"), "in a ROS 2 message"),

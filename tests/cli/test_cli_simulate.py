@@ -88,7 +88,7 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
         (["nowhere.csv"], "nowhere.csv: no such file"),
         (["nowhere.npz", "--urdf", "ARM"], "nowhere.npz: no such file"),
         (["RUN", "--frequency", "1e300"], "--frequency is 1e+300; allowed: a number above 0, at most 100000"),
-        (["RUN", "--hold", "1e300"], "'--hold'"),
+        (["RUN", "--hold", "1e300"], "--hold is 1e+300"),
         (["RUN", "--urdf", "ARM"], "--urdf is"),
         (["RUN", "--dt", "0.03"], "dt is 0.03"),
         (["UNTIMED"], "dt is not given"),

@@ -125,3 +125,9 @@ def test_a_goal_is_given_with_units(command, arm_file):
     asked = ("reach", arm_file, "--json", "--to")
     plain = command(*asked, "0.1,0.05,0.2").out
     assert plain == command(*asked, "10 cm,0.05,200 mm", "--budget", "5000 ms").out
+
+
+@pytest.mark.parametrize(("plain", "told"), [(("0.002",), ("2 mm",)), (("0.05",), ("5cm",))])
+def test_a_tolerance_is_given_with_a_unit(command, arm_file, plain, told):
+    asked = ("track", arm_file, "--curve", "line", "--json", "--tolerance")
+    assert command(*asked, *plain).out == command(*asked, *told).out
