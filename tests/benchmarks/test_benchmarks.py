@@ -151,8 +151,8 @@ def test_goals_swing_and_measurements_are_noisy_as_asked(
 @pytest.mark.studies
 @pytest.mark.parametrize("options", [(), ("--swing", "0.15", "--noise", "0.002")])
 def test_the_margin_to_a_moving_ball_is_kept(options: tuple[str, ...]) -> None:
-    found = printed("moving_obstacles", "--draws", "2", *options)
-    assert (found["draws"], found["margin_kept"], found["arrived"]) == (2, 2, 2)
+    found = printed("moving_obstacles", "--draws", "1", *options)
+    assert (found["draws"], found["margin_kept"], found["arrived"]) == (1, 1, 1)
     assert found["smallest_distance"] > 0.0048
     assert 0.5 < found["largest_acceleration"] <= 1.0 + 1e-9
     assert 0.0 < found["cycle_ms"]["p50"] <= found["cycle_ms"]["p99"] <= found["cycle_ms"]["p99.9"]

@@ -126,7 +126,7 @@ def test_it_serves_a_page_until_it_is_ended_and_leaves_nothing_behind(end, tmp_p
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, **pipes, cwd=tmp_path)
     url = process.stdout.readline().strip()
-    assert "Ctrl-C" in process.stderr.readline()
+    assert "Ctrl-C" in process.stderr.readline()  # and no warning before it: this machine alone is let in
     with urlopen(url, timeout=20) as page:
         assert page.status == 200
     process.send_signal(end)
@@ -167,17 +167,16 @@ def test_it_starts_no_threads_of_linear_algebra():
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("host", ["0.0.0.0", "127.0.0.1"])
-def test_it_warns_where_other_machines_are_let_in(host, tmp_path):
+def test_it_warns_where_other_machines_are_let_in(tmp_path):
     pytest.importorskip("viser", reason="viser is not installed")
     (tmp_path / "tasks").mkdir()
-    with edited(tmp_path, "--host", host, "--folder", "tasks") as (_, url, notes):
+    with edited(tmp_path, "--host", "0.0.0.0", "--folder", "tasks") as (_, url, notes):
         assert url.startswith("http://127.0.0.1:")
         assert len(url.rsplit("/", 1)[1]) >= 40
         with urlopen(url, timeout=20) as page:
             assert page.status == 200
-    assert ("anyone who has the address can edit" in notes) == (host == "0.0.0.0")
-    assert (f"save files in {tmp_path / 'tasks'}" in notes) == (host == "0.0.0.0")
+    assert "anyone who has the address can edit" in notes
+    assert f"save files in {tmp_path / 'tasks'}" in notes
 
 
 @contextmanager

@@ -134,7 +134,7 @@ def test_what_no_actuator_determines_is_named(arm: pp.Arm, tendons: dict[str, Te
 
 
 @pytest.mark.long
-@examples(40)
+@examples(12)
 @given(st.integers(0, 1000))
 def test_limits_of_actuators_hold_on_runs(arm: pp.Arm, tendons: dict[str, Tendon], seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -38,7 +38,7 @@ def largest(steps: np.ndarray, limits: pp.Limits) -> np.ndarray:
     return np.array(found) / [limits.velocity, limits.acceleration, limits.jerk]
 
 
-@examples(40)
+@examples(20)
 @given(
     seed=st.integers(0, 10_000),
     velocity=st.floats(0.2, 3.0),
