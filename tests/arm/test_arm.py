@@ -284,6 +284,7 @@ def test_a_bad_configuration_is_named(arm: pp.Arm, q: object, message: str) -> N
         arm.at(q)
 
 
+@pytest.mark.long
 def test_one_number_per_joint_is_no_configuration_of_continuous_joints() -> None:
     module = pp.ModuleTemplate("c", (pp.JointSpec("y", type="continuous"), pp.JointSpec("z")), (0.1, 0.1))
     arm = pp.Arm.from_modules([module] * 2)

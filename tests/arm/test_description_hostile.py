@@ -111,6 +111,7 @@ def long_chain(joints: int, turning: int) -> str:
     return robot(body)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("joints", "turning", "message"),
     [(6_000, 6_000, "6000 moving joints; allowed: 5000 at most"), (11_000, 1, "11001 links; allowed: 10001")],

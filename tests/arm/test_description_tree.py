@@ -98,6 +98,7 @@ def test_any_graph_is_a_tree_or_refused_for_what_it_is(edges, size):
             assert [j.parent for j in path] + [tip] == [read.root] + [j.child for j in path]
 
 
+@pytest.mark.long
 def test_very_long_chains_and_circles_take_no_time():
     names = [f"l{i}" for i in range(20_000)]
     joints = [joint(f"j{i}", names[i], names[i + 1], "continuous") for i in range(19_999)]

@@ -119,6 +119,7 @@ def test_configurations_add_up_as_pinocchio_does(seed):
         np.testing.assert_allclose(arm.positions(b), pin.difference(arm.model, pin.neutral(arm.model), b))
 
 
+@pytest.mark.long
 def test_long_arms_load_and_agree_with_shorter_ones():
     # The first 60 modules of a long arm are an arm that Pinocchio has memory for.
     long = pp.Arm.from_template("RyRz", 600)

@@ -181,6 +181,7 @@ def test_an_arm_moves_as_in_mujoco(name: str) -> None:
     assert list(arm.joint_names) == moving
 
 
+@pytest.mark.long
 def test_random_trees_move_as_in_mujoco() -> None:
     rng = np.random.default_rng(1)
 

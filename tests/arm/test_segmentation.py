@@ -147,6 +147,7 @@ def test_long_rows_of_parallel_axes_are_measured_no_more_than_their_square(monke
     assert counts[1] < 5 * counts[0]
 
 
+@pytest.mark.long
 def test_without_a_pattern_no_cut_gives_more_modules():
     """Against every way to cut seven joints with nothing alike."""
     rng = np.random.default_rng(4)

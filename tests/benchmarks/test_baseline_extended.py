@@ -176,6 +176,7 @@ def test_restore_finds_the_extremum_that_a_constrained_optimiser_finds(extremum:
     assert found.fun == pytest.approx(loss(extremum), abs=1e-8)
 
 
+@pytest.mark.long
 def test_it_stays_at_the_extremum_while_the_end_effector_moves(extremum: np.ndarray) -> None:
     start = planar().at(extremum).points[-1]
     targets = loop(start, 0.06, 300)
@@ -192,6 +193,7 @@ def test_it_stays_at_the_extremum_while_the_end_effector_moves(extremum: np.ndar
     assert finer < 0.7 * strays["extended"]
 
 
+@pytest.mark.long
 def test_from_an_extremum_the_motion_repeats(extremum: np.ndarray) -> None:
     targets = loop(planar().at(extremum).points[-1], 0.06, 400)
     apart = {}

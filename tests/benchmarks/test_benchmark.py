@@ -82,6 +82,7 @@ def test_a_program_that_does_not_move_reaches_nothing_and_breaks_nothing(known, 
         assert each.reached == 0 and each.steps is None and each.error > benchmark.BENCHMARK_REACHED
 
 
+@pytest.mark.long
 def test_what_breaks_a_limit_or_is_left_out_is_not_reached(known, tmp_path):
     results = still(known)
     case = next(each for each in known["cases"] if each["group"] == "helix")

@@ -119,6 +119,7 @@ class Recorder:
         return np.zeros(len(measured))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("swing", [0.0, 0.15])
 @pytest.mark.parametrize("noise", [0.0, 0.002])
 def test_goals_swing_and_measurements_are_noisy_as_asked(

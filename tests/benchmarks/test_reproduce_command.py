@@ -115,6 +115,7 @@ def test_options_reach_the_library(command, asked):
     assert settings.methods["switching"].selection == selection
 
 
+@pytest.mark.long
 def test_a_controller_of_the_users_own_is_a_row_of_the_figure(command, tmp_path, monkeypatch):
     lines = (
         "from pinposture.control import Projection",

@@ -15,6 +15,7 @@ ROOT = Path(pinposture.__file__).parent
 LIBRARY = sorted(ROOT.rglob("*.py"))
 
 
+@pytest.mark.long
 def test_no_module_of_the_library_imports_studies():
     assert len(LIBRARY) > 100
     for path in LIBRARY:

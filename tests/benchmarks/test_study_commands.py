@@ -175,6 +175,7 @@ def urdf(command, tmp_path_factory):
     return path
 
 
+@pytest.mark.long
 def test_json_and_table_are_what_the_library_found(command, urdf):
     asked = ("study", "methods", urdf, "--controllers", ",".join(NAMES), "--seeds", 2, "--steps", 60)
     found = json.loads(command(*asked, "--json").out)

@@ -24,6 +24,7 @@ def benchmark() -> ModuleType:
     return switching
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", REPEATED)
 def test_the_recorded_figures_are_reached_again(benchmark: ModuleType, record: dict, name: str) -> None:
     scenario = next(each for each in benchmark.FAMILIES if each.name == name)

@@ -139,6 +139,7 @@ def test_final_postures_have_the_colours_of_the_thesis(selection, projection):
     assert draw(figure).shape[1] == 1200
 
 
+@pytest.mark.long
 def test_errors_have_a_row_for_each_run_and_the_letters_of_the_thesis(selection, projection):
     figure = draw_errors({"Selection": selection, "Projection": projection}, "Title")
     found = heads(figure)
@@ -168,6 +169,7 @@ def test_rows_share_a_scale_that_holds_all_their_values(selection):
     assert low < max(positive.min(), 1e-12 * high) and selection.posture_error.max() < high
 
 
+@pytest.mark.long
 def test_a_planar_figure_shows_everything_about_its_runs(flat_selection, flat_projection):
     arm = planar()
     runs = {"Selection": flat_selection, "Projection": flat_projection}
@@ -211,6 +213,7 @@ def test_a_switching_run_is_compared_and_its_steps_by_projection_are_marked(flat
     draw(figure)
 
 
+@pytest.mark.long
 def test_runs_that_took_no_step_can_be_drawn():
     still = run_of(spatial(), "selection", straight=True)
     assert still.steps == 0

@@ -175,6 +175,7 @@ def test_a_picture_is_left_under_whatever_name(command, arm_file, tmp_path, as_j
         assert json.loads(result.out)["plot"] == str(path)
 
 
+@pytest.mark.long
 def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch):
     seen = []
     real = pinposture.viz.plot_arm

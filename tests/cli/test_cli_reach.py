@@ -55,6 +55,7 @@ def test_the_direction_is_that_of_the_tip(command, arm_file):
     assert json.loads(free.out)["postures"][0]["clearance"] is None
 
 
+@pytest.mark.long
 def test_with_a_start_it_keeps_pictures_postures_and_the_run(command, arm_file, scene_file, tmp_path):
     out = tmp_path / "out"
     given = ("--scene", scene_file, "--start", "straight", "--count", 2, "-o", out)

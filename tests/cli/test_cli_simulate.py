@@ -23,6 +23,7 @@ def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return pp.save(run, tmp_path_factory.mktemp("timed") / "run.npz").parent
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loop", ["open", "closed"])
 def test_a_run_is_simulated_kept_and_told(command, timed_run, tmp_path, loop):
     out = tmp_path / "sim"

@@ -58,6 +58,7 @@ def test_the_tip_takes_the_pose_that_is_asked(track):
     assert np.arccos(min(1.0, (np.trace(off) - 1) / 2)) == pytest.approx(tip["turn"], abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("hold", "keys"), [("position", 1), ("pose", 2)])
 def test_a_tip_that_is_held_stays_where_the_start_has_it(track, hold, keys):
     tip, run = track("--hold-tip", hold, "--tip-priority", "--region", "1-2")

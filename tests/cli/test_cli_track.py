@@ -38,6 +38,7 @@ def test_the_summary_describes_the_run_that_was_kept(command, arm_file, tmp_path
     assert summary["control_points"] == summary["placed_points"] == 6
 
 
+@pytest.mark.long
 def test_all_three_files_are_there_and_are_what_they_are_called(command, arm_file, tmp_path):
     out = tmp_path / "deep" / "out"
     summary = track(command, arm_file, "--steps", 3, "-o", out)
@@ -103,6 +104,7 @@ def test_a_curve_file_in_millimetres_is_scaled(command, arm_file, tmp_path):
     assert json.loads(command("inspect", *asked).out)["curve"]["placed_points"] == 6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("modules", "length"), [(20, 0.5), (20, 5.0), (6, 0.5), (50, 5.0)])
 def test_presets_are_scaled_to_the_arm(command, tmp_path, modules, length):
     links = ",".join([str(length / modules / 2)] * 2)
@@ -212,6 +214,7 @@ def test_named_starts_are_those_of_the_library(command, arm_file, tmp_path):
         np.testing.assert_array_equal(pp.load(tmp_path / start / "run.npz", pp.Run).q[0], q)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", ["random", "smooth"])
 def test_a_drawn_start_that_is_not_clear_is_bent_less(command, arm_file, start):
     arm = pp.Arm.load(arm_file)

@@ -98,6 +98,7 @@ def test_the_viewer_is_closed_after_an_error_too(command, run_directory, asked, 
     assert asked[-1] == "close"
 
 
+@pytest.mark.long
 def test_a_file_is_written_instead_of_showing(command, run_directory, asked, tmp_path):
     html = tmp_path / "a.html"
     png = tmp_path / "sub" / "plot.PNG"

@@ -63,6 +63,7 @@ def test_joints_that_were_exported_as_motion_npz_are_no_motion(tmp_path):
     assert find_kept(tmp_path) == (tmp_path / "run.npz", "")
 
 
+@pytest.mark.long
 def test_the_command_writes_pictures_of_a_motion(command, both, tmp_path):
     touch(both / "motion.npz", 4000)
     html = tmp_path / "a.html"
@@ -102,6 +103,7 @@ def test_the_command_plays_a_motion_until_ctrl_c(command, both, monkeypatch):
     assert shown == [(Trajectory, False, (4,)), "play", "close"]
 
 
+@pytest.mark.long
 def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
     motion = some_motion()
     files, failure = write_files(motion_files(motion, tmp_path / "out"))

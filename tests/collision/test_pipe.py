@@ -61,6 +61,7 @@ def test_walls_are_a_radius_away(axis, sides):
     assert found.max() < 1.01 * RADIUS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sides", cases([7, 6], quick=1))
 def test_no_ray_gets_out(axis, sides):
     walls = pipe_walls(axis, RADIUS, sides)

@@ -139,6 +139,7 @@ def test_thinning_keeps_no_more_than_asked_and_some_of_the_points(number, count,
     assert all((*p, *c) in rows for p, c in zip(thin.points.tolist(), thin.colors.tolist(), strict=True))
 
 
+@pytest.mark.long
 def test_what_is_left_of_a_surface_lies_as_it_did():
     scan = grid(50)
     for count in (100, 400, 1500):

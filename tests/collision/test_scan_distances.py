@@ -142,6 +142,7 @@ def test_where_a_distance_is_asked_for_bounds_do_not_hide_any(arm):
         assert model.minimum_along(q0, offsets, below=least - 1e-3).distance >= least - 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", ['<box size="0.3 0.2 0.1"/>', '<cylinder radius="0.07" length="0.3"/>'])
 def test_triangles_in_and_around_a_body_that_is_not_round(shape):
     arm = single(shape, xyz="0.1 0.05 0", rpy="0.3 0.2 0.1")
@@ -393,6 +394,7 @@ def test_what_is_inside_is_told_also_above_edges_and_corners(seed):
             assert bool(obstacles_around(Scene({"it": mesh}, self_collision=False), place)) == around[0]
 
 
+@pytest.mark.long
 def test_a_body_inside_of_a_closed_mesh_is_never_clear_of_it():
     points, faces = ring()
     mesh = Mesh(points, faces=faces)

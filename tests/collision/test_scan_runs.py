@@ -144,6 +144,7 @@ def machine(rng):
     return np.vstack(points)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", seeds(5))
 def test_a_run_past_a_scanned_machine_keeps_the_margin(seed):
     arm = pp.Arm.from_template("RyRz", 10, (0.04, 0.04))

@@ -39,6 +39,7 @@ def test_a_template_arm_is_a_chain_of_capsules_with_a_flat_end():
             np.testing.assert_allclose(end, arm.at(q).points[-1], atol=1e-9)
 
 
+@pytest.mark.long
 def test_the_chain_of_capsules_is_as_far_from_things_as_the_balls_and_tubes():
     arm = spatial(4)
     rng = np.random.default_rng(0)

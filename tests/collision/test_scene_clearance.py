@@ -232,6 +232,7 @@ def test_the_nearest_is_exact_where_nothing_is_near():
     assert nothing.minimum == np.inf and nothing.pair is None and nothing.jacobian.shape == (0, arm.nv)
 
 
+@pytest.mark.long
 def test_clearances_are_remembered_as_long_as_the_arm_lives():
     arm = spatial()
     scene = Scene({"o": Sphere((1, 1, 1), 0.1)}, self_collision=False)
@@ -326,6 +327,7 @@ def test_one_joint_and_continuous_joints():
         assert near.jacobian.shape == (len(near.pairs), arm.nv) and np.all(np.isfinite(near.jacobian))
 
 
+@pytest.mark.long
 def test_an_arm_of_a_thousand_joints_has_a_scene() -> None:
     arm = pp.Arm.from_template("RyRz", 500)  # 25 m along x, links 20 mm thick
     scene = Scene(

@@ -145,6 +145,7 @@ def rods(rng):
     return [Capsule(a, b, 0.03), Capsule(a, along, 0.03), Sphere(a, 0.03)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_closed_forms_agree_with_coal_and_are_never_larger(kind):
     rng = np.random.default_rng(1)

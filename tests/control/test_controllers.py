@@ -197,6 +197,7 @@ def test_local_coupling_is_block_diagonal_and_full_is_block_triangular(spatial: 
         np.testing.assert_allclose(full[rows, rows], local[rows, rows], atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", THESIS)
 def test_every_posture_control_matrix_of_long_runs_has_full_row_rank(name: str) -> None:
     arm = pp.Arm.from_template("RyRz", 10)

@@ -196,6 +196,7 @@ def test_points_are_chosen_if_their_singular_values_admit_it(
     assert kept.sum() >= best - 1
 
 
+@pytest.mark.long
 def test_few_points_are_dropped_on_long_arms() -> None:
     """One after the other, those most to blame: no more have to go than from base to tip, within a tenth."""
     for seed in range(3):

@@ -127,6 +127,7 @@ def test_a_pose_is_taken_as_a_whole(arm, as_matrix):
     assert found.clearance == np.inf
 
 
+@pytest.mark.long
 def test_the_path_leads_from_the_start_to_the_posture_clear_of_everything(arm, clutter):
     scene, centres = clutter
     start = arm.straight()
@@ -192,6 +193,7 @@ def test_the_position_margin_of_the_limits_is_kept(arm):
     assert np.abs(arm.positions(found.q)).max() <= arm.limits.upper.max() - 2.9 + 1e-12
 
 
+@pytest.mark.long
 def test_slides_and_joints_without_limits_are_used():
     """A crane of two links on a rail, with joints that turn endlessly."""
     between = '<parent link="{}"/><child link="{}"/><origin xyz="{}"/><axis xyz="{}"/>{}'
@@ -225,6 +227,7 @@ def test_a_goal_inside_an_obstacle_or_behind_a_wall_has_no_clear_posture(arm):
         pp.reach(arm, (0.4, 0.0, 0.0), scene=wall, budget=1.0)
 
 
+@pytest.mark.long
 def test_a_posture_that_no_path_leads_to_says_so():
     """A wall runs out from beside the base; the other way round, the first joint is at its limit."""
     arm = pp.Arm.from_template("Rz", modules=2)
@@ -279,6 +282,7 @@ def test_all_reasons_why_a_goal_cannot_be_reached_are_named_at_once():
         assert words in str(caught.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("upper", [4.0, 9.0])
 def test_the_posture_is_at_the_turns_at_which_its_path_ends(upper):
     text = pp.Arm.from_template("RyRz", 4).urdf

@@ -177,6 +177,7 @@ def test_follow_the_leader_in_python(capsys: pytest.CaptureFixture) -> None:
     assert np.isfinite(float(capsys.readouterr().out))
 
 
+@pytest.mark.long
 def test_physics_in_python() -> None:
     pytest.importorskip("mujoco")
     (code,) = snippets("physics.md", "python")

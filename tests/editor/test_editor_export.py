@@ -35,6 +35,7 @@ def test_joints_come_back_at_their_times(tmp_path: Path, kind: str) -> None:
     np.testing.assert_allclose(np.diff(loaded.time), moved().dt, atol=2e-9)
 
 
+@pytest.mark.long
 def test_the_picture_is_one(tmp_path: Path) -> None:
     made = export(moved(), "Picture", "walk")
     assert made.name == "walk.png"

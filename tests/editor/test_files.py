@@ -408,6 +408,7 @@ def test_task_files_to_choose_from_are_those_of_the_folder_the_latest_first(tmp_
     assert task_files(tmp_path) == ("sub/in.toml", "new.toml", "old.toml")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("joint", [pp.JointSpec("z", "prismatic", 0.0, 0.1), pp.JointSpec("z", lower=0.9)])
 def test_the_keyframes_of_an_arm_that_takes_no_line_are_taught(joint: pp.JointSpec) -> None:
     arm = pp.Arm.from_modules([pp.ModuleTemplate("module", (joint,), (0.1,))] * 3)

@@ -181,6 +181,7 @@ def test_no_name_becomes_markup_of_a_page_that_is_saved(tmp_path: Path) -> None:
     assert elements.scripts == 2
 
 
+@pytest.mark.long
 def test_no_name_becomes_markup_of_a_picture(tmp_path: Path) -> None:
     motion = hostile_motion()
     picture = tmp_path / "picture.svg"

@@ -251,6 +251,7 @@ def test_a_phase_that_cannot_be_planned_changes_nothing(file: Path) -> None:
     assert "depth" in session.notice.text
 
 
+@pytest.mark.long
 def test_all_phases_are_performed_and_stand_on_the_timeline(file: Path) -> None:
     session = Session(pp.Task.load(file), file)
     motion = session.whole.perform()

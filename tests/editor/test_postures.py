@@ -186,6 +186,7 @@ def test_a_tip_task_does_not_change_what_was_taught() -> None:
     assert session.task.motion[1].joints == dragged  # type: ignore[index]
 
 
+@pytest.mark.long
 def test_a_task_with_taught_keyframes_is_edited_played_and_saved_as_it_was(tmp_path: Path) -> None:
     file = with_taught().task.save(tmp_path / "task.toml")
     table = "\n# By hand.\n[[keyframes]]\nname = 'by  hand'\ntime = '4500 ms'   # late\n"

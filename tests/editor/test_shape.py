@@ -272,6 +272,7 @@ def test_control_points_of_a_spline_are_its_own(arm: pp.Arm) -> None:
     assert Shape.of(arm, Keyframe(polygon, placement="as_is")).degree == 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "make",
     [

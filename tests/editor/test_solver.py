@@ -299,6 +299,7 @@ def test_a_shape_that_is_known_is_not_worked_out_again(monkeypatch: pytest.Monke
         assert judged[4:] == [short()]
 
 
+@pytest.mark.long
 def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -120,6 +120,7 @@ print(kernels.sum_point_errors(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dty
 """
 
 
+@pytest.mark.long
 def test_where_nothing_can_be_kept_it_works_and_says_so() -> None:
     ran = subprocess.run([sys.executable, "-c", NOWHERE], capture_output=True, text=True, check=True)
     assert float(ran.stdout) == pytest.approx(2.0 * np.sqrt(3.0))

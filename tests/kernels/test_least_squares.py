@@ -80,6 +80,7 @@ def test_long_chains_keep_their_digits(damping: float, straight: bool) -> None:
     np.testing.assert_allclose(found, exact, atol=1e-9 * size)
 
 
+@pytest.mark.long
 def test_500_modules_meet_their_optimality_conditions() -> None:
     """At 1,000 joints: the slope of the sum at its minimum, by dense Jacobians, next to its terms."""
     arm = pp.Arm.from_template("RyRz", 500)

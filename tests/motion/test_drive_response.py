@@ -113,6 +113,7 @@ def test_without_feedback_a_joint_that_stays_short_is_named(arm: pp.Arm) -> None
     assert robot.off() > 0.05
 
 
+@pytest.mark.long
 def test_a_joint_whose_compensation_meets_a_limit_is_named(arm: pp.Arm) -> None:
     goal = np.full(arm.nv, 0.2)
     goal[0] = arm.limits.upper[0] - 0.01
@@ -156,6 +157,7 @@ def test_a_stopped_drive_is_held_where_it_stands_and_goes_on_without_a_jump(
     assert robot.off() < 0.02
 
 
+@pytest.mark.long
 def test_a_frozen_encoder_does_not_drive_the_arm_on(arm: pp.Arm) -> None:
     robot = Robot(arm, QUICK)
     robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, 1.0)))
@@ -168,6 +170,7 @@ def test_a_frozen_encoder_does_not_drive_the_arm_on(arm: pp.Arm) -> None:
     assert np.abs(log.true - begin).max() < 0.5
 
 
+@pytest.mark.long
 def test_drives_that_never_run_are_tried_from_time_to_time(arm: pp.Arm) -> None:
     robot = aimed(arm, QUICK)
     robot.drives.running[:] = False
@@ -177,6 +180,7 @@ def test_drives_that_never_run_are_tried_from_time_to_time(arm: pp.Arm) -> None:
     assert robot.go(12.0).statuses[-1] == "converged"
 
 
+@pytest.mark.long
 def test_readings_that_are_repeated_and_late_are_enough(arm: pp.Arm) -> None:
     robot = aimed(arm, DriveModel(lag=0.1, friction=0.0, delay=0.14), Sensing(noise=3e-4, period=5))
     log = robot.go(15.0)
@@ -184,6 +188,7 @@ def test_readings_that_are_repeated_and_late_are_enough(arm: pp.Arm) -> None:
     assert robot.off() < 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("friction", [0.11, 0.2])
 def test_a_moving_target_is_followed_in_spite_of_friction_without_holding(
     arm: pp.Arm, friction: float

@@ -53,6 +53,7 @@ def driven(tracker: Tracker, q: np.ndarray, sag: np.ndarray | float, steps: int)
     return np.array(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("controller", ["joint", "geodesic"])
 @pytest.mark.parametrize("ratio", [1.0, 4.0, 10.0])
 def test_the_loop_is_the_one_of_the_characteristic_polynomial(
@@ -73,6 +74,7 @@ def test_the_loop_is_the_one_of_the_characteristic_polynomial(
     assert found[-1] == pytest.approx(0.1, abs=5e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("controller", ["geodesic", "joint"])
 @pytest.mark.parametrize("seed", range(2))
 def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(
@@ -105,6 +107,7 @@ def test_a_sag_that_would_need_a_command_beyond_the_limits_is_made_good_as_far_a
     np.testing.assert_allclose(path[-1], 0.45, atol=1e-5)
 
 
+@pytest.mark.long
 def test_without_a_known_configuration_points_are_shifted_by_as_much(arm: pp.Arm) -> None:
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, acceleration=10.0)
     rng = np.random.default_rng(5)
@@ -122,6 +125,7 @@ def longer(arm: pp.Arm, factor: float) -> pp.Arm:
     return pp.Arm.from_template("RyRz", arm.n_modules, (0.025 * factor, 0.025 * factor))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 def test_points_seen_from_outside_make_good_what_the_model_has_wrong(interface: str) -> None:
     model = pp.Arm.from_template("RyRz", 5, (0.025, 0.025))

@@ -38,6 +38,7 @@ def largest(steps: np.ndarray, limits: pp.Limits) -> np.ndarray:
     return np.array(found) / [limits.velocity, limits.acceleration, limits.jerk]
 
 
+@pytest.mark.long
 @examples(20)
 @given(
     seed=st.integers(0, 10_000),
@@ -140,6 +141,7 @@ def test_a_short_motion_of_one_joint_takes_little_longer_than_the_shortest(
     assert shortest - 3 * DT <= DT * run.steps <= 1.45 * shortest + 3 * DT
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 def test_the_tracker_keeps_them_whatever_happens(arm: pp.Arm, interface: str) -> None:
     rng = np.random.default_rng(1)
@@ -260,6 +262,7 @@ def test_limits_hold_in_cycles_of_all_durations_or_steps_beyond_them_are_named(
     assert tracker.limits is limits and tracker.report.status == "converged"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("before", [None, 200.0])
 @pytest.mark.parametrize("after", [None, 20.0, 50.0])
 def test_a_limit_that_is_set_in_motion_is_kept_once_the_arm_has_stopped(

@@ -145,6 +145,7 @@ def test_a_chased_arm_whose_goal_is_blocked_keeps_limits_and_margin_with_few_que
     assert np.percentile(queries, 98) <= 20  # a whole search for a goal makes 70
 
 
+@pytest.mark.long
 def test_an_arm_at_its_position_limits_evades_with_noisy_measurements() -> None:
     rng = np.random.default_rng(0)
     scene = ball_scene()
@@ -166,6 +167,7 @@ def test_an_arm_at_its_position_limits_evades_with_noisy_measurements() -> None:
     assert lowest >= 0.5 * MARGIN  # noise takes its share
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hit, velocity, point", [(60, (0, 0, -0.1), 18), (100, (0, 0.1, 0), 10)])
 def test_an_arm_on_its_way_back_into_its_position_limits_evades(
     hit: int, velocity: tuple[float, ...], point: int
@@ -255,6 +257,7 @@ def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:
         assert not np.any(tracker.step(q, scene=moment))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("first, reason", [("converged", "the target is"), ("holding", "no target")])
 def test_an_arm_without_a_fresh_target_holds_and_evades_what_approaches(first: str, reason: str) -> None:
     scene = ball_scene()
@@ -288,6 +291,7 @@ def test_velocities_need_the_duration_of_a_step() -> None:
         controller.step(arm().at(np.zeros(40)), target)
 
 
+@pytest.mark.long
 def test_what_stands_still_does_not_repel_an_arm_while_something_else_moves() -> None:
     """The arm comes as near to a post beside its goal as without the ball, which is far away."""
     q = np.zeros(40)
@@ -313,6 +317,7 @@ def test_what_stands_still_does_not_repel_an_arm_while_something_else_moves() ->
     assert max(cycles) <= min(cycles) + 2 < 300
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("faster, velocity", [(2.0, 0.3), (4.0, 0.5)])
 def test_an_arm_gets_out_of_the_way_of_a_ball_that_is_faster_than_it(faster: float, velocity: float) -> None:
     q, _, origin, flight = crossing(15)  # without an early retreat, the arm is hit
@@ -343,6 +348,7 @@ def test_an_arm_without_a_measurement_does_not_move() -> None:
     assert gap(q, center) < 0.0 and tracker.report.reason == "no measurement"
 
 
+@pytest.mark.long
 def test_obstacles_move_on_between_the_pictures_of_a_slow_camera() -> None:
     q, goal, origin, velocity = crossing(0)
     paths = []

@@ -67,6 +67,7 @@ def assert_within_limits(q: np.ndarray) -> None:
     assert np.abs(changes).max() <= ACCELERATION * (1.0 + 1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["configuration", "velocity", "points"])
 @pytest.mark.parametrize("seed", range(2))
 def test_rows_are_followed_exactly(kind: str, seed: int) -> None:
@@ -78,6 +79,7 @@ def test_rows_are_followed_exactly(kind: str, seed: int) -> None:
     assert status == "converged"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["configuration", "velocity"])
 def test_an_arm_that_begins_beside_the_motion_catches_up(kind: str) -> None:
     arm = arm_of()
@@ -88,6 +90,7 @@ def test_an_arm_that_begins_beside_the_motion_catches_up(kind: str) -> None:
     assert missed[-20:].max() < 1e-6 * arm.length
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["configuration", "velocity"])
 def test_after_a_target_that_stops_at_once_the_arm_brakes_and_comes_back(kind: str) -> None:
     arm = arm_of()

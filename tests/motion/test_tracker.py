@@ -188,6 +188,7 @@ def singular_goals(arm: pp.Arm) -> dict[str, np.ndarray]:
     return {"straight": straight, "folded": folded, "nearly straight": near, "bent to limits": straight + 3.1}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["straight", "folded", "nearly straight", "bent to limits"])
 @pytest.mark.parametrize("known", [True, False])
 def test_singular_postures_are_taken_or_given_up_at_rest(arm: pp.Arm, name: str, known: bool) -> None:
@@ -208,6 +209,7 @@ def test_singular_postures_are_taken_or_given_up_at_rest(arm: pp.Arm, name: str,
     assert tracker.report.status == "converged"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [1.05, 1.3, 5.0])
 def test_what_is_out_of_reach_ends_stuck_and_at_rest(arm: pp.Arm, factor: float) -> None:
     points = factor * arm.at(smooth_configuration(arm, np.random.default_rng(6), 0.4)).points

@@ -82,6 +82,7 @@ def test_closest_agrees_with_algorithm_1_where_that_is_exact(template: str) -> N
     np.testing.assert_allclose(closest.parameters, in_turn.parameters, atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_curve_that_leaves_at_an_angle_is_taken_without_zigzag() -> None:
     arm = pp.Arm.from_template("RyRz", 20)
     zigzag = pp.resolve_targets(arm, HELIX, placement="translate", method="sequential")
@@ -117,6 +118,7 @@ def test_noise_on_the_curve_is_met_within_reason() -> None:
     assert np.abs(target.q).max() < 1.0
 
 
+@pytest.mark.long
 def test_harsh_curves_within_narrow_limits_give_a_target_or_a_reason() -> None:
     rng = np.random.default_rng(0)
     arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.9, 0.9)] * 10)

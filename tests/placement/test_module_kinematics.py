@@ -257,6 +257,7 @@ def test_the_search_finds_the_target_point_of_the_closed_form(
         assert found == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["roll-pitch", "arc", "tilted", "coupled"])
 @examples(6)
 @given(given_curve=curves())

@@ -152,6 +152,7 @@ def test_a_path_among_obstacles_has_to_begin_at_the_tip() -> None:
         among.reference()
 
 
+@pytest.mark.long
 def test_the_command_line_says_it(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 

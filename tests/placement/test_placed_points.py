@@ -91,6 +91,7 @@ def reachable_by_enumeration(link: float, points: np.ndarray, limit: float) -> b
     return False
 
 
+@pytest.mark.long
 def test_planar_pairs_take_what_enumeration_of_all_elbows_takes() -> None:
     link = 0.1
     limit = 1.9
@@ -107,6 +108,7 @@ def test_planar_pairs_take_what_enumeration_of_all_elbows_takes() -> None:
     assert [s for s, (found, expected) in enumerate(verdicts) if found != expected] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", seeds(12))
 def test_three_hinges_take_what_many_starts_take(seed: int) -> None:
     """Two modules of three oblique hinges within narrow limits, some points out of their reach."""

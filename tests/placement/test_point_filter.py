@@ -72,6 +72,7 @@ def noisy_points(arm: pp.Arm, wanted: np.ndarray) -> np.ndarray:
     return points + NOISE * np.random.default_rng(3).normal(size=points.shape)
 
 
+@pytest.mark.long
 def test_a_steady_motion_without_noise_is_followed_without_delay() -> None:
     arm = arm_of(6)
     begin = smooth_configuration(arm, np.random.default_rng(0), 0.3)
@@ -86,6 +87,7 @@ def test_a_steady_motion_without_noise_is_followed_without_delay() -> None:
     np.testing.assert_allclose(arm.positions(still.q), wanted[-1], atol=1e-6)
 
 
+@pytest.mark.long
 def test_the_arm_follows_noisy_points_smoothly() -> None:
     arm = arm_of()
     limits = pp.Limits(step=None, dt=DT, velocity=2.0, acceleration=10.0)

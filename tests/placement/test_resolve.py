@@ -78,6 +78,7 @@ def test_a_line_as_long_as_the_arm_is_long_enough(arm: pp.Arm) -> None:
         pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.999, 0, 0)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("template", ["RyRz", "RzRy", "Rz", "RzRzRz", "Continuum"])
 @pytest.mark.parametrize("samples", [2000, 200_000])
 def test_rounding_does_not_make_a_line_too_short(template: str, samples: int) -> None:
@@ -171,6 +172,7 @@ def test_a_curve_that_passes_near_the_base_is_joined_on_the_way(arm: pp.Arm) -> 
     assert 0.5 < target.parameters[0] < 0.56
 
 
+@pytest.mark.long
 def test_curves_that_do_not_fit_are_named(arm: pp.Arm) -> None:
     with pytest.raises(CurveEndsEarly, match=r"module 7.*lengthen the curve") as early:
         pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.31, 0, 0)))

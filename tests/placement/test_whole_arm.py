@@ -79,6 +79,7 @@ def test_an_arm_with_rows_of_parallel_axes_follows_a_curve_in_their_plane_with_a
     assert brute_force(arm, target.q, target.curve) < 0.021 * arm.length
 
 
+@pytest.mark.long
 def test_rows_of_parallel_axes_that_turn_each_other_come_near_a_helix_and_say_how_near():
     arm = load(awkward_arms()["long_modules36"])
     helix = pp.Curve.helix(radius=0.06 * arm.length, pitch=0.15 * arm.length, turns=4)
@@ -195,6 +196,7 @@ def link_distances(arm, target):
     return np.sqrt(np.mean(distances**2)), distances.max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["C", "S"])
 @pytest.mark.parametrize("length", [0.5, 0.62, 0.75])
 def test_slides_lay_the_links_as_near_to_the_curve_as_an_exhaustive_search(kind, length):
@@ -252,6 +254,7 @@ def test_slides_end_a_straight_arm_where_a_line_ends(method, share):
     np.testing.assert_allclose(arm.positions(target.q)[~arm.slides], 0.0, atol=1e-6)
 
 
+@pytest.mark.long
 def test_slides_follow_a_curve_that_is_dragged_without_jumps():
     arm = pp.Arm.from_modules([SLIDING] * 6)
     near = None

@@ -70,6 +70,7 @@ def test_a_fall_is_that_of_an_integrator_of_pinocchios_dynamics(arm):
     np.testing.assert_allclose(plant.positions - start, moved, atol=5e-3 * np.abs(moved).max())
 
 
+@pytest.mark.long
 def test_a_motion_is_followed_within_the_limits_of_the_servos(arm):
     goal = arm.configuration(0.4 * arm.limits.upper)
     limits = pp.Limits(step=None, velocity=0.5, acceleration=2.0, dt=0.01)

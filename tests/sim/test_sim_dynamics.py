@@ -218,6 +218,7 @@ def test_limits_hold_and_the_step_of_the_physics_does_not_matter():
     np.testing.assert_allclose(coarse.saturated, fine.saturated, atol=0.02)
 
 
+@pytest.mark.long
 def test_trying_and_the_program_find_the_same_torques(monkeypatch):
     arm, rows, limit = hurried()
     servos = sim.Servos(torque_limits=limit)

@@ -315,6 +315,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", cases(CASES, quick=2))
 def test_figures_show_the_data(case):

@@ -48,6 +48,7 @@ def sampled_bends(curve, count=4000):
     return np.linalg.norm(np.diff(tangents, axis=0), axis=1) / (s[1] - s[0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", cases(range(4), 2))
 def test_a_path_is_clear_and_bends_no_more_than_the_modules_and_the_arm_follows_it(seed):
     arm = fed()
@@ -108,6 +109,7 @@ def test_an_arm_without_a_feed_starts_at_its_base_in_its_own_direction():
     np.testing.assert_allclose(chosen.tangent(0.0), (0.0, 1.0, 0.0), atol=1e-9)
 
 
+@pytest.mark.long
 def test_the_path_of_a_planar_arm_stays_in_its_plane():
     arm = fed("Rz")
     begin = entry(arm)

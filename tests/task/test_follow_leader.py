@@ -206,6 +206,7 @@ def test_closest_is_least_of_what_is_near():
             assert cost(q + size * change) > least * (1 - 1e-4)
 
 
+@pytest.mark.long
 def test_a_mechanism_of_any_kind_is_followed():
     """Hinges in one place, unequal links, and a description whose modules nobody named."""
     path = arc(0.2, 1.5)
@@ -282,6 +283,7 @@ def test_the_feed_starts_and_stops_gently(depth, speed, interval):
         assert np.abs(np.diff(np.concatenate([[0.0], bends, [0.0]]))).max() <= 6.0 / ramp + 1e-6
 
 
+@pytest.mark.long
 def test_an_arm_of_twenty_modules_goes_through_a_pipe_with_two_bends():
     path = pipe_axis((0.1, 0.1, 0.05), [(0.25, np.pi / 2), (0.25, np.pi / 2, np.pi / 2)])
     arm = Arm.from_modules([feed(upper=1.2), *[template("RyRz")] * 20])

@@ -82,6 +82,7 @@ def test_the_arm_never_touches_itself_while_it_uncoils(five: Reference) -> None:
     assert nearest > 0.9 * 0.06  # the rise of the coil in one turn
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("continuity", ("velocity", "acceleration"))
 def test_joints_move_as_continuously_as_the_curve(arm: pp.Arm, continuity: str) -> None:
     def largest_change(order: int, interval: float) -> float:
@@ -229,6 +230,7 @@ def test_a_tip_with_priority_goes_wherever_reach_brings_it(name: str, seed: int,
     assert len(reached) == 1
 
 
+@pytest.mark.long
 def test_an_arm_moves_its_tip_where_priority_asks(arm: pp.Arm) -> None:
     line = straight(1.2)
     place = np.array((0.5, 0.2, 0.2))

@@ -78,6 +78,7 @@ def test_arms_without_closed_forms_follow_their_curves(name: str) -> None:
     assert off_curve(alone, 0) < 1e-4
 
 
+@pytest.mark.long
 def test_an_arm_that_has_to_roll_while_it_is_straight_does_so_without_a_jump() -> None:
     arm = snake(J("x"), J("z"), modules=10)
     length = arm.length
@@ -123,6 +124,7 @@ def test_a_shape_near_the_joint_limits_is_held_between_equal_keyframes(continuit
     assert np.ptp(positions(reference)[between], axis=0).max() < 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("repeat", (1, 2))
 def test_a_time_that_is_much_too_short_does_not_multiply_the_rows_of_all_others(repeat: int) -> None:
     arm = pp.Arm.from_template("RyRz", modules=6)
@@ -139,6 +141,7 @@ def test_a_time_that_is_much_too_short_does_not_multiply_the_rows_of_all_others(
         assert np.allclose(mark.target.points, other.target.points, atol=1e-4 * arm.length)
 
 
+@pytest.mark.long
 def test_rows_between_those_placed_by_least_squares_are_as_if_they_were(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -152,6 +155,7 @@ def test_rows_between_those_placed_by_least_squares_are_as_if_they_were(
     assert np.abs(positions(some) - positions(each)).max() < 1e-5
 
 
+@pytest.mark.long
 def test_one_method_serves_the_whole_motion_unless_a_keyframe_asks_for_its_own() -> None:
     arm = pp.Arm.from_template("RyRz", modules=8)
     slanted = pp.Curve.spline(1.2 * arm.length * (S_CURVE + [[0, 0, 0], *[(0, 0.3, 0)] * 4]))
@@ -204,6 +208,7 @@ def tip(reference: Reference, row: int) -> np.ndarray:
     return np.asarray(reference.arm.at(reference.configuration(row)).points[-1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("continuity", ("velocity", "acceleration"))
 @pytest.mark.parametrize("name", SLIDING_ARMS)
 def test_slides_extend_and_retract_from_curve_to_curve(name: str, continuity: str) -> None:
@@ -226,6 +231,7 @@ def test_slides_extend_and_retract_from_curve_to_curve(name: str, continuity: st
         assert np.all(sign * np.diff(along[begin : end + 1]) >= -1e-6 * arm.length)
 
 
+@pytest.mark.long
 def test_a_long_feed_extends_with_twenty_modules() -> None:
     arm = pp.Arm.from_modules([replace(FEED, link_lengths=(0.0,)), *[BENDS] * 20])
     keyframes = [Keyframe(straight(1.2)), Keyframe(straight(1.9), duration=5.0)]
@@ -269,6 +275,7 @@ def test_a_base_without_limits_moves_from_curve_to_curve() -> None:
     assert np.all((half > starts[0]) & (half < starts[1]))
 
 
+@pytest.mark.long
 def test_the_end_of_a_curve_counts_unless_it_is_trimmed() -> None:
     arm = SLIDING_ARMS["feed at the base"]()
     first = Keyframe(straight(0.5))

@@ -103,6 +103,7 @@ def test_a_narrow_pipe_of_a_task_is_refused_with_its_line(tmp_path: Path, radius
         assert pp.Task.load(file).perform().run.status == "converged"
 
 
+@pytest.mark.long
 def test_a_check_of_a_file_names_the_gap_that_is_too_narrow(tmp_path: Path) -> None:
     """The hole of the example leaves 30 mm around the arm."""
     text = TASK.with_name("inspection.toml").read_text()

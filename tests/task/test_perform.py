@@ -152,6 +152,7 @@ def test_coming_to_the_first_posture_slowly_uses_up_no_patience_for_the_rest() -
     assert motion.run.status == "converged" and motion.start_index > 3000
 
 
+@pytest.mark.long
 def test_another_limit_in_force_gives_another_time() -> None:
     arm = arm_named("spatial")
     reference = random_reference(arm, 6, seconds=0.5)
@@ -241,6 +242,7 @@ def test_an_obstacle_in_the_way_is_gone_round() -> None:
     assert not free.deviations and free.converged
 
 
+@pytest.mark.long
 def test_a_detour_that_is_early_waits_for_its_time() -> None:
     motion = perform(swing(24.0), "geodesic", replace(SWING, dt=0.15), ball())
     check_motion(motion, motion.run.limits)
@@ -369,6 +371,7 @@ def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
     assert seen[-1].place == seen[-1].path.end == reference.rows - 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", cases([2, 6, 21, *range(22, 40)], 2))
 @pytest.mark.filterwarnings("ignore:velocity .* is above")
 def test_among_obstacles_limits_hold_from_one_part_of_a_motion_to_the_next(seed: int) -> None:

@@ -47,6 +47,7 @@ def into(**options: object) -> Phase:
     return Phase(Leader(path(), **{"speed": 0.1, **options}), "in")  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_the_example_goes_in_looks_sweeps_and_comes_out_within_limits_and_clear() -> None:
     _, motion = performed()
     assert motion.faults == ()

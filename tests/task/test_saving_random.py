@@ -196,6 +196,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("saved")
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:dt is .* long for a control cycle", "ignore:velocity .* is above")
 @examples(50, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(task=tasks(), suffix=st.sampled_from([".toml", ".json"]))

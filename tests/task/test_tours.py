@@ -130,6 +130,7 @@ def test_joints_stay_between_their_keyframes_whatever_the_times(continuity: str,
     assert all(after <= before + 2 * limits.dt for before, after in pairwise(totals))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("continuity", CONTINUITIES)
 def test_a_short_time_beside_a_long_one_neither_bends_nor_delays_the_arm(continuity: str) -> None:
     arm = pp.Arm.from_template("RyRz", modules=10)
@@ -469,6 +470,7 @@ def test_a_controller_that_lags_behind_is_told(arm: pp.Arm) -> None:
     assert "joint " in motion.slowdown or "the arm is behind its targets" in motion.slowdown
 
 
+@pytest.mark.long
 def test_an_obstacle_that_keeps_the_arm_off_its_path_is_told(arm: pp.Arm) -> None:
     up, down = np.zeros((2, arm.nv))
     up[1] = 0.8
@@ -516,6 +518,7 @@ def waving(modules: int) -> tuple[pp.Arm, list[Keyframe]]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("modules", [8, 16, 30, 50])
 @pytest.mark.parametrize("jerk", [5.0, 20.0, 100.0])
 def test_keyframes_are_passed_in_spite_of_a_jerk_limit(modules: int, jerk: float) -> None:
@@ -534,6 +537,7 @@ def test_keyframes_are_passed_in_spite_of_a_jerk_limit(modules: int, jerk: float
     assert motion.steps < 1.1 * held.steps
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("modules", [12, 24, 40])
 def test_a_long_arm_passes_random_shapes_in_all_laps_under_jerk_limits(modules: int) -> None:
     arm = pp.Arm.from_template("RyRz", modules)

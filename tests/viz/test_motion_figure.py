@@ -58,6 +58,7 @@ def names_above(ax) -> list:
     return [text for text in ax.texts if text.get_text() in ("straight", "S", "coil")]
 
 
+@pytest.mark.long
 def test_a_motion_as_planned_has_errors_and_rates_over_time_and_nothing_to_say_of_its_clock():
     motion = some_motion()
     figure = pp.plot(motion)
@@ -104,6 +105,7 @@ def test_what_has_no_limit_is_left_out():
     assert labels(pp.plot(some_motion(limits=free))) == ["point errors [m]"]
 
 
+@pytest.mark.long
 def test_a_slowed_motion_shows_the_time_of_the_plan_and_says_by_how_much():
     motion = slowed()
     figure = pp.plot(motion)
@@ -155,6 +157,7 @@ def test_names_do_not_run_into_each_other(count):
         assert np.diff(places).min() * np.sin(turn) > 0.9 * height
 
 
+@pytest.mark.long
 def test_words_above_the_figure_keep_clear_of_each_other():
     motion = some_motion(scene=around_a_ball(), start_index=10)
     figure = pp.plot(replace(motion, deviations=("at 1 s it went round",)))
@@ -195,6 +198,7 @@ def test_postures_that_look_alike_are_drawn_once_and_have_both_names():
     assert "straight, 0 s; coil, 3 s" in words
 
 
+@pytest.mark.long
 def test_in_a_scene_there_is_clearance_over_time_and_the_obstacle():
     motion = some_motion(scene=around_a_ball())
     figure = pp.plot(motion)
@@ -207,6 +211,7 @@ def test_in_a_scene_there_is_clearance_over_time_and_the_obstacle():
     draw(figure)
 
 
+@pytest.mark.long
 def test_escapes_and_limits_that_gave_way_are_marked_at_their_moments():
     motion = some_motion()
     run = motion.run

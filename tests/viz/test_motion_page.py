@@ -108,6 +108,7 @@ def test_ellipsoids_and_obstacles_are_shown_as_of_runs(tmp_path):
     assert "ellipsoids, 1 m/rad drawn as" in words(page)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("count", "opacity"), [(3, palette.SEE_THROUGH), (60, palette.SHEER)])
 def test_the_walls_of_a_pipe_let_through_more_than_a_single_obstacle(tmp_path, count, opacity):
     balls = {f"ball {k}": pp.Sphere((0.1, 0.3, 0.002 * k), 0.02) for k in range(count)}

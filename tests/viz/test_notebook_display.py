@@ -122,6 +122,7 @@ def test_a_target_and_a_run_show_how_well_they_did(shown: Any, arm: pp.Arm) -> N
     assert "placed" not in bare
 
 
+@pytest.mark.long
 def test_motions_and_joint_trajectories_show_their_time(shown: Any, arm: pp.Arm) -> None:
     bows = [pp.Curve.helix(radius, 0.0, 0.5) for radius in (0.4, 0.2)]
     frames = [pp.Keyframe(each, time=1.0 * k, placement="align", trim=True) for k, each in enumerate(bows)]
@@ -135,6 +136,7 @@ def test_motions_and_joint_trajectories_show_their_time(shown: Any, arm: pp.Arm)
     assert table(page)["motion"] == size
 
 
+@pytest.mark.long
 def test_a_run_in_a_scene_shows_its_duration_and_what_came_closest(shown: Any, arm: pp.Arm) -> None:
     scene = pp.Scene({"ball": pp.Sphere((0.4, 0.0, 0.0), 0.05)}, margin=0.01)
     target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.1))
@@ -148,6 +150,7 @@ def test_a_run_in_a_scene_shows_its_duration_and_what_came_closest(shown: Any, a
     assert rows == in_words(run.summary())
 
 
+@pytest.mark.long
 def test_a_figure_shows_its_picture(shown: Any, arm: pp.Arm) -> None:
     target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.1))
     assert picture(shown(pp.plot(pp.track(arm, target, arm.straight())))).startswith(b"\x89PNG")

@@ -75,6 +75,7 @@ def test_whatever_the_distances_are_they_are_inside_of_the_panel(values):
     ax.figure.savefig(io.BytesIO(), dpi=20)
 
 
+@pytest.mark.long
 def test_only_a_run_in_a_scene_has_a_clearance_panel():
     free = free_run()
     assert "clearance [m]" in labels(pp.plot(in_scene()))
@@ -104,6 +105,7 @@ def test_escape_steps_are_shaded_from_where_they_begin_to_where_they_lead():
     assert entries(ax) == ["3 steps in which the error may rise"]
 
 
+@pytest.mark.long
 def test_steps_in_which_something_gave_way_are_marked_and_quoted():
     relaxed = np.full(free_run().steps, "", dtype="<U200")
     relaxed[[1, 4]] = "margin: m1 and $ball are 3 mm apart; and much more that a legend has no room for"

@@ -296,6 +296,7 @@ def test_the_camera_looks_at_what_is_near_and_stays_near_beside_what_is_huge(arm
     assert camera(pp.Scene({"huge": HUGE["block"], "post": HUGE["post"]}))[0] < 3.0 * alone
 
 
+@pytest.mark.long
 def test_lines_behind_an_obstacle_are_veiled_and_others_are_not(arm):
     def veiled(place) -> bool:
         ax = Figure().add_subplot(projection="3d")
@@ -315,6 +316,7 @@ def test_lines_behind_an_obstacle_are_veiled_and_others_are_not(arm):
     assert not veiled(middle - 0.1 * eye)
 
 
+@pytest.mark.long
 def test_the_picture_of_an_arm_and_a_comparison_show_the_scene_once(scene, arm):
     figure = pp.plot_arm(arm, scene=scene)
     assert sum(isinstance(each, Poly3DCollection) for each in figure.axes[0].collections) == 1

@@ -147,6 +147,7 @@ def test_posture_panel_draws_start_end_and_target_to_one_scale():
     assert all(np.all((points >= low) & (points <= high)) for points in drawn)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("axis", ["y", "z"])
 def test_a_planar_arm_is_drawn_in_its_plane(axis):
     module = pp.ModuleTemplate("One", (pp.JointSpec(axis),), (0.1,))
@@ -178,6 +179,7 @@ def test_a_planar_arm_may_be_drawn_in_space():
     np.testing.assert_allclose(spatial_line(lines(ax)["target points"]), run.target.points)
 
 
+@pytest.mark.long
 def test_a_figure_says_who_ran_how_it_ended_and_why():
     run = some_run()
     figure = pp.plot(run)
@@ -231,6 +233,7 @@ def test_the_footnote_has_the_limits_in_words(limits, words):
     assert palette.limits_text(replace(some_run(), limits=limits)) == f"limits: {words}"
 
 
+@pytest.mark.long
 def test_the_arm_is_the_largest_panel_and_lies_within_its_room():
     figure = pp.plot(some_run())
     draw(figure)
@@ -247,6 +250,7 @@ def test_the_arm_is_the_largest_panel_and_lies_within_its_room():
     assert np.max(np.ptp(shown, axis=0) / room.size) > 0.65
 
 
+@pytest.mark.long
 def test_text_that_looks_like_mathematics_is_shown_as_it_is():
     run = some_run()
     draw(pp.plot(replace(run, reason="costs $x_{$")))
@@ -283,6 +287,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", cases(CASES, quick=3))
 def test_unusual_runs_are_drawn_without_a_warning(case):
@@ -312,6 +317,7 @@ def test_small_ranges_are_drawn_linearly_and_include_zero():
     assert ax.get_ylim()[0] <= 0.0
 
 
+@pytest.mark.long
 def test_runs_that_lie_on_each_other_are_all_seen_in_a_comparison():
     run = some_run()
     errors = run.point_errors * 10.0 ** -np.arange(run.steps + 1)[:, None]  # in the end below the axis

@@ -72,6 +72,7 @@ def test_an_arm_that_an_obstacle_encloses_on_both_sides_stays_and_says_why():
     assert "overlapping" in tracker.report.reason
 
 
+@pytest.mark.long
 def test_where_there_is_no_way_out_it_plans_and_says_why():
     arm = template_arm("RyRz", 3)
     q = arm.straight()

@@ -117,6 +117,7 @@ def test_the_cost_never_rises_while_it_settles() -> None:
         assert again.cost >= 0.999 * found.cost  # it had settled
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["planar", "spatial"])
 def test_a_strict_task_is_met_as_well_as_if_it_were_alone(name: str) -> None:
     """The tip has a target in reach or out of it, and the points ask for something else."""

@@ -79,6 +79,7 @@ def search(scene: pp.Scene, start: np.ndarray, goal: np.ndarray, seed: int = 0) 
     return PathSearch(objective, *states, bounds.edges, avoidance, MARGIN, seed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", cases(range(8), 2))
 @pytest.mark.parametrize("inwards", [True, False])
 def test_the_arm_finds_its_way_through_a_hole_and_back(seed: int, inwards: bool) -> None:
@@ -92,6 +93,7 @@ def test_the_arm_finds_its_way_through_a_hole_and_back(seed: int, inwards: bool)
     assert smallest_distance(scene, path.configurations) > MARGIN - 1e-3
 
 
+@pytest.mark.long
 def test_a_run_through_a_hole_keeps_margin_and_limits() -> None:
     scene, start, goal = through_a_hole(0)
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0)
@@ -101,6 +103,7 @@ def test_a_run_through_a_hole_keeps_margin_and_limits() -> None:
     assert smallest_distance(scene, run.q) > MARGIN - 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", seeds(2))
 def test_the_search_is_the_same_for_the_same_seed(seed: int) -> None:
     scene, start, goal = through_a_hole(3)
@@ -109,6 +112,7 @@ def test_the_search_is_the_same_for_the_same_seed(seed: int) -> None:
     np.testing.assert_array_equal(first.offsets, second.offsets)
 
 
+@pytest.mark.long
 def test_where_there_is_no_path_the_plan_says_what_is_in_the_way() -> None:
     """Two walls from near the base to beyond its reach part the plane of a planar arm."""
     planar = template_arm("Rz", 5)
@@ -127,6 +131,7 @@ def test_where_there_is_no_path_the_plan_says_what_is_in_the_way() -> None:
     np.testing.assert_allclose(path.configurations[-1], goal, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", cases(range(6), 2))
 def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None:
     scene, start, goal = through_a_hole(seed)
@@ -161,6 +166,7 @@ def test_a_budget_ends_the_search() -> None:
         pp.plan(arm().at(start), target, scene, budget=0.0)
 
 
+@pytest.mark.long
 def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
     scene, start, goal = through_a_hole(1)
     target = pp.Target.from_configuration(arm(), goal)

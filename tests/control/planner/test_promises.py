@@ -98,6 +98,7 @@ def test_an_arm_without_limits_unwinds(seed: int) -> None:
     check_arrival(Case(arm, np.zeros(arm.nv), pp.Target.from_configuration(arm, goal), pp.Limits()))
 
 
+@pytest.mark.long
 def test_one_slow_joint_keeps_the_others_waiting_and_no_more() -> None:
     arm = pp.Arm.from_template("RyRz", 8)
     start, goal = np.random.default_rng(0).uniform(-1.5, 1.5, (2, arm.nv))

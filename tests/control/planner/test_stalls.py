@@ -116,6 +116,7 @@ def test_a_strict_end_effector_gets_what_it_would_get_alone() -> None:
     assert errors[1] <= 1.001 * nearest
 
 
+@pytest.mark.long
 def test_a_strict_end_effector_in_reach_is_met_while_the_points_do_what_is_left() -> None:
     arm = arm_called("planar")
     start = np.full(7, 0.2)

@@ -54,6 +54,7 @@ def test_no_run_exceeds_its_limits_or_comes_closer_than_the_margin(seed: int) ->
     check_run(seed, 20 if seed % 2 else 400)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", cases([113, 70, 59, 90, 138, 144], 1))
 def test_nor_does_one_that_comes_upon_obstacles_at_full_speed(seed: int) -> None:
     check_run(seed, 1000)  # on ways that are not clear
@@ -73,6 +74,7 @@ def check_run(seed: int, max_steps: int) -> None:
     assert min(between) >= progress.scene.margin - 1e-3 * length
 
 
+@pytest.mark.long
 @given(st.integers(0, 10**6))
 @examples(40)
 def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed: int) -> None:

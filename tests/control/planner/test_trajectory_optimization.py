@@ -67,6 +67,7 @@ def two_link_energy(inner: np.ndarray, start: np.ndarray, goal: np.ndarray) -> f
     return points + MU**2 * float((np.diff(q, axis=0) ** 2).sum())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ends", ENDS[:2])
 def test_two_links_no_waypoint_can_be_moved_for_the_better(two: pp.Arm, ends: tuple) -> None:
     start, goal = map(np.array, ends)
