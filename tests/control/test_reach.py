@@ -87,7 +87,7 @@ def test_several_postures_differ(arm, clutter):
 
 @pytest.mark.long
 @given(st.floats(0.15, 0.95), st.floats(-3.0, 3.0))
-@examples(60)
+@examples(20)
 def test_two_hinges_have_exactly_the_two_postures_of_the_closed_form(share, angle):
     arm = pp.Arm.from_template("Rz", modules=2)
     a, b = arm.chain.module_lengths
