@@ -17,19 +17,22 @@ _slow = [HealthCheck.too_slow]
 _plain = settings(settings.get_profile("default"), deadline=None, suppress_health_check=_slow)
 settings.register_profile("quick", _plain, derandomize=True, database=None, max_examples=8)
 settings.register_profile("full", _plain, print_blob=True, max_examples=100)
-settings.register_profile("seeded", settings.get_profile("full"), database=None)
+settings.register_profile("seeded", settings.get_profile("full"), database=None, max_examples=50)
 
 _full = False
+_seeded = False
 
 
 def draw_fully(full: bool, repeatable: bool) -> None:
     """Choose the set, before any test is imported.
 
     The quick set draws the same cases in every run, so that its verdict is that of the change under test.
-    The full set draws new ones each time, unless it has a seed; a failure prints what repeats it.
+    The full set draws new ones each time; a failure prints what repeats it. With a seed, where a run has no
+    news for the next, it draws half as many.
     """
-    global _full  # noqa: PLW0603
+    global _full, _seeded  # noqa: PLW0603
     _full = full
+    _seeded = full and repeatable
     settings.load_profile("quick" if not full else "seeded" if repeatable else "full")
     if repeatable and hasattr(providers, "_get_local_constants"):
         # Hypothesis also draws constants from the source of loaded modules, even with a seed. Cases would
@@ -41,10 +44,15 @@ def draw_fully(full: bool, repeatable: bool) -> None:
 def examples(count: int, **others: Any) -> settings:
     """Decorate a property test that draws `count` examples in the full set, a sixth in the quick one.
 
-    At least three in the quick one, and no more than its profile says. `others` go to `hypothesis.settings`.
+    Half of them in the full set with a seed. At least three in any, and no more in the quick one than its
+    profile says. `others` go to `hypothesis.settings`.
     """
-    quick = min(count, max(3, count // 6), settings.get_profile("quick").max_examples)
-    return settings(max_examples=count if _full else quick, **others)
+    if _full and not _seeded:
+        return settings(max_examples=count, **others)
+    drawn = min(count, max(3, count // (2 if _full else 6)))
+    if not _full:
+        drawn = min(drawn, settings.get_profile("quick").max_examples)
+    return settings(max_examples=drawn, **others)
 
 
 class Cases(list[Case]):

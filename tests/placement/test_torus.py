@@ -46,7 +46,7 @@ def test_points_off_the_torus_have_no_ik() -> None:
 
 
 @pytest.mark.long
-@examples(50)
+@examples(30)
 @given(
     st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
     st.sampled_from(LENGTHS),

@@ -156,7 +156,12 @@ def test_a_corrupt_mesh_warns_once_and_the_body_keeps_its_stand_in(robot, tmp_pa
 
 @pytest.mark.parametrize(
     "wrong",
-    ['scale="1 a 1"', 'scale="2"', 'scale="1 1 inf"', '/></geometry><origin rpy="0 0 nan"/></visual><visual><geometry><sphere radius="0"'],
+    [
+        'scale="1 a 1"',
+        'scale="2"',
+        'scale="1 1 inf"',
+        '/></geometry><origin rpy="0 0 nan"/></visual><visual><geometry><sphere radius="0"',
+    ],
 )
 def test_numbers_that_are_none_warn_once_and_the_body_keeps_its_stand_in(robot, wrong):
     # Pinocchio complains and goes on without the shape.
