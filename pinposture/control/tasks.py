@@ -316,6 +316,33 @@ class ComparableTask:
             self._set("length", float(length))
 
 
+@dataclass(frozen=True, eq=False)
+class Displaced(ComparableTask):
+    """A task of an arm that is displaced from its state, as a measured arm that sags is from its command.
+
+    Attributes:
+        task: the task.
+        offset: the displacement, (nv,) [rad or m].
+    """
+
+    task: ControlTask
+    offset: Array
+
+    @property
+    def weight(self) -> float:
+        """That of the task."""
+        return self.task.weight
+
+    @property
+    def priority(self) -> bool:
+        """That of the task."""
+        return self.task.priority
+
+    def rows(self, state: ArmState, target: Target) -> TaskRows:
+        """Return the rows of the task at the displaced state; see `ControlTask`."""
+        return self.task.rows(state.moved(self.offset).compiled, target)
+
+
 def lever(arm: Arm, length: float | None) -> float:
     """Return the lever arm of rotations: the length that one radian counts as [m/rad]."""
     return arm.characteristic_length if length is None else length

@@ -126,7 +126,9 @@ class PlannedStep:
         self._prompt = PromptGeodesic(
             **{each.name: getattr(controller, each.name) for each in fields(Geodesic)}
         )
-        if before is None or before.scene is not self._controller.scene:  # plans do not use the offset
+        new = self._controller
+        # Plans do not use the offset.
+        if before is None or before.scene is not new.scene or before.tasks is not new.tasks:
             self._shared = Shared(self._controller)
 
     def compute(

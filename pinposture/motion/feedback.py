@@ -146,6 +146,7 @@ class Feedback:
             constant within the noise of its average; None if it is zero within that, or without feedback of
             positions.
         averaging_time: time constant of that average [s].
+        noise: change of that average that noise explains, (nv,) [rad or m].
         response: how the drives respond.
         settled: whether the arm is at its target, so that estimates stay as they are.
 
@@ -202,6 +203,7 @@ class Feedback:
         self._deviating = None
         self._displacement = np.zeros(self.arm.nv)
         self.displacement: Array | None = None
+        self.noise = np.zeros(self.arm.nv)
 
     def restart(self, measured: Measurement, moving: bool = False) -> None:
         """Start from a measurement, at rest or not, and forget all estimates."""
@@ -449,10 +451,10 @@ class Feedback:
         share = 1.0 - exp(-dt / self.averaging_time)
         self._displacement += share * (difference - self._displacement)
         # The variance of noise after a low-pass filter is share / (2 - share) of that before.
-        noise = AVERAGE_DEVIATIONS * np.sqrt(share / (2.0 - share) * self.response.history.variances)
+        self.noise = AVERAGE_DEVIATIONS * np.sqrt(share / (2.0 - share) * self.response.history.variances)
         before = 0.0 if self.displacement is None else self.displacement
-        if np.any(np.abs(self._displacement - before) > noise):
-            known = np.any(np.abs(self._displacement) > noise)
+        if np.any(np.abs(self._displacement - before) > self.noise):
+            known = np.any(np.abs(self._displacement) > self.noise)
             self.displacement = self._displacement.copy() if known else None
 
     def _is_confirmed(self, measured: Measurement, dt: float) -> bool:

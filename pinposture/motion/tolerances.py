@@ -65,6 +65,12 @@ AVERAGES = 4.0
 """Time after which an arm that comes no closer gives up [s], and time constants of the averaged measurements
 to add: after four, less than 2 % of a change is still to come."""
 
+STEADY = 1e-4
+"""Change of the displacement of an arm that is none, in `Arm.joint_units`, unless noise makes more."""
+
+TWO_AVERAGES = 2.0
+"""Ratio of the difference of two averages that noise explains to the deviation of one that it explains."""
+
 OTHER_DISPLACEMENT = 5e-3
 """Change of the displacement of an arm at rest that makes another attempt worthwhile, in `Arm.joint_units`:
 more than the noise and the backlash of most drives."""

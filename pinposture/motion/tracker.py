@@ -27,6 +27,7 @@ from pinposture.control.controller import Memory
 from pinposture.control.limits import POSITION_SLACK, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
+from pinposture.control.tasks import Displaced
 from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Hindrance
@@ -129,7 +130,8 @@ class Tracker:
     Send `positions` to position-controlled drives. They move by `dq`, and restart from the measured
     configuration only if the arm stays elsewhere (`resync_time`). Smaller errors, for instance because the
     arm sags or lags, are fed back slowly: the command overshoots the target by as much as the arm falls
-    short. If the measured arm loses the margin to an obstacle, the command moves such that it regains it.
+    short; for tasks of the controller, once the arm is steady. If the measured arm loses the margin to an
+    obstacle, the command moves such that it regains it.
     Send dq / dt to velocity-controlled drives; each step then starts at the measurement.
 
     The constructor makes what cycles need, so that none waits for it. It loads all compiled kernels: half a
@@ -226,6 +228,10 @@ class Tracker:
         self._age = 0.0
         self._decision: Decision | None = None
         self._dt = period
+        self._tasks = controller.tasks if isinstance(controller, Geodesic) else ()
+        self._displaced = np.zeros(arm.nv)
+        self._settling = np.zeros(arm.nv)
+        self._settled_for = 0.0
         self.overruns = 0
         self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
@@ -403,6 +409,7 @@ class Tracker:
         self._age += passed
         self._judge_arrival(feedback, dt)
         self._watch_clearance()
+        self._displace_tasks(dt)
         share = dt / self._period
         needed = self._smoothing.needs_step(share) or self._decision is None
         decision = self._decide(feedback, dt) if needed or self._decision is None else self._decision
@@ -482,6 +489,29 @@ class Tracker:
             return
         if controller.scene is not None:
             self._loop.steps.controller = controller.with_offset(displacement)
+
+    def _displace_tasks(self, dt: float) -> None:
+        """Have the measured arm take the tasks of the controller, once its displacement has settled.
+
+        In motion it changes with the lag of the drives, and tasks that change need another path.
+        """
+        controller = self._loop.steps.controller
+        if not self._tasks or not isinstance(controller, Geodesic) or not self._feedback.compensates:
+            return
+        displacement = np.zeros(self.arm.nv)
+        if self._feedback.displacement is not None:
+            displacement = self._feedback.displacement
+        noise = tolerances.TWO_AVERAGES * self._feedback.noise
+        self._settled_for += dt
+        steady = np.maximum(noise, tolerances.STEADY * self.arm.joint_units)
+        if np.any(np.abs(displacement - self._settling) > steady):
+            self._settling = displacement
+            self._settled_for = 0.0
+        settled = self._settled_for >= tolerances.AVERAGES * self._feedback.averaging_time
+        if settled and np.any(np.abs(displacement - self._displaced) > noise):
+            self._displaced = displacement
+            tasks = tuple(Displaced(task, displacement) for task in self._tasks)
+            self._loop.steps.controller = replace(controller, tasks=tasks)
 
     def _watch_hindrances(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
         """Watch whether obstacles keep the measured arm from its target [m], or from its margin, for long."""

@@ -213,6 +213,40 @@ def test_an_arm_that_sags_at_first_and_never_rests_is_compensated(arm: pp.Arm) -
     assert np.abs(measured - wanted).max() < 0.01
 
 
+def tip_of(arm: pp.Arm, q: np.ndarray) -> pin.SE3:
+    """The placement of the last control point, from Pinocchio alone."""
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, q)
+    return data.oMf[arm.model.getFrameId(arm.control_points[-1])].copy()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("noise", "scene", "cycles", "most"), [(0.0, None, 1100, 2e-5), (3e-4, pp.Scene(), 700, 1e-3)]
+)
+def test_the_measured_tip_takes_its_task_in_spite_of_sag_that_changes(
+    arm: pp.Arm, noise: float, scene: pp.Scene | None, cycles: int, most: float
+) -> None:
+    rng = np.random.default_rng(0)
+    goal = rng.uniform(-0.4, 0.4, arm.nv)
+    wanted = tip_of(arm, goal)
+    controller = pp.Geodesic(tasks=(pp.EndEffector(pose=wanted),))
+    tracker = Tracker(arm, controller, LIMITS, scene)
+    tracker.update(Target.from_configuration(arm, goal))
+    q = np.zeros(arm.nv)
+    off = []
+    for sag in (0.03 * rng.normal(size=arm.nv), 0.03 * rng.normal(size=arm.nv)):
+        statuses = []
+        for _ in range(cycles):
+            tracker.step(q + noise * rng.normal(size=arm.nv))
+            statuses.append(tracker.report.status)
+            q = q + 0.2 * (tracker.command + sag - q)
+        assert set(statuses[-100:]) == {"converged"}
+        error = pin.log6(wanted.actInv(tip_of(arm, q))).vector
+        off.append(max(np.linalg.norm(error[:3]) / arm.length, np.linalg.norm(error[3:])))
+    assert max(off) < most
+
+
 def test_an_arm_that_only_falls_does_not_follow(arm: pp.Arm) -> None:
     response = DriveResponse(arm, 0.3, positions_sent=True)
     for cycle in range(300):

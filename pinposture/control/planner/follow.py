@@ -32,6 +32,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
+from pinposture.control.tasks import Displaced
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
@@ -701,7 +702,8 @@ def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
     left = []
     for task in objective.tasks:
         error = float(np.linalg.norm(task.rows(bounds.state, objective.target).error))
-        left.append(f"{type(task).__name__} by {length_text(error)}")
+        kind = type(task.task if isinstance(task, Displaced) else task)
+        left.append(f"{kind.__name__} by {length_text(error)}")
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""
     target = objective.target
     missed = objective.mean_error(bounds.state) > TAKEN * objective.arm.length
