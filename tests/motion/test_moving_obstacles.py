@@ -69,7 +69,7 @@ def ball_scene() -> pp.Scene:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", cases([0, 2, 1, 3, 4, 5], 2))
+@pytest.mark.parametrize("seed", cases([0, 2, 1], 2))
 @pytest.mark.parametrize("deadline, planning", [(np.inf, "thread"), (1e-9, "thread"), (0.002, "process")])
 def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float, planning: str) -> None:
     q, goal, origin, velocity = crossing(seed)
