@@ -48,6 +48,7 @@ from typing_extensions import ParamSpec, Self, dataclass_transform
 from pinposture._validation import (
     LARGEST_NUMBER,
     SMALLEST_NUMBER,
+    as_number,
     is_number,
     is_usable,
     require_positive,
@@ -369,6 +370,11 @@ class CheckedBy:
             if error.value is not plain:
                 raise
             raise NotAllowed(value, error.allowed) from None
+
+
+def checked_number(allowed: str, test: Callable[[float], bool], kind: str = "") -> CheckedBy:
+    """Read a number for which a test holds; `kind`: as of `CheckedBy`."""
+    return CheckedBy(partial(as_number, allowed=allowed, test=test), kind)
 
 
 def one_of(what: str, *words: str) -> PlainValidator:

@@ -39,6 +39,7 @@ from pinposture.schema import (
     WrittenBy,
     call_described,
     checked,
+    checked_number,
     in_file,
     in_si,
     is_file_name,
@@ -54,11 +55,6 @@ from pinposture.storage import parse_json, read_text, require_suffix, settled, w
 _MAX_TURNS = 1000
 
 
-def _number(allowed: str, test: Callable[[float], bool], kind: str = "") -> CheckedBy:
-    """Read a number for which a test holds; `kind`: the kind of quantity that text is."""
-    return CheckedBy(partial(as_number, allowed=allowed, test=test), kind)
-
-
 def _direction(name: str, value: ArrayLike) -> NDArray[np.float64]:
     vector = as_vector(name, value)
     if np.linalg.norm(vector) < 1e-9:
@@ -68,15 +64,19 @@ def _direction(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 _Degree = Annotated[int, CheckedBy(partial(as_count, low=1, high=MAX_DEGREE))]
 _Point = Annotated[ArrayLike, CheckedBy(as_vector, "length")]
-_Radius = Annotated[float, _number("a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9, "length")]
-_Pitch = Annotated[
-    float, _number("0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6, "length")
+_Radius = Annotated[
+    float, checked_number("a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9, "length")
 ]
-_Turns = Annotated[float, _number(f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)]
-_Phase = Annotated[float, _number("a finite angle [rad]", lambda x: True, "angle")]
+_Pitch = Annotated[
+    float, checked_number("0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6, "length")
+]
+_Turns = Annotated[float, checked_number(f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)]
+_Phase = Annotated[float, checked_number("a finite angle [rad]", lambda x: True, "angle")]
 _Smoothing = Annotated[
     float,
-    _number("an RMS distance of 0 m (through the points) up to 1e9 m", lambda x: 0 <= x <= 1e9, "length"),
+    checked_number(
+        "an RMS distance of 0 m (through the points) up to 1e9 m", lambda x: 0 <= x <= 1e9, "length"
+    ),
 ]
 
 

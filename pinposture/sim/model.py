@@ -11,14 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_number, finite_vector, require_positive
+from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.kinematics import frame_ids
@@ -27,7 +26,7 @@ from pinposture.arm.model_builder import build_model
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
-from pinposture.schema import CheckedBy, Declared, Flag, declared, quantity
+from pinposture.schema import CheckedBy, Declared, Flag, checked_number, declared, quantity
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -54,23 +53,10 @@ def _torque_limits(name: str, value: Any) -> bool | float:
 
 _Setting = Annotated[
     float,
-    CheckedBy(
-        partial(
-            as_number,
-            allowed=f"a number above 0, at most {LARGEST_SETTING:g}",
-            test=lambda x: 0.0 < x <= LARGEST_SETTING,
-        )
-    ),
+    checked_number(f"a number above 0, at most {LARGEST_SETTING:g}", lambda x: 0.0 < x <= LARGEST_SETTING),
 ]
 _Inertia = Annotated[
-    float,
-    CheckedBy(
-        partial(
-            as_number,
-            allowed=f"a number from 0 to {LARGEST_SETTING:g}",
-            test=lambda x: 0.0 <= x <= LARGEST_SETTING,
-        )
-    ),
+    float, checked_number(f"a number from 0 to {LARGEST_SETTING:g}", lambda x: 0.0 <= x <= LARGEST_SETTING)
 ]
 
 
