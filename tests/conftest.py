@@ -32,7 +32,7 @@ SLOW = {
     "studies": "runs a study in small",
     "reproduction": "runs figures and claims of the thesis",
     "statistics": "counts over many seeds",
-    "long": "takes over half a second",
+    "long": "takes over a third of a second",
     "process": "starts the command in processes of its own, or kills them",
 }
 """Markers of tests that the quick set leaves out."""

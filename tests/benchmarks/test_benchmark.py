@@ -52,6 +52,7 @@ def scene_of(case):
     return None if case["scene"] is None else Scene.from_dict(case["scene"])
 
 
+@pytest.mark.long
 def test_the_cases_are_those_that_are_drawn(known):
     drawn = make_cases(1)
     named = {each["id"]: each for each in known["cases"]}
@@ -80,6 +81,7 @@ def test_joints_and_points_are_found_in_the_urdf_without_this_library(known):
         np.testing.assert_allclose(points, thesis_arm(name).at(q).points, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_program_that_does_not_move_reaches_nothing_and_breaks_nothing(known, tmp_path):
     program, scores = scored(still(known), tmp_path)
     assert program == "still"

@@ -78,6 +78,7 @@ def test_the_whole_arm_is_closer_where_it_is_placed_as_a_whole(found):
             assert bodies[shape, "closest", bending] < 0.75 * bodies[shape, "sequential", bending]
 
 
+@pytest.mark.long
 def test_progress_counts_and_wrong_names_are_refused():
     counted = []
     study_leader(["hinge"], (0.1,), ("closest",)).rows(progress=lambda *each: counted.append(each))

@@ -199,6 +199,7 @@ def test_a_planar_figure_shows_everything_about_its_runs(flat_selection, flat_pr
     assert draw(figure).shape[1] == 1200
 
 
+@pytest.mark.long
 def test_a_switching_run_is_compared_and_its_steps_by_projection_are_marked(flat_selection, flat_projection):
     run = marked(flat_selection, ["selection"] * 4 + ["projection"] * 8)
     compared = {"Selection": flat_selection, "Projection": flat_projection}

@@ -182,6 +182,7 @@ def test_a_run_is_not_overwritten_with_its_own_export(command, run_directory, tm
     assert "is the input" in result.err
 
 
+@pytest.mark.long
 def test_goals_and_bags_are_written_by_their_format(command, timed_run, tmp_path) -> None:
     pytest.importorskip("rosbags")
     goal = tmp_path / "goal.json"

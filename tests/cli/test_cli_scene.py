@@ -89,6 +89,7 @@ def test_the_arm_keeps_clear_of_what_it_would_hit(track, scene_file, passed):
     assert summary["path_length_ratio"] > free["path_length_ratio"]
 
 
+@pytest.mark.long
 def test_a_scan_beside_the_file_is_kept_clear_of_and_stays_with_the_run(track, command, arm_file, tmp_path):
     rng = np.random.default_rng(0)
     ways = rng.normal(size=(4000, 3))

@@ -137,6 +137,7 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
     assert f"{target.method} placement; largest distance of a control point from the curve {off}" in out
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_pictures")
 def test_the_summary_tells_how_far_the_whole_arm_is_from_the_curve(command, arm_file, tmp_path):
     summary = track(command, arm_file, "--steps", 3, "-o", tmp_path)

@@ -76,6 +76,7 @@ def test_they_cost_no_clearance_once_they_are_removed(scanned: tuple[Path, np.nd
     assert (again.outliers, again.outlier_distance) == (20, 0.03)
 
 
+@pytest.mark.long
 def test_a_scene_keeps_the_request(scanned: tuple[Path, np.ndarray], tmp_path: Path) -> None:
     file, _ = scanned
     (tmp_path / "scene.toml").write_text(

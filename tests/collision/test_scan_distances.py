@@ -104,6 +104,7 @@ def test_the_nearest_of_all_points_is_found(arm):
     assert apart >= 2
 
 
+@pytest.mark.long
 def test_the_nearest_of_all_triangles_is_found(arm):
     rng = np.random.default_rng(1)
     apart = 0
@@ -167,6 +168,7 @@ def test_triangles_in_and_around_a_body_that_is_not_round(shape):
     assert min(sides) >= 2
 
 
+@pytest.mark.long
 def test_points_all_around_a_hull_that_are_almost_equally_far(tmp_path):
     corners = np.array([[0, 0, 0], [0.3, 0, 0], [0.2, 0.12, 0], [0.1, 0.02, 0.1], [0.24, 0, -0.08]])
     trimesh.Trimesh(corners).convex_hull.export(tmp_path / "wedge.stl")
@@ -462,6 +464,7 @@ def test_a_fine_surface_and_its_two_triangles_are_equally_far():
         assert one <= third + 1e-12
 
 
+@pytest.mark.long
 def test_many_points_are_told_as_few_are():
     arm = spatial(10)
     rng = np.random.default_rng(4)

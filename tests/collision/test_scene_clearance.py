@@ -72,6 +72,7 @@ def test_distances_are_those_of_coal_and_never_larger(seed):
             assert distance == pytest.approx(by_coal, abs=2e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ARMS)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.01, 0.1, 0.5]))
 @examples(8)
@@ -261,6 +262,7 @@ def test_many_scenes_around_one_arm_are_not_all_kept():
     assert CollisionModel(arm, first) is not clearance
 
 
+@pytest.mark.long
 def test_threads_do_not_disturb_each_other():
     arm = spatial(8)
     rng = np.random.default_rng(0)

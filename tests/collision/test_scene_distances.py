@@ -165,6 +165,7 @@ def test_the_closed_forms_agree_with_coal_and_are_never_larger(kind):
     assert apart > 100
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["box", "cylinder"])
 def test_depths_are_the_lengths_of_shortest_translations(kind):
     """Along a unit vector n, what it takes is h(n) + g(-n), by the supports of both solids."""
@@ -273,6 +274,7 @@ def test_a_long_body_is_seen_by_a_small_box_anywhere_along_it():
         assert clearance.minimum(arm.neutral()).distance == pytest.approx(0.045, abs=1e-7)
 
 
+@pytest.mark.long
 def test_a_thousand_overlaps_have_finite_depths_and_unit_normals(monkeypatch):
     # The arm is inside of most of them however it turns: they would be left out.
     monkeypatch.setattr("pinposture.collision.model._always_close", lambda *given: [])

@@ -87,6 +87,7 @@ def test_relative_coupling_covers_the_errors_between_neighbours(spatial: pp.Arm,
         previous = k
 
 
+@pytest.mark.long
 def test_relative_coupling_unrolls_the_straight_arm_onto_the_helix_where_the_others_fail(
     long: pp.Arm,
 ) -> None:

@@ -232,6 +232,7 @@ def test_a_single_point_near_the_base_gets_there_though_selection_never_may_move
     assert run.converged, run.reason
 
 
+@pytest.mark.long
 def test_joints_off_the_chain_stay_where_they_are(spatial: pp.Arm) -> None:
     model = pin.Model(spatial.model)
     camera = model.addJoint(4, pin.JointModelRX(), pin.SE3.Identity(), "camera")

@@ -105,6 +105,7 @@ def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> No
     assert pp.Task.load(file).arm.nv == 40
 
 
+@pytest.mark.long
 def test_the_leader_is_one(in_a_folder: Path) -> None:
     leader = snippets("tasks.md", "toml")[1]
     np.savetxt(in_a_folder / "path.csv", [[0, 0, 0], [0.3, 0, 0], [0.6, 0, 0], [1.2, 0.1, 0]], delimiter=",")

@@ -140,6 +140,7 @@ def test_all_places_that_make_html_are_listed() -> None:
     assert found == PLACES
 
 
+@pytest.mark.long
 def test_no_name_becomes_markup_of_the_page(hostile: Editor) -> None:
     session = hostile.session
     with visiting(hostile.url) as client:

@@ -273,6 +273,7 @@ def test_a_task_without_keyframes_in_any_phase_is_shown_from_its_first_phase(fil
     assert view.index == 0
 
 
+@pytest.mark.long
 def test_the_example_is_saved_to_the_last_byte(tmp_path: Path) -> None:
     kept = editable(pp.Task.load(FILE)).save(tmp_path / "inspection.toml")
     assert kept.read_text() == FILE.read_text()

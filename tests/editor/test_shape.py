@@ -301,6 +301,7 @@ def test_another_kind_of_curve_is_controlled_within_what_it_says(
     assert np.allclose(shape.points[0], arm.chain.base, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_curve_that_winds_too_much_says_how_far_off_it_is() -> None:
     arm = pp.Arm.from_template("RyRz", modules=40)
     shape = Shape.of(arm, Keyframe(pp.Curve.helix(0.02, 0.005, 40), trim=True))

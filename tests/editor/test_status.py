@@ -75,6 +75,7 @@ def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
     assert status_of(session, live)[1].startswith("Motion at 0.2 s, ")
 
 
+@pytest.mark.long
 def test_the_lap_that_is_shown_is_named() -> None:
     session = Session(short(repeat=3))
     playback = session.playback

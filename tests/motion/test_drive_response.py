@@ -77,6 +77,7 @@ def aimed(arm: pp.Arm, model: DriveModel, sensing: Sensing | None = None, **opti
     return robot
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [0.0, 1e-5, 3e-4, 1e-3])
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 def test_with_noisy_encoders_the_arm_arrives_once_and_stays(
@@ -105,6 +106,7 @@ def test_friction_is_compensated_or_named_and_the_command_comes_to_rest(
         assert robot.tracker.report.status != "converged"
 
 
+@pytest.mark.long
 def test_without_feedback_a_joint_that_stays_short_is_named(arm: pp.Arm) -> None:
     robot = aimed(arm, DriveModel(), feedback_time_constant=np.inf)
     log = robot.go(8.0)
@@ -255,6 +257,7 @@ def test_an_arm_that_only_falls_does_not_follow(arm: pp.Arm) -> None:
     assert not response.followed
 
 
+@pytest.mark.long
 def test_a_measured_arm_that_sags_into_an_obstacle_is_reported() -> None:
     arm = template_arm("RyRz", 10)
     beam = pp.Box((0.35, 0.0, -0.06), (0.05, 0.4, 0.06))
@@ -301,6 +304,7 @@ def distance_to_ball(arm: pp.Arm, q: np.ndarray) -> float:
     return float(apart.min()) - BALL_RADIUS - LINK_RADIUS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("aims", "lag", "noise", "jerk", "time_constant"),
     [

@@ -97,6 +97,7 @@ def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(
     assert ends[np.inf] == pytest.approx(np.abs(sag).max(), rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_sag_that_would_need_a_command_beyond_the_limits_is_made_good_as_far_as_they_go() -> None:
     arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.5, 0.5)] * 3)
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, acceleration=10.0)

@@ -63,6 +63,7 @@ def test_all_limits_hold_and_the_arm_arrives(
         assert f"mean point error {error}, within" in run.reason
 
 
+@pytest.mark.long
 @examples(15)
 @given(seed=st.integers(0, 10_000), jerk=st.sampled_from([5.0, 20.0, 60.0]))
 def test_the_posture_error_rises_only_on_flagged_steps(arm: pp.Arm, seed: int, jerk: float) -> None:
@@ -114,6 +115,7 @@ def test_the_filter_is_a_moving_average_that_arrives(arm: pp.Arm) -> None:
     np.testing.assert_allclose(jerk_filter.apply(given_steps[0]), given_steps[0])
 
 
+@pytest.mark.long
 def test_a_path_that_bends_is_cut_by_no_more_than_derived(arm: pp.Arm) -> None:
     limits = limited(30.0)
     rng = np.random.default_rng(3)
@@ -167,6 +169,7 @@ def test_the_tracker_keeps_them_whatever_happens(arm: pp.Arm, interface: str) ->
     assert np.abs(arm.at(q).points - arm.at(goal).points).max() <= 1e-3 * arm.length
 
 
+@pytest.mark.long
 def test_cycles_of_other_durations_keep_speed_and_arrive(arm: pp.Arm) -> None:
     rng = np.random.default_rng(4)
     limits = limited(60.0)
@@ -325,6 +328,7 @@ def test_motions_keep_them_and_stay_on_their_keyframes(arm: pp.Arm) -> None:
     np.testing.assert_allclose(motion.q[-1], postures[-1], atol=1e-5)
 
 
+@pytest.mark.long
 def test_clearance_that_a_cut_corner_costs_is_reported(arm: pp.Arm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinposture.control.limits.MAX_CORNER_CUT", np.inf)
     rng = np.random.default_rng(2)

@@ -190,6 +190,7 @@ def test_an_arm_on_its_way_back_into_its_position_limits_evades(
     assert lowest >= MARGIN - 2e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("jerk, deadline", [(None, np.inf), (40.0, np.inf), (None, 1e-9)])
 def test_each_step_beyond_the_acceleration_limit_is_reported(jerk: float | None, deadline: float) -> None:
     """A ball appears just before an arm that moves at full speed."""
@@ -437,6 +438,7 @@ def test_an_obstacle_that_stood_beside_the_base_counts_everywhere() -> None:
     assert CollisionModel(arm(), moved).minimum(q).distance == pytest.approx(-0.03, abs=1e-6)
 
 
+@pytest.mark.long
 def test_rates_and_distances_in_time_are_those_of_later_moments() -> None:
     rng = np.random.default_rng(0)
     h = 1e-5

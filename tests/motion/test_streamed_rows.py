@@ -110,6 +110,7 @@ def test_after_a_target_that_stops_at_once_the_arm_brakes_and_comes_back(kind: s
     assert tracker.report.status == "converged"
 
 
+@pytest.mark.long
 def test_a_configuration_that_does_not_take_the_points_is_not_gone_to() -> None:
     arm = arm_of()
     rows = motion(arm, 2).q[:60]

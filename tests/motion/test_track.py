@@ -277,6 +277,7 @@ def test_the_number_of_steps_that_a_short_run_names_is_enough(seed, controller, 
         assert (again.converged, again.steps) == (True, number)
 
 
+@pytest.mark.long
 def test_a_run_that_more_steps_do_not_help_says_so() -> None:
     arm = template_arm("Rz", 5, (0.2,))
     closed = pp.Target.from_configuration(arm, [0.0, np.pi / 2, np.pi / 2, np.pi / 2, 0.0])

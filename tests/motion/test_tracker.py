@@ -222,6 +222,7 @@ def test_what_is_out_of_reach_ends_stuck_and_at_rest(arm: pp.Arm, factor: float)
     assert tracker.report.mean_error == pytest.approx(off, rel=1e-9) and off > 1e-3
 
 
+@pytest.mark.long
 def test_a_target_that_moves_slowly_is_kept(arm: pp.Arm) -> None:
     rng = np.random.default_rng(7)
     one, two = (smooth_configuration(arm, rng, 0.6) for _ in range(2))

@@ -169,6 +169,7 @@ class Laboratory:
         assert np.all(after >= lower - slack) and np.all(after <= upper + slack)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("irregular", [False, True])
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 @pytest.mark.parametrize("controller", ["geodesic", "joint", "lm", "switching", "dls"])
@@ -180,6 +181,7 @@ def test_whatever_happens_outputs_keep_their_limits(controller: str, interface: 
             laboratory.go_on()
 
 
+@pytest.mark.long
 @given(st.integers(10, 100_000))
 @examples(12)
 @pytest.mark.filterwarnings("ignore:velocity .* is above")

@@ -155,6 +155,7 @@ def test_a_joint_without_room_and_a_base_behind_the_curve_are_no_accident() -> N
         assert np.all(np.isfinite(target.residual))
 
 
+@pytest.mark.long
 def test_failures_are_named() -> None:
     arm = pp.Arm.from_modules([AWKWARD["three hinges"]] * 5)
     with pytest.raises(CurveEndsEarly, match=r"module 4.*lengthen"):

@@ -96,6 +96,7 @@ def frames(**told: object) -> list[pp.Keyframe]:
 LIMITS = pp.Limits(step=None, dt=0.05)
 
 
+@pytest.mark.long
 def test_among_obstacles_curves_stay_where_they_are_drawn(arm: pp.Arm) -> None:
     drawn = frames()[1].curve
     free = pp.move_through(arm, frames(), limits=LIMITS)

@@ -150,6 +150,7 @@ def test_a_module_longer_before_its_second_hinge_zigzags_and_is_placed_smoothly(
     assert np.abs(target.q).max() < 0.9
 
 
+@pytest.mark.long
 def test_placements_mean_what_they_say(arm: pp.Arm) -> None:
     curve = LINE.moved(np.eye(3), [0.0, 0.3, 0.0])
     translated = pp.resolve_targets(arm, curve, placement="translate")

@@ -89,6 +89,7 @@ def test_rows_of_parallel_axes_that_turn_each_other_come_near_a_helix_and_say_ho
     assert away < 0.05 * arm.length
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["unrepeating21", "long_module7"])
 def test_such_an_arm_is_not_said_to_follow_a_helix(name):
     arm = load(awkward_arms()[name])

@@ -68,6 +68,7 @@ def test_a_controller_that_integrates_removes_the_sag():
     assert (closed.loop, closed.finished, closed.measured) == ("closed", True, 1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gravity", [True, False])
 def test_the_tracker_brings_the_arm_to_the_target(gravity):
     arm = six_modules()
@@ -78,6 +79,7 @@ def test_the_tracker_brings_the_arm_to_the_target(gravity):
     assert tracker.report.status == "converged"
 
 
+@pytest.mark.long
 def test_the_tracker_copes_with_sensors_as_they_are():
     arm = six_modules()
     tracker = Tracker(arm, limits=LIMITS)

@@ -35,6 +35,7 @@ def test_inertia_of_the_degrees_of_freedom_is_that_of_pinocchio(arm):
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.long
 def test_torques_at_rest_are_those_of_gravity(arm):
     plant_model = sim.build_plant_model(arm)
     u = arm.positions(arm.random(1)) * 0.5

@@ -204,6 +204,7 @@ def hurried() -> tuple[pp.Arm, np.ndarray, float]:
     return arm, rows, 0.7 * float(np.abs(sim.simulate(arm, rows, dt=0.02).torques).max())
 
 
+@pytest.mark.long
 def test_limits_hold_and_the_step_of_the_physics_does_not_matter():
     arm, rows, limit = hurried()
     coarse, fine = (

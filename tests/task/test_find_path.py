@@ -132,6 +132,7 @@ def test_a_seed_gives_the_same_path_again():
     assert first != other
 
 
+@pytest.mark.long
 def test_what_cannot_be_found_says_why():
     arm = fed()
     begin = entry(arm)

@@ -107,6 +107,7 @@ def test_joints_on_an_arc_leave_the_sagitta_of_a_chord(method, radius):
     assert np.linalg.norm(ends[-1] - end - ahead * np.array([np.cos(angle), np.sin(angle), 0.0])) < 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_distances_are_those_of_brute_force(seed):
     """From a segment and a circle, for postures that are off the path in every way."""
@@ -337,6 +338,7 @@ def test_the_distance_of_the_plan_from_the_path_is_told():
         assert waypoint.off_curve == pytest.approx(measured.largest, rel=1e-12)
 
 
+@pytest.mark.long
 def test_a_motion_that_leaves_the_path_on_its_way_is_missed_though_it_arrives():
     """Selection moves a few points at a time, so that the others leave the path."""
     arm = Arm.from_modules([feed(upper=1.2, length=0.05), *[template("RyRz")] * 10])

@@ -67,6 +67,7 @@ def off_curve(reference: Reference, index: int) -> float:
     return float(KDTree(traced).query(points)[0].max()) / reference.arm.length
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ARMS)
 def test_arms_without_closed_forms_follow_their_curves(name: str) -> None:
     arm = ARMS[name]()

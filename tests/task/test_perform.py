@@ -84,6 +84,7 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
     assert f"{motion.time_scale:.3g} times as long as the 0.3 s planned: joint m" in repr(motion)
 
 
+@pytest.mark.long
 @given(st.integers(0, 10_000))
 @examples(20)
 @pytest.mark.filterwarnings("ignore:velocity .* is above")
@@ -109,6 +110,7 @@ def test_limits_hold_for_any_reference_and_any_cycle(seed: int) -> None:
     assert motion.mean_error.max() < 2e-3 * arm.length and motion.mean_error[-1] < 1e-6 * arm.length
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dt", [0.002, 0.05])
 def test_rows_may_be_far_apart_or_close_compared_to_cycles(dt: float) -> None:
     arm = arm_named("spatial")
@@ -119,6 +121,7 @@ def test_rows_may_be_far_apart_or_close_compared_to_cycles(dt: float) -> None:
         assert motion.converged and not motion.deviations and motion.mean_error.max() < 1e-5 * arm.length
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("dt", [0.005, 0.05])
 def test_an_arm_that_is_elsewhere_comes_to_the_first_posture_first(name: str, dt: float) -> None:
@@ -226,6 +229,7 @@ def ball() -> pp.Scene:
     return pp.Scene({"ball": pp.Sphere((0.36, 0.3, 0.0), 0.024)}, arm_radius=0.006)
 
 
+@pytest.mark.long
 def test_an_obstacle_in_the_way_is_gone_round() -> None:
     reference = swing()
     scene = ball()

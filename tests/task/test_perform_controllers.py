@@ -70,6 +70,7 @@ def test_time_waits_for_an_arm_that_falls_behind(controller: str) -> None:
         assert motion.mean_error.max() < 0.35 * arm.length / arm.n_modules
 
 
+@pytest.mark.long
 def test_a_faster_plan_takes_no_longer() -> None:
     arm = arm_named("planar")
     rng = np.random.default_rng(5)

@@ -94,6 +94,7 @@ def test_the_plan_is_at_rest_at_every_join() -> None:
     assert np.abs(np.diff(reference.offsets, axis=0)).max() < 0.08  # no jump
 
 
+@pytest.mark.long
 def test_withdrawal_is_the_insertion_in_reverse() -> None:
     task = small(into(), Phase(Withdrawal(speed=0.05), "out"))
     there = small(into()).reference()
@@ -135,6 +136,7 @@ def test_the_tip_is_at_its_goal_and_moves_there_straight(aim: dict[str, tuple[fl
         assert turned == pytest.approx(pin.rpy.rpyToMatrix(*aim["rotation"]), abs=1e-4)
 
 
+@pytest.mark.long
 def test_one_verdict_names_the_phase_that_failed() -> None:
     sweep = pp.Keyframe(joints=tuple(np.r_[0.3, np.zeros(fed().nv - 1)]), duration=1.0, name="straight")
     curl = pp.Keyframe(joints=tuple(np.r_[0.0, np.full(fed().nv - 1, 0.05)]), name="curl")

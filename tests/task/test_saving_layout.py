@@ -98,6 +98,7 @@ def test_toml_reads_back(content: dict[str, Any]) -> None:
     text.encode()
 
 
+@pytest.mark.long
 @given(changes())
 @examples(200)
 def test_a_file_that_is_changed_says_what_is_new_and_loses_no_comment_of_what_stays(

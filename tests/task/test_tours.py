@@ -110,6 +110,7 @@ def test_between_two_configurations_joints_move_in_proportion(
     assert np.allclose(positions(reference), (1 - share) * ends[0] + share * ends[1], atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("continuity", CONTINUITIES)
 @pytest.mark.parametrize("jerk", (None, 60.0))
 def test_joints_stay_between_their_keyframes_whatever_the_times(continuity: str, jerk: float | None) -> None:
@@ -245,6 +246,7 @@ def test_taught_configurations_that_are_none_are_refused(arm: pp.Arm) -> None:
             pp.Task(arm, tour, LIMITS)
 
 
+@pytest.mark.long
 def test_obstacles_count_for_taught_configurations(arm: pp.Arm) -> None:
     q = taught(arm, 1)
     tip = arm.at(arm.configuration(q)).points[-1]
@@ -589,6 +591,7 @@ def test_a_curve_is_missed_as_a_configuration_is(arm: pp.Arm) -> None:
     assert motion.run.status == "missed" and "1 of 3 postures is missed, keyframe 2, by" in motion.run.reason
 
 
+@pytest.mark.long
 def test_a_keyframe_that_is_held_long_enough_is_taken_in_spite_of_the_jerk_limit() -> None:
     arm, tour = sharp(hold=2.5)
     motion = pp.move_through(arm, tour, limits=replace(LIMITS, jerk=5.0))
@@ -651,6 +654,7 @@ joints = ["12 deg", 0, "-10 deg", 0, 0.2, 0]     # in place of a curve
 """
 
 
+@pytest.mark.long
 def test_a_tour_in_a_file_is_read_and_written_with_its_comments(tmp_path: Path) -> None:
     path = tmp_path / "tour.toml"
     path.write_text(FILE)

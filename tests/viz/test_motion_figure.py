@@ -95,6 +95,7 @@ def test_joint_rates_are_those_of_the_joint_nearest_to_its_limit():
     np.testing.assert_array_equal(drawn["limit"].get_ydata(), 1.0)
 
 
+@pytest.mark.long
 def test_what_has_no_limit_is_left_out():
     fast = np.full(10, 2.0)
     fast[0] = np.inf  # the others still have one
@@ -127,6 +128,7 @@ def test_the_clock_is_shown_from_a_thousandth_on(slower, told):
     assert ("plan time [s]" in labels(figure)) is told
 
 
+@pytest.mark.long
 def test_places_are_marked_in_every_panel_and_named_above_the_first():
     motion = slowed()
     figure = pp.plot(motion)
@@ -171,6 +173,7 @@ def spatial(line) -> np.ndarray:
     return np.array(line.get_data_3d()).T
 
 
+@pytest.mark.long
 def test_the_posture_of_each_place_is_drawn_in_its_colour_and_told_with_its_time():
     motion = slowed()
     figure = pp.plot(motion)
@@ -229,6 +232,7 @@ def test_escapes_and_limits_that_gave_way_are_marked_at_their_moments():
     draw(figure)
 
 
+@pytest.mark.long
 def test_an_error_of_rounding_is_none_to_speak_of():
     figure = pp.plot(some_motion(off=1e-17))
     ax = panel(figure, "point errors [m]")
@@ -237,6 +241,7 @@ def test_an_error_of_rounding_is_none_to_speak_of():
     draw(figure)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "case", cases(["planar", "no step", "one step", "no place", "one place", "lost"], quick=2)
 )

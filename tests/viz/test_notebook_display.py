@@ -102,6 +102,7 @@ def test_names_cannot_break_the_page(shown: Any) -> None:
     assert "end&amp;" in page
 
 
+@pytest.mark.long
 def test_a_target_and_a_run_show_how_well_they_did(shown: Any, arm: pp.Arm) -> None:
     target = pp.resolve_targets(arm, pp.Curve.helix(0.2, 0.0, 0.5), placement="align")
     rows = table(shown(target))

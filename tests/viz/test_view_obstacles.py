@@ -181,6 +181,7 @@ HOLLOWS = {  # a cube without its sides: two triangles, at its bottom and top
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", HOLLOWS)
 def test_scans_and_hollow_meshes_are_drawn_as_they_are(name, arm, tmp_path):
     obstacle = HOLLOWS[name]

@@ -338,6 +338,7 @@ def test_runs_that_lie_on_each_other_are_all_seen_in_a_comparison():
     assert not any(one.overlaps(two) for k, one in enumerate(labels) for two in labels[:k])
 
 
+@pytest.mark.long
 def test_a_comparison_draws_a_common_start_once_and_every_end_in_its_colour():
     runs = {"first": run_to(helix(), controller="selection"), "second": some_run()}
     figure = pp.plot_comparison(runs)
@@ -462,6 +463,7 @@ def test_steps_that_were_left_to_projection_are_marked_on_the_axis():
     assert not any("red" in ax.get_xlabel() for ax in alone.axes)
 
 
+@pytest.mark.long
 def test_a_joint_trajectory_is_drawn_joint_by_joint() -> None:
     q = np.random.default_rng(0).normal(size=(7, 12))
     joints = pp.JointTrajectory.from_configurations(six_modules(), q, 0.1)

@@ -59,6 +59,7 @@ def unreachable(arm: pp.Arm, seed: int) -> pp.Target:
     return pp.Target.from_points(arm, points + shift @ arm.plane)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["planar", "spatial"])
 def test_points_out_of_reach_are_met_as_well_as_scipy_can(name: str) -> None:
     arm = arm_named(name)

@@ -187,6 +187,7 @@ def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
     assert early.hindrance
 
 
+@pytest.mark.long
 def test_an_interrupted_relaxation_keeps_the_path_that_was_found() -> None:
     scene, start, goal = through_a_hole(1)
 

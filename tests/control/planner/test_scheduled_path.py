@@ -82,6 +82,7 @@ class Ride:
         return np.abs(np.diff(np.concatenate([rest, steps, rest]), axis=0)).max(axis=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("acceleration", [None, 10.0])
 @pytest.mark.parametrize("rows", [6, 20, 100])
 def test_the_arm_keeps_to_the_curve_however_far_apart_rows_are(rows: int, acceleration: float | None) -> None:
