@@ -217,13 +217,22 @@ def solve_remaining(
     return found if found.x is not None else found._replace(x=first.x)
 
 
-def correct_curvature(objective: Objective, bounds: StepBounds, x: Array) -> Array:
-    """Correct a step for second-order errors of tasks with priority, as far as its bounds allow."""
+def correct_curvature(
+    objective: Objective, bounds: StepBounds, x: Array, planned: Array | None = None
+) -> Array:
+    """Correct a step for second-order errors of tasks with priority, as far as its bounds allow.
+
+    Args:
+        objective: the objective.
+        bounds: the bounds of the step.
+        x: the step, (n,).
+        planned: the errors after it, (r,) [m]; None: those of the linearised tasks.
+    """
     before = objective.task_rows(bounds.state, priority=True)
     if before is None:
         return x
     inverse = np.linalg.pinv(before.matrix, rcond=INDEPENDENT)
-    planned = before.errors - before.matrix @ x
+    planned = before.errors - before.matrix @ x if planned is None else planned
     left = np.inf
     best = x
     for _ in range(CURVATURE_CORRECTIONS):

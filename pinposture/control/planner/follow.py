@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from pinposture.control.planner.damped_least_squares import (
     solve_priority,
     solve_remaining,
 )
-from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Objective
+from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
 from pinposture.control.tasks import Displaced
 from pinposture.errors import InvalidValue
@@ -544,6 +544,11 @@ def advance(
     return _check_step(candidate, state, limits.for_arm(state.arm), box, avoidance, progress)
 
 
+TASK_DEVIATION = 0.02
+"""Largest deviation of the errors of tasks with priority from straight ones, relative to their change. Paths
+deviate by up to 0.5 % of it; a task that is held has no change, so it is held."""
+
+
 def step_along(
     progress: PathProgress,
     state: ArmState,
@@ -592,17 +597,37 @@ def step_along(
         return CandidateStep(objective.displacement(x), progress, found)
     hessian = damped_hessian(objective.rows(state).matrix, objective.mu**2)
     first = None
+    planned: Array | None = None
     if tasks is not None:
-        share = place / path.end
-        before, after = path.task_errors
-        intended = (1.0 - share) * before + share * after if len(before) == len(tasks.errors) else 0.0
-        first = solve_priority(objective, step_bounds, tasks, tasks.errors - intended)
+        planned = _planned_errors(path, place, len(tasks.errors))
+        reached = cast(LinearRows, objective.task_rows(objective.state_after(state, wanted), priority=True))
+        motion = tasks.matrix @ wanted + reached.errors - planned  # none but `wanted` if that leads there
+        first = solve_priority(objective, step_bounds, tasks, motion)
     found = solve_remaining(hessian, -(hessian @ wanted), step_bounds, first)
     if found.x is None:
         x = np.clip(wanted, step_bounds.lower, step_bounds.upper)
     else:
-        x = correct_curvature(objective, step_bounds, found.x)
+        x = correct_curvature(objective, step_bounds, found.x, planned)
     return CandidateStep(objective.displacement(x), progress, found)
+
+
+def _planned_errors(path: JointPath, place: float, count: int) -> Array:
+    """Return the errors of the tasks with priority at a place on the path, (r,) [m]; 0 if it has none.
+
+    They pass straight from those at its start to those at its end, or as the path has them if that is almost
+    so: near a singular configuration even the rounding of the path would need large steps.
+    """
+    before, after = path.task_errors
+    if len(before) != count:
+        return np.zeros(count)
+    share = place / path.end
+    straight = (1.0 - share) * before + share * after
+    arm = path.arm
+    state = arm.at(arm.integrate(path.start, path.smooth_offset(place))).compiled
+    rows = cast(LinearRows, path.objective.task_rows(state, priority=True))
+    off = rows.errors - straight
+    most = TASK_DEVIATION * float(np.linalg.norm(after - before))
+    return straight + off * min(1.0, most / max(float(np.linalg.norm(off)), 1e-300))
 
 
 class _Proposal(NamedTuple):

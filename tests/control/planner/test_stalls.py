@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from planner_runs import arm_called, check_limits
 from scipy.optimize import least_squares, minimize
@@ -136,3 +137,25 @@ def test_a_strict_end_effector_in_reach_is_met_while_the_points_do_what_is_left(
     assert best.success
     assert best.fun < 0.999 * left(start)
     assert left(run.q[-1]) <= 1.0001 * best.fun
+
+
+@pytest.mark.parametrize("scene", [None, Scene()])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_task_with_priority_is_reached_from_a_straight_arm(seed: int, scene: Scene | None) -> None:
+    arm = pp.Arm.from_template("RyRz", 6)
+    goal = np.random.default_rng(seed).uniform(-0.3, 0.3, arm.nv)
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, goal)
+    pose = data.oMf[arm.model.getFrameId(arm.control_points[-1])].copy()
+    target = pp.Target.from_configuration(arm, goal)
+    limits = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0)
+    steps = []
+    for priority in (False, True):
+        controller = pp.Geodesic(tasks=(pp.EndEffector(pose=pose, priority=priority),))
+        run = pp.track(arm, target, arm.straight(), controller, limits, scene)
+        assert run.converged, run.reason
+        pin.framesForwardKinematics(arm.model, data, run.q[-1])
+        reached = data.oMf[arm.model.getFrameId(arm.control_points[-1])]
+        assert np.linalg.norm(pin.log6(pose.actInv(reached)).vector) < 1e-4
+        steps.append(run.steps)
+    assert steps[1] <= 5 * steps[0]  # a path that rounding pushes aside takes ten times as many
