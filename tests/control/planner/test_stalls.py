@@ -139,6 +139,7 @@ def test_a_strict_end_effector_in_reach_is_met_while_the_points_do_what_is_left(
     assert left(run.q[-1]) <= 1.0001 * best.fun
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", [None, Scene()])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_task_with_priority_is_reached_from_a_straight_arm(seed: int, scene: Scene | None) -> None:
