@@ -106,7 +106,13 @@ def watch() -> Iterator[Callable[..., tuple[FoxgloveViewer, Client]]]:
 
 
 def shows(q: np.ndarray) -> Callable[[dict[str, Any]], bool]:
-    return lambda found: "/joint_states" in found and list(positions(found["/joint_states"]).values()) == [*q]
+    """A state that is sent while topics are subscribed one by one lacks some, and is sent again."""
+
+    def all_of_it(found: dict[str, Any]) -> bool:
+        shown = {"/tf", "/joint_states"} <= set(found)
+        return shown and list(positions(found["/joint_states"]).values()) == [*q]
+
+    return all_of_it
 
 
 def test_links_are_where_pinocchio_places_them(arm: pp.Arm, watch: Any) -> None:
