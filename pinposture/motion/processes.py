@@ -9,16 +9,18 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext, suppress
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from itertools import islice
-from multiprocessing import Pipe
+from multiprocessing import Pipe, parent_process
 from multiprocessing.connection import Connection
+from multiprocessing.util import Finalize
 from queue import Empty, SimpleQueue
-from threading import Event, Thread
+from threading import Event, RLock, Thread
 from time import perf_counter
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from joblib import Parallel, parallel_config, wrap_non_picklable_objects
+from joblib.externals.loky import reusable_executor
 from joblib.externals.loky.backend import get_context
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from joblib.parallel import get_active_backend
@@ -26,8 +28,6 @@ from joblib.parallel import get_active_backend
 from pinposture import kernels
 from pinposture._validation import is_whole
 from pinposture.errors import InvalidValue, ProcessError, no_warnings
-
-logger = logging.getLogger(__name__)
 
 logger = logging.getLogger(__name__)
 
@@ -158,6 +158,8 @@ def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: b
         # The first call is made here, so that kernels are compiled once and not by each process.
         for function, positional, named in islice(waiting, 1):
             yield function(*positional, **named)
+    if parent_process() is not None:
+        _end_pool_with(os.getpid())
     as_they_come = get_active_backend()[0].supports_return_generator
     with _one_thread_each():
         pool = Parallel(
@@ -172,6 +174,27 @@ def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: b
     with pool:  # the same processes for all portions
         while portion := list(islice(waiting, PORTION)):
             yield from pool(portion)
+
+
+def _forget_pool() -> None:
+    """Let a process that was forked start processes of its own: those of its parent do not answer it."""
+    reusable_executor._executor = None
+    reusable_executor._executor_lock = RLock()
+
+
+@cache
+def _end_pool_with(process: int) -> None:
+    """Have the processes of a process that others started end with it, which waits for them else."""
+    Finalize(None, _end_pool, exitpriority=100)
+
+
+def _end_pool() -> None:
+    if reusable_executor._executor is not None:
+        reusable_executor._executor.shutdown(wait=True, kill_workers=True)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool)
 
 
 def _one_thread_each() -> AbstractContextManager[object]:

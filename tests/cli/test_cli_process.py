@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -235,3 +236,47 @@ def test_a_terminal_sees_how_much_is_done(monkeypatch, capsys):
         assert "first run, 0 s" in capsys.readouterr().err
         tell(3, 4)
     assert "run 3 of 4" in capsys.readouterr().err
+
+
+def in_session(leader: int) -> list[int]:
+    """The processes of a session, as Linux lists them; without those that have ended."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, _, session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(session) == leader and state != "Z":
+            found.append(int(folder.name))
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="/proc lists the processes")
+@pytest.mark.parametrize("everybody", [True, False])
+def test_a_batch_that_is_interrupted_ends_with_all_its_processes(arm_file, everybody):
+    options = ["--curve", "helix", "--partial", "--count", "5000", "--jobs", "2"]
+    line = [*COMMAND, "batch", str(arm_file), *options]
+    running = subprocess.Popen(
+        line,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        while len(in_session(running.pid)) < 3 and running.poll() is None:
+            time.sleep(0.1)
+        (os.killpg if everybody else os.kill)(running.pid, signal.SIGINT)
+        out, err = running.communicate(timeout=60)
+        assert (running.returncode, out) == (130, "")
+        assert everybody or "Traceback" not in err  # libraries that are being imported elsewhere print one
+        for _ in range(100):
+            if not in_session(running.pid):
+                return
+            time.sleep(0.1)
+        raise AssertionError(f"still there: {in_session(running.pid)}")
+    finally:
+        for left in in_session(running.pid):
+            os.kill(left, signal.SIGKILL)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import pickle
+import queue
 import signal
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import joblib
+import numpy as np
 import pytest
 from arms import template_arm
 from joblib import delayed
@@ -157,3 +161,28 @@ def test_runs_that_are_there_are_kept_if_processes_are_killed_again_and_again() 
         )
     assert batch.status.tolist() == ["converged", "converged", "converged", "failed"]
     assert "1 of 4 calls were not made" in batch.reason[3]
+
+
+def _tracked(arm: pp.Arm, results: Any) -> None:
+    scene = pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)}, margin=0.01)
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.2))
+    run = pp.track(arm, target, np.zeros(arm.nv), limits=pp.Limits(step=0.1), scene=scene)
+    batch = pp.track_many(arm, [target], [np.zeros(arm.nv)] * 3, limits=pp.Limits(step=0.1), jobs=2)
+    results.put((run.q, batch.q_final))
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
+def test_a_process_of_any_kind_makes_the_same_runs(method: str) -> None:
+    arm = template_arm("RyRz", 3)
+    here: queue.Queue[Any] = queue.Queue()
+    _tracked(arm, here)
+    context = multiprocessing.get_context(method)
+    results = context.Queue()
+    child = context.Process(target=_tracked, args=(arm, results))
+    child.start()
+    for found, expected in zip(results.get(timeout=120.0), here.get(), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    child.join(60.0)
+    assert child.exitcode == 0
