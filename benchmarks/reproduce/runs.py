@@ -23,7 +23,7 @@ from pinposture.control import Controller, Limits, Projection, Selection, Switch
 from pinposture.control.thesis.sections import SectionEdges, best_branch
 from pinposture.kernels.arrays import Screws
 from pinposture.motion import Run, track
-from pinposture.motion.track import Callback
+from pinposture.motion.loop import Callback
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from pinposture.motion import Run, Trajectory
-    from pinposture.motion.track import Callback
+    from pinposture.motion.loop import Callback
     from pinposture.placement import Target
 
 verb_examples: dict[Callable[..., None], tuple[str, ...]] = {}

@@ -1,16 +1,28 @@
-"""The control loop: what is kept of an arm and its controller from one cycle to the next."""
+"""The control loop: what is kept of an arm from one cycle to the next, and the record of a run."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
 
-from pinposture.arm import ArmState
-from pinposture.control import Limits, Step
-from pinposture.control.controller import Memory
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm, ArmState
+from pinposture.collision import CollisionModel, Scene
+from pinposture.control import Controller, Geodesic, Limits, Step
+from pinposture.control.controller import Info, Memory
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
+from pinposture.errors import InvalidValue, enumerated, warn_caller
+from pinposture.motion import tolerances
 from pinposture.motion.deadline import DirectStep, PlannedStep
+from pinposture.motion.run import Run
 from pinposture.placement import Target
+from pinposture.units import length_text
+
+Array = NDArray[np.float64]
 
 
 class Loop:
@@ -73,3 +85,298 @@ class Loop:
     def motion(self) -> Memory:
         """The memory, or that of an arm at rest before the first step."""
         return Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
+
+
+MAX_CONSTRAINTS = 8
+"""Largest number of violated constraints that are recorded for each step."""
+
+
+class RunRecord:
+    """The states and steps of a run so far.
+
+    Args:
+        target: the initial target posture.
+        start: the first state.
+        scene: the scene whose distances are recorded; None: none.
+    """
+
+    def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
+        self._target = target
+        self._scene = scene
+        self._distances_of = None if scene is None or scene.empty else CollisionModel(start.arm, scene)
+        self._distances = [self._distance(start)]
+        self._steps: list[Step] = []
+        self._reported: dict[str, tuple[tuple[int, ...], str]] = {}
+        self._last = start
+        self._q = [start.q]
+        self._points = [start.compiled.points]
+        self._errors = [self._point_errors(start)]
+        self.set_target(target)
+
+    def set_target(self, target: Target) -> None:
+        """Replace the target, and restart measuring progress."""
+        self._target = target
+        self._now = self._point_errors(self._last)
+        self._best = self.posture_error
+        self._idle = 0.0
+
+    def error_rises_at(self, state: ArmState) -> bool:
+        """Whether the posture error at a state exceeds the current one, by more than rounding."""
+        rounding = tolerances.ERROR_ROUNDING * state.arm.length
+        return float(self._point_errors(state).sum()) > self.posture_error + rounding
+
+    def mean_error_at(self, state: ArmState) -> float:
+        """Return the mean distance of the control points from their targets at a state [m]."""
+        return float(self._point_errors(state).sum()) / int(np.count_nonzero(self._target.has_target))
+
+    def _point_errors(self, state: ArmState) -> Array:
+        return self._target.distances(state.compiled.points)
+
+    def _distance(self, state: ArmState) -> float:
+        return np.inf if self._distances_of is None else self._distances_of.minimum(state.q).distance
+
+    @property
+    def steps(self) -> int:
+        """Number of steps so far."""
+        return len(self._steps)
+
+    @property
+    def posture_error(self) -> float:
+        """Current sum of the distances of the control points from their targets [m]."""
+        return float(self._now.sum())
+
+    @property
+    def mean_error(self) -> float:
+        """Current mean distance of the control points from their targets [m]."""
+        return self.posture_error / int(np.count_nonzero(self._target.has_target))
+
+    def append(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
+        """Append a step.
+
+        Args:
+            state: the state after the step.
+            step: the step.
+            travel: joint travel that the limits allowed in this step [rad].
+            target: the new target, if it has changed.
+        """
+        self._target = self._target if target is None else target
+        self._steps.append(step._replace(info=self._checked_info(step.info)))
+        if not step.following_path:
+            self._idle += travel
+        self._q.append(state.q)
+        self._distances.append(self._distance(state))
+        self._points.append(state.compiled.points)
+        self._last = state
+        self._now = self._point_errors(state)
+        self._errors.append(self._now)
+
+    def _checked_info(self, info: Mapping[str, Info]) -> dict[str, Info]:
+        """Return what a controller reports, read now; each value must be like those of the steps before."""
+        values = dict(info)  # computed now, to keep no state in memory
+        for name, value in values.items():
+            array = np.asarray(value)
+            like = (array.shape, "text" if array.dtype.kind == "U" else "numbers")
+            known = self._reported.setdefault(name, like)
+            if like != known:
+                raise InvalidValue(f"info[{name!r}]", value, f"{known[1]} of shape {known[0]}, as before")
+        return values
+
+    def travel_without_progress(self) -> float:
+        """Return the joint travel since the posture error last fell noticeably below its minimum [rad].
+
+        It is the travel that the limits allowed, without steps along a path, and hence independent of dt.
+        """
+        if self.posture_error < self._best * (1.0 - tolerances.PROGRESS_SHARE):
+            self._best = self.posture_error
+            self._idle = 0.0
+        return self._idle
+
+    def run(self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str) -> Run:
+        """Return the run so far, with messages on steps that exceed limits."""
+        steps = self._steps
+        active = np.zeros((len(steps), arm.n_modules), dtype=bool)
+        for row, step in zip(active, steps, strict=True):
+            row[list(step.active)] = True
+        run = Run(
+            arm=arm,
+            target=self._target,
+            controller=repr(controller),
+            limits=limits,
+            status=status,
+            reason=reason,
+            q=np.array(self._q),
+            points=np.array(self._points),
+            point_errors=np.array(self._errors),
+            active=active,
+            clipped=np.array([step.clipped for step in steps], dtype=bool).reshape(len(steps), arm.nv),
+            error_increasing=np.array([step.error_increasing for step in steps], dtype=bool),
+            violated_constraints=np.array(
+                ["\n".join(step.violated_constraints[:MAX_CONSTRAINTS]) for step in steps], dtype=np.str_
+            ),
+            clearance=np.array(self._distances),
+            info=_as_columns([step.info for step in steps]),
+            scene=self._scene,
+        )
+        if run.excess is None:
+            return run
+        relaxed = [str(words) for words in run.violated_constraints]
+        for number, words in zip(run.excess.steps, run.excess.words, strict=True):
+            relaxed[number] = f"{relaxed[number]}\n{words}".strip()
+        return replace(
+            run, reason=f"{reason}; {run.excess.text}", violated_constraints=np.array(relaxed, dtype=np.str_)
+        )
+
+
+def _as_columns(reports: Sequence[Mapping[str, Info]]) -> dict[str, NDArray[Any]]:
+    """Return what steps report as columns by name: 0, False or "" for a step that does not report it."""
+    absent = {name: np.zeros_like(value) for report in reports for name, value in report.items()}
+    return {name: np.array([report.get(name, none) for report in reports]) for name, none in absent.items()}
+
+
+Callback = Callable[[int, ArmState, Step], object]
+
+MAX_NAMED_LIMITS = 6
+"""Largest number of binding limits and distances that are listed."""
+
+
+class RecordedLoop(Loop):
+    """A control loop in equal cycles, with the record of its run.
+
+    Attributes:
+        record: the run so far.
+        last_step: the last step that was computed; None before the first.
+
+    Args:
+        arm: the arm.
+        q0: the initial configuration, (nq,).
+        target: the initial target.
+        controller: the controller.
+        limits: the limits of each step.
+        scene: the scene whose distances are recorded; None: none.
+    """
+
+    filter: JerkFilter
+
+    def __init__(
+        self,
+        arm: Arm,
+        q0: Array,
+        target: Target,
+        controller: Controller,
+        limits: Limits,
+        scene: Scene | None = None,
+    ) -> None:
+        super().__init__(arm.at(q0), DirectStep(controller), limits, JerkFilter(arm, limits))
+        self.last_step: Step | None = None
+        self.record = RunRecord(target, self.state, scene)
+
+    def compute(self, target: Target) -> Step:
+        """Return the next step towards a target, without taking it; as `Loop.compute`, but never late."""
+        self.last_step = cast(Step, super().compute(target))
+        return self.last_step
+
+    def take(self, step: Step, target: Target | None = None) -> None:
+        """Take a step and record it.
+
+        Args:
+            step: the step.
+            target: the target after the step, if it has changed.
+        """
+        dq = self.filter.apply(step.dq)
+        self.memory = step.memory
+        self.start_at(self.state.moved(dq))
+        if self.filter.active:
+            step = step._replace(dq=dq, error_increasing=self.record.error_rises_at(self.state))
+        self.record.append(self.state, step, self.limits.travel(self.state), target)
+
+    def run(
+        self, target: Target, tolerance: float, max_steps: int, callback: Callback | None = None
+    ) -> tuple[str, str]:
+        """Take steps until the arm converges, stalls, or runs out of steps.
+
+        Args:
+            target: the target posture.
+            tolerance: mean point error at which the run has converged [m].
+            max_steps: number of steps of the record after which to stop.
+            callback: as for `track`.
+
+        Returns:
+            Status and reason; see `track`.
+        """
+        while True:
+            status, reason = self._check_end(target, tolerance, max_steps)
+            if status:
+                break
+            step = self.compute(target)
+            if step.reason and self.filter.moving:
+                self.brake()  # let the jerk filter settle first
+                continue
+            if step.reason:
+                # With active points but no step, the controller is stuck.
+                status = "stalled" if step.active else "no_control_points"
+                reason = step.reason
+                break
+            self.take(step)
+            number = self.record.steps
+            if callback is not None and callback(number, self.state, step) is True:
+                return "stopped", f"stopped by the callback after {number} steps"
+        if status in ("stalled", "max_steps") and self.last_step is not None:
+            reason += describe_binding_limits(self.arm, self.last_step)
+        return status, reason
+
+    def brake_to_rest(self) -> None:
+        """Brake until no joint moves; without acceleration limits that takes no step."""
+        while self.memory is not None and (self.filter.moving or np.any(self.braked().dq)):
+            self.brake()
+
+    def brake(self) -> None:
+        """Take a step that decelerates all joints as much as the limits allow."""
+        memory = self.braked()
+        rises = self.record.error_rises_at(self.ahead.moved(memory.dq))
+        still = np.zeros(self.arm.nv, dtype=np.bool_)
+        self.take(Step(memory.dq, (), still, error_increasing=rises, memory=memory))
+
+    def _check_end(self, target: Target, tolerance: float, max_steps: int) -> tuple[str, str]:
+        """Return status and reason if the run is over, else empty strings."""
+        mean = self.record.mean_error
+        if self.filter.moving:
+            mean = max(mean, self.record.mean_error_at(self.ahead))
+        if mean <= tolerance:
+            brake = self.limits.for_arm(self.arm).brake
+            if brake is None or self.memory is None or np.all(np.abs(self.memory.dq) <= brake):  # it can stop
+                return "converged", describe_arrival(self.arm, mean, tolerance)
+        if self.record.steps >= max_steps:
+            above = f"mean point error {length_text(mean)}, above the tolerance of {length_text(tolerance)}"
+            return "max_steps", above
+        idle = self.record.travel_without_progress()
+        if idle >= tolerances.STALL_TRAVEL * (1.0 - tolerances.STEP_ROUNDING):
+            error = f"mean point error {length_text(mean)}"
+            return "stalled", f"{error}, no progress in the last {idle:.3g} rad of joint travel"
+        return "", ""
+
+
+def describe_arrival(arm: Arm, mean: float, tolerance: float) -> str:
+    """Say how close to its target an arm is that has converged; both [m]."""
+    error = length_text(mean, arm.length)
+    return f"mean point error {error}, within the tolerance of {length_text(tolerance)}"
+
+
+def describe_binding_limits(arm: Arm, step: Step) -> str:
+    """Return a clause naming the joint limits and distances that limited a step."""
+    held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.clipped)]
+    held += step.near
+    return f"; held by {enumerated(held, MAX_NAMED_LIMITS)}" if held else ""
+
+
+def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
+    """Return the controller with the scene, and the scene; warn if it does not avoid the obstacles."""
+    if not (scene is None or isinstance(scene, Scene)):
+        raise InvalidValue("scene", scene, "a Scene(...), or None")
+    if isinstance(controller, Geodesic):
+        if scene is None:
+            return controller, controller.scene
+        return controller.with_scene(None if scene.empty else scene), scene
+    if scene is not None and scene.obstacles:
+        text = f'{controller.name} does not avoid obstacles, only records distances; "geodesic" avoids them'
+        warn_caller(text)
+    return controller, scene

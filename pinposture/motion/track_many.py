@@ -25,8 +25,9 @@ from pinposture.errors import (
     warn_caller,
 )
 from pinposture.motion.batch import FAILED, Batch
+from pinposture.motion.loop import RunRecord, in_scene
 from pinposture.motion.run import Run, run_arrays, smallest_distance
-from pinposture.motion.track import RunRecord, in_scene, name_enough_steps, track, usual_max_steps
+from pinposture.motion.track import name_enough_steps, track, usual_max_steps
 from pinposture.placement import Target
 
 if TYPE_CHECKING:

@@ -33,8 +33,7 @@ from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Hindrance
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
-from pinposture.motion.loop import Loop
-from pinposture.motion.track import in_scene
+from pinposture.motion.loop import Loop, in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
 from pinposture.units import length_text

@@ -23,8 +23,8 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import InvalidValue
 from pinposture.motion import tolerances
+from pinposture.motion.loop import RecordedLoop, in_scene
 from pinposture.motion.run import Run
-from pinposture.motion.track import RecordedLoop, in_scene
 from pinposture.motion.trajectory import Trajectory, Waypoint
 from pinposture.placement import Target
 from pinposture.task.keyframe import Keyframe, as_keyframes, placed

@@ -16,7 +16,7 @@ import pinposture as pp
 from pinposture.control import Memory
 from pinposture.control.limits import full_braking, stopping_steps
 from pinposture.control.planner.path import JointPath, retime
-from pinposture.motion.track import RecordedLoop
+from pinposture.motion.loop import RecordedLoop
 
 pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
 
