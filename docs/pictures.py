@@ -84,7 +84,7 @@ def modules() -> Figure:
     panel = PosturePanel(arm, ax)
     q = np.array([0.45, -0.15, -0.5, -0.35, 0.3, 0.5])
     points = np.vstack([arm.chain.base, arm.at(q).points])
-    joints = arm.at(q).forward.origins
+    joints = arm.at(q).origins
     for k in range(3):
         line = np.vstack([points[k], joints[2 * k : 2 * k + 2], points[k + 1]])
         panel.line(line, color=palette.MODULES[k % 2], lw=9.0, solid_capstyle="butt", zorder=3)

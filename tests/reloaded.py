@@ -129,7 +129,7 @@ def _kinematics(arm: pp.Arm, q: np.ndarray) -> dict[str, np.ndarray]:
         "points": state.points,
         "rotations": state.rotations,
         "jacobians": state.jacobians,
-        "compiled": state.compiled.points,
+        "chain": state.chain_state.points,
     }
 
 

@@ -34,7 +34,7 @@ norm of the joint positions [rad]."""
 
 def ratio_of(arm: Arm, q: np.ndarray) -> float:
     """Path length ratio of the control points, for configurations (N, nq)."""
-    return path_length_ratio(np.array([arm.at(each).compiled.points for each in q]))
+    return path_length_ratio(np.array([arm.chain_at(each).points for each in q]))
 
 
 def by_pinposture(problem: Problem) -> tuple[float, np.ndarray | None]:

@@ -89,7 +89,7 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
     path = plan(state, target, scene, RUN_LIMITS)
     took = perf_counter() - began
     run = run_problem(problem, controller)
-    points = np.array([arm.at(q).compiled.points for q in path.configurations])
+    points = np.array([arm.chain_at(q).points for q in path.configurations])
     return Row(
         found_by=path.found_by,
         planned=not path.hindrance,

@@ -41,7 +41,7 @@ class Judge:
         model = self._arm.model
         pin.forwardKinematics(model, self._data, q)
         nodes = [self._data.oMi[joint].translation for joint in range(1, model.njoints)]
-        nodes = np.vstack([nodes, self._arm.at(q).compiled.points[-1]])
+        nodes = np.vstack([nodes, self._arm.chain_at(q).points[-1]])
         ends = np.diff(nodes, axis=0)
         shares = ((center - nodes[:-1]) * ends).sum(axis=1) / np.maximum((ends**2).sum(axis=1), 1e-30)
         nearest = nodes[:-1] + np.clip(shares, 0.0, 1.0)[:, None] * ends
@@ -53,7 +53,7 @@ def draw(arm: pp.Arm, judge: Judge, seed: int, speed: float) -> tuple[np.ndarray
     rng = np.random.default_rng(seed)
     while True:
         start, goal = (pp.arm.smooth_configuration(arm, rng, 0.8) for _ in range(2))
-        aim = arm.at(start if rng.random() < 0.5 else goal).compiled.points[rng.integers(8, arm.n_modules)]
+        aim = arm.chain_at(start if rng.random() < 0.5 else goal).points[rng.integers(8, arm.n_modules)]
         direction = rng.normal(size=3)
         velocity = speed * direction / np.linalg.norm(direction)
         origin = aim - velocity * rng.uniform(1.5, 4.0)

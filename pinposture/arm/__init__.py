@@ -1,6 +1,6 @@
 """What the robot is: module templates, URDF, loading, the arm and its state."""
 
-from pinposture.arm.arm import Arm, ArmState, bent_configuration, smooth_configuration
+from pinposture.arm.arm import Arm, ArmState, ChainState, bent_configuration, smooth_configuration
 from pinposture.arm.configurations import JointLimits
 from pinposture.arm.couplings import Coupling
 from pinposture.arm.feasibility import Feasibility, Violation
@@ -13,6 +13,7 @@ __all__ = [
     "Arm",
     "ArmSpec",
     "ArmState",
+    "ChainState",
     "ControlPoints",
     "Coupling",
     "Ellipsoid",

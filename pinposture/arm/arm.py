@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
+from typing_extensions import Self, override
 
 from pinposture import kernels
 from pinposture._validation import (
@@ -131,7 +133,7 @@ class Arm(ConfigurationSpace):
         self.joint_units = _read_only(np.where(self.slides, characteristic_length, 1.0))
         frames = frame_ids(model, self.control_points)
         self.kinematics = Kinematics(model, self.chain, frames, self.joint_units)
-        self.frames = FrameReader(model, frames) if self.nv <= MAX_PINOCCHIO_DOF else None
+        self.frames = FrameReader(model, self.chain, frames) if self.nv <= MAX_PINOCCHIO_DOF else None
         moved = np.zeros(self.nv)
         moved[self.chain.columns] = 1.0
         self.moved = _read_only(moved)
@@ -543,7 +545,7 @@ class Arm(ConfigurationSpace):
             return np.zeros(self.nv)
 
         def negative_reach(scaled: Array) -> tuple[float, Array]:
-            state = self.at(self.configuration(scaled * units)).compiled
+            state = self.chain_at(self.configuration(scaled * units))
             reach = (state.points[-1] - base) / length
             distance = max(float(np.linalg.norm(reach)), 1e-12)
             return -distance, -(reach / distance) @ state.jacobians[-1] * units / length
@@ -671,12 +673,30 @@ class Arm(ConfigurationSpace):
             q: configuration, (nq,).
 
         Returns:
-            The state, which computes placements and Jacobians on first use.
+            The state, which reads placements and Jacobians from Pinocchio on first use. Those of an arm with
+            more than `kinematics.MAX_PINOCCHIO_DOF` degrees of freedom are computed as in `chain_at`.
 
         Raises:
             InvalidValue: q has the wrong size or is not finite.
         """
-        return ArmState(self, self.checked(q))
+        if self.frames is None:
+            return self.chain_at(q)
+        return PinocchioState(self, self.checked(q))
+
+    def chain_at(self, q: ArrayLike) -> ChainState:
+        """Return the state of the arm at a configuration as solvers take it.
+
+        Args:
+            q: configuration, (nq,).
+
+        Returns:
+            The state, computed by the compiled pass along the chain on first use; equal to that of `at` up to
+            rounding, and faster.
+
+        Raises:
+            InvalidValue: q has the wrong size or is not finite.
+        """
+        return ChainState(self, self.checked(q))
 
     @cached_property
     def multi_turn(self) -> NDArray[np.bool_]:
@@ -746,12 +766,12 @@ class Arm(ConfigurationSpace):
         return f"Arm({self.model.name!r}, {kind}, {size})"
 
 
-class ArmState:
+class ArmState(ABC):
     """The arm at one configuration; everything in it is read-only and computed on first use.
 
-    Pinocchio computes placements and Jacobians, with one call of `computeJointJacobians` and
-    `updateFramePlacements` per state. Arms with more than `kinematics.MAX_PINOCCHIO_DOF` degrees of freedom,
-    for which `pin.Data` would need too much memory, use the compiled pass along the chain instead.
+    `Arm.at` returns a state that Pinocchio computes (`PinocchioState`), `Arm.chain_at` one that the compiled
+    pass along the chain computes (`ChainState`). They are equal up to rounding; within an iteration, use only
+    one of the two.
 
     Attributes:
         arm: the arm.
@@ -761,30 +781,57 @@ class ArmState:
         self.arm = arm
         self._q = q
 
-    @cached_property
-    def compiled(self) -> ArmState:
-        """The same state, up to rounding, computed by the compiled pass along the chain, for solvers.
+    @property
+    @abstractmethod
+    def chain_state(self) -> ChainState:
+        """The same state as solvers take it, computed by the compiled pass along the chain."""
 
-        Within an iteration, use only one of the two.
+    @property
+    @abstractmethod
+    def placements(self) -> Frames | ForwardKinematics:
+        """Placements of joints and control points, for kernels; do not write to them."""
+
+    @property
+    @abstractmethod
+    def jacobians(self) -> Array:
+        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
+
+        The column of a joint that carries the control point p is v + w x p, else zero, where v is the
+        velocity at the world origin and w the angular velocity per unit of joint motion.
         """
-        state = _CompiledState(self.arm, self._q)
-        state.__dict__["forward"] = self.forward
-        return state
 
-    def moved(self, dq: Array) -> ArmState:
+    @property
+    @abstractmethod
+    def axes(self) -> Array:
+        """Angular velocity per unit of joint motion, (3, nv) [rad/rad], world axes.
+
+        The unit axis of a revolute joint; zero for a slide and for a joint off the chain. For coupled joints,
+        the angular velocity of the body after the last of them.
+        """
+
+    @property
+    @abstractmethod
+    def screws(self) -> Screws:
+        """The joint screws, for kernels; do not write to them."""
+
+    @cached_property
+    def points(self) -> Array:
+        """Positions of the control points, (m, 3) [m], world frame."""
+        return _read_only(self.placements.points)
+
+    @cached_property
+    def rotations(self) -> Array:
+        """Orientations of the control points, (m, 3, 3), from control-point to world frame."""
+        return _read_only(self.placements.rotations)
+
+    @cached_property
+    def origins(self) -> Array:
+        """Origins of the joints of the chain, (k, 3) [m], world frame."""
+        return _read_only(self.placements.origins)
+
+    def moved(self, dq: Array) -> Self:
         """Return the state after a finite joint displacement, (nv,) [rad or m], which is not checked."""
-        return ArmState(self.arm, self.arm.integrate(self._q, dq))
-
-    @cached_property
-    def forward(self) -> ForwardKinematics:
-        """The result of the compiled pass along the chain, for kernels; do not write to it."""
-        return self.arm.kinematics.forward(self.arm.difference(self.arm.origin, self._q))
-
-    @cached_property
-    def frames(self) -> Frames | None:
-        """The control points computed by Pinocchio; None if the arm is too long for `pin.Data`."""
-        reader = self.arm.frames
-        return None if reader is None else reader.read(self._q)
+        return type(self)(self.arm, self.arm.integrate(self._q, dq))
 
     @cached_property
     def q(self) -> Array:
@@ -792,9 +839,14 @@ class ArmState:
         return _read_only(self._q)
 
     @cached_property
-    def points(self) -> Array:
-        """Positions of the control points, (m, 3) [m], world frame."""
-        return _read_only((self.frames or self.forward).points)
+    def raw_positions(self) -> Array:
+        """Joint positions (nv,) [rad or m], for kernels; do not write to them."""
+        return self.arm.difference(self.arm.origin, self._q)
+
+    @cached_property
+    def positions(self) -> Array:
+        """Joint positions (nv,) [rad or m]; continuous joints within +-pi."""
+        return _read_only(self.raw_positions)
 
     @cached_property
     def links(self) -> Array:
@@ -803,53 +855,12 @@ class ArmState:
         If slides without real limits carry the base, the line begins after those slides.
         """
         chain = self.arm.chain
-        origins = [self.forward.origins[joints] for joints in chain.module_slices]
-        parts = [part for pair in zip(origins, self.forward.points[:, None], strict=True) for part in pair]
+        line = [chain.base]
+        for joints, point in zip(chain.module_slices, self.points, strict=True):
+            line.extend(self.origins[joints])
+            line.append(point)
         roaming = int(self.arm.roaming.sum())
-        return _read_only(np.vstack([chain.base, *parts])[roaming + bool(roaming) :])
-
-    @cached_property
-    def rotations(self) -> Array:
-        """Orientations of the control points, (m, 3, 3), from control-point to world frame."""
-        return _read_only((self.frames or self.forward).rotations)
-
-    @cached_property
-    def positions(self) -> Array:
-        """Joint positions (nv,) [rad or m]; continuous joints within +-pi."""
-        return _read_only(self.arm.difference(self.arm.origin, self._q))
-
-    @cached_property
-    def jacobians(self) -> Array:
-        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
-
-        The column of a joint that carries the control point p is v + w x p, else zero, where v is the
-        velocity at the world origin and w the angular velocity per unit of joint motion.
-        """
-        if self.frames is None:
-            return _read_only(self.arm.kinematics.jacobians(self.forward))
-        vx, vy, vz, wx, wy, wz = self.frames.motions.T
-        support = self.arm.support
-        x, y, z = self.frames.points.T[:, :, None]
-        jacobians = np.empty((self.arm.n_modules, 3, self.arm.nv))
-        jacobians[:, 0] = (vx + wy * z - wz * y) * support
-        jacobians[:, 1] = (vy + wz * x - wx * z) * support
-        jacobians[:, 2] = (vz + wx * y - wy * x) * support
-        return _read_only(jacobians)
-
-    @cached_property
-    def axes(self) -> Array:
-        """Angular velocity per unit of joint motion, (3, nv) [rad/rad], world axes.
-
-        The unit axis of a revolute joint; zero for a slide and for a joint off the chain. For coupled joints,
-        the angular velocity of the body after the last of them.
-        """
-        if self.frames is not None:
-            return _read_only(self.frames.motions[:, 3:].T * self.arm.moved)
-        axes = np.zeros((self.arm.nv, 3))
-        chain = self.arm.chain
-        turns = np.where(chain.revolute, chain.ratios, 0.0)
-        np.add.at(axes, chain.columns, turns[:, None] * self.forward.axes)
-        return _read_only(axes.T)
+        return _read_only(np.array(line[roaming + bool(roaming) :]))
 
     @cached_property
     def angular_jacobians(self) -> Array:
@@ -858,32 +869,6 @@ class ArmState:
         A column is the angular velocity of the control point per unit joint motion, zero if not rotated.
         """
         return _read_only(self.axes * self.arm.support[:, None, :])
-
-    @cached_property
-    def screws(self) -> Screws:
-        """The joint screws, for kernels; do not write to them."""
-        chain = self.arm.kinematics
-        forward = self.forward
-        frames = self.frames
-        constants = chain.task_constants
-        points = (frames or forward).points
-        found = Screws(np.empty((len(constants.joints), 6)), chain.ends, points)
-        if frames is not None:
-            kernels.carry_screws(
-                frames.motions, chain.columns, constants.units, chain.ends, points, found.screws
-            )
-        else:
-            kernels.find_screws(
-                chain.constants,
-                constants.joints,
-                constants.units,
-                forward.axes,
-                forward.origins,
-                chain.ends,
-                points,
-                found.screws,
-            )
-        return found
 
     def jacobian(self, frame: str) -> Array:
         """Return the Jacobian of any frame: a control point, a link or a joint.
@@ -968,23 +953,103 @@ class ArmState:
         return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={self.arm.n_modules})"
 
 
+class PinocchioState(ArmState):
+    """The arm at one configuration, computed by Pinocchio: one call of `computeJointJacobians` per state."""
+
+    @cached_property
+    @override
+    def chain_state(self) -> ChainState:
+        return ChainState(self.arm, self._q)
+
+    @cached_property
+    @override
+    def placements(self) -> Frames:
+        return cast(FrameReader, self.arm.frames).read(self._q)
+
+    @cached_property
+    @override
+    def jacobians(self) -> Array:
+        vx, vy, vz, wx, wy, wz = self.placements.motions.T
+        support = self.arm.support
+        x, y, z = self.placements.points.T[:, :, None]
+        jacobians = np.empty((self.arm.n_modules, 3, self.arm.nv))
+        jacobians[:, 0] = (vx + wy * z - wz * y) * support
+        jacobians[:, 1] = (vy + wz * x - wx * z) * support
+        jacobians[:, 2] = (vz + wx * y - wy * x) * support
+        return _read_only(jacobians)
+
+    @cached_property
+    @override
+    def axes(self) -> Array:
+        return _read_only(self.placements.motions[:, 3:].T * self.arm.moved)
+
+    @cached_property
+    @override
+    def screws(self) -> Screws:
+        chain = self.arm.kinematics
+        units = chain.task_constants.units
+        frames = self.placements
+        screws = np.empty((len(units), 6))
+        kernels.carry_screws(frames.motions, chain.columns, units, chain.ends, frames.points, screws)
+        return Screws(screws, chain.ends, frames.points)
+
+
+class ChainState(ArmState):
+    """The arm at one configuration, computed by the compiled pass along the chain, for solvers.
+
+    It needs no `pin.Data`, whose memory grows with the cube of the number of joints, so it is also the state
+    of arms with more than `kinematics.MAX_PINOCCHIO_DOF` degrees of freedom.
+    """
+
+    @property
+    @override
+    def chain_state(self) -> ChainState:
+        return self
+
+    @cached_property
+    @override
+    def placements(self) -> ForwardKinematics:
+        return self.arm.kinematics.forward(self.raw_positions)
+
+    @cached_property
+    @override
+    def jacobians(self) -> Array:
+        return _read_only(self.arm.kinematics.jacobians(self.placements))
+
+    @cached_property
+    @override
+    def axes(self) -> Array:
+        axes = np.zeros((self.arm.nv, 3))
+        chain = self.arm.chain
+        turns = np.where(chain.revolute, chain.ratios, 0.0)
+        np.add.at(axes, chain.columns, turns[:, None] * self.placements.axes)
+        return _read_only(axes.T)
+
+    @cached_property
+    @override
+    def screws(self) -> Screws:
+        chain = self.arm.kinematics
+        constants = chain.task_constants
+        placed = self.placements
+        screws = np.empty((len(constants.units), 6))
+        kernels.find_screws(
+            chain.constants,
+            constants.joints,
+            constants.units,
+            placed.axes,
+            placed.origins,
+            chain.ends,
+            placed.points,
+            screws,
+        )
+        return Screws(screws, chain.ends, placed.points)
+
+
 def arm_of(state: object) -> Arm:
     """Return the arm of a state; raise InvalidValue if it is none."""
     require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
     arm: Arm = state.arm  # type: ignore[attr-defined]
     return arm
-
-
-class _CompiledState(ArmState):
-    """A state computed without Pinocchio."""
-
-    @property
-    def compiled(self) -> ArmState:
-        return self
-
-    @property
-    def frames(self) -> None:
-        return None
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

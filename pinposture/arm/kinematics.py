@@ -1,9 +1,9 @@
 """The chain of an arm: its joints, and the placements and Jacobians of its control points.
 
 `read_chain` reads the joints from a Pinocchio model. `FrameReader` reads the control points at a
-configuration from Pinocchio, for `ArmState` and the methods of the thesis. `Kinematics` computes the same
-values on plain arrays, for kernels and for arms that are too long for `pin.Data`, whose memory grows with the
-cube of the number of joints. A test compares the two.
+configuration from Pinocchio, for `PinocchioState` and the methods of the thesis. `Kinematics` computes the
+same values on plain arrays, for `ChainState`: for kernels, and for arms that are too long for `pin.Data`,
+whose memory grows with the cube of the number of joints. A test compares the two.
 """
 
 from __future__ import annotations
@@ -373,8 +373,9 @@ MAX_PINOCCHIO_DOF = 100
 
 
 class Frames(NamedTuple):
-    """Control points and joint motions of an arm at one configuration, by Pinocchio; world frame."""
+    """Placements of a chain and motions of its joints at one configuration, by Pinocchio; world frame."""
 
+    origins: Array  # origins of the joints, (k, 3) [m]: all joints, coupled ones too
     points: Array  # positions of the control points, (m, 3) [m]
     rotations: Array  # their orientations, (m, 3, 3), from control-point to world frame
     # motion of a body at the world origin per degree of freedom, (nv, 6): velocity [m/rad], then angular
@@ -385,9 +386,10 @@ class Frames(NamedTuple):
 class FrameReader:
     """Reads the frames of the control points from Pinocchio, with one `pin.Data` per thread."""
 
-    def __init__(self, model: pin.Model, frames: Sequence[int]) -> None:
-        """Store the model, base placement applied, and the indices of the control points."""
+    def __init__(self, model: pin.Model, chain: Chain, frames: Sequence[int]) -> None:
+        """Store the model, base placement applied, its chain, and the indices of the control points."""
         self._model = model
+        self._joints = [model.getJointId(name) for name in chain.joints]
         self._frames = tuple(frames)
         self._local = threading.local()
         # `data.J` has columns for all joints, coupled ones too; this is the degree of freedom of each.
@@ -396,16 +398,17 @@ class FrameReader:
         self._columns = np.array([column for each in listed for column in each])
         self._coupled = len(self._columns) > model.nv
 
-    def _buffers(self) -> tuple[pin.Data, list[Array], list[Array]]:
-        """Return this thread's data, and views of the placements in it."""
+    def _buffers(self) -> tuple[pin.Data, list[Array], list[Array], list[Array]]:
+        """Return this thread's data, and views of origins, positions and orientations in it."""
         try:
-            buffers: tuple[pin.Data, list[Array], list[Array]] = self._local.buffers
+            buffers: tuple[pin.Data, list[Array], list[Array], list[Array]] = self._local.buffers
         except AttributeError:
             data = self._model.createData()
+            origins = [data.oMi[joint].translation for joint in self._joints]
             placements = [data.oMf[frame] for frame in self._frames]
             positions = [placement.translation for placement in placements]
             orientations = [placement.rotation for placement in placements]
-            buffers = self._local.buffers = data, positions, orientations
+            buffers = self._local.buffers = data, origins, positions, orientations
         return buffers
 
     def jacobian(self, q: Array, name: str) -> Array:
@@ -420,10 +423,11 @@ class FrameReader:
 
     def read(self, q: Array) -> Frames:
         """Compute the frames at a configuration (nq,); the arrays are copies."""
-        data, positions, orientations = self._buffers()
+        data, placed, positions, orientations = self._buffers()
         pin.computeJointJacobians(self._model, data, q)
         pin.updateFramePlacements(self._model, data)
         m = len(positions)
+        origins = np.concatenate(placed)
         points = np.concatenate(positions)
         rotations = np.concatenate(orientations)
         motions = np.array(data.J.reshape(6, -1).T, order="C")
@@ -431,17 +435,16 @@ class FrameReader:
             each = motions
             motions = np.zeros((self._model.nv, 6))
             np.add.at(motions, self._columns, each)
-        return Frames(points.reshape(m, 3), rotations.reshape(m, 3, 3), motions)
+        return Frames(origins.reshape(-1, 3), points.reshape(m, 3), rotations.reshape(m, 3, 3), motions)
 
 
 class ForwardKinematics(NamedTuple):
-    """Placements of a chain, world frame: arrays for kernels; do not write to them."""
+    """Placements of a chain at one configuration, by the pass along it; world frame; do not write to them."""
 
     axes: Array  # unit joint axes, (k, 3): all joints, coupled ones too
     origins: Array  # origins of the joints, a point on each axis, (k, 3) [m]
-    points: Array  # control points, (m, 3) [m]
-    rotations: Array  # orientations of the control points, (m, 3, 3), from control-point to world frame
-    positions: Array  # joint positions, (nv,) [rad or m]
+    points: Array  # positions of the control points, (m, 3) [m]
+    rotations: Array  # their orientations, (m, 3, 3), from control-point to world frame
 
 
 class TaskConstants(NamedTuple):
@@ -521,7 +524,7 @@ class Kinematics:
         points = np.empty((m, 3))
         rotations = np.empty((m, 3, 3))
         kernels.placements(self.constants, positions, axes, origins, points, rotations)
-        return ForwardKinematics(axes, origins, points, rotations, positions)
+        return ForwardKinematics(axes, origins, points, rotations)
 
     def points(self, positions: Array) -> Array:
         """Compute the control points, (s, m, 3) [m], at several joint positions, (s, nv) [rad or m]."""

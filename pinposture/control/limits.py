@@ -512,7 +512,7 @@ class Limits(Declared):
         """
         arm = arm_of(state)
         bounds = self.for_arm(arm)
-        positions = state.forward.positions
+        positions = state.raw_positions
         before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
         sides = np.empty((2, arm.nv))
         brake = _NO_BOUND if bounds.brake is None else bounds.brake
@@ -556,7 +556,7 @@ class Limits(Declared):
         cut = np.empty(arm.nv)
         clipped = np.empty(arm.nv, dtype=np.bool_)
         scale = kernels.shorten_step(
-            dq, state.forward.positions, bounds.edges, bounds.bound, brake, before, cut, clipped
+            dq, state.raw_positions, bounds.edges, bounds.bound, brake, before, cut, clipped
         )
         return LimitedStep(cut, scale, clipped)
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import as_vector, require_instance, require_positive, require_whole
 from pinposture._validation import direction as unit_vector
-from pinposture.arm import Arm, ArmState, smooth_configuration
+from pinposture.arm import Arm, ChainState, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
@@ -239,11 +239,11 @@ def reach_from(
     tolerance = TIP_TOLERANCE * arm.length
     _check_in_reach(arm, task, tolerance, scene)
     search = _Search(arm, task, scene, Limits() if limits is None else limits, tolerance)
-    state = arm.at(arm.checked_start(start, "start")).compiled
+    state = arm.chain_at(arm.checked_start(start, "start"))
     return search.descend(state)
 
 
-def bring_to_goal(arm: Arm, task: EndEffector, state: ArmState) -> tuple[ArmState, float]:
+def bring_to_goal(arm: Arm, task: EndEffector, state: ChainState) -> tuple[ChainState, float]:
     """Bring a control point to its goal by damped least squares from a posture, then from seed postures.
 
     Obstacles are ignored, as in the first part of `reach`.
@@ -447,9 +447,9 @@ class _Search:
         intruding = 0
         for wave in range(MAX_WAVES):
             before = len(found)
-            settled: list[tuple[float, int, ArmState]] = []
+            settled: list[tuple[float, int, ChainState]] = []
             for number, q in enumerate(self._seeds(start, wave == 0, rng)):
-                state = self._settle(self.arm.at(q).compiled, None, TIP_ITERATIONS)
+                state = self._settle(self.arm.chain_at(q), None, TIP_ITERATIONS)
                 error = self._rows(state, None).tip_error
                 nearest = min(nearest, error)
                 if error <= self.tolerance or (self.model is not None and error <= AMPLE * self.arm.length):
@@ -477,7 +477,7 @@ class _Search:
             raise ReachError(_place_of(self.task), self._explain_failure(nearest, intruding))
         return sorted(found, key=lambda each: -each.score)
 
-    def bring_near(self, state: ArmState, waves: int, rng: np.random.Generator) -> tuple[ArmState, float]:
+    def bring_near(self, state: ChainState, waves: int, rng: np.random.Generator) -> tuple[ChainState, float]:
         """Return a state at the goal, the nearest found to a posture, or else the closest, and its error."""
         best = self._settle(state, None, TIP_ITERATIONS)
         error = self._rows(best, None).tip_error
@@ -486,7 +486,7 @@ class _Search:
                 break
             nearest = inf
             for q in self._seeds(None, False, rng):
-                other = self._settle(self.arm.at(q).compiled, None, TIP_ITERATIONS)
+                other = self._settle(self.arm.chain_at(q), None, TIP_ITERATIONS)
                 off = self._rows(other, None).tip_error
                 away = float(np.linalg.norm(other.points - state.points, axis=1).mean())
                 if off <= self.tolerance and away < nearest:
@@ -498,11 +498,11 @@ class _Search:
                     error = off
         return best, error
 
-    def descend(self, state: ArmState) -> ReachedPosture | None:
+    def descend(self, state: ChainState) -> ReachedPosture | None:
         """Return the clear posture found from another; None if there is none."""
         return self._judge(self._push_clear(state))
 
-    def _push_clear(self, state: ArmState, iterations: int = CLEAR_ITERATIONS) -> ArmState:
+    def _push_clear(self, state: ChainState, iterations: int = CLEAR_ITERATIONS) -> ChainState:
         return self._settle(state, self.margin + BUFFER * self.arm.length, iterations)
 
     def _explain_failure(self, nearest: float, intruding: int) -> str:
@@ -526,7 +526,7 @@ class _Search:
             drawn = np.clip(arm.positions(q), *self.edges)
             yield arm.configuration(np.where(arm.moved > 0.0, drawn, here))
 
-    def _rows(self, state: ArmState, clearance: float | None) -> _Rows:
+    def _rows(self, state: ChainState, clearance: float | None) -> _Rows:
         """Return the rows of the tip and of the distances below a clearance [m], if one is given."""
         tip = self.task.rows(state, self.target)
         matrix = tip.jacobian
@@ -537,7 +537,7 @@ class _Search:
             errors = np.concatenate([errors, clearance - near.distances])
         return _Rows(matrix[:, self.columns] * self.units, errors, len(tip.error))
 
-    def _settle(self, state: ArmState, clearance: float | None, iterations: int) -> ArmState:
+    def _settle(self, state: ChainState, clearance: float | None, iterations: int) -> ChainState:
         """Bring the tip to its goal and all distances to a clearance by damped least squares."""
         rows = self._rows(state, clearance)
         damping = 1e-2
@@ -558,7 +558,7 @@ class _Search:
                     break
         return state
 
-    def _step(self, state: ArmState, rows: _Rows, damping: float) -> Array:
+    def _step(self, state: ChainState, rows: _Rows, damping: float) -> Array:
         """Return the damped step, (n,); joints that would exceed their limits are held."""
         lower, upper = self._room(state)
         free = np.ones(len(self.columns), dtype=np.bool_)
@@ -589,16 +589,16 @@ class _Search:
         scale = min(1.0, MAX_JOINT_MOTION / max(float(np.abs(x).max(initial=0.0)), 1e-300))
         return np.asarray(np.clip(scale * x, lower, upper))
 
-    def _room(self, state: ArmState) -> tuple[Array, Array]:
+    def _room(self, state: ChainState) -> tuple[Array, Array]:
         lower, upper = ((edge[self.columns] - state.positions[self.columns]) for edge in self.edges)
         return np.minimum(lower, 0.0) / self.units, np.maximum(upper, 0.0) / self.units
 
-    def _moved(self, state: ArmState, x: Array) -> ArmState:
+    def _moved(self, state: ChainState, x: Array) -> ChainState:
         dq = np.zeros(self.arm.nv)
         dq[self.columns] = x * self.units
-        return self.arm.at(self.arm.integrate(state.q, dq)).compiled
+        return state.moved(dq)
 
-    def _polish(self, posture: ReachedPosture, state: ArmState) -> tuple[ReachedPosture, ArmState]:
+    def _polish(self, posture: ReachedPosture, state: ChainState) -> tuple[ReachedPosture, ChainState]:
         """Improve clearance, distance from limits and manipulability in the null space of the tip."""
         wanted = self.margin + AMPLE * self.arm.length
         moved = state
@@ -621,7 +621,7 @@ class _Search:
         better = self._judge(moved)
         return (posture, state) if better is None or better.score < posture.score else (better, moved)
 
-    def _limit_rows(self, state: ArmState) -> tuple[Array, Array]:
+    def _limit_rows(self, state: ChainState) -> tuple[Array, Array]:
         """Return the rows that pull joints back from their limits, (n, n), and their errors, (n,) [m]."""
         middle, half = self._ranges
         share = (state.positions[self.columns] - middle) / half
@@ -636,7 +636,7 @@ class _Search:
         middle, half = _half_ranges(self.arm)
         return middle[self.columns], half[self.columns]
 
-    def _manipulability(self, state: ArmState) -> Array:
+    def _manipulability(self, state: ChainState) -> Array:
         """Return the gradient of the logarithm of the manipulability measure of the tip, (n,).
 
         A joint changes the Jacobian column of another by a x J, where a is the axis of the joint nearer to
@@ -652,7 +652,7 @@ class _Search:
         changes = np.cross(axes[low], jacobian[high]) @ plane.T  # of column i by joint j, (n, n, d)
         return np.asarray(np.einsum("ijd,id,i->j", changes, inverse, self.units) * self.units)
 
-    def _judge(self, state: ArmState) -> ReachedPosture | None:
+    def _judge(self, state: ChainState) -> ReachedPosture | None:
         """Return the posture with its criteria and score; None if it is not clear or not at the goal."""
         arm = self.arm
         q = np.array(state.q)

@@ -85,7 +85,7 @@ def _links(arm: Arm) -> Array:
     links = np.zeros((arm.n_modules, 3))
     stations = [chain.base]
     for k, (joints, turn) in enumerate(
-        zip(chain.module_slices, arm.at(arm.neutral()).compiled.rotations, strict=True)
+        zip(chain.module_slices, arm.chain_at(arm.neutral()).rotations, strict=True)
     ):
         stations.extend(chain.origins[joints])
         spans = chain.points[k] - np.array(stations)
@@ -340,7 +340,7 @@ class Displaced(ComparableTask):
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return the rows of the task at the displaced state; see `ControlTask`."""
-        return self.task.rows(state.moved(self.offset).compiled, target)
+        return self.task.rows(state.moved(self.offset).chain_state, target)
 
 
 def lever(arm: Arm, length: float | None) -> float:

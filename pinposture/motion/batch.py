@@ -103,7 +103,7 @@ class Batch:
             raise InvalidValue("keep", "ends", allowed)
         target = self.target(number)
         arrays = self.motions[number]
-        points = np.array([self.arm.at(q).compiled.points for q in arrays["q"]])
+        points = np.array([self.arm.chain_at(q).points for q in arrays["q"]])
         return Run(
             arm=self.arm,
             target=target,

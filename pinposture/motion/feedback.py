@@ -351,10 +351,10 @@ class Feedback:
             inside = np.clip(positions - offset, limits.lower, limits.upper)
             inside = np.where((positions < limits.lower) | (positions > limits.upper), positions, inside)
             q_compensated = arm.integrate(q, inside - positions)
-            change = arm.at(q_compensated).compiled.points - self._points_at(target, q)
+            change = arm.chain_at(q_compensated).points - self._points_at(target, q)
         else:
             beyond = arm.integrate(self.command, offset)
-            change = self.state.compiled.points - arm.at(beyond).compiled.points
+            change = self.state.chain_state.points - arm.chain_at(beyond).points
         q = None if shifts else q_compensated
         velocity = None if q is None else target.velocity
         return Target(target.points + change - shift, target.weights, q, velocity=velocity)
@@ -362,7 +362,7 @@ class Feedback:
     def _points_at(self, target: Target, q: Array) -> Array:
         """Return the control points at the configuration q of a target, (m, 3) [m]; once for each target."""
         if self._aim is None or self._aim[0] is not target:
-            self._aim = target, self.arm.at(q).compiled.points
+            self._aim = target, self.arm.chain_at(q).points
         return self._aim[1]
 
     def describe_shortfall(self, target: Target, positions: Array) -> str:
@@ -418,14 +418,14 @@ class Feedback:
     ) -> Array:
         """Low-pass filter the estimates; return the measured control points, (m, 3) [m]."""
         share = 1.0 if self._time_constant == 0.0 else 1.0 - exp(-dt / self._time_constant)
-        expected = cast(ArmState, self.state).compiled.points
+        expected = cast(ArmState, self.state).chain_state.points
         if self._time_constant == 0.0:
             self._move_to(measured)
         else:
             self._average(difference, dt)
             if not self.settled:
                 self._estimate(difference, share)
-        points = np.array(self.arm.at(measured.q).compiled.points)
+        points = np.array(self.arm.chain_at(measured.q).points)
         off = np.zeros_like(points)
         if measured_points is not None:
             off = measured_points - points

@@ -287,7 +287,7 @@ def check_postures(
     q = arrays[configurations]
     rows = np.unique(np.linspace(0, len(q) - 1, COMPARED_ROWS).round().astype(np.intp))
     for row in rows:
-        expected = arm.at(arm.checked(q[row], f"{configurations}[{row}]")).forward.points
+        expected = arm.at(arm.checked(q[row], f"{configurations}[{row}]")).points
         off = float(np.abs(expected - arrays[points][row]).max())
         if off > SAME_POINTS * arm.length:
             allowed = "those of the configuration in this row"

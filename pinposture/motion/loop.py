@@ -109,7 +109,7 @@ class RunRecord:
         self._reported: dict[str, tuple[tuple[int, ...], str]] = {}
         self._last = start
         self._q = [start.q]
-        self._points = [start.compiled.points]
+        self._points = [start.chain_state.points]
         self._errors = [self._point_errors(start)]
         self.set_target(target)
 
@@ -130,7 +130,7 @@ class RunRecord:
         return float(self._point_errors(state).sum()) / int(np.count_nonzero(self._target.has_target))
 
     def _point_errors(self, state: ArmState) -> Array:
-        return self._target.distances(state.compiled.points)
+        return self._target.distances(state.chain_state.points)
 
     def _distance(self, state: ArmState) -> float:
         return np.inf if self._distances_of is None else self._distances_of.minimum(state.q).distance
@@ -165,7 +165,7 @@ class RunRecord:
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
-        self._points.append(state.compiled.points)
+        self._points.append(state.chain_state.points)
         self._last = state
         self._now = self._point_errors(state)
         self._errors.append(self._now)

@@ -637,9 +637,9 @@ class Tracker:
         before = feedback.state
         if step is None or aim is None or sent is None or before is None or np.array_equal(step.dq, dq):
             return step
-        after = sent.compiled
+        after = sent.chain_state
         most = tolerances.ERROR_ROUNDING * self.arm.length
-        rises = aim.mean_distance(after.points) > aim.mean_distance(before.compiled.points) + most
+        rises = aim.mean_distance(after.points) > aim.mean_distance(before.chain_state.points) + most
         return step._replace(dq=np.array(dq), error_increasing=rises)
 
     def _judge_status(
@@ -662,7 +662,7 @@ class Tracker:
         if moved <= tolerances.SETTLING and self._arrival.arrived:
             return "converged", ""
         if compensated is not None:
-            distance = compensated.mean_distance(feedback.state.compiled.points)
+            distance = compensated.mean_distance(feedback.state.chain_state.points)
             if distance <= tolerances.AIMED * self.arm.length:
                 return self._await_arrival()
         return status, reason

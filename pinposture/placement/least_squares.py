@@ -243,7 +243,7 @@ def _nearest_parameters(arm: Arm, curve: Curve, start: float, q: Array) -> Array
 
     Each is searched for only within reach of the previous one, because the curve may pass a second time.
     """
-    points = arm.chain.flattened(arm.at(q).compiled.points)
+    points = arm.chain.flattened(arm.chain_at(q).points)
     lengths = arm.chain.module_lengths
     reach = LOOK_AHEAD * np.maximum(lengths, lengths.mean())
     steps = np.arange(1, LOOK_AHEAD_SAMPLES + 1) / LOOK_AHEAD_SAMPLES
@@ -376,7 +376,7 @@ class FitProblem:
         n = self._joints
         m = self._arm.n_modules
         positions, s = self.split(unknowns)
-        state = arm.at(arm.configuration(positions)).compiled
+        state = arm.chain_at(arm.configuration(positions))
         inside = np.clip(s, 0.0, curve.length)
         tangents = curve.tangent(inside)
         goals = curve.at(inside) + (s - inside)[:, None] * tangents  # continue straight beyond the end

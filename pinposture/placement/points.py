@@ -419,7 +419,7 @@ class PointFilter:
             return True
         foreseen = np.clip(positions + self.dt * self._velocity, lower, upper)
         state = arm.at(arm.configuration(foreseen))
-        errors = (measured - state.forward.points)[seen] @ arm.plane.T
+        errors = (measured - state.points)[seen] @ arm.plane.T
         if np.linalg.norm(errors, axis=1).mean() > MAX_SURPRISE * arm.length / arm.n_modules:
             return False
         jacobian = state.task_jacobians[seen].reshape(-1, arm.nv)[:, columns] * units

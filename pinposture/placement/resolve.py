@@ -643,7 +643,7 @@ def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target
         weights[result.failure.module - 1 :] = 0.0
         reason = str(result.failure)
     q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
-    points = arm.at(q).compiled.points
+    points = arm.chain_at(q).points
     residual = _distances(arm, result.positions, curve, result.parameters)
     placed_by = result.placed_by or ("least squares",) * arm.n_modules
     return Target(points, weights, q, curve, result.parameters, residual, method, reason, placed_by=placed_by)
@@ -672,11 +672,11 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
 
 def _link_lengths(arm: Arm, q: Array) -> list[float]:
     """Return the length along the links of each module at a configuration, (m,) [m]."""
-    state = arm.at(q).compiled
+    state = arm.chain_at(q)
     lengths = []
     start = arm.chain.base
     for k, joints in enumerate(arm.chain.module_slices):
-        line = np.vstack([start, state.forward.origins[joints], state.points[k]])
+        line = np.vstack([start, state.origins[joints], state.points[k]])
         lengths.append(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()))
         start = state.points[k]
     return lengths
@@ -684,7 +684,7 @@ def _link_lengths(arm: Arm, q: Array) -> list[float]:
 
 def _distances(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
     """Return the distances of the control points from their points on the curve, (m,) [m]."""
-    points = arm.chain.flattened(arm.at(arm.configuration(positions)).compiled.points)
+    points = arm.chain.flattened(arm.chain_at(arm.configuration(positions)).points)
     gaps = points - curve.at(parameters)
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", gaps, gaps)))
 

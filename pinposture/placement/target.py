@@ -179,7 +179,7 @@ class Target:
         self.check(arm)
         if self.q is None or self.curve is None:
             return
-        missed = self.mean_distance(arm.at(self.q).compiled.points)
+        missed = self.mean_distance(arm.chain_at(self.q).points)
         allowed = MAX_POSTURE_ERROR * arm.length
         if missed > allowed:
             name = "mean distance of target.points from the posture of this arm at target.q [m]"
@@ -243,7 +243,7 @@ class Target:
             InvalidValue: as `Arm.checked_start`.
         """
         require_instance("arm", arm, Arm, "an Arm")
-        state = arm.at(arm.checked_start(q)).compiled
+        state = arm.chain_at(arm.checked_start(q))
         return cls(state.points, np.ones(arm.n_modules), q=state.q)
 
 
@@ -379,7 +379,7 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
         The distance, found by successively finer sampling around the farthest point; a peak narrower than a
         quarter of a link may be missed.
     """
-    ends = arm.chain.flattened(arm.at(q).compiled.links)
+    ends = arm.chain.flattened(arm.chain_at(q).links)
     starts = ends[:-1]
     links = np.diff(ends, axis=0)
     longest = float(np.linalg.norm(links, axis=1).max())
@@ -402,7 +402,7 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
 def arm_axis(arm: Arm) -> Array:
     """Return the unit vector from the base to the tip of the straight arm, (3,), world frame."""
     if arm_axis not in arm.cache:
-        reach = arm.chain.flattened(arm.at(arm.straight()).compiled.points[-1]) - arm.chain.base
+        reach = arm.chain.flattened(arm.chain_at(arm.straight()).points[-1]) - arm.chain.base
         direction = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
         make_read_only(direction)
         arm.cache[arm_axis] = direction

@@ -145,7 +145,7 @@ class FedArm:
         self.sense = 1.0 if along > 0.0 else -1.0
         self.travel = upper - float(rest[column]) if along > 0.0 else float(rest[column]) - lower
         self.straight: Array = rest[columns]
-        self.tip: Array = body.at(body.configuration(rest[columns])).compiled.points[-1]
+        self.tip: Array = body.chain_at(body.configuration(rest[columns])).points[-1]
         self.length = body.length
         self.run_up = float((self.tip - body.chain.base) @ axis)
         self.max_tip_lead = TIP_LEAD * body.length + float(links.chain.module_lengths.max())
@@ -423,7 +423,7 @@ class ClosestPlacement:
         fed = self._route.fed
         route = self._route.whole
         x = self._positions
-        state = fed.links.at(fed.links.configuration(x)).compiled
+        state = fed.links.chain_at(fed.links.configuration(x))
         points = state.points + self._depth * fed.axis
         for _ in range(2):  # the nearest points on the route
             ahead = np.einsum("ij,ij->i", points - route.at(self._s), route.tangent(self._s))
@@ -439,7 +439,7 @@ class ClosestPlacement:
 
     def _check_distances(self) -> None:
         fed = self._route.fed
-        ends = fed.links.at(fed.links.configuration(self._positions)).compiled.points + self._depth * fed.axis
+        ends = fed.links.chain_at(fed.links.configuration(self._positions)).points + self._depth * fed.axis
         distances = np.linalg.norm(self._route.whole.at(self._s) - ends, axis=1)
         allowed = MAX_LINK_DISTANCE * fed.length / fed.body.n_modules
         if distances.max() <= allowed:
@@ -660,7 +660,7 @@ def _last_row(way: FollowedPath, begin: Array, name: str, offsets: Array) -> Mar
     route = way.route
     arm = way.route.fed.arm
     q = arm.integrate(begin, offsets[-1])
-    points = arm.at(q).compiled.points
+    points = arm.chain_at(q).points
     weights = np.ones(arm.n_modules)
     target = Target(points, weights, q=q, curve=route.path, moved=route.moved)
     return Mark(name, len(offsets) - 1, target, way=way)
@@ -888,7 +888,7 @@ def _deviation_of_few(route: Route, rows: Array) -> Deviation:
     for row in rows:
         state = arm.at(row)
         points.append(state.points)
-        stations.append(np.vstack([state.forward.origins, state.points])[order])
+        stations.append(np.vstack([state.origins, state.points])[order])
         feeds.append(state.positions[fed.column])
     pieces, along = _cut_links(np.array(stations))  # (N, p, 3)
     begin = float(arm.positions(fed.start)[fed.column])

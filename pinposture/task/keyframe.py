@@ -615,7 +615,7 @@ def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = Non
 def _of_joints(arm: Arm, keyframe: Keyframe) -> Target:
     """Return the posture at the joints of a keyframe."""
     q = arm.configuration(np.clip(np.array(keyframe.joints), arm.limits.lower, arm.limits.upper))
-    return Target(arm.at(q).compiled.points, np.ones(arm.n_modules), q=q)
+    return Target(arm.chain_at(q).points, np.ones(arm.n_modules), q=q)
 
 
 def _warn_of_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
@@ -654,7 +654,7 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
         return np.zeros(arm.nv)
     objective = Objective(arm, target_at(arm, keyframe, target, q), (keyframe.tip,))
     edges = np.array([arm.limits.lower, arm.limits.upper])
-    state = find_goal(objective, arm.at(q).compiled, edges, None, POSTURE_TOLERANCE * arm.length).state
+    state = find_goal(objective, arm.chain_at(q), edges, None, POSTURE_TOLERANCE * arm.length).state
     missed = 0.0
     if keyframe.tip.priority:  # the posture gives way: a compromise can end at a distance from the goal
         state, missed = bring_to_goal(arm, keyframe.tip, state)
@@ -667,7 +667,7 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
 
 def target_at(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
     """Return the target of a keyframe with the control points of a configuration (nq,)."""
-    points = arm.at(q).compiled.points
+    points = arm.chain_at(q).points
     weights = np.ones(arm.n_modules)
     moved = target.moved
     result = Target(points, weights, q)

@@ -67,7 +67,7 @@ def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -
         intruding = np.flatnonzero(distances < _kept(reference, scene))
         intruding = intruding[np.argsort(distances[intruding], kind="stable")]
         for row in rows[intruding[:MAX_TRIED_ROWS]].tolist():
-            state = reference.arm.at(reference.configuration(row)).compiled
+            state = reference.arm.chain_at(reference.configuration(row))
             gap = _narrowest(model.nearest(state, scene.margin + 2.0 * shift), scene, shift)
             if gap is not None and gap.room < _kept(reference, scene):
                 raise TaskError(where, _in_words(gap, reference, scene, shift, row))

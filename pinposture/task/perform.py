@@ -98,7 +98,7 @@ class ReferencePath:
         # Joints that do not move the arm stay where they are.
         offsets = np.ascontiguousarray(offsets * (arm.moved > 0.0))
         q = arm.integrate(reference.start, offsets[0])
-        first = Target(arm.at(q).compiled.points, reference.weights[0], q)
+        first = Target(arm.chain_at(q).points, reference.weights[0], q)
         self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
         self._limits = limits
         durations = reference.interval if reference.durations is None else reference.durations
@@ -180,7 +180,7 @@ class ReferencePath:
         arm = self.path.arm
         target = self.target(place)
         q = arm.integrate(self.path.start, self.path.smooth_offset(averaged).mean(axis=0))
-        return target.mean_distance(arm.at(q).compiled.points)
+        return target.mean_distance(arm.chain_at(q).points)
 
     @property
     def end(self) -> float:
@@ -215,7 +215,7 @@ class ReferencePath:
         row = min(int(np.ceil(place)), self.reference.rows - 1)
         offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
         q = arm.integrate(self.reference.start, offset)
-        return Target(arm.at(q).compiled.points, self.reference.weights[row], q)
+        return Target(arm.chain_at(q).points, self.reference.weights[row], q)
 
     def remaining(self, place: float, controller: Geodesic) -> TimedPath:
         """Return the rest of the path from a place, which is a whole row."""
@@ -520,7 +520,7 @@ class _Performance:
             progress = None
             remaining = guide.remaining(begun, controller)
             mark = guide.next_mark(begun)
-            loop.memory = controller.start(remaining, loop.ahead.compiled, loop.memory)
+            loop.memory = controller.start(remaining, loop.ahead.chain_state, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
                 target = guide.target(foreseen)
@@ -557,7 +557,7 @@ class _Performance:
     def _leaves_path(self, step: Step, place: float) -> bool:
         """Whether the arm is off the path after a step to a place, so that it would miss a mark there."""
         target = self.guide.target(place)
-        points = self.loop.ahead.moved(step.dq).compiled.points
+        points = self.loop.ahead.moved(step.dq).chain_state.points
         apart = target.mean_distance(points)
         return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.active else 1.0))
 

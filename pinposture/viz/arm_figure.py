@@ -59,8 +59,8 @@ def plot_arm(
     """
     require_type("arm", arm, Arm)
     shown = arm.neutral() if q is None else q
-    forward = arm.at(shown).forward
-    chosen = arm.at(shown).ellipsoids(ellipsoids)
+    state = arm.chain_at(shown)
+    chosen = state.ellipsoids(ellipsoids)
     # Half the length of the bars: short compared to the links, but visible compared to the arm.
     half = float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
     planar = arm.dimension == 2
@@ -70,19 +70,19 @@ def plot_arm(
     panel = PosturePanel(arm, ax)
     draw_ellipsoids(panel, chosen)
     start = arm.chain.base
-    for k, (joints, point) in enumerate(zip(arm.chain.module_slices, forward.points, strict=True)):
-        line = np.vstack([start, forward.origins[joints], point])
+    for k, (joints, point) in enumerate(zip(arm.chain.module_slices, state.points, strict=True)):
+        line = np.vstack([start, state.origins[joints], point])
         shade = palette.MODULES[k % 2]
         panel.line(line, color=shade, lw=5.0, solid_capstyle="butt", solid_joinstyle="round", zorder=3)
         start = point
-    _draw_axes(panel, forward.origins, forward.axes, half)
+    _draw_axes(panel, state.origins, state.placements.axes, half)
     dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": palette.INK, "mew": 0.9}
-    panel.line(forward.points[:-1], label="control points", zorder=6, **dots)
+    panel.line(state.points[:-1], label="control points", zorder=6, **dots)
     panel.finish(scene)
-    panel.line(forward.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
+    panel.line(state.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
     shade_ellipsoids(panel, chosen)
     _fit_figure(figure, panel)
-    _number_points(panel, forward.points, arm.chain.base, 1.3 * half)
+    _number_points(panel, state.points, arm.chain.base, 1.3 * half)
     _add_legends(figure, panel, chosen)
     kind = "planar" if planar else "spatial"
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"

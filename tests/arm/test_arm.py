@@ -452,7 +452,13 @@ def test_threads_may_share_an_arm(arm: pp.Arm) -> None:
 
     def measure(q: np.ndarray) -> list[np.ndarray]:
         state = fresh.at(q)
-        return [state.points, state.rotations, state.jacobians, state.manipulability(), state.compiled.points]
+        return [
+            state.points,
+            state.rotations,
+            state.jacobians,
+            state.manipulability(),
+            state.chain_state.points,
+        ]
 
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)  # threads take turns within each call

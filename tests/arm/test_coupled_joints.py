@@ -54,7 +54,7 @@ def test_kinematics_are_those_of_pinocchio(seed):
         q = arm.random(rng)
         pin.computeJointJacobians(arm.model, data, q)
         pin.updateFramePlacements(arm.model, data)
-        for state in (arm.at(q), arm.at(q).compiled):
+        for state in (arm.at(q), arm.chain_at(q)):
             for k, name in enumerate(arm.control_points):
                 frame = arm.model.getFrameId(name)
                 jacobian = pin.getFrameJacobian(arm.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
@@ -69,7 +69,7 @@ def test_jacobians_are_finite_differences(seed):
     arm = coupled_arm(seed)
     step = 1e-6
     q = arm.random(seed)
-    for state in (arm.at(q), arm.at(q).compiled):
+    for state in (arm.at(q), arm.chain_at(q)):
         for j, unit in enumerate(np.eye(arm.nv)):
             ahead, behind = (arm.at(arm.integrate(q, sign * step * unit)).points for sign in (1, -1))
             np.testing.assert_allclose(state.jacobians[:, :, j], (ahead - behind) / (2 * step), atol=1e-9)
@@ -284,7 +284,7 @@ def test_modules_do_not_cut_through_coupled_joints():
 
 def test_every_posture_control_matrix_is_that_of_the_dense_jacobian():
     arm = coupled_arm(4)
-    state = arm.at(arm.random(1)).compiled
+    state = arm.chain_at(arm.random(1))
     known = arm.kinematics.task_constants
     screws = state.screws
     rows = Rows(known.every, known.dimensions, known.frames, FULL)

@@ -8,7 +8,8 @@ import pytest
 from sampling import seeds
 
 import pinposture as pp
-from pinposture import kernels
+from pinposture.arm import ChainState
+from pinposture.arm.arm import PinocchioState
 from pinposture.errors import InvalidValue
 
 KINDS = {
@@ -71,20 +72,29 @@ def test_the_pass_along_the_chain_gives_what_pinocchio_does(seed):
     for arm in (odd_arm(seed), pp.Arm.from_template(name, int(rng.integers(1, 30)))):
         q = arm.integrate(arm.neutral(), rng.normal(size=arm.nv))
         state = arm.at(q)
-        assert state.frames is not None
-        size = max(1.0, arm.length)
-        np.testing.assert_allclose(state.forward.points, state.points, atol=1e-12 * size)
-        np.testing.assert_allclose(state.forward.rotations, state.rotations, atol=1e-12)
-        compiled = arm.kinematics.jacobians(state.forward)
-        np.testing.assert_allclose(compiled, state.jacobians, atol=1e-12 * size)
-        lines = state.forward.axes, state.forward.origins
-        chain = arm.kinematics
-        known = arm.kinematics.task_constants
-        screws = state.screws.screws
-        along = np.empty_like(screws)
-        given = chain.constants, known.joints, known.units, *lines, chain.ends, state.forward.points
-        kernels.find_screws(*given, along)
-        np.testing.assert_allclose(along, screws, atol=1e-12 * size * known.units.max())
+        chain = arm.chain_at(q)
+        assert isinstance(state, PinocchioState)
+        size = 1e-12 * max(1.0, arm.length)
+        for name in ("q", "positions", "points", "rotations", "origins", "links", "jacobians", "axes"):
+            np.testing.assert_allclose(getattr(chain, name), getattr(state, name), atol=size, err_msg=name)
+        units = arm.kinematics.task_constants.units.max()
+        np.testing.assert_allclose(chain.screws.screws, state.screws.screws, atol=size * units)
+        np.testing.assert_allclose(chain.manipulability(), state.manipulability(), atol=1e-7)
+        step = 0.1 * rng.normal(size=arm.nv)
+        assert type(state.moved(step)) is PinocchioState
+        np.testing.assert_allclose(chain.moved(step).points, state.moved(step).points, atol=size)
+
+
+def test_an_arm_too_long_for_pinocchio_is_computed_along_the_chain():
+    arm = pp.Arm.from_template("RyRz", 51)
+    state = arm.at(0.1 * np.ones(arm.nv))
+    assert isinstance(state, ChainState)
+    assert state.chain_state is state
+    points, rotations, jacobians, angular = by_pinocchio(arm, state.q)
+    np.testing.assert_allclose(state.points, points, atol=1e-12 * arm.length)
+    np.testing.assert_allclose(state.rotations, rotations, atol=1e-12)
+    np.testing.assert_allclose(state.jacobians, jacobians, atol=1e-12 * arm.length)
+    np.testing.assert_allclose(state.angular_jacobians, angular, atol=1e-12)
 
 
 def test_each_thread_reads_for_itself():

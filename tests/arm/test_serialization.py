@@ -123,7 +123,7 @@ def same_to_the_last_bit(arm: pp.Arm, again: pp.Arm) -> None:
     assert again.length == arm.length and again.characteristic_length == arm.characteristic_length
     assert again.report == arm.report and again.spec == arm.spec and again.urdf == arm.urdf
     q = arm.random(0)
-    for one, other in ((arm.at(q), again.at(q)), (arm.at(q).compiled, again.at(q).compiled)):
+    for one, other in ((arm.at(q), again.at(q)), (arm.chain_at(q), again.chain_at(q))):
         for name in ("points", "rotations", "jacobians", "axes"):
             np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
 

@@ -144,7 +144,7 @@ def test_the_summary_tells_how_far_the_whole_arm_is_from_the_curve(command, arm_
     run = pp.load(tmp_path / "run.npz", pp.Run)
     corners = [run.arm.chain.base]
     for k, joints in enumerate(run.arm.chain.module_slices):
-        corners += [*run.arm.at(run.q[-1]).forward.origins[joints], run.points[-1][k]]
+        corners += [*run.arm.at(run.q[-1]).origins[joints], run.points[-1][k]]
     shares = np.linspace(0.0, 1.0, 800)[:, None]
     places = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
     farthest = run.target.curve.nearest(places).distance.max()

@@ -36,7 +36,7 @@ def test_it_has_the_distance_of_the_whole_arm_from_the_curve() -> None:
     state = arm.at(verdict.target.q)
     corners = [arm.chain.base]
     for k, joints in enumerate(arm.chain.module_slices):
-        corners += [*state.forward.origins[joints], state.points[k]]
+        corners += [*state.origins[joints], state.points[k]]
     shares = np.linspace(0.0, 1.0, 50)[:, None]
     places = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
     farthest = verdict.target.curve.nearest(places).distance.max()

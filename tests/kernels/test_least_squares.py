@@ -85,14 +85,14 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
     """At 1,000 joints: the slope of the sum at its minimum, by dense Jacobians, next to its terms."""
     arm = pp.Arm.from_template("RyRz", 500)
     rng = np.random.default_rng(0)
-    state = arm.at(0.2 * rng.normal(size=arm.nv))
+    state = arm.chain_at(0.2 * rng.normal(size=arm.nv))
     chain = arm.kinematics
     m = 500
     n = 1000
     errors = 0.02 * rng.normal(size=(m, 3))
     damping = np.full(n, 1e-6)
     screws = np.empty((n, 6))
-    placed = state.forward
+    placed = state.placements
     lines = placed.axes, placed.origins
     kernels.find_screws(chain.constants, np.arange(n), np.ones(n), *lines, chain.ends, placed.points, screws)
     p = Problem(

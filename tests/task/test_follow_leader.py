@@ -67,7 +67,7 @@ def rows(reference):
 def links(arm, q):
     """Joints that bend and the tip, of an arm whose only control points between them are at joints."""
     state = arm.at(q)
-    return np.vstack([state.forward.origins[1:], state.points[-1]])
+    return np.vstack([state.origins[1:], state.points[-1]])
 
 
 @pytest.mark.parametrize("method", ["closest", "sequential"])

@@ -72,7 +72,7 @@ def pixels(figure: Figure) -> np.ndarray:
 def test_the_parts_are_where_pinocchio_has_them(rng, make):
     arm = make()
     q = arm.random(rng)
-    parts = arm.at(q).forward
+    parts = arm.chain_at(q).placements
     model = arm.model
     data = arm.model.createData()
     pin.forwardKinematics(model, data, q)
@@ -140,7 +140,7 @@ def test_a_bar_lies_along_each_axis_about_its_joint(rng):
     arm = spatial()
     q = arm.random(rng)
     bars = flat_points(pp.plot_arm(arm, q), "axis of a joint that turns")
-    parts = arm.at(q).forward
+    parts = arm.chain_at(q).placements
     ends = bars.reshape(arm.nv, 3, 3)  # both ends, and a gap
     np.testing.assert_allclose(ends[:, :2].mean(axis=1), parts.origins, atol=1e-12)
     along = ends[:, 1] - ends[:, 0]
@@ -157,7 +157,7 @@ def test_a_planar_arm_is_drawn_in_its_plane_with_rings_for_axes_seen_from_the_en
     (ax,) = figure.axes
     assert ax.name == "rectilinear"
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "z [m]")
-    places = arm.at(arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4])).forward.origins[:, [0, 2]]
+    places = arm.at(arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4])).origins[:, [0, 2]]
     np.testing.assert_allclose(flat_points(figure, "axis of a joint that turns"), places, atol=1e-12)
 
 
@@ -165,7 +165,7 @@ def test_joints_that_slide_are_told_from_those_that_turn():
     arm = sliding(["0 0 1", "0 1 0", "0 1 0"], ["revolute", "prismatic", "revolute"])
     assert arm.dimension == 3
     figure = pp.plot_arm(arm)
-    parts = arm.at(arm.neutral()).forward
+    parts = arm.at(arm.neutral())
     for name, joints in (("slides", [1]), ("turns", [0, 2])):
         bars = flat_points(figure, f"axis of a joint that {name}").reshape(-1, 3, 3)[:, :2]
         np.testing.assert_allclose(bars.mean(axis=1), parts.origins[joints], atol=1e-12)

@@ -10,7 +10,7 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import ArmState
+from pinposture.arm import ChainState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.limits import JointBounds, stopping_steps
@@ -247,8 +247,8 @@ class Avoidance:
         self._length = objective.arm.length
         self._bounds = bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
-        self._seen: tuple[ArmState, Distances] | None = None
-        self._seen_displaced: tuple[ArmState, Distances] | None = None
+        self._seen: tuple[ChainState, Distances] | None = None
+        self._seen_displaced: tuple[ChainState, Distances] | None = None
         self._approved: tuple[Array, Array] | None = None
         brake = bounds.brake
         # The stopping distance, this step included, is the step times half the number of braking steps.
@@ -278,18 +278,18 @@ class Avoidance:
         """Return the avoidance for another objective and an arm at rest."""
         return Avoidance(self.clearance, objective, self._bounds)
 
-    def near(self, state: ArmState) -> Distances:
+    def near(self, state: ChainState) -> Distances:
         """Return the pairs within the constrained distance; the last result is cached."""
         if self._seen is None or self._seen[0] is not state:
             self._seen = state, self.clearance.nearest(state, self._sight)
         return self._seen[1]
 
-    def near_measured(self, state: ArmState) -> Distances | None:
+    def near_measured(self, state: ChainState) -> Distances | None:
         """Return the same of the measured arm; None without an offset. The last result is cached."""
         if self.offset is None:
             return None
         if self._seen_displaced is None or self._seen_displaced[0] is not state:
-            displaced = state.moved(self.offset).compiled
+            displaced = state.moved(self.offset)
             self._seen_displaced = state, self.clearance.nearest(displaced, self._sight)
         return self._seen_displaced[1]
 
@@ -298,7 +298,7 @@ class Avoidance:
         """Distance up to which pairs are constrained [m]."""
         return self.margin + CONSTRAINED_DISTANCE * self._length
 
-    def rows(self, state: ArmState, lower: Array, upper: Array) -> ConstraintRows | None:
+    def rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows | None:
         """Return the velocity damper: no pair may lose more than a share of its clearance in one step.
 
         The share leaves room to brake from the current speed. A pair that is too close has to gain clearance,
@@ -346,15 +346,15 @@ class Avoidance:
         share = np.where(near.rates == 0.0, GAIN_SHARE, RETREAT_GAIN_SHARE)
         return ConstraintRows(matrix, np.minimum(closing - approach * room, share * most))
 
-    def intrusion(self, state: ArmState) -> float:
+    def intrusion(self, state: ChainState) -> float:
         """Return by how much the nearest pair violates the margin [m]; 0 if all keep it."""
         return max(0.0, self.margin - self.near(state).minimum)
 
-    def allows(self, state: ArmState) -> bool:
+    def allows(self, state: ChainState) -> bool:
         """Whether all pairs keep the margin at a state; as `intrusion`, without what its derivatives need."""
         return self.clearance.minimum(state.q).distance >= self.margin
 
-    def lost(self, state: ArmState) -> bool:
+    def lost(self, state: ChainState) -> bool:
         """Whether the margin is lost, by more than rounding, in a scene whose obstacles have been moved."""
         return bool(self.clearance.scene.moving) and self.intrusion(state) > MOTION_TOLERANCE * self._length
 
@@ -391,7 +391,7 @@ class Avoidance:
         """
         return self.clearance.minimum_on_motions(q, path, least, least).distance >= least
 
-    def stops_clear(self, state: ArmState, dq: Array) -> bool:
+    def stops_clear(self, state: ChainState, dq: Array) -> bool:
         """Whether the arm keeps its margin during a step and while it then stops."""
         stopping = self._stopping(state, dq)
         least = self.margin - self._rounding
@@ -400,7 +400,7 @@ class Avoidance:
         self._approved = dq, stopping
         return True
 
-    def clear_step(self, state: ArmState, dq: Array) -> ClearStep:
+    def clear_step(self, state: ChainState, dq: Array) -> ClearStep:
         """Return the clear step closest to a wanted one, between it and braking.
 
         If even braking comes too close, because the arm was too close or too fast before, a step that comes
@@ -417,7 +417,7 @@ class Avoidance:
             return ClearStep(dq, 1.0, self._stopping(state, dq))
         bounds = self._bounds
         rest = np.zeros((1, len(dq)))
-        rooms = bounds.edges - state.forward.positions
+        rooms = bounds.edges - state.raw_positions
         braking = np.vstack([stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), rest])
         # Obstacles keep moving when the arm has stopped, so that all steps are compared at the same time.
         until = max(len(braking), len(self._stopping(state, dq)) + 1) if self.moving else 0
@@ -451,7 +451,9 @@ class Avoidance:
                 return found
         return ClearStep(braking[0], 0.0, braking[1:], relaxed)
 
-    def _brake_harder(self, state: ArmState, braking: Array, touching: float, until: int) -> ClearStep | None:
+    def _brake_harder(
+        self, state: ChainState, braking: Array, touching: float, until: int
+    ) -> ClearStep | None:
         """Return the gentlest step beyond the acceleration limits that prevents contact.
 
         None if a moving obstacle comes all the same.
@@ -466,12 +468,12 @@ class Avoidance:
                 return None
         return ClearStep(step, 0.0, stopping, (BRAKING_HARDER,))
 
-    def _stopping(self, state: ArmState, dq: Array) -> Array:
+    def _stopping(self, state: ChainState, dq: Array) -> Array:
         """Return the steps that stop the arm after a step, (k, nv)."""
         bounds = self._bounds
-        return stopping_steps(bounds.edges - (state.forward.positions + dq), dq, bounds.bound, bounds.brake)
+        return stopping_steps(bounds.edges - (state.raw_positions + dq), dq, bounds.bound, bounds.brake)
 
-    def _lowest(self, state: ArmState, steps: Array, below: float, until: int = 0) -> float:
+    def _lowest(self, state: ChainState, steps: Array, below: float, until: int = 0) -> float:
         """Return the smallest distance during steps (k, nv) [m]; exact only if it is smaller than `below`.
 
         The arm then rests until so many steps have passed.
@@ -489,7 +491,7 @@ class Avoidance:
     def _rounding(self) -> float:
         return 1e-12 * self._length
 
-    def describe_violations(self, state: ArmState) -> tuple[str, ...]:
+    def describe_violations(self, state: ChainState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin."""
         near = self.near(state)
         close = np.flatnonzero(near.distances < self.margin - 1e-9 * self._length)
@@ -497,13 +499,13 @@ class Avoidance:
         more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
         return (*words[:MAX_NAMED_PAIRS], *more)
 
-    def describe_closest(self, state: ArmState) -> str:
+    def describe_closest(self, state: ChainState) -> str:
         """Describe the closest pair."""
         near = self.near(state)
         return self._describe(near, near.distances == near.minimum)[0]
 
     def describe_obstruction(
-        self, state: ArmState, solution: Solution | None, stuck: bool
+        self, state: ChainState, solution: Solution | None, stuck: bool
     ) -> tuple[str, ...]:
         """Describe the pairs that limit a step: those with active rows, or all close ones if stuck."""
         near = self.near(state)

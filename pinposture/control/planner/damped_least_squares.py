@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm import ArmState
+from pinposture.arm import ChainState
 from pinposture.control.limits import StepBox
 from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
@@ -67,7 +67,7 @@ class StepBounds(NamedTuple):
             arm to move.
     """
 
-    state: ArmState
+    state: ChainState
     lower: Array
     upper: Array
     rows: ConstraintRows | None
@@ -75,7 +75,7 @@ class StepBounds(NamedTuple):
 
     @classmethod
     def of(
-        cls, objective: Objective, state: ArmState, box: StepBox, avoidance: Avoidance | None
+        cls, objective: Objective, state: ChainState, box: StepBox, avoidance: Avoidance | None
     ) -> StepBounds:
         """Return the bounds that limits and obstacles impose."""
         lower, upper = (np.clip(objective.normalize(side), -MAX_STEP, MAX_STEP) for side in box.sides)
@@ -102,7 +102,7 @@ class LeastSquaresResult(NamedTuple):
         intrusion: by how much the arm is closer to an obstacle or itself than it may be [m]; 0 if clear.
     """
 
-    state: ArmState
+    state: ChainState
     cost: float
     mean_error: float
     intrusion: float
@@ -249,7 +249,7 @@ def correct_curvature(
 
 def minimize(
     objective: Objective,
-    state: ArmState,
+    state: ChainState,
     edges: Array,
     avoidance: Avoidance | None,
     good: float,
@@ -307,17 +307,16 @@ def minimize(
 
 
 def _minimize_alone(
-    objective: Objective, state: ArmState, edges: Array, good: float, steps: int
+    objective: Objective, state: ChainState, edges: Array, good: float, steps: int
 ) -> LeastSquaresResult:
     """Run `minimize` for points and chords in free space, in one compiled call."""
-    arm = objective.arm
-    positions = state.forward.positions.copy()
+    positions = state.raw_positions.copy()
     squares, mean = _search(objective, positions, edges, good, steps)
-    found = arm.at(arm.integrate(state.q, positions - state.forward.positions)).compiled
+    found = state.moved(positions - state.raw_positions)
     return LeastSquaresResult(found, 0.5 * squares, mean, 0.0)
 
 
-def find_positions_near(objective: Objective, state: ArmState, edges: Array) -> Array | None:
+def find_positions_near(objective: Objective, state: ChainState, edges: Array) -> Array | None:
     """Return joint positions that take the target posture, near those of a state.
 
     Args:
@@ -335,7 +334,7 @@ def find_positions_near(objective: Objective, state: ArmState, edges: Array) -> 
         return arm.difference(arm.origin, target.q) if len(objective.active) == arm.n_modules else None
     if objective.mean_error(state) > SHORT_MOTION * arm.length:
         return None
-    positions = state.forward.positions.copy()
+    positions = state.raw_positions.copy()
     good = GOAL_TOLERANCE * arm.length
     return positions if _search(objective, positions, edges, good, MAX_QUICK_STEPS)[1] <= good else None
 
@@ -383,7 +382,7 @@ def damped_hessian(matrix: Array, damping: float) -> Array:
     return hessian
 
 
-def _error_scale(objective: Objective, state: ArmState) -> float:
+def _error_scale(objective: Objective, state: ChainState) -> float:
     """Return the factor in (0, 1] that brings the largest error of a control point to one module length."""
     errors = objective.target.distances(state.points)
     typical = objective.arm.length / objective.arm.n_modules

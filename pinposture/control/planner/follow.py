@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture._validation import require_instance
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.arm.arm import arm_of
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
@@ -188,16 +188,14 @@ class PathProgress(NamedTuple):
             taken,
         )
 
-    def matches(self, state: ArmState) -> bool:
+    def matches(self, state: ChainState) -> bool:
         """Whether the arm is close enough to its expected position to stay on the path."""
         arm = self.path.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
         chain = arm.kinematics
         units = self.timed.bounds.units
-        away = kernels.joint_distance(
-            self.expected, state.forward.positions, chain.endless, chain.columns, units
-        )
+        away = kernels.joint_distance(self.expected, state.raw_positions, chain.endless, chain.columns, units)
         return away <= MAX_DEVIATION
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
@@ -273,7 +271,7 @@ def follow(
         raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")
     require_step_arguments(state, path.path.objective.target, memory)
     limits = path.limits if limits is None else require_limits(limits)
-    state = state.compiled
+    state = state.chain_state
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq
     progress = known if known is not None and known.timed is path else PathProgress.begin(path, previous)
@@ -283,7 +281,7 @@ def follow(
     return advance(progress, state, limits, limits.box(state, previous), avoidance) if step is None else step
 
 
-def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> Step | None:
+def fast_step(progress: PathProgress, state: ChainState, bounds: JointBounds) -> Step | None:
     """Take the next step on a path without obstacles in the simple case; several are computed in one call.
 
     Most steps are of this kind. None in all other cases, which `advance` handles: limits that cannot be kept,
@@ -330,7 +328,7 @@ def _rises(objective: Objective, before: float, after: float) -> bool:
     return after > before + ERROR_ROUNDING * objective.arm.length
 
 
-def _is_expected(progress: PathProgress, state: ArmState) -> bool:
+def _is_expected(progress: PathProgress, state: ChainState) -> bool:
     """Whether the arm is at its expected position, up to rounding."""
     if progress.expected is None:
         return False
@@ -338,7 +336,7 @@ def _is_expected(progress: PathProgress, state: ArmState) -> bool:
     return bool(off.dot(off) <= BOX_SLACK**2)
 
 
-def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -> StepsAhead:
+def _steps_ahead(progress: PathProgress, state: ChainState, bounds: JointBounds) -> StepsAhead:
     """Compute the next simple steps on a path; only one if the arm is not at its expected position."""
     arm = state.arm
     path = progress.path
@@ -346,7 +344,7 @@ def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -
     expected = progress.expected
     count = STEPS_AHEAD
     if expected is None:
-        expected = state.forward.positions
+        expected = state.raw_positions
     elif not _is_expected(progress, state):
         count = 1
     found = NextSteps(
@@ -360,8 +358,8 @@ def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -
         arm.kinematics.constants,
         arm.kinematics.endless,
         bounds.arrays,
-        state.forward.positions,
-        state.forward.points,
+        state.raw_positions,
+        state.placements.points,
         path.offsets,
         path.positions,
         progress.place,
@@ -374,7 +372,7 @@ def _steps_ahead(progress: PathProgress, state: ArmState, bounds: JointBounds) -
     return StepsAhead(bounds, places, found.errors.tolist(), found.dq, found.reached, found.at_limit)
 
 
-def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:
+def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -> Step | None:
     """Take the step to a configuration that takes the target posture, if it is one short step away.
 
     This is the usual case for a target that moves a little in each cycle.
@@ -399,8 +397,8 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
         arm.kinematics.constants,
         arm.kinematics.endless,
         bounds.arrays,
-        state.forward.positions,
-        state.forward.points,
+        state.raw_positions,
+        state.placements.points,
         goal,
         arm.multi_turn,
         SHORT_MOTION,
@@ -421,7 +419,7 @@ def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> 
 
 
 def pursue(
-    objective: Objective, state: ArmState, limits: Limits, memory: Memory | None
+    objective: Objective, state: ChainState, limits: Limits, memory: Memory | None
 ) -> tuple[Step | None, Goal | None]:
     """Take the step with which each joint catches up with its moving goal soonest and then stays on it.
 
@@ -450,7 +448,7 @@ def pursue(
     if found is None or bounds.brake is None:
         return None, None
     if target.q is not None:  # its configuration may miss the points
-        missed = objective.mean_error(arm.at(target.q).compiled)
+        missed = objective.mean_error(arm.chain_at(target.q))
         if missed > GOAL_TOLERANCE * arm.length:
             return None, None
     motion = none if before is None else _turned(arm, found - before.positions)
@@ -464,7 +462,7 @@ def pursue(
     if not (steady and np.any(motion)):
         return None, goal
     columns = objective.columns
-    positions = state.forward.positions
+    positions = state.raw_positions
     rest = _turned(arm, found - positions)
     near = np.abs(rest) <= MAX_PURSUED_MOTION * arm.joint_units
     moves = near & (np.abs(motion) <= bounds.bound)
@@ -484,7 +482,7 @@ def pursue(
         bounds.units,
         box.sides,
         bounds.edges,
-        state.forward.points,
+        state.placements.points,
         chain.targets,
         chain.flags,
         dq,
@@ -526,7 +524,7 @@ class CandidateStep(NamedTuple):
 
 
 def advance(
-    progress: PathProgress, state: ArmState, limits: Limits, box: StepBox, avoidance: Avoidance | None
+    progress: PathProgress, state: ChainState, limits: Limits, box: StepBox, avoidance: Avoidance | None
 ) -> Step:
     """Take a step along a path, or at its end; the step is finite, within its limits and clear.
 
@@ -551,7 +549,7 @@ deviate by up to 0.5 % of it; a task that is held has no change, so it is held."
 
 def step_along(
     progress: PathProgress,
-    state: ArmState,
+    state: ChainState,
     box: StepBox,
     limits: Limits,
     avoidance: Avoidance | None = None,
@@ -623,7 +621,7 @@ def _planned_errors(path: JointPath, place: float, count: int) -> Array:
     share = place / path.end
     straight = (1.0 - share) * before + share * after
     arm = path.arm
-    state = arm.at(arm.integrate(path.start, path.smooth_offset(place))).compiled
+    state = arm.chain_at(arm.integrate(path.start, path.smooth_offset(place)))
     rows = cast(LinearRows, path.objective.task_rows(state, priority=True))
     off = rows.errors - straight
     most = TASK_DEVIATION * float(np.linalg.norm(after - before))
@@ -648,7 +646,7 @@ class _Proposal(NamedTuple):
     dq: Array
 
 
-def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds: JointBounds) -> _Proposal:
+def _next_on_path(progress: PathProgress, state: ChainState, box: StepBox, bounds: JointBounds) -> _Proposal:
     timed = progress.timed
     path = progress.path
     here = progress.place
@@ -684,7 +682,7 @@ def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds:
     return _Proposal(place, left, inside, hindered, dq)
 
 
-def _lags_behind(progress: PathProgress, state: ArmState) -> bool:
+def _lags_behind(progress: PathProgress, state: ChainState) -> bool:
     """Whether a joint lags behind its place on the path by more than `MAX_LAG`."""
     lag = progress.path.offset(progress.place) - progress.path.offset_of(state, progress.place)
     return bool(np.any((np.abs(lag) > MAX_LAG * progress.timed.bounds.bound)[progress.objective.columns]))
@@ -739,7 +737,7 @@ def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
 
 def _check_step(
     candidate: CandidateStep,
-    state: ArmState,
+    state: ChainState,
     bounds: JointBounds,
     box: StepBox,
     avoidance: Avoidance | None,
@@ -781,11 +779,11 @@ def _check_step(
     sides = box.sides if share == 1.0 else UNBOUNDED_STEP * np.ones((2, arm.nv))
     before_error, after_error = kernels.look_ahead(
         arm.kinematics.constants,
-        state.forward.positions,
+        state.raw_positions,
         bounds.units,
         sides,
         bounds.edges,
-        state.forward.points,
+        state.placements.points,
         objective.chain.targets,
         objective.chain.flags,
         dq,

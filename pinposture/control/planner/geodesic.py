@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture._validation import finite_array
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
@@ -123,13 +123,13 @@ class Geodesic:
         """Compute one step; see `Controller.step`. The first step to a target plans and takes longer."""
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
+        state = state.chain_state
         bounds = limits.for_arm(state.arm)
         before = memory.progress if isinstance(memory, GeodesicMemory) else None
         if before is not None and before.timed.bounds is bounds and self._is_unchanged(before, state, target):
             step = fast_step(before, state, bounds)
             if step is not None:
                 return step
-        state = state.compiled
         scheduled = before is not None and before.timed.scheduled and not before.arrived
         if not (self.tasks or scheduled) and self.scene is None:
             target.check(state.arm)
@@ -149,7 +149,7 @@ class Geodesic:
 
     def _follow(
         self,
-        state: ArmState,
+        state: ChainState,
         target: Target,
         limits: Limits,
         memory: Memory | None,
@@ -195,18 +195,18 @@ class Geodesic:
             InvalidValue: the target of the path does not fit the arm.
         """
         path.path.objective.target.check(state.arm)
-        progress = PathProgress(path, expected=state.forward.positions)
+        progress = PathProgress(path, expected=state.raw_positions)
         motion = Memory(np.zeros(state.arm.nv)) if memory is None else memory
         return GeodesicMemory(motion.dq, motion.stopping, progress)
 
-    def _is_unchanged(self, progress: PathProgress, state: ArmState, target: Target) -> bool:
+    def _is_unchanged(self, progress: PathProgress, state: ChainState, target: Target) -> bool:
         """Whether the step needs neither planning nor collision avoidance."""
         simple = not self.tasks and self.scene is None and progress.idle_travel < MAX_IDLE_TRAVEL
         objective = progress.objective
         return simple and objective.target is target and objective.arm is state.arm
 
     def _update(
-        self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None
+        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None
     ) -> PathProgress:
         """Return the progress, on a new path for the first step, a new target or lack of progress."""
         if progress is not None and not progress.matches(state):
@@ -231,7 +231,9 @@ class Geodesic:
         path = shortcut(updated.path, updated.place, state, bounds, avoidance, prompt=not self.plans)
         return updated if path is None else PathProgress(retime(path, limits))
 
-    def _go_on(self, state: ArmState, target: Target, limits: Limits, progress: PathProgress) -> PathProgress:
+    def _go_on(
+        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress
+    ) -> PathProgress:
         """Return the progress to the same target, on another path if the arm makes none on this one."""
         if progress.objective.tasks != self.tasks:  # moving tasks need no new path
             progress = progress.along(progress.path.revised(objective=self._objective(state, target)))
@@ -245,7 +247,7 @@ class Geodesic:
         return PathProgress(retime(self._find_path(progress.objective, state, limits, attempt), limits))
 
     def _find_path(
-        self, objective: Objective, state: ArmState, limits: Limits, attempt: int = 0
+        self, objective: Objective, state: ChainState, limits: Limits, attempt: int = 0
     ) -> JointPath:
         bounds = limits.for_arm(state.arm)
         avoidance = Avoidance.of(self.scene, objective, bounds)
@@ -257,7 +259,7 @@ class Geodesic:
         return path
 
     def _plan(
-        self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None
+        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None
     ) -> PathProgress:
         """Return the progress to another target, on the current path if it can be bent."""
         bounds = limits.for_arm(state.arm)
@@ -274,7 +276,9 @@ class Geodesic:
             return PathProgress(retime(path, limits))
         return progress.bent_to(path, bend, limits)
 
-    def _objective(self, state: ArmState, target: Target, progress: PathProgress | None = None) -> Objective:
+    def _objective(
+        self, state: ChainState, target: Target, progress: PathProgress | None = None
+    ) -> Objective:
         """Return the objective; reuse that of the progress if only the target differs."""
         if progress is not None:
             known = progress.objective
@@ -288,7 +292,7 @@ class Geodesic:
         return self.objective(state.arm, target)
 
     def _return(
-        self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
+        self, state: ChainState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step:
         """Take a step back into the position limits, where a path can begin."""
         arm = state.arm
@@ -312,7 +316,7 @@ class Geodesic:
         return _step_before_planning(state, target, dq, violated, reason, stopping)
 
     def _back_out(
-        self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
+        self, state: ChainState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step | None:
         """Take the smallest step that leads the arm out of an obstacle, from inside which no path is clear.
 
@@ -325,7 +329,7 @@ class Geodesic:
         if avoidance is None or avoidance.near(state).minimum >= 0.0:
             return None
         cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
-        after = state.moved(cleared.dq).compiled
+        after = state.moved(cleared.dq)
         gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
         if gained < MIN_CLEARANCE_GAIN * state.arm.length:
             return None
@@ -359,7 +363,7 @@ class Geodesic:
         if self.scene is None or not (self.scene.moving or self.offset is not None):
             return memory.braked(limits, state)
         objective = self.objective(state.arm, target)
-        state = state.compiled
+        state = state.chain_state
         model = CollisionModel(state.arm, self.scene)
         avoidance = Avoidance(model, objective, limits.for_arm(state.arm), memory.dq, self.offset)
         if not (avoidance.moving or avoidance.offset is not None or avoidance.lost(state)):
@@ -392,12 +396,12 @@ def plan_from(
     Returns:
         The progress at the start of the path, without objective and scene; see `adopt_plan`.
     """
-    state = arm.at(q).compiled
+    state = arm.chain_at(q)
     objective = controller.objective(arm, target)
     path = controller._find_path(objective, state, limits, attempt)
     progress = PathProgress.begin(retime(path, limits), previous)
     bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
-    return progress.along(progress.path.revised(**bare))._replace(expected=state.forward.positions)
+    return progress.along(progress.path.revised(**bare))._replace(expected=state.raw_positions)
 
 
 def adopt_plan(
@@ -439,9 +443,9 @@ def _smallest_motion(avoidance: Avoidance, bounds: StepBounds) -> Array:
     return avoidance.objective.displacement(x)
 
 
-def _is_almost_inside(state: ArmState, bounds: JointBounds) -> bool:
+def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
     """Whether joints are outside their limits at most as far as noise and disturbances take an arm."""
-    positions = state.forward.positions
+    positions = state.raw_positions
     most = MAX_DEVIATION * state.arm.joint_units
     return bool(np.all((positions >= bounds.edges[0] - most) & (positions <= bounds.edges[1] + most)))
 
@@ -453,7 +457,7 @@ def _within(progress: PathProgress, limits: Limits) -> PathProgress:
 
 
 def _step_before_planning(
-    state: ArmState,
+    state: ChainState,
     target: Target,
     dq: Array,
     violated_constraints: tuple[str, ...],
@@ -463,7 +467,7 @@ def _step_before_planning(
     """Return a step to where a path can begin, with a memory of the step alone."""
     arm = state.arm
     active = tuple(int(k) for k in np.flatnonzero(target.has_target))
-    after = state.moved(dq).compiled
+    after = state.moved(dq)
     return Step(
         dq,
         active,
@@ -476,7 +480,7 @@ def _step_before_planning(
     )
 
 
-def _explain_collision(step: Step, avoidance: Avoidance, state: ArmState) -> Step:
+def _explain_collision(step: Step, avoidance: Avoidance, state: ChainState) -> Step:
     """Return a step that does not move; if the arm is in collision, it says that no step leads out."""
     if avoidance.near(state).minimum >= 0.0:
         return step
@@ -492,5 +496,5 @@ def _are_alike(one: Target, other: Target) -> bool:
     return known and np.array_equal(one.points, other.points) and np.array_equal(one.weights, other.weights)
 
 
-def _posture_error(state: ArmState, target: Target) -> float:
+def _posture_error(state: ChainState, target: Target) -> float:
     return float(target.distances(state.points).sum())

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture._validation import require_instance, require_positive
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import Arm, ChainState
 from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.control.controller import task_errors
 from pinposture.control.tasks import ControlTask
@@ -83,9 +83,9 @@ class ChainObjective(NamedTuple):
     chords: Array
     normal: Array
 
-    def points_of(self, state: ArmState) -> Array:
+    def points_of(self, state: ChainState) -> Array:
         """Return the positions of the control points that have a target, (p, 3) [m]."""
-        points = state.forward.points
+        points = state.placements.points
         return points if len(self.has_target) == len(points) else points[self.has_target]
 
 
@@ -196,7 +196,7 @@ class Objective:
         """Return the same objective for another target."""
         return replace(self, target=target)
 
-    def rows(self, state: ArmState) -> LinearRows:
+    def rows(self, state: ChainState) -> LinearRows:
         """Return all rows without priority, times the roots of their weights."""
         points = self.posture_rows(state, task_errors(state, self.target)[self.chain.has_target])
         weighed = self.task_rows(state, priority=False)
@@ -204,7 +204,7 @@ class Objective:
             return points
         return LinearRows(*(np.concatenate(both) for both in zip(points, weighed, strict=True)))
 
-    def posture_rows(self, state: ArmState, errors: Array) -> LinearRows:
+    def posture_rows(self, state: ChainState, errors: Array) -> LinearRows:
         """Return the rows of points and chords, for errors of the points, (p, dimension) [m]."""
         jacobians = state.task_jacobians[self.chain.has_target][:, :, self.columns]
         return LinearRows(self._weigh(jacobians).reshape(-1, len(self.columns)), self._weigh(errors).ravel())
@@ -216,7 +216,7 @@ class Objective:
             return np.asarray(points * values)
         return np.concatenate([points * values, chords * (values[1:] - values[:-1])])
 
-    def task_rows(self, state: ArmState, priority: bool) -> LinearRows | None:
+    def task_rows(self, state: ChainState, priority: bool) -> LinearRows | None:
         """Return the rows of the tasks with or without priority, times the roots of weights; None if none."""
         matrices = []
         errors = []
@@ -228,7 +228,7 @@ class Objective:
                 errors.append(root * rows.error)
         return LinearRows(np.concatenate(matrices), np.concatenate(errors)) if matrices else None
 
-    def point_errors(self, state: ArmState) -> tuple[Array, float]:
+    def point_errors(self, state: ChainState) -> tuple[Array, float]:
         """Return the errors of the control points that have a target, (p, 3) [m], and their sum of squares.
 
         The errors of a planar arm are measured in its plane. The sum is weighted and includes chords.
@@ -240,7 +240,7 @@ class Objective:
         )
         return errors, squares
 
-    def cost(self, state: ArmState) -> float:
+    def cost(self, state: ChainState) -> float:
         """Return half the sum of all squares [m^2], tasks with priority times `PRIORITY_WEIGHT`."""
         total = self.point_errors(state)[1]
         for priority in (False, True):
@@ -249,7 +249,7 @@ class Objective:
                 total += (PRIORITY_WEIGHT if priority else 1.0) * float(rows.errors @ rows.errors)
         return 0.5 * total
 
-    def mean_error(self, state: ArmState) -> float:
+    def mean_error(self, state: ChainState) -> float:
         """Return the mean distance of the control points from their targets [m]."""
         errors = self.point_errors(state)[0]
         return kernels.sum_point_errors(errors, np.zeros_like(errors), self._layout.every) / len(errors)
@@ -275,9 +275,9 @@ class Objective:
         squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
         return np.asarray(np.sqrt(squares + self.mu**2 * (joints**2).sum(axis=1)))
 
-    def state_after(self, state: ArmState, x: Array) -> ArmState:
+    def state_after(self, state: ChainState, x: Array) -> ChainState:
         """Return the state after a step x, (n,)."""
-        return self.arm.at(self.arm.integrate(state.q, self.displacement(x))).compiled
+        return state.moved(self.displacement(x))
 
     def displacement(self, x: Array) -> Array:
         """Return joint displacements (..., nv) [rad or m] of steps x, (..., n); other joints do not move."""
@@ -329,12 +329,12 @@ class ChainSolver:
         weight: weight of all points and chords relative to joint motion; 0: only joint motion counts.
     """
 
-    def __init__(self, objective: Objective, state: ArmState, weight: float = 1.0) -> None:
+    def __init__(self, objective: Objective, state: ChainState, weight: float = 1.0) -> None:
         self._objective = objective
         self._state = state
         self._weight = weight
         chain = objective.chain
-        forward = state.forward
+        forward = state.placements
         points = chain.points_of(state)
         screws = np.empty((len(chain.joints), 6))
         kernels.find_screws(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture._validation import require_instance, require_positive
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import Arm, ChainState
 from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
@@ -134,7 +134,7 @@ class JointPath:
         """Return the configuration at a place, (nq,)."""
         return self.arm.integrate(self.start, self.offset(place))
 
-    def offset_of(self, state: ArmState, place: float) -> Array:
+    def offset_of(self, state: ChainState, place: float) -> Array:
         """Return the displacement (nv,) from the start to a state near a place, with full turns of joints."""
         here = self.offset(place)
         on_path = self.arm.integrate(self.start, here)
@@ -181,7 +181,7 @@ class JointPath:
         offsets = np.ascontiguousarray(np.minimum(np.maximum(offsets, lowest), highest))
         return replace(self, offsets=offsets)
 
-    def stride(self, state: ArmState, place: float, sides: Array) -> Stride:
+    def stride(self, state: ChainState, place: float, sides: Array) -> Stride:
         """Return the step to the farthest place such that the limits admit all places up to it.
 
         Such steps always reach the end. Let L = sum over remaining pieces of max_j |dq_j| / b_j be the length
@@ -199,7 +199,7 @@ class JointPath:
         reached, left, inside = kernels.step_along(
             self.offsets,
             self.positions,
-            state.forward.positions,
+            state.raw_positions,
             self.arm.kinematics.endless,
             self.objective.columns,
             self.objective.chain.units,

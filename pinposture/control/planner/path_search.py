@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import ArmState, smooth_configuration
+from pinposture.arm import ChainState, smooth_configuration
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import minimize
 from pinposture.control.planner.objective import Objective
@@ -93,8 +93,8 @@ class PathSearch:
     def __init__(
         self,
         objective: Objective,
-        start: ArmState,
-        goal: ArmState,
+        start: ChainState,
+        goal: ChainState,
         edges: Array,
         avoidance: Avoidance,
         least: float,
@@ -152,9 +152,9 @@ class PathSearch:
                 return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
         return None
 
-    def state_at(self, offset: Array) -> ArmState:
+    def state_at(self, offset: Array) -> ChainState:
         """Return the state at an offset, (nv,)."""
-        return self.arm.at(self.arm.integrate(self.start.q, offset)).compiled
+        return self.start.moved(offset)
 
     # Tree search.
 
@@ -290,7 +290,7 @@ class _Withdrawal:
         self._search = search
         self.offsets = [offset]
         self._state = search.state_at(offset)
-        self._curve = np.vstack([search.arm.chain.base, self._state.forward.points])
+        self._curve = np.vstack([search.arm.chain.base, self._state.placements.points])
         lengths = np.linalg.norm(np.diff(self._curve, axis=0), axis=1)
         self._places = np.concatenate([[0.0], np.cumsum(lengths)])
         self._near = NEAR_SHARE * self._places[-1]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture._validation import require_positive
-from pinposture.arm import ArmState
+from pinposture.arm import ArmState, ChainState
 from pinposture.collision import Closest, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control.controller import require_step_arguments
@@ -151,18 +151,18 @@ def plan(
         if progress is not None and progress(trying, perf_counter() - began, best) is True:
             raise KeyboardInterrupt
 
-    return find_path(objective, state.compiled, bounds, avoidance, 0, began + budget, report)
+    return find_path(objective, state.chain_state, bounds, avoidance, 0, began + budget, report)
 
 
 def find_path(
     objective: Objective,
-    state: ArmState,
+    state: ChainState,
     bounds: JointBounds,
     avoidance: Avoidance | None,
     attempt: int = 0,
     until: float = inf,
     report: Report | None = None,
-    goal: ArmState | None = None,
+    goal: ChainState | None = None,
 ) -> JointPath:
     """Find the goal configuration and the most direct clear path to it.
 
@@ -193,8 +193,8 @@ def find_path(
 
 def short_path(
     objective: Objective,
-    state: ArmState,
-    goal: ArmState | None,
+    state: ChainState,
+    goal: ChainState | None,
     bounds: JointBounds,
     avoidance: Avoidance | None,
 ) -> JointPath | None:
@@ -227,7 +227,7 @@ def short_path(
 def shortcut(
     path: JointPath,
     place: float,
-    state: ArmState,
+    state: ChainState,
     bounds: JointBounds,
     avoidance: Avoidance,
     prompt: bool = False,
@@ -254,7 +254,7 @@ def shortcut(
         return None
     if np.any(avoidance.near(state).rates < 0.0):  # an obstacle still approaches
         return None
-    possible = _possible_clearance(avoidance, state, arm.at(goal).compiled)
+    possible = _possible_clearance(avoidance, state, arm.chain_at(goal))
     if not avoidance.keeps(state.q, straight, possible):  # quicker than finding the path
         return None
     direct = direct_path(objective, state.q, goal, bounds.edges)
@@ -268,11 +268,11 @@ def shortcut(
 
 def find_goal(
     objective: Objective,
-    state: ArmState,
+    state: ChainState,
     edges: Array,
     avoidance: Avoidance | None,
     good: float,
-    before: ArmState | None = None,
+    before: ChainState | None = None,
     enough: float = 0.0,
     prompt: bool = False,
 ) -> LeastSquaresResult:
@@ -329,7 +329,7 @@ def _is_good_enough(objective: Objective, found: LeastSquaresResult, good: float
     return fulfilled and found.mean_error <= good
 
 
-def _is_held(objective: Objective, state: ArmState) -> bool:
+def _is_held(objective: Objective, state: ChainState) -> bool:
     """Whether tasks with priority hold the arm: their errors are within a module length."""
     tasks = objective.task_rows(state, priority=True)
     typical = objective.arm.length / objective.arm.n_modules
@@ -337,8 +337,8 @@ def _is_held(objective: Objective, state: ArmState) -> bool:
 
 
 def _starts(
-    objective: Objective, state: ArmState, edges: Array, held: bool, before: ArmState | None
-) -> Iterator[ArmState]:
+    objective: Objective, state: ChainState, edges: Array, held: bool, before: ChainState | None
+) -> Iterator[ChainState]:
     arm = objective.arm
     target = objective.target
     if before is not None and target.q is None:
@@ -359,7 +359,7 @@ def _starts(
         yield _within_limits(objective, state, arm.integrate(origin, change), edges)
 
 
-def _within_limits(objective: Objective, state: ArmState, q: Array, edges: Array) -> ArmState:
+def _within_limits(objective: Objective, state: ChainState, q: Array, edges: Array) -> ChainState:
     """Return the state at a configuration, clipped at the limits; joints that do not matter stay.
 
     Multi-turn joints take the turn nearest to the current state.
@@ -373,7 +373,7 @@ def _within_limits(objective: Objective, state: ArmState, q: Array, edges: Array
     moved = np.zeros(arm.nv)
     columns = objective.columns
     moved[columns] = np.clip(here + change, edges[0], edges[1])[columns] - here[columns]
-    return arm.at(arm.integrate(state.q, moved)).compiled
+    return state.moved(moved)
 
 
 # The path.
@@ -381,8 +381,8 @@ def _within_limits(objective: Objective, state: ArmState, q: Array, edges: Array
 
 def _clearest_path(
     objective: Objective,
-    state: ArmState,
-    goal: ArmState,
+    state: ChainState,
+    goal: ChainState,
     bounds: JointBounds,
     avoidance: Avoidance | None,
     attempt: int,
@@ -451,7 +451,7 @@ def _clearest_path(
     return max(hindered, key=lambda each: each[0])[1]
 
 
-def _possible_clearance(avoidance: Avoidance, state: ArmState, goal: ArmState) -> float:
+def _possible_clearance(avoidance: Avoidance, state: ChainState, goal: ChainState) -> float:
     """Return the margin, or the clearance of an end of the path if that is smaller [m]."""
     ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
     return min(avoidance.margin, *ends) - 1e-9 * state.arm.length
@@ -480,14 +480,14 @@ def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], 
     yield raw
 
 
-def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRows | None:
+def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> TaskRows | None:
     """Return the rows of the tasks along the path; None without tasks."""
     if not objective.tasks:
         return None
     kinds = [(TASK_ROOT, False), (TASK_ROOT * float(np.sqrt(PRIORITY_WEIGHT)), True)]
     ends = [[objective.task_rows(at, priority) for at in (state, goal)] for _, priority in kinds]
 
-    def rows(at: ArmState, share: float) -> LinearRows:
+    def rows(at: ChainState, share: float) -> LinearRows:
         parts = []
         for (root, priority), (first, last) in zip(kinds, ends, strict=True):
             tasks = objective.task_rows(at, priority)
@@ -520,7 +520,7 @@ def replan(
     place: float,
     bend: Array | None,
     objective: Objective,
-    state: ArmState,
+    state: ChainState,
     bounds: JointBounds,
     avoidance: Avoidance | None,
     prompt: bool = False,
@@ -552,7 +552,7 @@ def replan(
     else:
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
-        start = arm.at(before).compiled
+        start = arm.chain_at(before)
         good = GOAL_TOLERANCE * arm.length
         if avoidance is None and not objective.has_tasks:
             first = start if objective.target.q is None else None
@@ -578,7 +578,7 @@ def replan(
     return new, None
 
 
-def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> float:
+def _achievable_error(before: Objective, after: Objective, goal: ChainState) -> float:
     """Return the mean error that is good enough for a moved target, given that at the previous goal [m].
 
     It is zero if the target moved so far that a better goal may exist.
@@ -589,7 +589,7 @@ def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> fl
     return NOISE_FACTOR * (left + moved) if moved <= max(left, small) else 0.0
 
 
-def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> ArmState | None:
+def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> ChainState | None:
     """Return the state at the configuration of a target, if it is within limits and takes the posture.
 
     Multi-turn joints are within half a turn of a previous configuration.
@@ -598,8 +598,8 @@ def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> Arm
     q = objective.target.q
     if q is None or len(objective.active) < arm.n_modules:
         return None
-    goal = arm.at(arm.nearest_turns(q, before, bounds.edges)).compiled
-    inside = kernels.position_excess(goal.forward.positions, bounds.edges, arm.kinematics.columns) == 0.0
+    goal = arm.chain_at(arm.nearest_turns(q, before, bounds.edges))
+    inside = kernels.position_excess(goal.raw_positions, bounds.edges, arm.kinematics.columns) == 0.0
     return goal if inside and objective.mean_error(goal) <= GOAL_TOLERANCE * arm.length else None
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm import ArmState
+from pinposture.arm import ChainState
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.planner.path import SHORT_MOTION, JointPath
@@ -34,7 +34,7 @@ from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 
 Array = NDArray[np.float64]
 
-TaskRows = Callable[[ArmState, float], LinearRows]
+TaskRows = Callable[[ChainState, float], LinearRows]
 """Returns rows whose squares are added to the energy, for a state and its place on the path in [0, 1]."""
 
 
@@ -388,7 +388,7 @@ class _PathRelaxation:
         if tasks is None:
             return PathRows(np.zeros((0, n)), np.zeros(0), np.zeros(0, dtype=np.int64))
         found = [
-            tasks(arm.at(arm.integrate(self._start, offsets[i])).compiled, i / last) for i in range(1, last)
+            tasks(arm.chain_at(arm.integrate(self._start, offsets[i])), i / last) for i in range(1, last)
         ]
         return PathRows(
             matrix=np.ascontiguousarray(np.concatenate([each.matrix for each in found])),

@@ -150,7 +150,7 @@ def aligned_errors(state: ArmState, target: Target) -> Array:
     Returns:
         Array (m, 3) [m]; the last column is zero for a planar arm.
     """
-    errors = target.errors(state.forward.points)
+    errors = target.errors(state.points)
     if state.arm.dimension == 3:
         return errors
     aligned = np.zeros(errors.shape)

@@ -131,7 +131,7 @@ class Projection:
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
             return step_within(limits.hold(state, previous), reason=reason)
         matrix = PostureMatrix(screws, rows)
-        errors = target.errors(state.forward.points)
+        errors = target.errors(state.points)
         asked = matrix.step(arm, self._along(rows, gained(self.gain, errors)), secondary)
         limited = limits.apply(state, asked, previous)
         active = rows.stations[rows.ranks > 0].tolist()

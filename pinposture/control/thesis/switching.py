@@ -151,7 +151,7 @@ class Switching:
 
     def _promises(self, step: Step, state: ArmState, target: Target, error: float, travel: float) -> bool:
         """Whether a step lowers the posture error as fast as Selection must to stay active."""
-        ahead = state.moved(step.dq).compiled
+        ahead = state.moved(step.dq)
         left = float(np.linalg.norm(task_errors(ahead, target), axis=1).sum())
         return left < error * (1.0 - self.progress * min(travel / self.patience, 1.0))
 

@@ -156,7 +156,7 @@ def test_steps_among_few_and_many_constraints_are_optimal(
 
     monkeypatch.setattr(ChainSolver, "constrained_step", counted)
     for _ in range(3):
-        state, goal = (arm.at(pp.arm.smooth_configuration(arm, rng, 0.6)).compiled for _ in range(2))
+        state, goal = (arm.chain_at(pp.arm.smooth_configuration(arm, rng, 0.6)) for _ in range(2))
         target = pp.Target.from_configuration(arm, goal.q)
         objective = Objective(arm, target, (), 1.0, 0.2)
         links = rng.integers(modules // 2, modules, count)

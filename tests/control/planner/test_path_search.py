@@ -75,7 +75,7 @@ def search(scene: pp.Scene, start: np.ndarray, goal: np.ndarray, seed: int = 0) 
     bounds = pp.Limits().for_arm(arm())
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
-    states = (arm().at(q).compiled for q in (start, goal))
+    states = (arm().chain_at(q) for q in (start, goal))
     return PathSearch(objective, *states, bounds.edges, avoidance, MARGIN, seed)
 
 
@@ -138,7 +138,7 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
     found = search(scene, start, goal, seed).find()
     assert found is not None
     bounds = pp.Limits().for_arm(arm())
-    state = arm().at(start).compiled
+    state = arm().chain_at(start)
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
     penalties = Penalties(None, avoidance, 30.0, MARGIN)

@@ -46,7 +46,7 @@ class Ride:
         self.arm, self.path, self.limits, self.controller = path.arm, path, limits, pp.Geodesic()
         self.q, self.progresses = [path.start], list[PathProgress]()
         state = self.arm.at(path.start)
-        self.memory = self.controller.start(retime(path, limits, most), state.compiled)
+        self.memory = self.controller.start(retime(path, limits, most), state.chain_state)
 
     def target(self, place: float) -> Target:
         q = self.arm.integrate(self.path.start, self.path.smooth_offset(place))
@@ -198,7 +198,7 @@ def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
 def test_a_way_begins_with_what_it_was_given() -> None:
     path = smooth_path(arm(), 6, 30)
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02)
-    memory = pp.Geodesic().start(retime(path, limits, 0.3), arm().at(path.start).compiled)
+    memory = pp.Geodesic().start(retime(path, limits, 0.3), arm().chain_at(path.start))
     assert isinstance(memory, GeodesicMemory) and not np.any(memory.dq)
     progress = memory.progress
     assert progress.timed.scheduled and progress.path is path and progress.place == 0.0

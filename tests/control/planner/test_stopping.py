@@ -174,7 +174,7 @@ def test_a_way_that_is_given_is_set_out_on_at_the_speed_of_now() -> None:
     target = pp.Target.from_configuration(arm, state.q)
     offsets = np.linspace(0.0, 1.0, 30)[:, None] * np.ones(arm.nv)
     path = JointPath(controller.objective(arm, target), state.q, offsets)
-    memory = controller.start(retime(path, limits, 1.0), state.compiled, moving)
+    memory = controller.start(retime(path, limits, 1.0), state.chain_state, moving)
     change = controller.step(state, target, limits, memory).dq - moving.dq
     assert 0.0 < change.max() <= 0.0025 * (1.0 + 1e-9)
 
