@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from editor.edited_tasks import task as edited_task
 
 import pinposture as pp
 from pinposture.editor import edits
+from pinposture.editor.edits import passes_of
 from pinposture.editor.files import Files
 from pinposture.editor.phases import EditedPhase, editable
 from pinposture.editor.session import Session
@@ -264,6 +266,20 @@ def test_all_phases_are_performed_and_stand_on_the_timeline(file: Path) -> None:
     places = {place.name: place.reached for place in motion.waypoints}
     assert drawn[0].place.time == pytest.approx(places["in: inside"], abs=0.05)
     assert drawn[1].place.time == pytest.approx(places["turn: left"])
+
+
+@pytest.mark.long
+def test_keyframes_of_phases_that_are_not_reached_stay_on_the_timeline(file: Path) -> None:
+    task = pp.Task.load(file)
+    whole = task.perform(progress=lambda *_: True)
+    assert whole.run.status == "stopped"
+    for index in range(3):
+        phase = editable(task, index)
+        duration, drawn = _schedule(phase, SimpleNamespace(motion=whole, lasting=float(whole.time[-1])))
+        assert [each.reached for each in drawn] == [index == 0, False]
+        times = [each.place.time for each in drawn]
+        assert 0.0 <= times[0] < times[1] <= duration
+        assert times[1] - times[0] == pytest.approx(passes_of(phase)[1].time, abs=0.1)
 
 
 def test_a_task_without_keyframes_in_any_phase_is_shown_from_its_first_phase(file: Path) -> None:

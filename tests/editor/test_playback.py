@@ -187,16 +187,19 @@ def test_keyframes_that_a_motion_does_not_reach_stay_on_the_timeline() -> None:
     from pinposture.editor.ui.player import _schedule
 
     task = short()
-    motion = moved()
-    lost = replace(motion, waypoints=(motion.waypoints[0],))
-    playback = SimpleNamespace(motion=lost, lasting=float(motion.time[-1]))
-    duration, drawn = _schedule(task, playback)
-    assert [(each.place.keyframe, each.reached) for each in drawn] == [(0, True), (1, False)]
-    assert drawn[1].place.time == pytest.approx(1.0 + motion.time[motion.start_index])
-    assert duration >= drawn[1].place.time
-    unreached = motion.waypoints[1]._replace(row=None, reached=None)
-    lost = replace(motion, waypoints=(motion.waypoints[0], unreached))
-    assert _schedule(task, SimpleNamespace(motion=lost, lasting=duration)) == (duration, drawn)
+    for until in (0.0, 0.5):
+        motion = task.perform(progress=lambda seconds, _, until=until: seconds >= until)
+        assert motion.run.status == "stopped"
+        duration, drawn = _schedule(task, SimpleNamespace(motion=motion, lasting=float(motion.time[-1])))
+        assert [(each.place.keyframe, each.reached) for each in drawn] == [(0, True), (1, False)]
+        left = 1.0 - motion.plan_time[-1]  # of the plan, when it ended
+        assert drawn[1].place.time == pytest.approx(motion.time[-1] + left)
+        assert duration >= drawn[1].place.time
+        lost = replace(motion, waypoints=motion.waypoints[:1])
+        assert _schedule(task, SimpleNamespace(motion=lost, lasting=float(motion.time[-1])))[1] == drawn
+    missed = replace(moved(), waypoints=tuple(each._replace(missed=True) for each in moved().waypoints))
+    duration, drawn = _schedule(task, SimpleNamespace(motion=missed, lasting=float(missed.time[-1])))
+    assert [each.reached for each in drawn] == [False, False]
 
 
 def test_a_motion_that_converges_tells_how_long_it_is() -> None:

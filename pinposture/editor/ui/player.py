@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from html import escape
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
 from pinposture.editor.ui.parts import Post, on_change, on_choice, put, round_number
 from pinposture.motion import Trajectory
 from pinposture.motion.run import limit_shares
+from pinposture.motion.trajectory import Waypoint
 from pinposture.task import Task
 from pinposture.units import length_text
 from pinposture.viz import palette
@@ -552,7 +554,7 @@ class DrawnPass(NamedTuple):
     """A keyframe on the timeline."""
 
     place: Pass
-    reached: bool  # false if the motion that is shown does not reach it: it is where the plan has it
+    reached: bool  # false if the motion that is shown does not reach it, or misses it
 
 
 def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
@@ -562,35 +564,45 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     """
     motion = playback.motion
     passes = passes_of(task)
-    if motion is not None and isinstance(task, EditedPhase):
-        return playback.lasting, _within_phases(task, motion)[:MAX_DRAWN]
     if motion is None:
         duration = passes[-1].time + keyframes_of(task)[-1].hold
         return duration, [DrawnPass(each, True) for each in passes[:MAX_DRAWN]]
-    rows = [passed.row for passed in motion.waypoints]
-    rows += [None] * (len(passes) - len(rows))
-    begin = float(motion.time[motion.start_index])
+    places = list(motion.waypoints)
+    begins = 0.0
+    if isinstance(task, EditedPhase):
+        places = _places_of_phase(task, motion)
+        begins = task.begins
     drawn = [
-        DrawnPass(
-            each._replace(time=begin + each.time if row is None else float(motion.time[row])), row is not None
-        )
-        for each, row in zip(passes, rows, strict=False)
+        _where_reached(motion, each, place, begins)
+        for each, place in zip_longest(passes, places[: len(passes)])
     ]
     return max(playback.lasting, *(each.place.time for each in drawn)), drawn[:MAX_DRAWN]
 
 
-def _within_phases(task: EditedPhase, motion: Trajectory) -> list[DrawnPass]:
-    """Return the keyframes of a phase in the motion of all phases."""
-    passes = passes_of(task)
-    begin = float(motion.time[min(int(np.searchsorted(motion.plan_time, task.begins)), motion.steps)])
-    drawn: list[DrawnPass] = []
-    if task.begin is not None:
-        drawn.append(DrawnPass(passes.pop(0)._replace(time=begin), True))
+def _where_reached(motion: Trajectory, each: Pass, place: Waypoint | None, begins: float) -> DrawnPass:
+    """Place a keyframe where the motion reaches it, or behind the end of a motion that ends before it.
+
+    Args:
+        motion: the motion.
+        each: the keyframe.
+        place: its place in the motion; None if the motion has none.
+        begins: planned time at which the times of keyframes begin [s].
+    """
+    if place is not None and place.row is not None:
+        return DrawnPass(each._replace(time=float(motion.time[place.row])), not place.missed)
+    planned = begins + each.time if place is None else place.planned
+    left = max(planned - float(motion.plan_time[-1]), 0.0)
+    return DrawnPass(each._replace(time=float(motion.time[-1]) + left), False)
+
+
+def _places_of_phase(task: EditedPhase, motion: Trajectory) -> list[Waypoint]:
+    """Return the places of the keyframes of a phase in the motion of all phases."""
     least = task.begins + TIME_TOLERANCE * (-1.0 if task.begin is None else 1.0)
-    ahead = [place for place in motion.waypoints if place.planned > least]
+    places = [place for place in motion.waypoints if place.planned > least]
     if task.end is not None:  # its last posture: of several on its way, the last one
-        ahead = [place for place in ahead if place.planned <= task.ends + TIME_TOLERANCE][-1:]
-    for each, place in zip(passes, ahead, strict=False):
-        at = begin + each.time if place.row is None else float(motion.time[place.row])
-        drawn.append(DrawnPass(each._replace(time=at), place.row is not None))
-    return drawn
+        places = [place for place in places if place.planned <= task.ends + TIME_TOLERANCE][-1:]
+    if task.begin is not None:
+        row = int(np.searchsorted(motion.plan_time, task.begins))
+        begin = Waypoint("", task.begins, None, row if row <= motion.steps else None, None)
+        places.insert(0, begin)
+    return places
