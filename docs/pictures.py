@@ -138,7 +138,8 @@ def ellipsoids() -> Figure:
         panel.posture(q, palette.START, "arm", 2.0)
         panel.finish()
         shade_ellipsoids(panel, chosen)
-        ax.set_ylabel("")
+        if ax is not axes[0]:
+            ax.set_ylabel("")
         ax.set_title(f"{name}: index of the tip {chosen[-1].index:.2g}", **WORDS)
     frame(*axes)
     figure.legend(handles=ellipsoid_key(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)

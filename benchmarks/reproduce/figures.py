@@ -21,6 +21,7 @@ from matplotlib.ticker import NullFormatter
 
 from pinposture.errors import InvalidValue
 from pinposture.motion import Run
+from pinposture.motion.words import headline
 from pinposture.units import ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.panels import (
@@ -42,8 +43,30 @@ STACKED_BELOW = 120.0
 PRINT_TYPE = 7.0
 """Largest type in print [pt]."""
 
-HEAD_LENGTH = 46
-"""Longest line above a panel [characters]: a third of the width of a figure."""
+HEAD_TYPE = 9.0
+"""Type above a panel on the screen [pt]."""
+
+LETTER_WIDTH = 0.63
+"""Mean width of a letter, in its size, and a little more."""
+
+BESIDE_PANEL = 0.5
+"""Width that a column needs beside its panels [inch]."""
+
+PRINT_TICKS = 4
+"""Number of steps named below a panel in a row in print, at most."""
+
+LINE_HEIGHT = 0.23
+"""Height of a line of text in a figure on the screen [inch]."""
+
+TITLE_DISTANCE = 2.0
+"""Smallest distance of the text of a value from the title of its panel [pt]."""
+
+SHORT_LABELS = {
+    "control point, from base to tip": "control point",
+    "active control points": "points",
+    "manipulability index": "index",
+}
+"""Labels of axes where panels are stacked, and lower."""
 
 SHOWN_POSTURES = 14
 """Number of intermediate postures shown; the first ones are closer together than the last."""
@@ -59,23 +82,33 @@ def draw_final_postures(runs: Mapping[str, Run], title: str, width: float | None
     """
     first = _first(runs)
     kind = "3d" if first.arm.dimension == 3 else None
-    figure, stacked = _figure(6.0, title, width, 2)
+    figure, stacked = _figure(6.0, title, width, 3)
     grid = figure.add_gridspec(2, 1) if stacked else figure.add_gridspec(1, 2, width_ratios=(1.15, 1.0))
     colors = palette.distinct_colors(run.controller for run in runs.values())
     named = [
         (run, f"{name}, final posture", color)
         for (name, run), color in zip(runs.items(), colors, strict=True)
     ]
-    draw_runs(named, figure.add_subplot(grid[0], projection=kind))
+    whole = figure.add_subplot(grid[0], projection=kind)
+    draw_runs(named, whole)
     closer = PosturePanel(first.arm, figure.add_subplot(grid[1], projection=kind))
     closer.target(first.target)
     for i, (run, label, color) in enumerate(named):
         closer.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(named) - 1 - i))
     closer.finish()
     closer.ax.set_title("final postures alone", fontsize=9, color=palette.INK)
+    if stacked:  # above both panels
+        handles, labels = whole.get_legend_handles_labels()
+        whole.get_legend().remove()
+        columns = 1 if max(map(len, labels)) > _half_line_length(width) // 2 else 2
+        style = {"fontsize": PRINT_TYPE, "frameon": False, "ncols": columns}
+        figure.legend(handles, labels, loc="outside upper left", **style)
     if closer.spatial:
-        view: Any = closer.ax
-        view.zaxis.labelpad += 8.0  # in a slender box the tick labels would overlap the axis label
+        layout: Any = figure.get_layout_engine()
+        layout.set(rect=(0.0, 0.05, 1.0, 0.95))  # which does not see all labels of spatial axes
+        _keep_labels_inside(closer.ax, 8.0 if width is None else 2.0)
+        if width is not None:
+            _keep_labels_inside(whole, 2.0)
     return _finished(figure, width)
 
 
@@ -102,11 +135,12 @@ def draw_errors(runs: Mapping[str, Run], title: str, width: float | None = None)
         for panel, head, column in zip(panels, heads, columns, strict=True):
             _head(panel, f"{name}: {head}", next(letters))
             column.append(panel)
-    for column in columns[:2]:
+    for column, name in zip(columns[:2], ("point errors", "posture error"), strict=True):
         _share_values(column, ROUNDING * first.arm.length)
+        palette.label_lengths(column, name)
     for column in columns:
         _share_steps(column)
-    return _finished(figure, width)
+    return _finished(figure, width, [columns[1]])
 
 
 def draw_planar(
@@ -128,8 +162,14 @@ def draw_planar(
     first = _first(runs)
     if first.arm.dimension != 2:
         raise InvalidValue("runs (arm)", first.arm, "a planar arm")
-    figure, stacked = _figure(3.4 + 3.9 * len(runs), title, width, 4)  # the second of three has two panels
-    rows = figure.add_gridspec(1 + len(runs), 1, height_ratios=(0.8, *(1.0 for _ in runs)))
+    compared = compared or {}
+    length = _half_line_length(width)
+    told = _endings(runs, compared, length)
+    columns = 1 if max(map(len, (*runs, *compared))) > length // 3 else 2
+    key = (6 + len(runs) + len(compared)) / columns  # rows of the legend
+    top_height = max(3.1, LINE_HEIGHT * (5 + key + len(told)))
+    figure, stacked = _figure(0.3 + top_height + 3.9 * len(runs), title, width, 5)
+    rows = figure.add_gridspec(1 + len(runs), 1, height_ratios=(top_height, *(3.9 for _ in runs)))
     letters = count()
     top = rows[0].subgridspec(2, 1) if stacked else rows[0].subgridspec(1, 2, width_ratios=(1.0, 0.8))
     ax = figure.add_subplot(top[0])
@@ -140,38 +180,74 @@ def draw_planar(
     _head(ax, "initial posture and target curve", next(letters))
     handles, labels = ax.get_legend_handles_labels()
     words = figure.add_subplot(top[1])
-    words.axis("off")
-    lines = [
-        f"{name} {palette.ending_text(run)}:\nposture error {_change(run)}" for name, run in runs.items()
-    ]
-    lines += [f"{name} alone: posture error {_change(run)}" for name, run in (compared or {}).items()]
-    words.text(0.02, 0.0, "\n".join(lines), fontsize=9, color=palette.INK, va="bottom", linespacing=1.5)
     finals = []
     shared: list[Axes] = []
-    colors = dict(zip(runs, palette.distinct_colors(run.controller for run in runs.values()), strict=True))
+    errors: list[Axes] = []
+    every = [*compared.values(), *runs.values()]
+    distinct = palette.distinct_colors(run.controller for run in every)
+    beside = [(name, run, color) for (name, run), color in zip(compared.items(), distinct, strict=False)]
+    colors = dict(zip(runs, distinct[len(compared) :], strict=True))
     for row, (name, run) in enumerate(runs.items(), start=1):
-        beside = rows[row].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.05))
-        cells = rows[row].subgridspec(3, 1, height_ratios=(1.0, 2.2, 1.0)) if stacked else beside
+        if stacked:
+            cells = rows[row].subgridspec(3, 1, height_ratios=(1.0, 2.2, 1.0))
+        else:
+            cells = rows[row].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.05))
         ax = figure.add_subplot(cells[0])
         plot_used_points(run, ax, colors[name])
         _head(ax, f"{name}: control points used", next(letters))
-        panels = _draw_progress(figure, cells[1], run, name, next(letters), compared or {}, colors[name])
+        panels = _draw_progress(figure, cells[1], run, name, next(letters), beside, colors[name])
         shared += [ax, *panels]
-        error = panels[0]
-        finals.append((figure.add_subplot(cells[2]), name, run))
+        errors.append(panels[0])
+        finals.append((figure.add_subplot(cells[2]), name, run, next(letters)))
     _share_steps(shared)
-    if compared:
-        errors = error.get_legend_handles_labels()
-        handles, labels = handles + errors[0], labels + [f"{label}: posture error" for label in errors[1]]
     named = dict(zip(labels, handles, strict=True))
-    for ax, name, run in finals:
+    for error in errors:
+        for handle, label in zip(*error.get_legend_handles_labels(), strict=True):
+            named.setdefault(f"{label}: posture error", handle)
+    for ax, name, run, letter in finals:
         _draw_way(run, ax, colors[name])
-        _head(ax, f"{name}: final posture", next(letters))
+        _head(ax, f"{name}: final posture", letter)
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             if label != "final posture":  # it is in the title and has a different colour for each run
                 named.setdefault(label, handle)
-    words.legend(list(named.values()), list(named), loc="upper left", fontsize=9, frameon=False, ncols=2)
-    return _finished(figure, width)
+    _write_key(words, named, told, columns)
+    return _finished(figure, width, [[error] for error in errors])
+
+
+def _keep_labels_inside(ax: Any, distance: float) -> None:
+    """Place the labels of spatial axes beside the numbers, that of z at a distance [pt].
+
+    Farther away from a small or slender box, they are cut.
+    """
+    ax.xaxis.labelpad = 0.0
+    ax.yaxis.labelpad = 0.0
+    ax.zaxis.labelpad = distance
+
+
+def _write_key(ax: Axes, named: Mapping[str, Any], told: Sequence[str], columns: int) -> None:
+    """Write the legend of handles by their labels, and lines below it, for which there is room."""
+    ax.axis("off")
+    style: dict[str, Any] = {"fontsize": 9, "color": palette.INK, "va": "bottom", "linespacing": 1.4}
+    ax.text(0.02, 0.0, "\n".join(told), transform=ax.transAxes, in_layout=False, **style)
+    style = {"loc": "upper left", "fontsize": 9, "frameon": False, "ncols": columns}
+    ax.legend(list(named.values()), list(named), **style).set_in_layout(False)
+
+
+def _half_line_length(width: float | None) -> int:
+    """Return how many letters fit beside the first panel, or below it where panels are stacked."""
+    if width is None:
+        return _line_length(THESIS_FIGURE_WIDTH / 2.0, HEAD_TYPE)
+    return _line_length(width / 25.4 / (1 if width < STACKED_BELOW else 2), PRINT_TYPE)
+
+
+def _endings(runs: Mapping[str, Run], compared: Mapping[str, Run], length: int) -> list[str]:
+    """Return lines of a length [letters] on how runs ended, and which posture error they left."""
+    lines = []
+    for name, run in runs.items():
+        ending = headline(run.summary(), name)
+        lines += [f"{ending.ending}; {ending.extent};", f"posture error {_change(run)}"]
+    lines += [f"{name} alone: posture error {_change(run)}" for name, run in compared.items()]
+    return [each for line in lines for each in textwrap.wrap(line, length)]
 
 
 def _share_values(panels: list[Axes], floor: float) -> None:
@@ -208,15 +284,15 @@ def _draw_progress(
     run: Run,
     name: str,
     letter: int,
-    compared: Mapping[str, Run],
+    compared: Sequence[tuple[str, Run, str]],
     color: str,
 ) -> tuple[Axes, Axes]:
     """Draw posture error above number of points and index; return the axes of both."""
     cells = place.subgridspec(2, 1, height_ratios=(1.35, 1.0))
     error = figure.add_subplot(cells[0])
     points = figure.add_subplot(cells[1])
-    for label, other in compared.items():
-        plot_posture_error(other, error, label=f"{label} alone")
+    for label, other, its_color in compared:
+        plot_posture_error(other, error, its_color, label=f"{label} alone")
     plot_posture_error(run, error, color, label=name if compared else None)
     plot_points_and_index(run, points, color)
     low, high = error.get_ylim()
@@ -259,14 +335,55 @@ def _figure(height: float, title: str, width: float | None, columns: int) -> tup
     return figure, False
 
 
-def _finished(figure: Figure, width: float | None) -> Figure:
-    """Return the figure; for print, with the font size that journals require."""
-    if width is not None:
-        for ax in figure.axes:
+def _finished(figure: Figure, width: float | None, errors: Sequence[Sequence[Axes]] = ()) -> Figure:
+    """Return the figure with titles that fit; for print, with the font size that journals require.
+
+    Args:
+        figure: the figure.
+        width: its width in print [mm]; None: for the screen.
+        errors: panels of errors, in groups that share a scale; their values stay below the titles.
+    """
+    stacked = width is not None and width < STACKED_BELOW
+    size = HEAD_TYPE if width is None else PRINT_TYPE
+    length = _line_length(figure.get_figwidth() / (1 if stacked else 3), size)
+    for ax in figure.axes:
+        title = textwrap.fill(ax.get_title(loc="left"), length, break_long_words=False)
+        ax.set_title(title, loc="left", fontsize=size, color=palette.INK)
+        if stacked:
+            ax.set_ylabel(SHORT_LABELS.get(ax.get_ylabel(), ax.get_ylabel()))
+        elif width is not None:
+            ax.locator_params(axis="x", nbins=PRINT_TICKS)
+        if width is not None:
             ax.tick_params(labelsize=PRINT_TYPE - 1.0)
             for text in ax.findobj(Text):
                 text.set_fontsize(min(text.get_fontsize(), PRINT_TYPE))
+    if errors:
+        figure.draw_without_rendering()  # lays the panels out
+    for panels in errors:
+        high = max(_top_below_title(ax) for ax in panels)
+        for ax in panels:
+            ax.set_ylim(top=high)
     return figure
+
+
+def _line_length(width: float, size: float) -> int:
+    """Return how many letters of a size [pt] fit into a column of a width [inch]."""
+    return int(72.0 * (width - BESIDE_PANEL) / (LETTER_WIDTH * size))
+
+
+def _top_below_title(ax: Axes) -> float:
+    """Return the end of a vertical axis with which all texts of values stay below the title."""
+    scale = ax.yaxis.get_transform()
+    low, high = scale.transform(ax.get_ylim())
+    box = ax.get_window_extent()
+    distance = TITLE_DISTANCE / 72.0 * ax.figure.dpi
+    end = high
+    for text in ax.texts:
+        place = scale.transform(text.xy[1]) if text.xycoords is ax.transData else low
+        above = (text.get_window_extent().y1 + distance - ax.transData.transform(text.xy)[1]) / box.height
+        if place > low and above < 1.0:
+            end = max(end, low + (place - low) / (1.0 - above))
+    return float(scale.inverted().transform(end))
 
 
 def _change(run: Run) -> str:
@@ -274,8 +391,7 @@ def _change(run: Run) -> str:
 
 
 def _head(ax: Axes, text: str, letter: int) -> None:
-    words = textwrap.fill(f"({chr(ord('a') + letter)}) {text}", HEAD_LENGTH)
-    ax.set_title(words, fontsize=9, loc="left", color=palette.INK)
+    ax.set_title(f"({chr(ord('a') + letter)}) {text}", loc="left")
 
 
 def _first(runs: Mapping[str, Run]) -> Run:

@@ -493,8 +493,10 @@ class Run(Outcome):
             timed = {f"largest_{kind}": share for kind, share in largest_shares(self).items()}
             timed["duration"] = self.steps * self.limits.dt
         placed = target.has_target
-        off = None if target.residual is None else float(target.residual[placed].max())
-        covered = None if target.parameters is None else float(target.parameters[placed].max())
+        off, covered = (
+            None if values is None or not placed.any() else float(values[placed].max())
+            for values in (target.residual, target.parameters)
+        )
         return {
             "kind": "run",
             **ending(self),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from pinposture.placement.target import Moved
 from pinposture.units import error_text, length_text
@@ -13,6 +14,44 @@ from pinposture.units import error_text, length_text
 def in_words(summary: Mapping[str, Any]) -> dict[str, str]:
     """Return what the `summary` of a result says, by topic; multiple lines for lists."""
     return _WORDS[summary["kind"]](summary)
+
+
+class Headline(NamedTuple):
+    """The words with which figures and pages of a result begin.
+
+    Attributes:
+        ending: who moved, whether it reached its target, and the faults.
+        reason: why it ended.
+        extent: how long it was.
+    """
+
+    ending: str
+    reason: str
+    extent: str
+
+    def __str__(self) -> str:
+        return f"{self.ending}: {self.reason}; {self.extent}"
+
+
+EXTENTS: Mapping[str, str] = {"run": "steps", "motion": "duration", "simulation": "simulated"}
+"""The topic of a summary, by its kind, that says how long a result was."""
+
+
+def headline(summary: Mapping[str, Any], name: str) -> Headline:
+    """Return the beginning of the words of a `summary` of a run, motion or simulation.
+
+    Args:
+        summary: what `summary` returns.
+        name: who moved.
+    """
+    words = in_words(summary)
+    topic = EXTENTS[summary["kind"]]
+    reason = str(summary["reason"])
+    return Headline(
+        ending=f"{name} {words['verdict'].removesuffix(f': {reason}')}",
+        reason=reason,
+        extent=f"{topic}: {words[topic]}",
+    )
 
 
 def _placement(summary: Mapping[str, Any]) -> dict[str, str]:
@@ -157,9 +196,11 @@ def _of_joints(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _of_simulation(summary: Mapping[str, Any]) -> dict[str, str]:
     length = summary["arm_length"]
+    strength = math.hypot(*summary["gravity"])
+    gravity = f"gravity {strength:.4g} m/s²" if strength else "no gravity"
     words = {
         "verdict": str(summary["verdict"]),
-        "simulated": f"{summary['loop']} loop, {'gravity' if any(summary['gravity']) else 'no gravity'}, "
+        "simulated": f"{summary['loop']} loop, {gravity}, "
         f"{summary['cycles']} cycles of {summary['dt']:.4g} s, physics steps of {summary['timestep']:.3g} s",
     }
     for kind in ("turning", "sliding"):

@@ -36,6 +36,7 @@ from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
 from pinposture.errors import InvalidValue, ViewerError
 from pinposture.motion import Run, Trajectory
+from pinposture.motion.words import headline
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
 from pinposture.units import length_text
@@ -496,7 +497,7 @@ def _step_text(shown: Timeline, row: int) -> str:
 def _motion_text(motion: Trajectory, row: int) -> str:
     """Describe a configuration of a motion."""
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
-    if palette.is_slowed(motion):
+    if motion.slowdown:
         text += f" ({motion.plan_time[row]:.2f} of {motion.planned:.2f} s of the plan)"
     count = sum(place.row is not None and place.row <= row for place in motion.waypoints)
     if row < motion.start_index:
@@ -669,10 +670,10 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
     packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
     described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": captions(shown)}
     template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
-    ended = palette.ending_text(run) if motion is None else palette.motion_ending_text(motion)
+    ending = headline((run if motion is None else motion).summary(), palette.controller_name(run))
     return Template(template).substitute(
-        title=html.escape(f"{palette.controller_name(run)} {ended}"),
-        reason=html.escape(run.reason),
+        title=html.escape(ending.ending),
+        reason=html.escape(f"{ending.reason}; {ending.extent}"),
         legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,

@@ -18,13 +18,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import MaxNLocator, NullFormatter
+from matplotlib.ticker import LogFormatterMathtext, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import registry
 from pinposture.motion import Run, Trajectory
-from pinposture.motion.run import ENDINGS
 from pinposture.units import BELOW_ROUNDING, length_text
 
 START = "#0072B2"  # initial posture
@@ -116,6 +115,8 @@ def rgb(color: str) -> tuple[float, float, float]:
 
 LOG_DECADES = 1.5  # decades spanned by the values from which the axis is logarithmic
 HEADROOM = 0.1  # share of a logarithmic axis above the largest value, where its text stands
+EDGE = 0.15  # share of an axis at either end, near which a text above a point would leave the axes
+MILLI = 1e3
 MAX_DECADES = 12.0  # maximum number of decades on such an axis; smaller values are rounding errors
 
 
@@ -172,6 +173,31 @@ def scale_values(ax: Axes, floor: float = 0.0) -> None:
     ax.set_ylim(least / 1.8, top * max(1.8, (top / least) ** HEADROOM))
 
 
+class _LogMillimetres(LogFormatterMathtext):
+    """Writes powers of ten of lengths [m] in millimetres."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return str(super().__call__(MILLI * x, pos))
+
+
+def label_lengths(panels: Sequence[Axes], name: str) -> None:
+    """Label vertical axes of lengths [m]: in millimetres below one metre, in metres from there on.
+
+    Args:
+        panels: axes that share a scale.
+        name: the name of the lengths.
+    """
+    drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for ax in panels for line in ax.get_lines()]
+    largest = max((float(np.abs(each[np.isfinite(each)]).max(initial=0.0)) for each in drawn), default=0.0)
+    small = round(largest, 3) < 1.0
+    for ax in panels:
+        ax.set_ylabel(f"{name} [{'mm' if small else 'm'}]", fontsize=9)
+        if small and ax.get_yscale() == "log":
+            ax.yaxis.set_major_formatter(_LogMillimetres())
+        elif small:
+            ax.yaxis.set_major_formatter(lambda value, _: f"{MILLI * value:.6g}")
+
+
 def scale_counts(ax: Axes, largest: int) -> None:
     """Fit the vertical axis to whole numbers from 0 to `largest`."""
     ax.set_ylim(-0.04 * largest, 1.06 * largest)
@@ -189,9 +215,12 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
     scale = ax.get_xaxis_transform() if below else ax.transData
     ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale)
     ax.set_ylim(low, high)
-    styles = {"start": (7, 4, "left", "bottom"), "least": (0, 8, "center", "bottom")}
-    styles["end"] = (6, 4, "left", "bottom") if below else (6, 0, "left", "center")
-    right, up, ha, va = styles[where]
+    if where == "least":
+        right, up, ha, va = _beside(ax, place)
+    elif where == "start":
+        right, up, ha, va = 7, 4, "left", "bottom"
+    else:
+        right, up, ha, va = (6, 4, "left", "bottom") if below else (6, 0, "left", "center")
     taken = [text.get_window_extent().padded(2.0) for text in ax.texts]
     written = ax.annotate(
         BELOW_ROUNDING if abs(value) < floor else length_text(value),
@@ -209,6 +238,17 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
     while written.get_window_extent().count_overlaps(taken):
         up += 4
         written.xyann = right, up
+
+
+def _beside(ax: Axes, place: tuple[float, float]) -> tuple[int, int, str, str]:
+    """Return offset [pt] and alignment of a text above a point, or where it stays inside the axes."""
+    along, high = ax.transAxes.inverted().transform(ax.transData.transform(place))
+    up, va = (-8, "top") if high > 1.0 - EDGE else (8, "bottom")
+    if along < EDGE:
+        return 4, up, "left", va
+    if along > 1.0 - EDGE:
+        return -4, up, "right", va
+    return 0, up, "center", va
 
 
 def colors_along(count: int) -> tuple[LinearSegmentedColormap, Normalize]:
@@ -260,8 +300,8 @@ def add_footnote(figure: Figure, *details: str) -> None:
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=QUIET, parse_math=False)
 
 
+SCENE = re.compile(r"\bscene=Scene\(.*(?=, name=)")  # in a repr; names of obstacles may be any text
 LAP = re.compile(r", lap \d+$")  # in the name of a keyframe of a repeated tour
-SLOWED = 1.001  # duration relative to the plan above which a motion counts as slowed
 
 
 def placement_text(run: Run | Trajectory) -> str:
@@ -290,7 +330,8 @@ def controller_text(run: Run) -> str:
 
 def _parameters(text: str) -> dict[str, str]:
     """Return the fields in the repr of a dataclass, with functions as names; none of another repr."""
-    named = re.sub(r"<(?:\w+ )?([\w.]+) [^<>]*>", r"\1", text.replace("<locals>.", ""))
+    text = SCENE.sub("scene=None", text.replace("<locals>.", ""))
+    named = re.sub(r"<(?:\w+ )?([\w.]+) [^<>]*>", r"\1", text)
     try:
         made = ast.parse(named, mode="eval").body
     except SyntaxError:
@@ -334,27 +375,6 @@ def limits_text(run: Run) -> str:
     if limits.position_margin:
         found.append(f"{most(limits.position_margin, '')} from the ends of the joints")
     return f"limits: {', '.join(found) or 'joint positions only'}"
-
-
-def ending_text(run: Run) -> str:
-    """Return how and when a run ended, in seconds or steps, as a phrase that follows the controller name."""
-    if run.limits.dt is not None:
-        return f"{ENDINGS[run.status]} after {run.limits.dt * run.steps:.4g} s"
-    return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
-
-
-def motion_ending_text(motion: Trajectory) -> str:
-    """Return how and when a motion ended, and how much it was slowed if it reached its end."""
-    text = f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s"
-    if motion.plan_time[-1] < motion.planned or not is_slowed(motion):
-        return text
-    since = f"from {motion.time[motion.start_index]:.4g} s on " if motion.start_index else ""
-    return f"{text}, {since}{motion.time_scale:.3g} times as long as planned"
-
-
-def is_slowed(motion: Trajectory) -> bool:
-    """Return whether a motion was noticeably slowed."""
-    return motion.time_scale > SLOWED
 
 
 MAX_PLACES = 8  # maximum number of places in a picture

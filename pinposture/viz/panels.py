@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Run, Trajectory
 from pinposture.motion.run import closest, limit_shares
+from pinposture.motion.words import headline, in_words
 from pinposture.units import BELOW_ROUNDING, ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
@@ -76,12 +77,12 @@ def plot_posture_error(run: Run, ax: Axes, color: str | None = None, label: str 
         color: colour of the line; None: that of the controller.
         label: label of the line in a legend. For a labelled line, only the last value is annotated.
     """
-    _plot_errors([(run, label, color)], ax, "posture error [m]", lambda run: run.posture_error)
+    _plot_errors([(run, label, color)], ax, "posture error", lambda run: run.posture_error)
 
 
 def plot_mean_error(run: Run, ax: Axes) -> None:
     """Plot the mean error of the control points [m], annotated as by `plot_posture_error`."""
-    _plot_errors([(run, None, None)], ax, "mean point error [m]", lambda run: run.mean_error)
+    _plot_errors([(run, None, None)], ax, "mean point error", lambda run: run.mean_error)
 
 
 def _plot_errors(
@@ -97,6 +98,7 @@ def _plot_errors(
         ax.plot(places_of(run), errors(run), color=color, label=label, **style)
     format_run_axes(ax, runs[0][0], name)
     palette.scale_values(ax, ROUNDING * runs[0][0].arm.length)
+    palette.label_lengths([ax], name)
     for (run, label, _), color in zip(runs, colors, strict=True):
         if label is None:
             _mark_error(ax, run, errors(run), 0, color)
@@ -126,8 +128,9 @@ def plot_point_errors(run: Run, ax: Axes) -> None:
     style: dict[str, Any] = {"lw": 1.0, "marker": marker(run.steps + 1), "ms": 3}
     for k in targeted:
         ax.plot(places_of(run), run.point_errors[:, k], color=colors(norm(k + 1)), **style)
-    format_run_axes(ax, run, "point errors [m]")
+    format_run_axes(ax, run, "point errors")
     palette.scale_values(ax, ROUNDING * run.arm.length)
+    palette.label_lengths([ax], "point errors")
     palette.add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
     if len(targeted) < m:
         _note(ax, f"{m - len(targeted)} of {m} control points have no target")
@@ -243,7 +246,7 @@ def plot_clearance(
         if margin not in [line.get_label() for line in ax.get_lines()]:
             ends = [0.0, places[-1] or 1.0]
             ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=DASHES, label=margin)
-    format_run_axes(ax, run, "clearance [m]")
+    format_run_axes(ax, run, "clearance")
     palette.scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
     low = float(np.nanmin(drawn))
@@ -251,6 +254,7 @@ def plot_clearance(
     if low <= 0.0:
         ax.set_yscale("linear")
         ax.set_ylim(low - 0.1 * (high - low), high + 0.15 * (high - low) + 1e-12)
+    palette.label_lengths([ax], "clearance")
     if np.isfinite(values).any():
         least = int(np.nanargmin(values))
         palette.mark_value(ax, float(places[least]), float(values[least]), color, "least")
@@ -313,8 +317,9 @@ def plot_error(motion: Trajectory, ax: Axes) -> None:
     ax.plot(motion.time, values, lw=1.8, label="mean" if most.any() else None, **style)
     if most.any():
         ax.plot(motion.time, most, lw=0.8, label="largest", **style)
-    palette.format_time_axes(ax, "point errors [m]")
+    palette.format_time_axes(ax, "point errors")
     palette.scale_values(ax)
+    palette.label_lengths([ax], "point errors")
     if not most.any():
         ax.set_yticks([0.0])
         where: dict[str, Any] = {"transform": ax.transAxes, "ha": "center", "va": "center"}
@@ -416,7 +421,7 @@ def plot_motion(motion: Trajectory) -> Figure:
     draws: list[Callable[[Trajectory, Axes], None]] = [plot_error]
     if any(share is not None for share in limit_shares(run)):
         draws.append(plot_joint_rates)
-    if palette.is_slowed(motion):
+    if motion.slowdown:
         draws.append(plot_plan_time)
     if has_clearance(run):
         draws.append(lambda motion, ax: plot_clearance(motion.run, ax))
@@ -427,11 +432,11 @@ def plot_motion(motion: Trajectory) -> Figure:
     places = palette.shown_places(motion)
     mark_places(places, rows, [float(time[place.row]) for place in places])
     palette.share_axis(rows)
-    deviations = [f"Detour: {text}" for text in motion.deviations[:MAX_DETOURS]]
+    deviations = [f"not as planned: {text}" for text in motion.deviations[:MAX_DETOURS]]
     if len(motion.deviations) > MAX_DETOURS:
         deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
-    ending = f"{palette.controller_name(run)} {palette.motion_ending_text(motion)}: {run.reason}"
-    palette.add_title(figure, [ending, *deviations])
+    ending = headline(motion.summary(), palette.controller_name(run))
+    palette.add_title(figure, [str(ending), *deviations])
     palette.add_footnote(
         figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(motion)
     )
@@ -494,10 +499,8 @@ def plot_joints(trajectory: JointTrajectory) -> Figure:
         palette.format_time_axes(ax, f"{name} [{unit}{per}]" if unit else name)
     palette.share_axis(panels)
     palette.add_colorbar(panels, count, "joint, in the order of the trajectory", pad=0.01, aspect=40)
-    speeds, accelerations = trajectory.peaks
-    largest = f"at most {speeds.max():.3g} {unit}/s and {accelerations.max():.3g} {unit}/s²" if unit else ""
-    size = f"{count} joints, {len(trajectory.time)} rows, {trajectory.duration:.4g} s"
-    palette.add_title(figure, [", ".join(filter(None, (trajectory.name, size, largest)))])
+    words = [f"{topic}: {said}" for topic, said in in_words(trajectory.summary()).items()]
+    palette.add_title(figure, ["; ".join(filter(None, (trajectory.name, *words)))])
     return figure
 
 
@@ -543,7 +546,7 @@ def plot(run: Run | Trajectory | JointTrajectory) -> Figure:
     if run.switches:
         mark_projection(run, rows[-1])
         rows[-1].set_xlabel(f"{rows[-1].get_xlabel()} (red: steps by Projection)")
-    palette.add_title(figure, [f"{palette.controller_name(run)} {palette.ending_text(run)}: {run.reason}"])
+    palette.add_title(figure, [str(headline(run.summary(), palette.controller_name(run)))])
     palette.add_footnote(
         figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(run)
     )
@@ -578,14 +581,12 @@ def plot_comparison(runs: Mapping[str, Run]) -> Figure:
     near = any(has_clearance(run) for run in runs.values())
     figure, postures, rows = palette.new_figure(first.arm, 2 + near)
     draw_runs(drawn, postures)
-    _plot_errors(drawn, rows[0], "mean point error [m]", lambda run: run.mean_error)
+    _plot_errors(drawn, rows[0], "mean point error", lambda run: run.mean_error)
     for number, (run, _, color) in enumerate(drawn):
         plot_point_count(run, rows[1], color, (len(drawn) - 1) / 2.0 - number)
         if near:
             plot_clearance(run, rows[2], color)
     palette.scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))
     palette.share_axis(rows)
-    palette.add_title(
-        figure, [f"{label} {palette.ending_text(run)}: {run.reason}" for label, run in runs.items()]
-    )
+    palette.add_title(figure, [str(headline(run.summary(), label)) for label, run in runs.items()])
     return figure

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from pinposture.motion.words import headline
 from pinposture.sim import Simulation
 from pinposture.units import ROUNDING
 from pinposture.viz import palette
@@ -38,13 +39,11 @@ def plot_simulation(simulation: Simulation) -> Figure:
     palette.share_axis(panels)
     count = len(simulation.arm.columns)
     palette.add_colorbar([panels[0], panels[2]], count, "joint, from base to tip", pad=0.01, aspect=40)
-    strength = float(np.linalg.norm(simulation.gravity))
-    weight = f"gravity {strength:.4g} m/s²" if strength else "no gravity"
-    palette.add_title(figure, [f"{simulation.loop} loop, {weight}: {simulation.status}, {simulation.reason}"])
+    palette.add_title(figure, [str(headline(simulation.summary(), "The simulated arm"))])
     servos = simulation.servos
     compensated = f"{'with' if servos.gravity_compensation else 'without'} gravity compensation"
     described = f"servos of {servos.frequency:g} Hz, damping ratio {servos.damping:g}, {compensated}"
-    palette.add_footnote(figure, described, f"physics steps of at most {servos.timestep:g} s")
+    palette.add_footnote(figure, described)
     return figure
 
 
@@ -58,9 +57,10 @@ def _plot_point_errors(simulation: Simulation, ax: Axes) -> None:
         ax.plot(
             simulation.time, values, color=color, lw=1.8, label=label, marker=marker(len(simulation.time))
         )
-    palette.format_time_axes(ax, "mean point error [m]")
+    palette.format_time_axes(ax, "mean point error")
     floor = ROUNDING * simulation.arm.length
     palette.scale_values(ax, floor)
+    palette.label_lengths([ax], "mean point error")
     for values, color in lines.values():
         palette.mark_value(ax, simulation.time[-1], float(values[-1]), color, "end", floor)
     add_legend(ax)

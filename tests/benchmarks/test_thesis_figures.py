@@ -179,7 +179,7 @@ def test_a_planar_figure_shows_everything_about_its_runs(flat_selection, flat_pr
     initial = found["(a) initial posture and target curve"]
     start = backbone(arm, flat_selection.q[0])
     assert any(np.array_equal(line.get_ydata(), start[:, 1]) for line in initial.get_lines())
-    for letters, (name, run) in zip(("bcf", "deg"), runs.items(), strict=True):
+    for letters, (name, run) in zip(("bcd", "efg"), runs.items(), strict=True):
         used, progress, final = (
             next(ax for head, ax in found.items() if head.startswith(f"({letter}) {name}"))
             for letter in letters
@@ -212,6 +212,69 @@ def test_a_switching_run_is_compared_and_its_steps_by_projection_are_marked(flat
     red = [line for ax in figure.axes for line in ax.get_lines() if line.get_color() == palette.MARK]
     assert [line.get_xdata().tolist() for line in red] == [list(range(5, 13))]
     draw(figure)
+
+
+def drawn_in(ax) -> set[str]:
+    """Colours of the lines of an axes, without those of the frame."""
+    return {line.get_color() for line in ax.get_lines()}
+
+
+@pytest.mark.long
+def test_each_run_has_a_colour_of_its_own_throughout_a_figure(flat_selection, flat_projection):
+    """Also more own controllers than there are spare colours, one of them called as a method is."""
+    names = ["Switching", "transpose", "lm", "a", "b", "Selection(mine)"]
+    runs = {name: replace(flat_selection, controller=f"{name}()") for name in names}
+    compared = {"Selection": flat_selection, "Projection": flat_projection}
+    figure = draw_planar(runs, "Title", compared)
+    found = heads(figure)
+    errors = {head[4:].partition(":")[0]: ax for head, ax in found.items() if "posture error" in head}
+    used = {head[4:].partition(":")[0]: ax for head, ax in found.items() if "points used" in head}
+    others = {palette.CONTROLLER_COLORS[name] for name in ("selection", "projection")}
+    own = {name: drawn_in(ax) - others for name, ax in errors.items()}
+    assert [len(colors) for colors in own.values()] == [1] * len(names)
+    assert len(set.union(*own.values())) == len(names)
+    assert {name: drawn_in(ax) for name, ax in used.items()} == own
+    (key,) = [legend for ax in figure.axes if (legend := ax.get_legend())]
+    shown = {
+        text.get_text().removesuffix(": posture error"): {line.get_color()}
+        for text, line in zip(key.get_texts(), key.get_lines(), strict=True)
+    }
+    assert {name: shown[name] for name in names} == own
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [None, 88.0, 180.0])
+def test_nothing_in_a_figure_lies_upon_something_else_or_is_cut(width, flat_selection, flat_projection):
+    compared = {"Selection": flat_selection, "Projection": flat_projection}
+    runs = compared | {"a_controller_of_ones_own": flat_projection, "b": flat_selection}
+    for figure in (draw_planar(runs, "Title", compared, width), draw_errors(runs, "Title", width)):
+        draw(figure)
+        whole = figure.bbox
+        for ax in figure.axes:
+            title = ax.title if ax.get_title() else ax._left_title
+            words = [text for text in ax.texts if text.get_text()]
+            for text in words:
+                box = text.get_window_extent()
+                assert not title.get_text() or not box.overlaps(title.get_window_extent()), text
+                legend = ax.get_legend()
+                assert legend is None or not box.overlaps(legend.get_window_extent()), text
+            for text in (*words, title, ax.xaxis.label, ax.yaxis.label):
+                box = text.get_window_extent()
+                assert not text.get_text() or (box.x0 >= 0.0 and box.x1 <= whole.x1), text
+                assert not text.get_text() or (box.y0 >= 0.0 and box.y1 <= whole.y1), text
+        steps = [ax.get_xlim()[1] for ax in figure.axes if ax.get_xlabel().startswith("step")]
+        assert len(set(steps)) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [None, 88.0])
+def test_axes_in_space_are_named_within_the_figure(width, selection, projection):
+    figure = draw_final_postures({"Selection": selection, "a long name": projection}, "Title", width)
+    draw(figure)
+    for ax in figure.axes:
+        for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+            box = axis.label.get_window_extent()
+            assert box.x0 >= 0.0 and box.y0 >= 0.0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
 
 
 @pytest.mark.long

@@ -35,7 +35,7 @@ def test_a_run_is_simulated_kept_and_told(command, timed_run, tmp_path, loop):
     )
     kept = pp.load(out / "simulation.npz", Simulation)
     assert kept.loop == loop
-    assert f"{loop} loop, gravity, {len(kept.time) - 1} cycles of 0.02 s" in result.out
+    assert f"{loop} loop, gravity 9.81 m/s², {len(kept.time) - 1} cycles of 0.02 s" in result.out
     assert ("\ntarget " in result.out) == (loop == "closed")
     assert result.err.splitlines()[-2:] == [
         f"wrote {out / name}" for name in ("simulation.png", "simulation.npz")

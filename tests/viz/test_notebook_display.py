@@ -37,6 +37,26 @@ def shown() -> Any:
     return show
 
 
+@pytest.mark.long
+def test_notebook_figure_and_page_say_the_same_words(shown: Any, tmp_path: Any) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=3)
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.4))
+    limits = pp.Limits(step=None, dt=0.02, velocity=1.0)
+    ended = pp.track(arm, target, arm.straight(), limits=limits)
+    broken_off = pp.track(arm, target, arm.straight(), limits=limits, max_steps=3)
+    for run in (ended, broken_off):
+        words = in_words(run.summary())
+        said = words["verdict"], words["steps"]
+        title = " ".join(pp.plot(run).get_suptitle().split())
+        page = pp.save_html(arm, run, tmp_path / "run").read_text(encoding="utf-8")
+        head = " ".join(re.sub("<[^>]*>", " ", page[page.index("<h1>") : page.index('id="stage"')]).split())
+        for each in said:
+            assert each in title
+            assert each in re.sub("<[^>]*>", "", shown(run))
+        assert f"{run.verdict.removesuffix(run.reason).rstrip(': ')} {run.reason}" in head
+        assert words["steps"] in head
+
+
 class Rows(HTMLParser):
     """The rows of a table, and the tags that were left open."""
 

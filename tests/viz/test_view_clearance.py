@@ -78,17 +78,17 @@ def test_whatever_the_distances_are_they_are_inside_of_the_panel(values):
 @pytest.mark.long
 def test_only_a_run_in_a_scene_has_a_clearance_panel():
     free = free_run()
-    assert "clearance [m]" in labels(pp.plot(in_scene()))
-    assert "clearance [m]" not in labels(pp.plot(free))
+    assert "clearance [mm]" in labels(pp.plot(in_scene()))
+    assert "clearance [mm]" not in labels(pp.plot(free))
     alone = in_scene(np.full(free.steps + 1, np.inf))
-    assert "clearance [m]" not in labels(pp.plot(alone))
-    assert "clearance [m]" in labels(pp.plot_comparison({"a": in_scene(), "b": free}))
-    assert "clearance [m]" not in labels(pp.plot_comparison({"a": free, "b": free}))
+    assert "clearance [mm]" not in labels(pp.plot(alone))
+    assert "clearance [mm]" in labels(pp.plot_comparison({"a": in_scene(), "b": free}))
+    assert "clearance [mm]" not in labels(pp.plot_comparison({"a": free, "b": free}))
 
 
 def test_a_comparison_names_the_margin_once():
     figure = pp.plot_comparison({"a": in_scene(), "b": in_scene()})
-    (ax,) = (each for each in figure.axes if each.get_ylabel() == "clearance [m]")
+    (ax,) = (each for each in figure.axes if each.get_ylabel() == "clearance [mm]")
     assert entries(ax).count("margin to keep, 20 mm") == 1
     assert len(ax.texts) == 2
 
@@ -132,7 +132,7 @@ def test_what_a_controller_does_not_have_is_left_out():
     free = free_run()
     run = pp.track(free.arm, free.target, free.q[0], "geodesic", max_steps=5)
     assert "sigma_max" not in run.info
-    assert labels(pp.plot(run))[1:3] == ["mean point error [m]", "point errors [m]"]
+    assert labels(pp.plot(run))[1:3] == ["mean point error [mm]", "point errors [mm]"]
     assert not any("sigma" in label or "active" in label for label in labels(pp.plot(run)))
     kept = labels(pp.plot(free))
     assert "active control points" in kept

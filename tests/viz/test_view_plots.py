@@ -80,7 +80,7 @@ def test_posture_error_panel_shows_every_step_and_writes_both_ends():
     np.testing.assert_array_equal(ax.get_lines()[0].get_xdata(), np.arange(run.steps + 1))
     written = [text.get_text() for text in ax.texts]
     assert written == [length_text(run.posture_error[0]), length_text(run.posture_error[-1])]
-    assert "[m]" in ax.get_ylabel()
+    assert ax.get_ylabel() == "posture error [mm]"
 
 
 def test_point_errors_panel_has_a_line_of_its_own_colour_for_each_point():
@@ -94,6 +94,39 @@ def test_point_errors_panel_has_a_line_of_its_own_colour_for_each_point():
     assert ax.get_legend() is None
     (bar,) = [other for other in ax.figure.axes if other is not ax]
     assert bar.get_ylabel() == "control point"
+
+
+@pytest.mark.parametrize(("size", "unit", "tick"), [(0.5, "mm", "200"), (5.0, "m", "2")])
+def test_axes_of_lengths_have_the_unit_of_the_text_beside_them(size, unit, tick):
+    """Millimetres below one metre, on linear and logarithmic axes."""
+    ax = one_panel()
+    ax.plot([0.0, 1.0], [size, 0.8 * size])
+    palette.scale_values(ax)
+    palette.label_lengths([ax], "error")
+    assert ax.get_ylabel() == f"error [{unit}]"
+    assert tick in ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks())
+    ax = one_panel()
+    ax.plot([0.0, 1.0], [size, 1e-4 * size])
+    palette.scale_values(ax)
+    palette.label_lengths([ax], "error")
+    assert ax.get_yscale() == "log"
+    assert "{10^{0}}" in ax.yaxis.get_major_formatter()(1.0 if unit == "m" else 1e-3)
+
+
+@pytest.mark.parametrize("least", range(5))
+@pytest.mark.parametrize("depth", [0.01, 1.0])
+def test_the_least_value_is_written_inside_the_axes(least, depth):
+    """Also where it is the first or the last, and where the line is almost level."""
+    ax = one_panel()
+    values = np.full(5, 0.03)
+    values[least] *= 1.0 - depth
+    ax.plot(np.arange(5.0), values)
+    palette.scale_values(ax)
+    ax.set_xlim(0.0, 4.0)
+    palette.mark_value(ax, float(least), float(values[least]), palette.INK, "least")
+    box = ax.texts[0].get_window_extent()
+    inside = ax.get_window_extent()
+    assert inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
 
 
 def test_points_without_a_target_are_left_out_and_counted():
