@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.text import Text
+from matplotlib.text import Annotation, Text
 from matplotlib.ticker import NullFormatter
 
 from pinposture.errors import InvalidValue
@@ -99,7 +99,8 @@ def draw_final_postures(runs: Mapping[str, Run], title: str, width: float | None
     closer.ax.set_title("final postures alone", fontsize=9, color=palette.INK)
     if stacked:  # above both panels
         handles, labels = whole.get_legend_handles_labels()
-        whole.get_legend().remove()
+        if (legend := whole.get_legend()) is not None:
+            legend.remove()
         columns = 1 if max(map(len, labels)) > _half_line_length(width) // 2 else 2
         style = {"fontsize": PRINT_TYPE, "frameon": False, "ncols": columns}
         figure.legend(handles, labels, loc="outside upper left", **style)
@@ -379,6 +380,8 @@ def _top_below_title(ax: Axes) -> float:
     distance = TITLE_DISTANCE / 72.0 * ax.figure.dpi
     end = high
     for text in ax.texts:
+        if not isinstance(text, Annotation):
+            continue
         place = scale.transform(text.xy[1]) if text.xycoords is ax.transData else low
         above = (text.get_window_extent().y1 + distance - ax.transData.transform(text.xy)[1]) / box.height
         if place > low and above < 1.0:
