@@ -245,8 +245,8 @@ def _endings(runs: Mapping[str, Run], compared: Mapping[str, Run], length: int) 
     """Return lines of a length [letters] on how runs ended, and which posture error they left."""
     lines = []
     for name, run in runs.items():
-        ending = headline(run.summary(), name)
-        lines += [f"{ending.ending}; {ending.extent};", f"posture error {_change(run)}"]
+        ending, _, extent = headline(run.summary(), name)
+        lines += [f"{ending}; {extent};", f"posture error {_change(run)}"]
     lines += [f"{name} alone: posture error {_change(run)}" for name, run in compared.items()]
     return [each for line in lines for each in textwrap.wrap(line, length)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from pinposture.placement.target import Moved
 from pinposture.units import error_text, length_text
@@ -16,42 +16,28 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str]:
     return _WORDS[summary["kind"]](summary)
 
 
-class Headline(NamedTuple):
-    """The words with which figures and pages of a result begin.
-
-    Attributes:
-        ending: who moved, whether it reached its target, and the faults.
-        reason: why it ended.
-        extent: how long it was.
-    """
-
-    ending: str
-    reason: str
-    extent: str
-
-    def __str__(self) -> str:
-        return f"{self.ending}: {self.reason}; {self.extent}"
-
-
-EXTENTS: Mapping[str, str] = {"run": "steps", "motion": "duration", "simulation": "simulated"}
-"""The topic of a summary, by its kind, that says how long a result was."""
-
-
-def headline(summary: Mapping[str, Any], name: str) -> Headline:
-    """Return the beginning of the words of a `summary` of a run, motion or simulation.
+def headline(summary: Mapping[str, Any], name: str) -> tuple[str, str, str]:
+    """Return the words with which a figure or page of a run, motion or simulation begins.
 
     Args:
         summary: what `summary` returns.
         name: who moved.
+
+    Returns:
+        Whether it reached its target, and the faults; why it ended; how long it was.
     """
     words = in_words(summary)
-    topic = EXTENTS[summary["kind"]]
     reason = str(summary["reason"])
-    return Headline(
-        ending=f"{name} {words['verdict'].removesuffix(f': {reason}')}",
-        reason=reason,
-        extent=f"{topic}: {words[topic]}",
+    extent = next(
+        f"{topic}: {words[topic]}" for topic in ("steps", "duration", "simulated") if topic in words
     )
+    return f"{name} {words['verdict'].removesuffix(f': {reason}')}", reason, extent
+
+
+def title(summary: Mapping[str, Any], name: str) -> str:
+    """Return the words of `headline` as one sentence."""
+    ending, reason, extent = headline(summary, name)
+    return f"{ending}: {reason}; {extent}"
 
 
 def _placement(summary: Mapping[str, Any]) -> dict[str, str]:

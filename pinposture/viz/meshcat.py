@@ -670,10 +670,12 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
     packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
     described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": captions(shown)}
     template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
-    ending = headline((run if motion is None else motion).summary(), palette.controller_name(run))
+    ending, reason, extent = headline(
+        (run if motion is None else motion).summary(), palette.controller_name(run)
+    )
     return Template(template).substitute(
-        title=html.escape(ending.ending),
-        reason=html.escape(f"{ending.reason}; {ending.extent}"),
+        title=html.escape(ending),
+        reason=html.escape(f"{reason}; {extent}"),
         legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,

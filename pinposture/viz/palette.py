@@ -116,7 +116,6 @@ def rgb(color: str) -> tuple[float, float, float]:
 LOG_DECADES = 1.5  # decades spanned by the values from which the axis is logarithmic
 HEADROOM = 0.1  # share of a logarithmic axis above the largest value, where its text stands
 EDGE = 0.15  # share of an axis at either end, near which a text above a point would leave the axes
-MILLI = 1e3
 MAX_DECADES = 12.0  # maximum number of decades on such an axis; smaller values are rounding errors
 
 
@@ -173,13 +172,6 @@ def scale_values(ax: Axes, floor: float = 0.0) -> None:
     ax.set_ylim(least / 1.8, top * max(1.8, (top / least) ** HEADROOM))
 
 
-class _LogMillimetres(LogFormatterMathtext):
-    """Writes powers of ten of lengths [m] in millimetres."""
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        return str(super().__call__(MILLI * x, pos))
-
-
 def label_lengths(panels: Sequence[Axes], name: str) -> None:
     """Label vertical axes of lengths [m]: in millimetres below one metre, in metres from there on.
 
@@ -190,12 +182,13 @@ def label_lengths(panels: Sequence[Axes], name: str) -> None:
     drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for ax in panels for line in ax.get_lines()]
     largest = max((float(np.abs(each[np.isfinite(each)]).max(initial=0.0)) for each in drawn), default=0.0)
     small = round(largest, 3) < 1.0
+    powers = LogFormatterMathtext()
     for ax in panels:
         ax.set_ylabel(f"{name} [{'mm' if small else 'm'}]", fontsize=9)
         if small and ax.get_yscale() == "log":
-            ax.yaxis.set_major_formatter(_LogMillimetres())
+            ax.yaxis.set_major_formatter(lambda value, _: powers(1e3 * value))
         elif small:
-            ax.yaxis.set_major_formatter(lambda value, _: f"{MILLI * value:.6g}")
+            ax.yaxis.set_major_formatter(lambda value, _: f"{1e3 * value:.6g}")
 
 
 def scale_counts(ax: Axes, largest: int) -> None:
@@ -215,12 +208,9 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
     scale = ax.get_xaxis_transform() if below else ax.transData
     ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale)
     ax.set_ylim(low, high)
-    if where == "least":
-        right, up, ha, va = _beside(ax, place)
-    elif where == "start":
-        right, up, ha, va = 7, 4, "left", "bottom"
-    else:
-        right, up, ha, va = (6, 4, "left", "bottom") if below else (6, 0, "left", "center")
+    styles = {"start": (7, 4, "left", "bottom"), "least": _beside(ax, place)}
+    styles["end"] = (6, 4, "left", "bottom") if below else (6, 0, "left", "center")
+    right, up, ha, va = styles[where]
     taken = [text.get_window_extent().padded(2.0) for text in ax.texts]
     written = ax.annotate(
         BELOW_ROUNDING if abs(value) < floor else length_text(value),
@@ -300,7 +290,6 @@ def add_footnote(figure: Figure, *details: str) -> None:
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=QUIET, parse_math=False)
 
 
-SCENE = re.compile(r"\bscene=Scene\(.*(?=, name=)")  # in a repr; names of obstacles may be any text
 LAP = re.compile(r", lap \d+$")  # in the name of a keyframe of a repeated tour
 
 
@@ -330,7 +319,8 @@ def controller_text(run: Run) -> str:
 
 def _parameters(text: str) -> dict[str, str]:
     """Return the fields in the repr of a dataclass, with functions as names; none of another repr."""
-    text = SCENE.sub("scene=None", text.replace("<locals>.", ""))
+    text = re.sub(r"\bscene=Scene\(.*(?=, name=)", "scene=None", text)  # obstacles may have any name
+    text = text.replace("<locals>.", "")
     named = re.sub(r"<(?:\w+ )?([\w.]+) [^<>]*>", r"\1", text)
     try:
         made = ast.parse(named, mode="eval").body

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Run, Trajectory
 from pinposture.motion.run import closest, limit_shares
-from pinposture.motion.words import headline, in_words
+from pinposture.motion.words import in_words, title
 from pinposture.units import BELOW_ROUNDING, ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
@@ -435,8 +435,7 @@ def plot_motion(motion: Trajectory) -> Figure:
     deviations = [f"not as planned: {text}" for text in motion.deviations[:MAX_DETOURS]]
     if len(motion.deviations) > MAX_DETOURS:
         deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
-    ending = headline(motion.summary(), palette.controller_name(run))
-    palette.add_title(figure, [str(ending), *deviations])
+    palette.add_title(figure, [title(motion.summary(), palette.controller_name(run)), *deviations])
     palette.add_footnote(
         figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(motion)
     )
@@ -546,7 +545,7 @@ def plot(run: Run | Trajectory | JointTrajectory) -> Figure:
     if run.switches:
         mark_projection(run, rows[-1])
         rows[-1].set_xlabel(f"{rows[-1].get_xlabel()} (red: steps by Projection)")
-    palette.add_title(figure, [str(headline(run.summary(), palette.controller_name(run)))])
+    palette.add_title(figure, [title(run.summary(), palette.controller_name(run))])
     palette.add_footnote(
         figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(run)
     )
@@ -588,5 +587,5 @@ def plot_comparison(runs: Mapping[str, Run]) -> Figure:
             plot_clearance(run, rows[2], color)
     palette.scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))
     palette.share_axis(rows)
-    palette.add_title(figure, [str(headline(run.summary(), label)) for label, run in runs.items()])
+    palette.add_title(figure, [title(run.summary(), label) for label, run in runs.items()])
     return figure

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pinposture.motion.words import headline
+from pinposture.motion.words import title
 from pinposture.sim import Simulation
 from pinposture.units import ROUNDING
 from pinposture.viz import palette
@@ -39,7 +39,7 @@ def plot_simulation(simulation: Simulation) -> Figure:
     palette.share_axis(panels)
     count = len(simulation.arm.columns)
     palette.add_colorbar([panels[0], panels[2]], count, "joint, from base to tip", pad=0.01, aspect=40)
-    palette.add_title(figure, [str(headline(simulation.summary(), "The simulated arm"))])
+    palette.add_title(figure, [title(simulation.summary(), "The simulated arm")])
     servos = simulation.servos
     compensated = f"{'with' if servos.gravity_compensation else 'without'} gravity compensation"
     described = f"servos of {servos.frequency:g} Hz, damping ratio {servos.damping:g}, {compensated}"

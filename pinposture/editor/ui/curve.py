@@ -56,11 +56,13 @@ SELECTED_BALL_COLOR = palette.mixed(palette.START, palette.TARGET, 0.45)  # of t
 EARLIEST = 0.25  # place of the first curve on the scale of times: earlier ones are too pale on white
 LEGEND = (
     (palette.MODULES[0], "the arm"),
-    (palette.TARGET, "the curve, where the arm lies on it"),
     (palette.REST, "the curve beyond the arm"),
+    (palette.TARGET, "the curve, where the arm lies on it"),
     (palette.MARK, "a curve that the arm cannot take"),
     (BALL_COLOR, "control points of the curve"),
     (palette.REGULAR, "points of the arm on their targets; red: far off"),
+    (palette.ACTIVE, "rings: active points of the arm"),
+    (palette.in_time(0.7), "curves of other keyframes, by their times"),
 )
 """Colours in the picture, and what they say."""
 
@@ -519,8 +521,9 @@ class ShapeTab:
 def _legend() -> str:
     """Return the legend of the picture, as HTML."""
     style = "display:inline-block;width:18px;height:8px;border-radius:2px;margin-right:8px"
-    lines = [f'<span style="{style};background:{shade}"></span>{words}' for shade, words in LEGEND]
-    return f'<div style="font-size:12px;line-height:1.5;padding:8px 12px">{"<br>".join(lines)}</div>'
+    lines = [f'<div><span style="{style};background:{shade}"></span>{words}</div>' for shade, words in LEGEND]
+    flow = "display:flex;flex-wrap:wrap;column-gap:14px"
+    return f'<div style="font-size:12px;line-height:1.4;padding:4px 12px;{flow}">{"".join(lines)}</div>'
 
 
 POINT_ACTIONS = {

@@ -265,23 +265,22 @@ class Plots:
     def _show_legend(self, trace: Trace, moment: float | None) -> None:
         """Show what the lines are, and their values at a moment [s]; None: now."""
         mean, largest, speed, acceleration = trace.at(0.0 if moment is None else moment)
+        when = f"last {LIVE_SPAN:g} s" if moment is None else f"{moment:.2f} s"
         entries = [
-            (palette.INK, f"last {LIVE_SPAN:g} s" if moment is None else f"{moment:.2f} s"),
-            (self._color, f"mean error {self._in_words(mean)}"),
-            (_darker(self._color), f"largest {self._in_words(largest)}"),
+            (self._color, f"mean error {length_text(mean, self._length)}"),
+            (self._plot.series[1]["stroke"], f"largest {length_text(largest, self._length)}"),
         ]
         if speed is not None:
             entries.append((SPEED_COLOR, f"speed {100.0 * speed:.0f} %"))
         if acceleration is not None:
             entries.append((ACCELERATION_COLOR, f"acceleration {100.0 * acceleration:.0f} %"))
-        style = "margin-right:9px;color"
-        words = "".join(f'<span style="{style}:{color}">{text}</span>' for color, text in entries)
+        apart = 'style="margin-right:9px"'
+        words = f"<span {apart}>{when}</span>"
+        for color, text in entries:
+            words += f'<span {apart}><i style="{STYLES["swatch"]};background:{color}"></i>{text}</span>'
         style = f"font-size:11px;line-height:1.2;padding:2px 10px;height:{LEGEND_HEIGHT}px"
         style += ";display:flex;flex-wrap:wrap;align-content:flex-start"
         put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
-
-    def _in_words(self, error: float) -> str:
-        return length_text(error, self._length)
 
 
 def _lines(color: str) -> tuple[uplot.Series, ...]:
@@ -290,7 +289,7 @@ def _lines(color: str) -> tuple[uplot.Series, ...]:
 
     return (
         {"label": "time"},
-        line("largest error", "mm", _darker(color), 1.2),
+        line("largest error", "mm", palette.mixed(color, palette.TARGET, 0.4), 1.2),
         line("mean error", "mm", color, 2.0),
         line("acceleration", "share", ACCELERATION_COLOR, 1.0),
         line("speed", "share", SPEED_COLOR, 1.6),
@@ -312,10 +311,6 @@ def _axes() -> tuple[uplot.Axis, ...]:
         {**titled, "grid": {"show": False}, "scale": "mm", "size": 46, "label": "mm"},
         {**titled, **grid, "scale": "share", "side": 1, "size": 30, "label": "of limit"},
     )
-
-
-def _darker(color: str) -> str:
-    return palette.mixed(color, palette.TARGET, 0.4)
 
 
 ON_PRESS = """
@@ -360,6 +355,7 @@ div:has(> #timeline) + div {{display: none}}
 """Hides the field that requests are written into, and the plot in a low page."""
 
 STYLES = {
+    "swatch": "display:inline-block;width:9px;height:7px;border-radius:2px;margin-right:3px",
     "strip": "position:relative;height:42px;margin:2px 20px 4px 20px;touch-action:none;user-select:none",
     "line": f"position:absolute;top:11px;height:5px;width:100%;border-radius:3px;background:{palette.FAINT}",
     "tick": "position:absolute;top:28px;font-size:10px;line-height:12px;transform:translateX(-50%);"
@@ -372,7 +368,7 @@ STYLES = {
     "playhead": "position:absolute;top:0;height:29px;width:2px;transform:translateX(-50%);"
     f"background:{palette.MARK}",
 }
-"""Styles of the timeline and of what is in it."""
+"""Styles of the timeline and of what is in it, and of colours in the legend of the plot."""
 
 
 class TimeAxis:
