@@ -1,5 +1,6 @@
 """How the arm moves: limits, the planner and its controller, the methods of the thesis, and tasks."""
 
+from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Controller, Memory, Step
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBox
@@ -19,6 +20,7 @@ from pinposture.control.thesis.switching import Switching
 
 __all__ = [
     "CONTROLLERS",
+    "Constraint",
     "ControlTask",
     "Controller",
     "EndEffector",

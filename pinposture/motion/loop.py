@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, Step
+from pinposture.control.constraint import describe_violated, sides_of
 from pinposture.control.controller import Info, Memory
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
@@ -192,8 +193,11 @@ class RunRecord:
         return self._idle
 
     def run(self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str) -> Run:
-        """Return the run so far, with messages on steps that exceed limits."""
+        """Return the run so far, with messages on steps that exceed limits and on constraints at its end."""
         steps = self._steps
+        if isinstance(controller, Geodesic):
+            broken = describe_violated(sides_of(controller.constraints, self._last), arm.length)
+            reason = "; ".join([reason, *broken])
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
             row[list(step.active)] = True

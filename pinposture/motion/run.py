@@ -440,6 +440,19 @@ class Run(Outcome):
         return find_limit_violation(self)
 
     @cached_property
+    def _faults_before_end(self) -> tuple[str, ...]:
+        """Clauses on violated constraints too."""
+        steps = self.violated_steps.get("constraint")
+        if steps is None:
+            return super()._faults_before_end
+        lines = str(self.violated_constraints[steps[0]]).splitlines()
+        first = next(line for line in lines if line.startswith("constraint: ")).partition(": ")[2]
+        return (
+            f"{first} in step {steps[0] + 1}, the first of {len(steps)} steps that violate constraints",
+            *super()._faults_before_end,
+        )
+
+    @cached_property
     def violated_steps(self) -> dict[str, NDArray[np.intp]]:
         """Steps in which each violated constraint is violated, 0-based, by its name in `CONSTRAINTS`."""
         named = [

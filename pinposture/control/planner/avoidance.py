@@ -1,9 +1,10 @@
-"""Collision avoidance: constraints of a quadratic program, and checks that the arm can stop clear."""
+"""Collision avoidance and constraints: rows of a quadratic program, and whether the arm can stop clear."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
+from copy import copy
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import daqp
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 from pinposture.arm import ChainState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
+from pinposture.control.constraint import VIOLATION_ROUNDING, Sides, describe_violated, sides_of
 from pinposture.control.limits import JointBounds, stopping_steps
-from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 
@@ -161,6 +163,10 @@ BRAKING_HARDER = "acceleration limit: braking within it would cause contact"
 MEASURED_ARM = "the measured arm"
 """Beginning of messages on pairs at which the measured arm limits a step, not the commanded one."""
 
+SAMPLED_TURN = 0.05
+"""Largest motion of a joint between two states of a motion at which constraints are checked, in
+`Arm.joint_units`."""
+
 MAX_HALVINGS = 6
 """How often a step from which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
@@ -193,6 +199,11 @@ class PathClearance(NamedTuple):
     minima: Array
 
 
+@cache
+def _no_obstacles() -> Scene:
+    return Scene(self_collision=False)
+
+
 class ClearStep(NamedTuple):
     """A step after which the arm can stop clear of everything.
 
@@ -210,11 +221,12 @@ class ClearStep(NamedTuple):
 
 
 class Avoidance:
-    """Constraints and checks that keep an arm clear of a scene and of itself.
+    """Constraints and checks that keep an arm clear of a scene and of itself, and within its constraints.
 
     A step is clear if the arm keeps its margin during the step and while it then brakes to a stop within all
     limits. From rest, staying is clear; after a clear step, braking is. So the arm never has to brake harder
-    than it can.
+    than it can. The constraints of the objective are kept in the same way, checked at states
+    at most `SAMPLED_TURN` apart; but the arm never brakes harder than its limits for them.
 
     Args:
         clearance: the collision model.
@@ -228,7 +240,11 @@ class Avoidance:
         margin: the distance to keep [m].
         moving: whether obstacles move.
         offset: as above.
+        constraints: the constraints of the objective.
+        tolerated: violation of constraints that is accepted on a path, because its ends violate them [m].
     """
+
+    tolerated: float = 0.0
 
     def __init__(
         self,
@@ -244,10 +260,12 @@ class Avoidance:
         self.margin = clearance.scene.margin
         self.offset = offset
         self.objective = objective
+        self.constraints = objective.constraints
         self._length = objective.arm.length
         self._bounds = bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
         self._seen: tuple[ChainState, Distances] | None = None
+        self._seen_sides: tuple[ChainState, Sides] | None = None
         self._seen_displaced: tuple[ChainState, Distances] | None = None
         self._approved: tuple[Array, Array] | None = None
         brake = bounds.brake
@@ -269,14 +287,36 @@ class Avoidance:
         previous: Array | None = None,
         offset: Array | None = None,
     ) -> Avoidance | None:
-        """Return the avoidance of a scene; None if there is no scene."""
-        if scene is None:
+        """Return the avoidance of a scene and of constraints; None if there is neither."""
+        if scene is None and not objective.constraints:
             return None
+        scene = _no_obstacles() if scene is None else scene
         return cls(CollisionModel(objective.arm, scene), objective, bounds, previous, offset)
 
     def for_objective(self, objective: Objective) -> Avoidance:
         """Return the avoidance for another objective and an arm at rest."""
         return Avoidance(self.clearance, objective, self._bounds)
+
+    def tolerating(self, *states: ChainState) -> Avoidance:
+        """Return the avoidance for a path that begins and ends at states, which may violate constraints."""
+        if not self.constraints:
+            return self
+        other = copy(self)
+        other.tolerated = max(self.violation(state) for state in states)
+        return other
+
+    def sides(self, state: ChainState) -> Sides:
+        """Return the constraints at a state; the last result is cached."""
+        if self._seen_sides is None or self._seen_sides[0] is not state:
+            self._seen_sides = state, sides_of(self.constraints, state)
+        return self._seen_sides[1]
+
+    def violation(self, state: ChainState) -> float:
+        """Return by how much the worst constraint is violated [m]; 0 if all are kept, up to rounding."""
+        if not self.constraints:
+            return 0.0
+        found = self.sides(state).violation
+        return found if found > VIOLATION_ROUNDING * self._length else 0.0
 
     def near(self, state: ChainState) -> Distances:
         """Return the pairs within the constrained distance; the last result is cached."""
@@ -305,21 +345,33 @@ class Avoidance:
         as far as the bounds of the step allow. From an approaching obstacle the arm retreats early enough to
         match its speed within the acceleration limits.
 
-        The rows of the arm at its state come first, then those of the measured arm. That one has to gain as
-        much as the other may lose: its offset follows the measurements slowly.
+        The rows of the arm at its state come first, then those of the measured arm, then constraints. The
+        measured arm has to gain as much as the other may lose: its offset follows the measurements slowly.
 
         Args:
             state: the state of the arm.
             lower: smallest step, (n,), in `Arm.joint_units`.
             upper: largest step, (n,).
         """
-        rows = self._damper(self.near(state), lower, upper)
+        parts = [self._damper(self.near(state), lower, upper)]
         measured = self.near_measured(state)
-        more = None if measured is None else self._damper(measured, lower, upper)
-        if rows is None or more is None:
-            return more if rows is None else rows
-        matrix = np.vstack([rows.matrix, more.matrix])
-        return ConstraintRows(matrix, np.concatenate([rows.least, more.least]))
+        if measured is not None:
+            parts.append(self._damper(measured, lower, upper))
+        if self.constraints:
+            parts.append(self._constraint_rows(state, lower, upper))
+        found = [part for part in parts if part is not None]
+        if len(found) <= 1:
+            return found[0] if found else None
+        matrix = np.vstack([part.matrix for part in found])
+        return ConstraintRows(matrix, np.concatenate([part.least for part in found]))
+
+    def _constraint_rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows:
+        """Return the rows of constraints: none loses more than a share of its room, as pairs of clearance."""
+        sides = self.sides(state)
+        matrix = sides.matrix[:, self.objective.columns] * self.objective.units
+        room = sides.room - STEP_CLEARANCE * self._length
+        most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
+        return ConstraintRows(matrix, np.minimum(-self._approach * room, GAIN_SHARE * most))
 
     def _damper(self, near: Distances, lower: Array, upper: Array) -> ConstraintRows | None:
         """Return the rows of pairs that are near; None if there are none."""
@@ -351,8 +403,8 @@ class Avoidance:
         return max(0.0, self.margin - self.near(state).minimum)
 
     def allows(self, state: ChainState) -> bool:
-        """Whether all pairs keep the margin at a state; as `intrusion`, without what its derivatives need."""
-        return self.clearance.minimum(state.q).distance >= self.margin
+        """Whether all pairs keep the margin at a state, and all constraints are kept."""
+        return self.clearance.minimum(state.q).distance >= self.margin and self.violation(state) == 0.0
 
     def lost(self, state: ChainState) -> bool:
         """Whether the margin is lost, by more than rounding, in a scene whose obstacles have been moved."""
@@ -382,20 +434,53 @@ class Avoidance:
         return self.clearance.count_movers(self.objective.columns)
 
     def keeps(self, q: Array, path: Array, least: float) -> bool:
-        """Whether straight motions keep a distance, given that the first configuration does.
+        """Whether straight motions keep a distance, given that the first configuration does, and constraints.
 
         Args:
             q: a configuration, (nq,).
             path: displacements from it that the motions connect, (N + 1, nv) [rad or m].
             least: the distance [m].
         """
-        return self.clearance.minimum_on_motions(q, path, least, least).distance >= least
+        if self.clearance.minimum_on_motions(q, path, least, least).distance < least:
+            return False
+        return bool(self.keeps_constraints(q, path).all())
+
+    def keeps_constraints(self, q: Array, path: Array) -> NDArray[np.bool_]:
+        """Whether each straight motion keeps the constraints, as far as the path may, (N,); see `keeps`."""
+        return self._violations_along(q, path) <= self.tolerated + VIOLATION_ROUNDING * self._length
+
+    def _violations_along(self, q: Array, path: Array) -> Array:
+        """Return the largest violation of a constraint on each straight motion, (N,) [m]; see `keeps`."""
+        if not self.constraints:
+            return np.zeros(len(path) - 1)
+        sides, ends = self._sides_along(q, path)
+        found = np.array([each.violation for each in sides])
+        return np.asarray(np.maximum(np.maximum.reduceat(found, ends[:-1]), found[ends[1:]]))
+
+    def _sides_along(self, q: Array, path: Array) -> tuple[list[Sides], NDArray[np.intp]]:
+        """Return the constraints at states on straight motions, and the index of each waypoint among them."""
+        arm = self.objective.arm
+        turns = np.abs(np.diff(path, axis=0) / arm.joint_units).max(axis=1, initial=0.0)
+        ends = np.append(0, np.cumsum(np.maximum(np.ceil(turns / SAMPLED_TURN), 1.0))).astype(np.intp)
+        places = np.arange(ends[-1] + 1)
+        offsets = np.column_stack([np.interp(places, ends, joint) for joint in path.T])
+        start = arm.chain_at(q)
+        return [sides_of(self.constraints, start.moved(each)) for each in offsets], ends
+
+    def missing_room(self, state: ChainState, root: float) -> LinearRows:
+        """Return rows that move a waypoint back within its constraints, times the root of their weight."""
+        sides = self.sides(state)
+        wanted = PATH_CLEARANCE * self._length - sides.room
+        near = wanted > 0.0
+        matrix = sides.matrix[near][:, self.objective.columns] * self.objective.units
+        return LinearRows(root * matrix, root * wanted[near])
 
     def stops_clear(self, state: ChainState, dq: Array) -> bool:
         """Whether the arm keeps its margin during a step and while it then stops."""
         stopping = self._stopping(state, dq)
         least = self.margin - self._rounding
-        if self._lowest(state, np.vstack([dq, stopping]), least) < least:
+        steps = np.vstack([dq, stopping])
+        if self._lowest(state, steps, least) < least or self._violates(state, steps, self.violation(state)):
             return False
         self._approved = dq, stopping
         return True
@@ -406,6 +491,7 @@ class Avoidance:
         If even braking comes too close, because the arm was too close or too fast before, a step that comes
         no closer than braking is accepted. If braking would cause contact, the arm stops harder than its
         limits allow; but it evades moving obstacles within them as long as it could still stop a cycle later.
+        In the same way, constraints are violated no more than now, or than braking would.
 
         Args:
             state: the state of the arm.
@@ -434,12 +520,17 @@ class Avoidance:
             due = self._lowest(state, np.vstack([braking[:1], rest]), touching) < touching
         possible = lowest if self.moving and not due else max(lowest, touching)
         least = min(self.margin, possible) - self._rounding
+        worst = self._violation_in(state, braking) if self.constraints else 0.0
+        accepted = max(worst, self.violation(state))
         closer: list[tuple[float, ClearStep]] = []
         for number in range(MAX_HALVINGS):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
             found = ClearStep(step, share, self._stopping(state, step), relaxed)
-            distance = self._lowest(state, np.vstack([step, found.stopping]), least, until)
+            steps = np.vstack([step, found.stopping])
+            distance = self._lowest(state, steps, least, until)
+            if self._violates(state, steps, accepted):
+                continue
             if distance >= least:
                 return found
             closer.append((distance, found))
@@ -487,17 +578,40 @@ class Avoidance:
             times[-1] = self._dt * max(len(path) - 1, until)
         return self.clearance.minimum_on_motions(state.q, path, below, times=times).distance
 
+    def _violation_in(self, state: ChainState, steps: Array) -> float:
+        """Return the largest violation of a constraint during steps (k, nv) [m]."""
+        path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+        return float(self._violations_along(state.q, path).max())
+
+    def _violates(self, state: ChainState, steps: Array, accepted: float) -> bool:
+        """Whether steps (k, nv) violate a constraint by more than is accepted [m], and than rounding."""
+        if not self.constraints:
+            return False
+        return self._violation_in(state, steps) > accepted + VIOLATION_ROUNDING * self._length
+
     @property
     def _rounding(self) -> float:
         return 1e-12 * self._length
 
+    def _slack(self) -> float:
+        """Violation of a constraint that counts as rounding [m]."""
+        return VIOLATION_ROUNDING * self._length
+
     def describe_violations(self, state: ChainState) -> tuple[str, ...]:
-        """Describe the pairs that violate the margin."""
+        """Describe the pairs that violate the margin, and the constraints that are violated."""
         near = self.near(state)
         close = np.flatnonzero(near.distances < self.margin - 1e-9 * self._length)
         words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
         more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
-        return (*words[:MAX_NAMED_PAIRS], *more)
+        broken = describe_violated(self.sides(state), self._length) if self.constraints else ()
+        return (*words[:MAX_NAMED_PAIRS], *more, *broken)
+
+    def describe_worst_on(self, q: Array, path: Array) -> tuple[str, ...]:
+        """Describe the constraints where they are violated most on straight motions; see `keeps`."""
+        if not self.constraints:
+            return ()
+        worst = max(self._sides_along(q, path)[0], key=lambda sides: sides.violation)
+        return describe_violated(worst, self._length)
 
     def describe_closest(self, state: ChainState) -> str:
         """Describe the closest pair."""
@@ -507,16 +621,30 @@ class Avoidance:
     def describe_obstruction(
         self, state: ChainState, solution: Solution | None, stuck: bool
     ) -> tuple[str, ...]:
-        """Describe the pairs that limit a step: those with active rows, or all close ones if stuck."""
+        """Describe what limits a step: pairs and constraints with active rows, or all close ones if stuck."""
         near = self.near(state)
         count = len(near.distances)
         binding = np.zeros(0, dtype=np.bool_) if solution is None else solution.binding
         words = self._describe(near, self._which(near, binding[:count], stuck))
         measured = self.near_measured(state)
-        if measured is None:
-            return words
-        which = self._which(measured, binding[count:], stuck)
-        return words + tuple(f"{MEASURED_ARM}: {each}" for each in self._describe(measured, which))
+        if measured is not None:
+            more = len(measured.distances)
+            which = self._which(measured, binding[count : count + more], stuck)
+            words += tuple(f"{MEASURED_ARM}: {each}" for each in self._describe(measured, which))
+            count += more
+        return (
+            words + self._describe_constraints(state, binding[count:], stuck) if self.constraints else words
+        )
+
+    def _describe_constraints(
+        self, state: ChainState, binding: NDArray[np.bool_], stuck: bool
+    ) -> tuple[str, ...]:
+        """Return a message for each constraint that limits a step."""
+        sides = self.sides(state)
+        which = (sides.room <= 1.5 * STEP_CLEARANCE * self._length) & stuck
+        which = which | binding if len(binding) == len(which) else which
+        names = {sides.names[k] for k in np.flatnonzero(which)}
+        return tuple(f"constraint {name}" for name in sorted(names))
 
     def _which(self, near: Distances, binding: NDArray[np.bool_], stuck: bool) -> NDArray[np.bool_]:
         """Return which pairs limit a step."""

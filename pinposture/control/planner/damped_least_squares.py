@@ -99,7 +99,8 @@ class LeastSquaresResult(NamedTuple):
         state: the final state of the arm.
         cost: half the remaining sum of squares [m^2].
         mean_error: mean distance of the control points from their targets [m].
-        intrusion: by how much the arm is closer to an obstacle or itself than it may be [m]; 0 if clear.
+        intrusion: by how much the arm is closer to an obstacle or itself than it may be, and violates a
+            constraint [m]; 0 if clear.
     """
 
     state: ChainState
@@ -276,7 +277,7 @@ def minimize(
     cost = objective.cost(state)
     damping = 1.0
     idle = 0
-    close = allowed if avoidance is None else max(avoidance.intrusion(state), allowed)
+    close = allowed if avoidance is None else _closeness(avoidance, state, allowed)
     for _ in range(steps):
         if not objective.tasks and close == allowed and objective.mean_error(state) <= good:
             break
@@ -291,7 +292,7 @@ def minimize(
         if x is not None:
             tried = objective.state_after(state, correct_curvature(objective, bounds, x))
         found = np.inf if tried is None else objective.cost(tried)
-        closer = 0.0 if avoidance is None or tried is None else max(avoidance.intrusion(tried), allowed)
+        closer = 0.0 if avoidance is None or tried is None else _closeness(avoidance, tried, allowed)
         if tried is not None and (closer < close or (closer == close and found < cost)):
             idle = idle + 1 if closer == close and found > (1.0 - CONVERGED) * cost else 0
             state = tried
@@ -304,6 +305,11 @@ def minimize(
         if idle >= MAX_IDLE:
             break
     return LeastSquaresResult(state, cost, objective.mean_error(state), close - allowed)
+
+
+def _closeness(avoidance: Avoidance, state: ChainState, allowed: float) -> float:
+    """Return by how much the margin and constraints are violated [m]; at least what is allowed."""
+    return max(avoidance.intrusion(state), allowed) + avoidance.violation(state)
 
 
 def _minimize_alone(

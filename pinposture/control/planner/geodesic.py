@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pinposture._validation import finite_array
 from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.collision import CollisionModel, Scene
+from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
 from pinposture.control.planner.avoidance import Avoidance, ClearStep
@@ -79,6 +80,7 @@ class Geodesic:
             grows. Large values lead to joint interpolation.
         relative_position_weight: weight of the squared error of a chord, relative to that of a point.
         tasks: further tasks.
+        constraints: constraints that plans and steps keep beside limits and obstacles; see `Constraint`.
         scene: the obstacles; None: none. `track(..., scene=)` sets it.
         offset: displacement of the measured arm from the state in which steps begin, (nv,) [rad or m]. Steps
             keep that arm clear, too, as far as its offset stays. None: none. A `Tracker` sets it.
@@ -87,6 +89,7 @@ class Geodesic:
     joint_weight: float = 0.2
     relative_position_weight: float = 1.0
     tasks: tuple[ControlTask, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
     scene: Scene | None = None
     name: str = "geodesic"
     offset: Array | None = field(default=None, compare=False, repr=False)
@@ -96,8 +99,9 @@ class Geodesic:
 
     def __post_init__(self) -> None:
         tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
-        check_objective(self.joint_weight, self.relative_position_weight, tasks)
+        check_objective(self.joint_weight, self.relative_position_weight, tasks, self.constraints)
         object.__setattr__(self, "tasks", tasks)
+        object.__setattr__(self, "constraints", tuple(self.constraints))
         if not (self.scene is None or isinstance(self.scene, Scene)):
             raise InvalidValue("scene", self.scene, "a Scene(...), or None")
         if self.offset is not None:
@@ -114,8 +118,15 @@ class Geodesic:
         return replace(self, offset=offset)
 
     def objective(self, arm: Arm, target: Target) -> Objective:
-        """Return the objective of an arm: the target posture and the tasks."""
-        return Objective(arm, target, self.tasks, self.relative_position_weight, self.joint_weight)
+        """Return the objective of an arm: the target posture, the tasks and the constraints."""
+        return Objective(
+            arm,
+            target,
+            self.tasks,
+            self.relative_position_weight,
+            self.joint_weight,
+            self.constraints,
+        )
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -131,7 +142,7 @@ class Geodesic:
             if step is not None:
                 return step
         scheduled = before is not None and before.timed.scheduled and not before.arrived
-        if not (self.tasks or scheduled) and self.scene is None:
+        if not (self.tasks or scheduled or self._constrained):
             target.check(state.arm)
             objective = self.objective(state.arm, target)
             if bounds.brake is None:
@@ -201,9 +212,14 @@ class Geodesic:
 
     def _is_unchanged(self, progress: PathProgress, state: ChainState, target: Target) -> bool:
         """Whether the step needs neither planning nor collision avoidance."""
-        simple = not self.tasks and self.scene is None and progress.idle_travel < MAX_IDLE_TRAVEL
+        simple = not (self.tasks or self._constrained) and progress.idle_travel < MAX_IDLE_TRAVEL
         objective = progress.objective
         return simple and objective.target is target and objective.arm is state.arm
+
+    @property
+    def _constrained(self) -> bool:
+        """Whether there is more to keep than limits."""
+        return self.scene is not None or bool(self.constraints)
 
     def _update(
         self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None
@@ -235,7 +251,8 @@ class Geodesic:
         self, state: ChainState, target: Target, limits: Limits, progress: PathProgress
     ) -> PathProgress:
         """Return the progress to the same target, on another path if the arm makes none on this one."""
-        if progress.objective.tasks != self.tasks:  # moving tasks need no new path
+        known = progress.objective
+        if known.tasks != self.tasks or known.constraints is not self.constraints:  # need no new path
             progress = progress.along(progress.path.revised(objective=self._objective(state, target)))
         if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
             return _within(progress, limits)
@@ -285,6 +302,7 @@ class Geodesic:
             weights = known.relative_position_weight, known.joint_weight
             if (
                 known.tasks == self.tasks == ()
+                and known.constraints is self.constraints
                 and weights == (self.relative_position_weight, self.joint_weight)
                 and known.arm is state.arm
             ):

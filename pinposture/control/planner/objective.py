@@ -15,6 +15,7 @@ from pinposture import kernels
 from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm, ChainState
 from pinposture.arm.recent import RecentValues, recent_values
+from pinposture.control.constraint import Constraint, check_constraints
 from pinposture.control.controller import task_errors
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
@@ -147,6 +148,7 @@ class Objective:
         tasks: further tasks.
         relative_position_weight: weight of the squared error of a chord, relative to that of a point.
         joint_weight: weight of joint motion against the motion of control points; see `Geodesic`.
+        constraints: constraints to keep on the way to the goals.
     """
 
     arm: Arm
@@ -154,6 +156,7 @@ class Objective:
     tasks: Sequence[ControlTask] = ()
     relative_position_weight: float = 1.0
     joint_weight: float = 0.2
+    constraints: Sequence[Constraint] = ()
 
     @cached_property
     def _layout(self) -> _Layout:
@@ -291,9 +294,13 @@ class Objective:
 
 
 def check_objective(
-    joint_weight: float, relative_position_weight: float, tasks: Sequence[ControlTask]
+    joint_weight: float,
+    relative_position_weight: float,
+    tasks: Sequence[ControlTask],
+    constraints: Sequence[Constraint],
 ) -> None:
-    """Raise InvalidValue if a weight is out of range or a task is invalid."""
+    """Raise InvalidValue if a weight is out of range, or a task or constraint is invalid."""
+    check_constraints(constraints)
     require_positive("joint_weight", joint_weight)
     if joint_weight > MAX_JOINT_WEIGHT:
         raise InvalidValue("joint_weight", joint_weight, f"at most {MAX_JOINT_WEIGHT:g}")

@@ -329,7 +329,9 @@ class _Withdrawal:
             self._over = True
             return False
         points = np.column_stack([np.interp(places, self._places, axis) for axis in self._curve.T])
-        objective = Objective(arm, Target.from_points(arm, points, weights))
+        objective = Objective(
+            arm, Target.from_points(arm, points, weights), constraints=search.objective.constraints
+        )
         avoidance = search.avoidance.for_objective(objective)
         good = WITHDRAWAL_ERROR * arm.length
         found = minimize(objective, self._state, search.edges, avoidance, good)

@@ -16,6 +16,7 @@ from pinposture._validation import require_positive
 from pinposture.arm import ArmState, ChainState
 from pinposture.collision import Closest, Scene
 from pinposture.collision.model import describe_distance
+from pinposture.control.constraint import Constraint
 from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
@@ -108,6 +109,7 @@ def plan(
     tasks: Sequence[ControlTask] = (),
     joint_weight: float = 0.2,
     relative_position_weight: float = 1.0,
+    constraints: Sequence[Constraint] = (),
     budget: float = inf,
     progress: Callable[[str, float, JointPath | None], object] | None = None,
 ) -> JointPath:
@@ -123,6 +125,7 @@ def plan(
         tasks: further tasks, as for `Geodesic`.
         joint_weight: as for `Geodesic`.
         relative_position_weight: as for `Geodesic`.
+        constraints: constraints that the path keeps, as for `Geodesic`.
         budget: time after which no further path is tried among obstacles [s]. The result then depends on the
             speed of the machine; without a budget it is reproducible.
         progress: called among obstacles with the next attempt, the time so far [s], and the shortest clear
@@ -138,11 +141,13 @@ def plan(
     require_step_arguments(state, target)
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
-    check_objective(joint_weight, relative_position_weight, tasks)
+    check_objective(joint_weight, relative_position_weight, tasks, constraints)
     target.check(state.arm)
     if budget != inf:
         require_positive("budget", budget)
-    objective = Objective(state.arm, target, tuple(tasks), relative_position_weight, joint_weight)
+    objective = Objective(
+        state.arm, target, tuple(tasks), relative_position_weight, joint_weight, tuple(constraints)
+    )
     bounds = require_limits(limits).for_arm(state.arm)
     avoidance = Avoidance.of(scene, objective, bounds)
     began = perf_counter()
@@ -219,7 +224,7 @@ def short_path(
         return path
     if motion > MIN_PLANNED_MOTION:
         possible = _possible_clearance(avoidance, state, goal)
-        if _closest_on(path, avoidance, possible).distance < possible:
+        if not _is_clear(path, avoidance.tolerating(state, goal), possible):
             return None
     return replace(path, scene=avoidance.clearance.scene)
 
@@ -258,7 +263,7 @@ def shortcut(
     if not avoidance.keeps(state.q, straight, possible):  # quicker than finding the path
         return None
     direct = direct_path(objective, state.q, goal, bounds.edges)
-    if _closest_on(direct, avoidance, possible).distance < possible:
+    if not _is_clear(direct, avoidance, possible):
         return None
     return replace(direct, scene=avoidance.clearance.scene)
 
@@ -407,6 +412,7 @@ def _clearest_path(
         penalties = None if tasks is None else Penalties(tasks)
         return direct_path(objective, start, goal.q, bounds.edges, penalties, attempt)
     possible = _possible_clearance(avoidance, state, goal)
+    avoidance = avoidance.tolerating(state, goal)
     most_direct = direct_path(objective, start, goal.q, bounds.edges)
     short = MAX_DETOUR * most_direct.length
     clear: list[JointPath] = []
@@ -432,12 +438,12 @@ def _clearest_path(
     try:
         for path in candidates():
             closest = _closest_on(path, avoidance, possible)
-            if closest.distance >= possible:
+            if closest.distance >= possible and avoidance.keeps_constraints(start, path.offsets).all():
                 clear.append(path)
                 if objective.tasks or path.length <= short:  # the search would disregard the tasks
                     return path
             else:
-                hindered.append((closest.distance, _hindered(path, closest)))
+                hindered.append((closest.distance, _hindered(path, closest, avoidance)))
             if perf_counter() >= until:
                 break
     except KeyboardInterrupt:
@@ -445,7 +451,8 @@ def _clearest_path(
             raise
         logger.warning("planning was interrupted; the best path so far is returned")
         if not clear and not hindered:
-            hindered.append((0.0, _hindered(most_direct, _closest_on(most_direct, avoidance, possible))))
+            closest = _closest_on(most_direct, avoidance, possible)
+            hindered.append((0.0, _hindered(most_direct, closest, avoidance)))
     if clear:
         return min(clear, key=lambda path: path.length)
     return max(hindered, key=lambda each: each[0])[1]
@@ -457,10 +464,11 @@ def _possible_clearance(avoidance: Avoidance, state: ChainState, goal: ChainStat
     return min(avoidance.margin, *ends) - 1e-9 * state.arm.length
 
 
-def _hindered(path: JointPath, closest: Closest) -> JointPath:
-    """Return the path with the pair that comes too close as its hindrance."""
-    apart = describe_distance(closest.pair or (), closest.distance)
-    return replace(path, hindrance=f"no clear path was found; on the best one, {apart}")
+def _hindered(path: JointPath, closest: Closest, avoidance: Avoidance) -> JointPath:
+    """Return the path with the pair that comes too close, and the constraints, as its hindrance."""
+    words = [] if closest.pair is None else [describe_distance(closest.pair, closest.distance)]
+    words += avoidance.describe_worst_on(path.start, path.offsets)
+    return replace(path, hindrance=f"no clear path was found; on the best one, {'; '.join(words)}")
 
 
 def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], None]) -> Iterator[JointPath]:
@@ -505,6 +513,12 @@ def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> Tas
 def _closest_on(path: JointPath, avoidance: Avoidance, below: float) -> Closest:
     """Return the closest pair on a path including its ends; any pair if none is closer than `below`."""
     return avoidance.clearance.minimum_on_motions(path.start, path.offsets, below)
+
+
+def _is_clear(path: JointPath, avoidance: Avoidance, least: float) -> bool:
+    """Whether a path keeps a distance [m], and constraints."""
+    close = _closest_on(path, avoidance, least).distance < least
+    return not close and bool(avoidance.keeps_constraints(path.start, path.offsets).all())
 
 
 # Moving targets.

@@ -374,26 +374,35 @@ class _PathRelaxation:
         offsets = objective.displacement(x)
         points = (arm.kinematics.points(self._positions + offsets) @ arm.plane.T).reshape(len(x), -1)
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
-        rows = self._task_rows(offsets)
+        rows = self._rows(offsets)
         contacts, clear = self._clearance(offsets)
         energy += float((rows.errors**2).sum()) + float((contacts.errors[contacts.errors > 0.0] ** 2).sum())
         return _Iterate(x, points, rows, contacts, clear, energy)
 
-    def _task_rows(self, offsets: Array) -> PathRows:
-        """Return the rows of tasks at the inner waypoints."""
+    def _rows(self, offsets: Array) -> PathRows:
+        """Return the rows of tasks and of constraints at the inner waypoints."""
         arm = self._objective.arm
         tasks = self._penalties.tasks
+        avoidance = self._penalties.avoidance
+        constrained = avoidance is not None and bool(avoidance.constraints)
         last = len(offsets) - 1
-        n = len(self._objective.columns)
-        if tasks is None:
+        found: list[LinearRows] = []
+        waypoints: list[int] = []
+        for i in range(1, last) if tasks is not None or constrained else ():
+            state = arm.chain_at(arm.integrate(self._start, offsets[i]))
+            if tasks is not None:
+                found.append(tasks(state, i / last))
+                waypoints.append(i)
+            if avoidance is not None and constrained:
+                found.append(avoidance.missing_room(state, self._penalties.clearance_root))
+                waypoints.append(i)
+        if not found:
+            n = len(self._objective.columns)
             return PathRows(np.zeros((0, n)), np.zeros(0), np.zeros(0, dtype=np.int64))
-        found = [
-            tasks(arm.chain_at(arm.integrate(self._start, offsets[i])), i / last) for i in range(1, last)
-        ]
         return PathRows(
             matrix=np.ascontiguousarray(np.concatenate([each.matrix for each in found])),
             errors=np.concatenate([each.errors for each in found]),
-            waypoints=np.repeat(np.arange(1, last), [len(each.errors) for each in found]),
+            waypoints=np.repeat(np.array(waypoints), [len(each.errors) for each in found]),
         )
 
     def _clearance(self, offsets: Array) -> tuple[PathContacts, NDArray[np.bool_]]:
@@ -417,6 +426,7 @@ class _PathRelaxation:
         minima = np.concatenate([[inf], found.minima, [inf]])
         lowest = np.minimum(minima[:-1], minima[1:])
         clear = lowest >= least
+        clear &= avoidance.keeps_constraints(self._start, offsets)
         if clear.all():  # a piece is clear if the arm moves less on it than its clearance
             points = self._objective.arm.kinematics.points(self._positions + offsets)
             moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)

@@ -1,0 +1,131 @@
+"""Constraints of your own, which plans and steps of `Geodesic` keep beside limits and obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import finite_array, require_instance
+from pinposture.arm import ArmState
+from pinposture.errors import InvalidValue
+from pinposture.units import length_text
+
+Array = NDArray[np.float64]
+
+VIOLATION_ROUNDING = 1e-9
+"""Violation of a constraint that counts as rounding, in arm lengths."""
+
+ROWS = "three arrays: a matrix (r, nv) of finite numbers, and the bounds lower <= upper, (r,) each"
+
+
+class Constraint(Protocol):
+    """Interface of constraints: quantities of the arm that stay between bounds.
+
+    A constraint has r rows. Each is a function of the configuration, and the constraint is kept where all are
+    between their bounds. `rows` linearises them at a state:
+
+        lower <= matrix @ dq <= upper
+
+    should hold for a small joint displacement dq. So lower and upper are how far each function may still fall
+    and rise; a row with lower > 0 or upper < 0 is violated, by that much. Bounds may be infinite.
+
+    All rows are in metres, like the distances from obstacles, so that they can be compared: multiply an angle
+    by the length of what it turns.
+
+    A class attribute or field `name` is used in messages; without one, the name of the class.
+    """
+
+    def rows(self, state: ArmState) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+        """Return the constraint at a state; at least one row.
+
+        Args:
+            state: the state of the arm.
+
+        Returns:
+            matrix: derivatives with respect to joint displacement, (r, nv) [m/rad or m/m].
+            lower: smallest change, (r,) [m].
+            upper: largest change, (r,) [m].
+        """
+
+
+class Sides(NamedTuple):
+    """Constraints at a state, one finite bound after the other: matrix @ dq >= -room.
+
+    Attributes:
+        matrix: (s, nv) [m/rad or m/m].
+        room: distance from the bound, negative where it is violated, (s,) [m].
+        names: name of the constraint of each, (s,).
+    """
+
+    matrix: Array
+    room: Array
+    names: tuple[str, ...]
+
+    @property
+    def violation(self) -> float:
+        """Distance of the worst row beyond its bound [m]; 0 if all are kept."""
+        return max(0.0, -float(self.room.min(initial=0.0)))
+
+
+def check_constraints(constraints: Sequence[Constraint]) -> None:
+    """Raise InvalidValue unless all are constraints."""
+    allowed = "a sequence of objects with a method `rows(state)`, see `pinposture.control.Constraint`"
+    require_instance("constraints", constraints, Iterable, allowed)
+    for constraint in constraints:
+        if isinstance(constraint, type) or not callable(getattr(constraint, "rows", None)):
+            raise InvalidValue("constraints", constraint, allowed)
+
+
+def sides_of(constraints: Sequence[Constraint], state: ArmState) -> Sides:
+    """Evaluate constraints at a state.
+
+    Raises:
+        InvalidValue: a constraint does not return what `Constraint.rows` should.
+    """
+    matrices = [np.zeros((0, state.arm.nv))]
+    rooms = [np.zeros(0)]
+    names: list[str] = []
+    for constraint in constraints:
+        name = _name(constraint)
+        matrix, lower, upper = _rows(constraint, name, state)
+        for sign, bound in ((1.0, -lower), (-1.0, upper)):
+            finite = np.isfinite(bound)
+            matrices.append(sign * matrix[finite])
+            rooms.append(bound[finite])
+            names += [name] * int(finite.sum())
+    return Sides(np.concatenate(matrices), np.concatenate(rooms), tuple(names))
+
+
+def describe_violated(sides: Sides, length: float) -> tuple[str, ...]:
+    """Return a message for each constraint of an arm of a length [m] that is violated."""
+    worst: dict[str, float] = {}
+    for name, room in zip(sides.names, sides.room.tolist(), strict=True):
+        if -room > VIOLATION_ROUNDING * length:
+            worst[name] = max(worst.get(name, 0.0), -room)
+    return tuple(f"constraint: {name} is violated by {length_text(by)}" for name, by in worst.items())
+
+
+def _name(constraint: Constraint) -> str:
+    return str(getattr(constraint, "name", type(constraint).__name__))
+
+
+def _rows(constraint: Constraint, name: str, state: ArmState) -> tuple[Array, Array, Array]:
+    given = constraint.rows(state)
+    what = f"{name}.rows(state)"
+    if not isinstance(given, tuple) or len(given) != 3:
+        raise InvalidValue(what, given, ROWS)
+    matrix = finite_array(f"{what}, matrix", given[0], (None, state.arm.nv))
+    try:
+        lower = np.asarray(given[1], dtype=np.float64)
+        upper = np.asarray(given[2], dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(f"{what}, bounds", given[1:], ROWS) from None
+    shape = (len(matrix),)
+    if lower.shape != shape or upper.shape != shape:
+        raise InvalidValue(f"{what}, bounds (shape)", (lower.shape, upper.shape), f"{shape} each")
+    if not np.all(lower <= upper):  # false for NaN
+        raise InvalidValue(f"{what}, bounds", (lower.tolist(), upper.tolist()), "lower <= upper, not NaN")
+    return matrix, lower, upper
