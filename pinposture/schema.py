@@ -769,6 +769,15 @@ def read_call(kind: Any, values: Mapping[str, Any], arm: Any = None) -> Any:
     return read_plain(kind, ArgsKwargs((), dict(values)), folder=None if arm is None else ".", arm=arm)
 
 
+def read_field(kind: type, name: str, value: object) -> Any:
+    """Return a value as a declared class reads it for one of its fields, in a call.
+
+    Raises:
+        PostureError: the first mistake; names the field.
+    """
+    return read_plain(_hints(kind)[name], value, name)
+
+
 def describe_field(kind: type, name: str) -> str:
     """Return what the docstring of a declared class says of a field, and its default."""
     listed = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2].split("\n\n")[0]

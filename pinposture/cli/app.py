@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
 from functools import partial, wraps
 from importlib import import_module
 from inspect import Parameter, signature
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -215,26 +215,35 @@ def add_verb(name: str, run: Callable[..., None], group: typer.Typer) -> None:
 
 def _with_single_options(run: Callable[..., None]) -> Callable[..., None]:
     """Return a verb with the fields of its option dataclasses as single parameters, as Typer requires."""
-    own = signature(run, eval_str=True)
-    groups: dict[str, Any] = {
-        name: each.annotation for name, each in own.parameters.items() if is_dataclass(each.annotation)
-    }
-    single: list[Parameter] = []
-    for name, each in own.parameters.items():
-        options = signature(groups[name], eval_str=True).parameters.values() if name in groups else [each]
-        single += [option.replace(kind=Parameter.KEYWORD_ONLY) for option in options]
+    single = list(_single_options(run))
 
     @wraps(run)
     def verb(**given: Any) -> None:
-        taken = {
-            name: group(**{each.name: given.pop(each.name) for each in fields(group)})
-            for name, group in groups.items()
-        }
-        run(**given, **taken)
+        run(**_grouped_options(run, given))
 
-    verb.__signature__ = own.replace(parameters=single)  # type: ignore[attr-defined]
+    verb.__signature__ = signature(run).replace(parameters=single)  # type: ignore[attr-defined]
     verb.__annotations__ = {each.name: each.annotation for each in single}
     return verb
+
+
+def _single_options(reader: Callable[..., object]) -> Iterator[Parameter]:
+    """Yield the parameters of a verb or of a dataclass, and those of dataclasses among them."""
+    for each in signature(reader, eval_str=True).parameters.values():
+        if is_dataclass(each.annotation):
+            yield from _single_options(cast("type", each.annotation))
+        else:
+            yield each.replace(kind=Parameter.KEYWORD_ONLY)
+
+
+def _grouped_options(reader: Callable[..., object], given: Mapping[str, object]) -> dict[str, object]:
+    """Return the arguments of a verb or of a dataclass, given the options by name."""
+    arguments: dict[str, object] = {}
+    for name, each in signature(reader, eval_str=True).parameters.items():
+        grouped = is_dataclass(each.annotation)
+        arguments[name] = (
+            each.annotation(**_grouped_options(each.annotation, given)) if grouped else given[name]
+        )
+    return arguments
 
 
 VERBS: dict[str, Callable[..., None]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,18 +17,13 @@ from pinposture.cli.inputs import (
     STARTS,
     TARGET,
     ArmOptions,
-    ControllerOptions,
     DegreesOption,
     JsonOption,
-    LimitOptions,
-    PlacementOptions,
-    SceneOptions,
-    ToleranceOption,
+    TrackOptions,
     UrdfArgument,
     as_configuration,
     numbers_in,
     read_array,
-    read_option,
     read_start,
 )
 from pinposture.cli.output import (
@@ -65,47 +61,15 @@ def run(
         list[str],
         TARGET(f"{CURVE_HELP} One or more.", "CURVE"),
     ],
-    placement_options: PlacementOptions,
-    controller_options: ControllerOptions,
-    starts: Annotated[
-        str,
-        MOTION(
-            "straight, smooth or random, or a .csv or .npy file of joint positions with a row for each "
-            "start.",
-            "STARTS",
-        ),
-    ] = "smooth",
-    degrees: DegreesOption = False,
-    count: Annotated[
-        int | None,
-        MOTION("Number of starts to draw, as in track with seeds from --seed on. Default: 10.", "N"),
-    ] = None,
-    seed: Annotated[int, MOTION("Seed of the first start.")] = 0,
-    steps: Annotated[
-        int | None,
-        MOTION(
-            "Steps after which a run stops. Default: 300; with --dt, if that is more, ten times those "
-            "of the straight path in joint space.",
-            "N",
-        ),
-    ] = None,
-    tolerance: ToleranceOption = None,
-    limit_options: LimitOptions,
-    scene_options: SceneOptions,
+    starts_options: StartsOptions,
+    track_options: TrackOptions,
     jobs: Annotated[
         int | None,
         MOTION(
             "Number of processes; -1 for all cores. Default: all cores for a long batch.", "N", max=MOST_JOBS
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        OUTPUT(f"Save all runs here, in {BATCH}; otherwise nothing is saved.", "DIR", flags="--output -o"),
-    ] = None,
-    ends_only: Annotated[
-        bool, OUTPUT("Save only how each run ended, not the motions.", flags="--ends-only")
-    ] = False,
-    as_json: JsonOption = False,
+    output_options: BatchOutput,
 ) -> None:
     """Drive an arm from many starts to the shape of one or more curves, and report the results.
 
@@ -117,33 +81,35 @@ def run(
     be saved.
     """
     from pinposture.motion import save, track_many
-    from pinposture.schema import Length
 
-    controller_options.check()
-    if ends_only and output is None:
-        raise InvalidValue("--ends-only", ends_only, "only with --output")
+    track_options.controller_options.check()
+    output = output_options.output
+    if output_options.ends_only and output is None:
+        raise InvalidValue("--ends-only", output_options.ends_only, "only with --output")
     arm = arm_options.read(urdf)
-    limits = limit_options.read(arm)
-    surroundings = scene_options.read(arm)
-    configurations = _read_starts(arm, starts, count, seed, degrees, surroundings)
-    targets = [placement_options.place(arm, each, surroundings) for each in curve]
+    limits = track_options.limit_options.read(arm)
+    surroundings = track_options.scene_options.read(arm)
+    configurations = starts_options.read(arm, surroundings)
+    targets = [track_options.placement_options.place(arm, each, surroundings) for each in curve]
     check_directory(output)
     with count_progress("run") as progress:
         batch = track_many(
             arm,
             targets,
             configurations,
-            controller_options.build(),
+            track_options.controller_options.build(),
             limits=limits,
             scene=surroundings,
-            max_steps=steps,
-            tolerance=read_option("--tolerance", tolerance, Length),
+            max_steps=track_options.steps,
+            tolerance=track_options.near,
             jobs=jobs,
-            keep="ends" if ends_only or output is None else "motions",
+            keep="ends" if output_options.ends_only or output is None else "motions",
             progress=progress,
         )
     files, failure = write_files([] if output is None else [("file", output / BATCH, partial(save, batch))])
-    asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed, "scene": scene_options.file}
+    starts = starts_options.starts
+    seed = starts_options.seed
+    asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed}
     words = {
         name: text.replace("raise max_steps", "raise --steps") for name, text in batch.in_words().items()
     }
@@ -153,9 +119,66 @@ def run(
     if blocked:
         where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
         words["starts"] += f"; {where}; choose others by --starts or --seed"
-    results = {**batch.summary(), "starts_in_collision": blocked, "file": files.get("file")}
-    print_result(as_json, {**asked, **results}, words, files.values(), failure)
+    results = {"scene": track_options.scene_options.file, **batch.summary(), "starts_in_collision": blocked}
+    told = {**asked, **results, "file": files.get("file")}
+    print_result(output_options.as_json, told, words, files.values(), failure)
     end_with(batch.faults)
+
+
+@dataclass(frozen=True)
+class StartsOptions:
+    """The starts of the runs."""
+
+    starts: Annotated[
+        str,
+        MOTION(
+            "straight, smooth or random, or a .csv or .npy file of joint positions with a row for each "
+            "start.",
+            "STARTS",
+        ),
+    ] = "smooth"
+    degrees: DegreesOption = False
+    count: Annotated[
+        int | None,
+        MOTION("Number of starts to draw, as in track with seeds from --seed on. Default: 10.", "N"),
+    ] = None
+    seed: Annotated[int, MOTION("Seed of the first start.")] = 0
+
+    def read(self, arm: Arm, scene: Scene) -> list[NDArray[np.float64]]:
+        """Return the configurations; those that are drawn are clear of the scene, if possible.
+
+        Raises:
+            UnknownName: neither a kind of start nor a file.
+            FileError: a file without numbers.
+            InvalidValue: a count out of range, a count for a file, or a row that is invalid for the arm.
+        """
+        count = self.count
+        if self.starts in STARTS:
+            if count is not None and not 1 <= count <= MOST_RUNS:
+                raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_RUNS}")
+            seeds = range(self.seed, self.seed + (10 if count is None else count))
+            return [read_start(arm, self.starts, seed, self.degrees, scene).q for seed in seeds]
+        path = Path(self.starts)
+        if path.suffix.lower() not in (".csv", ".npy"):
+            raise UnknownName("kind of starts", self.starts, (*STARTS, "a .csv file", "a .npy file"))
+        if count is not None:
+            raise InvalidValue("--count", count, "nothing if --starts is a file")
+        rows = enumerate(_read_rows(path))
+        return [as_configuration(arm, row, f"start {k}", self.degrees) for k, row in rows]
+
+
+@dataclass(frozen=True)
+class BatchOutput:
+    """What is done with the batch."""
+
+    output: Annotated[
+        Path | None,
+        OUTPUT(f"Save all runs here, in {BATCH}; otherwise nothing is saved.", "DIR", flags="--output -o"),
+    ] = None
+    ends_only: Annotated[
+        bool, OUTPUT("Save only how each run ended, not the motions.", flags="--ends-only")
+    ] = False
+    as_json: JsonOption = False
 
 
 def _starts_in_collision(batch: Batch) -> list[int]:
@@ -166,37 +189,6 @@ def _starts_in_collision(batch: Batch) -> list[int]:
         return []
     distances = CollisionModel(batch.arm, batch.scene)
     return [k for k, q in enumerate(batch.q_start) if distances.minimum(q).distance < 0.0]
-
-
-def _read_starts(
-    arm: Arm, text: str, count: int | None, seed: int, degrees: bool, scene: Scene
-) -> list[NDArray[np.float64]]:
-    """Return the start configurations.
-
-    Args:
-        arm: the arm.
-        text: a kind of start, of which `count` are drawn, or the path of a file with a row per start.
-        count: number of starts to draw; None: 10, or all rows of a file.
-        seed: seed of the first start.
-        degrees: whether numbers for revolute joints are in degrees.
-        scene: what drawn starts must be clear of, if possible.
-
-    Raises:
-        UnknownName: neither a kind of start nor a file.
-        FileError: a file without numbers.
-        InvalidValue: a count out of range, a count for a file, or a row that is invalid for the arm.
-    """
-    if text in STARTS:
-        if count is not None and not 1 <= count <= MOST_RUNS:
-            raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_RUNS}")
-        seeds = range(seed, seed + (10 if count is None else count))
-        return [read_start(arm, text, each, degrees, scene).q for each in seeds]
-    if Path(text).suffix.lower() not in (".csv", ".npy"):
-        raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))
-    if count is not None:
-        raise InvalidValue("--count", count, "nothing if --starts is a file")
-    rows = _read_rows(Path(text))
-    return [as_configuration(arm, row, f"start {k}", degrees) for k, row in enumerate(rows)]
 
 
 def _read_rows(path: Path) -> list[list[float]]:

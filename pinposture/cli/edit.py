@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import webbrowser
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,11 +71,7 @@ def run(
             help="Where the page opens and saves files; otherwise the folder of the task file.",
         ),
     ] = None,
-    host: Annotated[
-        str, typer.Option(help="Address to listen on; 0.0.0.0 accepts other machines.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port to listen on; if it is in use, the next free one.")] = 8080,
-    no_browser: NoBrowserOption = False,
+    page_options: PageOptions,
 ) -> None:
     """Edit the postures of an arm in the browser: drag the curve, watch the arm.
 
@@ -95,7 +91,8 @@ def run(
 
     task, path = read_task(source, arm_options, save_as, folder)
     compile_missing()  # now, with a progress bar; otherwise the page would remain empty
-    editor = Editor(task, path, host, port, joint_states, folder)
+    host = page_options.host
+    editor = Editor(task, path, host, page_options.port, joint_states, folder)
     try:
         for name in ENDING:
             if hasattr(signal, name):
@@ -108,7 +105,7 @@ def run(
                 f"and open and save files in {editor.session.folder}"
             )
         print_note("press Ctrl-C to end")
-        if not no_browser:
+        if not page_options.no_browser:
             webbrowser.open(editor.url)
         editor.wait()
     except KeyboardInterrupt:
@@ -118,6 +115,17 @@ def run(
         now = editor.session.path  # another file may have been opened
         if now is not None and autosave_path(now).exists():
             print_note(f"unsaved changes of {now.name} are kept and restored at the next start")
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """Where the page is."""
+
+    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 accepts other machines.")] = (
+        "127.0.0.1"
+    )
+    port: Annotated[int, typer.Option(help="Port to listen on; if it is in use, the next free one.")] = 8080
+    no_browser: NoBrowserOption = False
 
 
 def read_task(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,24 +55,7 @@ def run(
             "--format",
         ),
     ] = "",
-    dt: Annotated[
-        str | None, OUTPUT("Duration of a step in seconds; required if the run has none.", "TIME")
-    ] = None,
-    force: Annotated[
-        bool,
-        OUTPUT("Write it despite faults: not converged, limits exceeded, penetration.", flags="--force"),
-    ] = False,
-    coupled: Annotated[
-        bool, OUTPUT("Also write the joints that follow others (<mimic>).", flags="--coupled")
-    ] = False,
-    start: Annotated[
-        str | None,
-        OUTPUT(
-            "Positions at which the drives of the robot stand, one per joint: continuous joints start with "
-            "their full turns.",
-            "NUMBERS",
-        ),
-    ] = None,
+    trajectory_options: TrajectoryOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Write a motion as joint positions, velocities and accelerations over time.
@@ -85,7 +69,6 @@ def run(
     given. The summary lists the largest velocity and acceleration, from rest to rest.
     """
     from pinposture.motion import Trajectory
-    from pinposture.schema import Duration
     from pinposture.storage import check_writable
 
     check_form(output, form)
@@ -96,25 +79,71 @@ def run(
     if output.exists() and output.samefile(source):
         raise FileError(output, "is the input; allowed: another file")
     kept = load_kept(source)
-    cycle = read_option("--dt", dt, Duration)
-    trajectory = _joint_trajectory(kept, cycle, force)
-    if start is not None:
-        trajectory = trajectory.starting_at(kept.arm, read_numbers("--start", start))
-    if coupled:
-        trajectory = trajectory.with_coupled(kept.arm)
+    trajectory = trajectory_options.read(kept)
     _write(trajectory, output, form, kept.arm)
     limits = (kept.run if isinstance(kept, Trajectory) else kept).limits
     if limits.acceleration is None:
         most = words_of(trajectory.summary())["acceleration"]
         print_warning(
             f"no acceleration limit: joints accelerate by {most}; plan again with "
-            f"--dt {limits.dt or cycle:g} --acceleration A, or acceleration in the [limits] of a task"
+            f"--dt {limits.dt or trajectory_options.cycle:g} --acceleration A, or acceleration in the "
+            "[limits] of a task"
         )
     for fault in kept.faults:
         print_warning(f"exported despite a fault: {fault}")
     verdict = {"verdict": kept.verdict, "faults": list(kept.faults)}
     data = {"run": str(source), **verdict, **trajectory.summary(), "file": str(output)}
     print_result(as_json, data, words_of(trajectory.summary()), [output])
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions:
+    """The joint trajectory of a saved run or motion."""
+
+    dt: Annotated[
+        str | None, OUTPUT("Duration of a step in seconds; required if the run has none.", "TIME")
+    ] = None
+    force: Annotated[
+        bool,
+        OUTPUT("Write it despite faults: not converged, limits exceeded, penetration.", flags="--force"),
+    ] = False
+    coupled: Annotated[
+        bool, OUTPUT("Also write the joints that follow others (<mimic>).", flags="--coupled")
+    ] = False
+    start: Annotated[
+        str | None,
+        OUTPUT(
+            "Positions at which the drives of the robot stand, one per joint: continuous joints start with "
+            "their full turns.",
+            "NUMBERS",
+        ),
+    ] = None
+
+    @property
+    def cycle(self) -> float | None:
+        """The duration of a step [s]; None if not given."""
+        from pinposture.schema import Duration
+
+        cycle: float | None = read_option("--dt", self.dt, Duration)
+        return cycle
+
+    def read(self, kept: Run | Trajectory) -> JointTrajectory:
+        """Return the joint trajectory of a motion, which has its own time, or of a run.
+
+        Raises:
+            PostureError: as `joint_trajectory` and `starting_at`; or positions that are no numbers.
+        """
+        from pinposture.motion import Trajectory
+        from pinposture.motion.joint_trajectory import step_duration
+
+        if isinstance(kept, Trajectory):
+            step_duration(self.cycle, kept.dt)  # rejects another duration
+            trajectory = kept.joint_trajectory(self.force)
+        else:
+            trajectory = kept.joint_trajectory(self.cycle, self.force)
+        if self.start is not None:
+            trajectory = trajectory.starting_at(kept.arm, read_numbers("--start", self.start))
+        return trajectory.with_coupled(kept.arm) if self.coupled else trajectory
 
 
 def check_form(output: Path, form: str) -> None:
@@ -138,14 +167,3 @@ def _write(trajectory: JointTrajectory, output: Path, form: str, arm: Arm) -> No
         write_bag(trajectory, output, arm)
     else:
         save(trajectory, output)
-
-
-def _joint_trajectory(moved: Run | Trajectory, dt: float | None, force: bool) -> JointTrajectory:
-    """Return the joint trajectory of a saved motion, which has its own time, or of a saved run."""
-    from pinposture.motion import Trajectory
-    from pinposture.motion.joint_trajectory import step_duration
-
-    if isinstance(moved, Trajectory):
-        step_duration(dt, moved.dt)  # rejects another duration
-        return moved.joint_trajectory(force)
-    return moved.joint_trajectory(dt, force)

@@ -134,6 +134,7 @@ class ArmOptions:
             PostureError: as in `Arm.load` and `ArmSpec`; a template name; an empty field in `modules`.
         """
         from pinposture.arm import TEMPLATES, Arm, ArmSpec
+        from pinposture.schema import read_field
 
         if not urdf:
             raise InvalidValue("URDF", urdf, "a file, a name of robot_descriptions, or - for stdin")
@@ -149,27 +150,20 @@ class ArmOptions:
             if not source.lstrip("\ufeff \t\r\n").startswith("<"):
                 raise FileError("stdin", "contains no URDF; allowed: XML text, which starts with '<'")
         allowed = "NAME=LEADER, NAME=LEADER,RATIO or NAME=LEADER,RATIO,OFFSET, each name once"
-        coupled = read_pairs("--couple", self.couple, allowed)
-        spec: ArmSpec = read_declared(
-            ArmSpec,
-            {
-                "urdf": "arm.urdf",
-                "locked": {name: as_data(text) for name, text in read_pairs("--locked", self.locked).items()},
-                "couplings": {
-                    name: [leader.strip(), *map(as_data, numbers)]
-                    for name, text in coupled.items()
-                    for leader, *numbers in [text.split(",")]
-                },
-            },
-        )
+        locked = {name: as_data(text) for name, text in read_pairs("--locked", self.locked).items()}
+        couplings = {
+            name: [leader.strip(), *map(as_data, numbers)]  # a joint may be called by a number
+            for name, text in read_pairs("--couple", self.couple, allowed).items()
+            for leader, *numbers in [text.split(",")]
+        }
         return Arm.load(
             source,
             base=self.base,
             tip=self.tip,
             modules=None if self.modules is None else read_modules(self.modules),
-            locked=spec.locked,
+            locked=read_field(ArmSpec, "locked", locked),
             package_dirs=self.package_dir,
-            couplings=spec.couplings,
+            couplings=read_field(ArmSpec, "couplings", couplings),
             xacro_args=read_pairs("--xacro-arg", self.xacro_arg, "NAME:=VALUE, each name once", ":="),
             hard_limits=self.hard_limits,
         )
@@ -189,11 +183,6 @@ ViewOption = Annotated[bool, OUTPUT("Show the motion in the browser at the end."
 
 NoBrowserOption = Annotated[
     bool, typer.Option("--no-browser", help="Print the address, but do not open a browser.")
-]
-
-ToleranceOption = Annotated[
-    str | None,
-    MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.", "LENGTH"),
 ]
 
 MOST_JOBS = 1000
@@ -312,6 +301,25 @@ def read_start(arm: Arm, text: str, seed: int, degrees: bool, scene: Scene) -> S
         allowed = (*STARTS, *(f"a {suffix} file" for suffix in _READERS), "numbers separated by commas")
         raise UnknownName("start", text, allowed)
     return Start(as_configuration(arm, values, "start", degrees), f"as given by --start {text}")
+
+
+@dataclass(frozen=True)
+class StartOptions:
+    """The start of a motion."""
+
+    start: Annotated[
+        str,
+        MOTION(
+            "straight, smooth or random, a .npy, .csv or .json file of joint positions, or 0.1,0.2,...",
+            "START",
+        ),
+    ] = "smooth"
+    degrees: DegreesOption = False
+    seed: Annotated[int, MOTION("Seed of a smooth or random start.")] = 0
+
+    def read(self, arm: Arm, scene: Scene) -> Start:
+        """Return the start, as `read_start` does."""
+        return read_start(arm, self.start, self.seed, self.degrees, scene)
 
 
 STRAIGHTER = 40
@@ -700,3 +708,33 @@ class SceneOptions:
 
         scene = arm_alone(arm) if self.scene is None else Scene.load(self.scene)
         return scene if self.self_collision is None else replace(scene, self_collision=self.self_collision)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackOptions:
+    """How an arm is driven to the shape of a curve, in `track` and `batch`."""
+
+    placement_options: PlacementOptions
+    controller_options: ControllerOptions
+    steps: Annotated[
+        int | None,
+        MOTION(
+            "Number of steps after which a run stops. Default: 300; with --dt, if that is more, ten times "
+            "those of the straight path in joint space.",
+            "N",
+        ),
+    ] = None
+    tolerance: Annotated[
+        str | None,
+        MOTION("Mean point error that counts as arrived, in metres; default: 1e-6 of the length.", "LENGTH"),
+    ] = None
+    limit_options: LimitOptions
+    scene_options: SceneOptions
+
+    @property
+    def near(self) -> float | None:
+        """The mean point error that counts as arrived [m]; None if not given."""
+        from pinposture.schema import Length
+
+        near: float | None = read_option("--tolerance", self.tolerance, Length)
+        return near

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -42,14 +43,7 @@ def run(
     *,
     urdf: UrdfArgument,
     arm_options: ArmOptions,
-    curve: Annotated[
-        str | None,
-        TARGET(
-            "Show how well the arm can follow this curve, placed at its base: a file, or one of {curves}.",
-            "CURVE",
-        ),
-    ] = None,
-    scale: ScaleOption = 1.0,
+    curve_options: CurveOptions,
     scene_options: SceneOptions,
     plot: Annotated[
         Path | None, OUTPUT("Save a PNG picture of modules, joint axes and control points here.", "FILE")
@@ -79,13 +73,12 @@ def run(
     With --scene it also shows the obstacles of the file, the bodies of the arm, and what is nearest to each;
     with --self-collision, distances of the arm from itself count. The help of track describes scene files.
     """
-    if curve is None and scale != 1.0:
-        raise InvalidValue("--scale", scale, "only with --curve")
+    curve_options.check()
     arm = arm_options.read(urdf)
     surroundings = scene_options.read(arm) if scene_options.given else None
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
-    followed = None if curve is None else _describe_following(arm, curve, scale)
+    followed = curve_options.describe(arm)
     around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
         from pinposture.viz import plot_arm
@@ -100,6 +93,29 @@ def run(
             print_scene(around)
     if plot is not None:
         print_note(f"wrote {plot}")
+
+
+@dataclass(frozen=True)
+class CurveOptions:
+    """A curve that the arm is to follow."""
+
+    curve: Annotated[
+        str | None,
+        TARGET(
+            "Show how well the arm can follow this curve, placed at its base: a file, or one of {curves}.",
+            "CURVE",
+        ),
+    ] = None
+    scale: ScaleOption = 1.0
+
+    def check(self) -> None:
+        """Raise InvalidValue for a scale without a curve."""
+        if self.curve is None and self.scale != 1.0:
+            raise InvalidValue("--scale", self.scale, "only with --curve")
+
+    def describe(self, arm: Arm) -> dict[str, Any] | None:
+        """Return how well an arm can follow the curve, as data for JSON; None without a curve."""
+        return None if self.curve is None else _describe_following(arm, self.curve, self.scale)
 
 
 _JOINTS = {

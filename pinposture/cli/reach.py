@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -59,24 +60,9 @@ def run(
     *,
     urdf: UrdfArgument,
     arm_options: ArmOptions,
-    to: Annotated[str, TARGET("{task.TipGoal.position}", "X,Y,Z", flags="--to")],
-    direction: Annotated[str | None, TARGET("{task.TipGoal.direction}", "X,Y,Z")] = None,
-    tolerance: Annotated[
-        str | None, TARGET("Allowed error of the tip, in metres; default: 1e-6 of the arm length.", "LENGTH")
-    ] = None,
+    goal_options: GoalOptions,
     scene_options: SceneOptions,
-    start: Annotated[
-        str | None,
-        MOTION(
-            "Start of the paths: straight, smooth or random, a .npy, .csv or .json file of joint "
-            "positions, or 0.1,0.2,.... Default: no paths are computed.",
-            "START",
-        ),
-    ] = None,
-    degrees: DegreesOption = False,
-    count: Annotated[int, TARGET("Number of different postures.")] = 1,
-    seed: Annotated[int, MOTION("Seed of the search, and of a smooth or random start.")] = 0,
-    budget: Annotated[str | None, MOTION("{task.TipGoal.budget}", "TIME")] = None,
+    search_options: SearchOptions,
     output: Annotated[
         Path | None,
         OUTPUT(
@@ -106,12 +92,14 @@ def run(
     from pinposture.storage import write_figure, write_text
     from pinposture.task import TipGoal
 
-    if degrees and start is None:
-        raise InvalidValue("--degrees", degrees, "only with --start")
+    search_options.check()
     arm = arm_options.read(urdf)
     surroundings = scene_options.read(arm)
-    goal = read_declared(TipGoal, {"position": to, "direction": direction, "budget": budget})
-    first = None if start is None else read_start(arm, start, seed, degrees, surroundings).q
+    told = {"position": goal_options.to, "direction": goal_options.direction}
+    goal = read_declared(TipGoal, {**told, "budget": search_options.budget})
+    start = search_options.start
+    seed = search_options.seed
+    first = search_options.read_start(arm, surroundings)
     check_directory(output)
     with search_progress():
         found = reach(
@@ -120,10 +108,10 @@ def run(
             direction=goal.direction,
             scene=surroundings,
             start=first,
-            count=count,
+            count=goal_options.count,
             seed=seed,
             budget=goal.budget,
-            tolerance=read_option("--tolerance", tolerance, Length),
+            tolerance=read_option("--tolerance", goal_options.tolerance, Length),
         )
     hindrance = found[0].path.hindrance if found[0].path else ""
     files: list[File] = []
@@ -150,6 +138,44 @@ def run(
     if failure is not None:
         raise failure
     end_with([hindrance] if hindrance else [])
+
+
+@dataclass(frozen=True)
+class GoalOptions:
+    """The postures that are sought."""
+
+    to: Annotated[str, TARGET("{task.TipGoal.position}", "X,Y,Z", flags="--to")]
+    direction: Annotated[str | None, TARGET("{task.TipGoal.direction}", "X,Y,Z")] = None
+    tolerance: Annotated[
+        str | None, TARGET("Allowed error of the tip, in metres; default: 1e-6 of the arm length.", "LENGTH")
+    ] = None
+    count: Annotated[int, TARGET("Number of different postures.")] = 1
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """The start of the paths, and the search."""
+
+    start: Annotated[
+        str | None,
+        MOTION(
+            "Start of the paths: straight, smooth or random, a .npy, .csv or .json file of joint "
+            "positions, or 0.1,0.2,.... Default: no paths are computed.",
+            "START",
+        ),
+    ] = None
+    degrees: DegreesOption = False
+    seed: Annotated[int, MOTION("Seed of the search, and of a smooth or random start.")] = 0
+    budget: Annotated[str | None, MOTION("{task.TipGoal.budget}", "TIME")] = None
+
+    def check(self) -> None:
+        """Raise InvalidValue for degrees without a start."""
+        if self.degrees and self.start is None:
+            raise InvalidValue("--degrees", self.degrees, "only with --start")
+
+    def read_start(self, arm: Arm, scene: Scene) -> NDArray[np.float64] | None:
+        """Return the start of the paths, (nq,); None if not given."""
+        return None if self.start is None else read_start(arm, self.start, self.seed, self.degrees, scene).q
 
 
 def _print_postures(found: Sequence[ReachedPosture]) -> None:

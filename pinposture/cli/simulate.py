@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -66,28 +66,7 @@ def run(
     ],
     urdf: Annotated[str | None, ARM("The arm, for a joint trajectory only.", "URDF")] = None,
     arm_options: ArmOptions,
-    closed: Annotated[
-        bool,
-        MOTION(
-            "Drive the arm by the streaming controller with feedback, rather than send it the motion.",
-            flags="--closed",
-        ),
-    ] = False,
-    no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False,
-    frequency: Annotated[str | None, MOTION("{sim.Servos.frequency}", "HZ")] = None,
-    no_torque_limits: Annotated[
-        bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
-    ] = False,
-    dt: Annotated[
-        str | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "TIME")
-    ] = None,
-    hold: Annotated[str, MOTION("Seconds to continue after the motion, 3600 at most.", "TIME")] = "2",
-    tolerance: Annotated[
-        str | None,
-        MOTION(
-            "Final mean point error that counts as arrived, in metres; default: 1 % of the length.", "LENGTH"
-        ),
-    ] = None,
+    simulation_options: SimulationOptions,
     scene: SceneOption = None,
     output: Annotated[
         Path | None,
@@ -108,20 +87,15 @@ def run(
     """
     from pinposture.arm.mjcf import load_mujoco
     from pinposture.collision import Scene
-    from pinposture.schema import Duration, Length, quantity
-    from pinposture.sim import Servos, simulate
 
     load_mujoco()  # fails early if it is not installed
-    wait = read_option("--hold", hold, Annotated[float, quantity("time", least=0.0, most=3600.0)])
-    cycle = read_option("--dt", dt, Duration)
-    near = read_option("--tolerance", tolerance, Length)
-    servos = read_declared(Servos, {"frequency": frequency, "torque_limits": not no_torque_limits})
+    settings = simulation_options.read()
     surroundings = None if scene is None else Scene.load(scene)
     arm, motion = _read(path, urdf, arm_options)
     check_directory(output)
     with count_progress("cycle") as progress:
-        drive = _simulate_closed if closed else simulate
-        simulation = drive(arm, motion, servos, not no_gravity, cycle, wait, progress, surroundings, near)
+        drive = _simulate_closed if simulation_options.closed else _simulate_open
+        simulation = drive(arm, motion, settings, surroundings, progress)
     files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
     if summary["saturated_joints"]:
@@ -129,6 +103,55 @@ def run(
     data = {"run": str(path), **summary, "files": files}
     print_result(as_json, data, words_of(summary), files.values(), failure)
     end_with(simulation.faults)
+
+
+class Settings(NamedTuple):
+    """How a motion is simulated; see `simulate` of `pinposture.sim`."""
+
+    servos: Servos
+    gravity: bool
+    cycle: float | None
+    hold: float
+    tolerance: float | None
+
+
+@dataclass(frozen=True)
+class SimulationOptions:
+    """How a motion is simulated."""
+
+    closed: Annotated[
+        bool,
+        MOTION(
+            "Drive the arm by the streaming controller with feedback, rather than send it the motion.",
+            flags="--closed",
+        ),
+    ] = False
+    no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False
+    frequency: Annotated[str | None, MOTION("{sim.Servos.frequency}", "HZ")] = None
+    no_torque_limits: Annotated[
+        bool, MOTION("Ignore the effort limits of the description.", flags="--no-torque-limits")
+    ] = False
+    dt: Annotated[
+        str | None, MOTION("Duration of a cycle in seconds; required if the run has none.", "TIME")
+    ] = None
+    hold: Annotated[str, MOTION("Seconds to continue after the motion, 3600 at most.", "TIME")] = "2"
+    tolerance: Annotated[
+        str | None,
+        MOTION(
+            "Final mean point error that counts as arrived, in metres; default: 1 % of the length.", "LENGTH"
+        ),
+    ] = None
+
+    def read(self) -> Settings:
+        """Return the settings; raise a `PostureError` for a value that is refused."""
+        from pinposture.schema import Duration, Length, quantity
+        from pinposture.sim import Servos
+
+        hold = read_option("--hold", self.hold, Annotated[float, quantity("time", least=0.0, most=3600.0)])
+        cycle = read_option("--dt", self.dt, Duration)
+        near = read_option("--tolerance", self.tolerance, Length)
+        given = {"frequency": self.frequency, "torque_limits": not self.no_torque_limits}
+        return Settings(read_declared(Servos, given), not self.no_gravity, cycle, hold, near)
 
 
 def simulation_files(simulation: Simulation, directory: Path) -> list[File]:
@@ -165,23 +188,42 @@ def _read(
     return arm, motion.matched(arm)
 
 
+def _simulate_open(
+    arm: Arm,
+    motion: Run | Trajectory | JointTrajectory,
+    settings: Settings,
+    scene: Scene | None,
+    progress: Callable[[int, int], object],
+) -> Simulation:
+    """Simulate a motion that is sent to the servos."""
+    from pinposture.sim import simulate
+
+    return simulate(
+        arm,
+        motion,
+        servos=settings.servos,
+        gravity=settings.gravity,
+        dt=settings.cycle,
+        hold=settings.hold,
+        progress=progress,
+        scene=scene,
+        tolerance=settings.tolerance,
+    )
+
+
 def _simulate_closed(
     arm: Arm,
     motion: Run | Trajectory | JointTrajectory,
-    servos: Servos,
-    gravity: bool,
-    dt: float | None,
-    hold: float,
-    progress: Callable[[int, int], object],
+    settings: Settings,
     scene: Scene | None,
-    tolerance: float | None,
+    progress: Callable[[int, int], object],
 ) -> Simulation:
     """Simulate a motion as in `simulate`, but driven by the streaming controller."""
     from pinposture.control import Limits
     from pinposture.motion import Run, Tracker, Trajectory
     from pinposture.sim import set_points, simulate_closed
 
-    asked = set_points(arm, motion, dt)
+    asked = set_points(arm, motion, settings.cycle)
     kept = motion.run if isinstance(motion, Trajectory) else motion
     # A run has one target; a motion in time has one for each moment.
     targets = motion.target if isinstance(motion, Run) else asked.targets(arm)
@@ -191,11 +233,19 @@ def _simulate_closed(
         scene = kept.scene if scene is None else scene
     if isinstance(motion, Trajectory):  # it keeps its limits: following it does not require early braking
         limits = replace(limits, acceleration=None, jerk=None)
-    duration = asked.dt * (len(asked.positions) - 1) + hold
-    start = arm.configuration(asked.positions[0])
-    tracker = Tracker(arm, limits=limits, scene=scene)
-    told: dict[str, Any] = {"progress": progress, "scene": scene, "tolerance": tolerance}
-    return simulate_closed(arm, tracker, targets, start, duration, asked.dt, servos, gravity, **told)
+    return simulate_closed(
+        arm,
+        Tracker(arm, limits=limits, scene=scene),
+        targets,
+        q0=arm.configuration(asked.positions[0]),
+        duration=asked.dt * (len(asked.positions) - 1) + settings.hold,
+        dt=asked.dt,
+        servos=settings.servos,
+        gravity=settings.gravity,
+        progress=progress,
+        scene=scene,
+        tolerance=settings.tolerance,
+    )
 
 
 def _saturated(summary: dict[str, Any]) -> str:

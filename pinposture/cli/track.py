@@ -8,23 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pinposture.cli.inputs import (
-    MOTION,
     OUTPUT,
     TIP,
     ArmOptions,
-    ControllerOptions,
     CurveOption,
-    DegreesOption,
     JsonOption,
-    LimitOptions,
-    PlacementOptions,
-    SceneOptions,
-    ToleranceOption,
+    StartOptions,
+    TrackOptions,
     UrdfArgument,
     ViewOption,
     as_data,
-    read_option,
-    read_start,
 )
 from pinposture.cli.output import (
     check_directory,
@@ -64,35 +57,10 @@ def run(
     urdf: UrdfArgument,
     arm_options: ArmOptions,
     curve: CurveOption,
-    placement_options: PlacementOptions,
-    controller_options: ControllerOptions,
-    start: Annotated[
-        str,
-        MOTION(
-            "straight, smooth or random, a .npy, .csv or .json file of joint positions, or 0.1,0.2,...",
-            "START",
-        ),
-    ] = "smooth",
-    degrees: DegreesOption = False,
-    seed: Annotated[int, MOTION("Seed of a smooth or random start.")] = 0,
-    steps: Annotated[
-        int | None,
-        MOTION(
-            "Number of steps after which it stops. Default: 300; with --dt, if that is more, ten times those "
-            "of the straight path in joint space.",
-            "N",
-        ),
-    ] = None,
-    tolerance: ToleranceOption = None,
-    limit_options: LimitOptions,
-    scene_options: SceneOptions,
+    start_options: StartOptions,
+    track_options: TrackOptions,
     tip_options: TipOptions,
-    output: Annotated[
-        Path | None,
-        OUTPUT("Save run.npz, run.png and run.html here; else nothing is saved.", "DIR", flags="--output -o"),
-    ] = None,
-    as_json: JsonOption = False,
-    view: ViewOption = False,
+    output_options: TrackOutput,
 ) -> None:
     """Drive an arm to the shape of a curve, and report the result.
 
@@ -113,33 +81,48 @@ def run(
     """
     from pinposture.motion import track
     from pinposture.motion.track import name_enough_steps, usual_max_steps
-    from pinposture.schema import Length
 
+    controller_options = track_options.controller_options
     controller_options.check(**vars(tip_options))
     arm = arm_options.read(urdf)
-    limits = limit_options.read(arm)
-    surroundings = scene_options.read(arm)
-    begin = read_start(arm, start, seed, degrees, surroundings)
+    limits = track_options.limit_options.read(arm)
+    surroundings = track_options.scene_options.read(arm)
+    begin = start_options.read(arm, surroundings)
     task = tip_options.read(arm.at(begin.q))
     chosen = controller_options.build(task)
-    target = placement_options.place(arm, curve, surroundings)
+    target = track_options.placement_options.place(arm, curve, surroundings)
+    output = output_options.output
     check_directory(output)  # before the run, which would be lost otherwise
+    steps = track_options.steps
     most = usual_max_steps(arm, begin.q, target, limits) if steps is None else steps
-    near = read_option("--tolerance", tolerance, Length)
+    near = track_options.near
     move = partial(track, arm, target, begin.q, chosen, limits, surroundings, tolerance=near)
     with step_progress(target, most) as callback:
         motion = move(max_steps=most, callback=callback)
     motion = name_enough_steps(motion, chosen, lambda steps: move(max_steps=steps))
     files, failure = write_files([] if output is None else run_files(motion, output))
     summary = {**motion.summary(), "tip": None if task is None else tip_off(task, motion)}
-    asked: dict[str, object] = {"urdf": urdf, "curve": curve, "start": start, "seed": seed}
-    asked |= {"controller": controller_options.controller, "scene": scene_options.file}
+    asked: dict[str, object] = {"urdf": urdf, "curve": curve}
+    asked |= {"start": start_options.start, "seed": start_options.seed}
+    asked |= {"controller": controller_options.controller, "scene": track_options.scene_options.file}
     taken = {"start_taken": begin.words, "start_positions": arm.positions(begin.q).tolist()}
     told = {**asked, **taken, **summary, "files": files}
-    print_result(as_json, told, words_of(told), files.values(), failure)
-    if view:
+    print_result(output_options.as_json, told, words_of(told), files.values(), failure)
+    if output_options.view:
         show(motion, True, print_note)
     end_with(motion.faults)
+
+
+@dataclass(frozen=True)
+class TrackOutput:
+    """What is done with the run."""
+
+    output: Annotated[
+        Path | None,
+        OUTPUT("Save run.npz, run.png and run.html here; else nothing is saved.", "DIR", flags="--output -o"),
+    ] = None
+    as_json: JsonOption = False
+    view: ViewOption = False
 
 
 @dataclass(frozen=True)
