@@ -45,7 +45,14 @@ from pinposture.arm.kinematics import (
     frame_ids,
     read_chain,
 )
-from pinposture.arm.loading import LoadedModel, LoadReport, Modules, load_model, place_base
+from pinposture.arm.loading import (
+    LoadedModel,
+    LoadOptions,
+    LoadReport,
+    Modules,
+    load_model,
+    place_base,
+)
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.manipulability import (
     ControlPoints,
@@ -183,8 +190,7 @@ class Arm(ConfigurationSpace):
         placement = None if spec.placement is None else spec.placement.build()
         if spec.urdf is None:
             return cls._from_templates(spec, spec.module_templates(), placement)
-        loaded = load_model(
-            spec.urdf,
+        options = LoadOptions(
             base=spec.base,
             tip=spec.tip,
             modules=spec.split,
@@ -195,7 +201,7 @@ class Arm(ConfigurationSpace):
             xacro_args=spec.xacro_args,
             hard_limits=spec.hard_limits,
         )
-        return cls._from_loaded(loaded, spec)
+        return cls._from_loaded(load_model(spec.urdf, options), spec)
 
     @classmethod
     def _from_templates(
@@ -203,7 +209,8 @@ class Arm(ConfigurationSpace):
     ) -> Arm:
         text = modules_to_urdf(modules, f"{spec.template}_{spec.modules}")
         sizes = [len(module.joints) for module in modules]
-        return cls._from_loaded(load_model(text, modules=sizes, base_placement=base_placement), spec)
+        options = LoadOptions(modules=sizes, base_placement=base_placement)
+        return cls._from_loaded(load_model(text, options), spec)
 
     @classmethod
     def from_modules(
@@ -283,8 +290,7 @@ class Arm(ConfigurationSpace):
         """
         if not isinstance(hard_limits, bool):
             raise InvalidValue("hard_limits", hard_limits, "True or False")
-        loaded = load_model(
-            source,
+        options = LoadOptions(
             base=base,
             tip=tip,
             modules=modules,
@@ -295,6 +301,7 @@ class Arm(ConfigurationSpace):
             xacro_args=xacro_args,
             hard_limits=hard_limits,
         )
+        loaded = load_model(source, options)
         folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
         # A name does not identify the text.
         kept = not isinstance(source, pin.Model) and not is_urdf_text(source) and Path(source).exists()

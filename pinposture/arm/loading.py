@@ -92,28 +92,36 @@ class LoadedModel(NamedTuple):
     report: LoadReport  # decisions made
 
 
-def load_model(
-    source: str | Path | pin.Model,
-    base: str | None = None,
-    tip: str | None = None,
-    modules: Modules = None,
-    locked: Mapping[str, float] | None = None,
-    package_dirs: Sequence[str | Path] | None = None,
-    base_placement: pin.SE3 | None = None,
-    couplings: Mapping[str, object] | None = None,
-    xacro_args: Mapping[str, object] | None = None,
-    hard_limits: bool = False,
-) -> LoadedModel:
+@dataclass(frozen=True)
+class LoadOptions:
+    """What is made of a description: the arguments of `Arm.load`."""
+
+    base: str | None = None
+    tip: str | None = None
+    modules: Modules = None
+    locked: Mapping[str, float] | None = None
+    package_dirs: Sequence[str | Path] | None = None
+    base_placement: pin.SE3 | None = None
+    couplings: Mapping[str, object] | None = None
+    xacro_args: Mapping[str, object] | None = None
+    hard_limits: bool = False
+
+
+def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedModel:
     """Load and check a description, reduce it to the chain and split that into modules. See `Arm.load`."""
-    placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
-    for name, given, values in (("locked", locked, "positions"), ("couplings", couplings, "leaders")):
+    base = options.base
+    tip = options.tip
+    placed = options.base_placement
+    placement = None if placed is None else rigid_placement("base_placement", placed)
+    for name, values in (("locked", "positions"), ("couplings", "leaders")):
+        given = getattr(options, name)
         if not isinstance(given, Mapping | None):
             raise InvalidValue(name, given, f"a mapping from names of joints to {values}, or None")
-    given_folders = _checked_folders(package_dirs)
-    found = find_urdf(source, given_folders, read_arguments(xacro_args))
-    read = with_couplings(read_description(found.urdf, found.name), couplings)
-    description = read if hard_limits else with_soft_limits(read)
-    links, sizes = _read_modules(modules)
+    given_folders = _checked_folders(options.package_dirs)
+    found = find_urdf(source, given_folders, read_arguments(options.xacro_args))
+    read = with_couplings(read_description(found.urdf, found.name), options.couplings)
+    description = read if options.hard_limits else with_soft_limits(read)
+    links, sizes = _read_modules(options.modules)
     if tip is None and links:
         tip = links[-1]
     wrist = None
@@ -124,7 +132,7 @@ def load_model(
         message = "base= alone does not determine the chain; pass tip= as well"
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
     base = description.root if base is None else base
-    locks = _checked_locks(description, locked or {})
+    locks = _checked_locks(description, options.locked or {})
     coupled = _moving_joints(description, base, tip, locks)
     names = [joint.name for joint in coupled.moving]
     model = build_model(description.text, description.source, _coupled_turns(coupled))
@@ -139,7 +147,7 @@ def load_model(
     points = _add_end_frames(model, names, tip, segmentation.sizes, links)
     warnings = [*description.doubled]
     warnings += _lock_warnings(description, base, tip, names, locks)
-    if not hard_limits:
+    if not options.hard_limits:
         warnings.extend(soft_limit_warnings(read, names))
     if skeleton.length > SUSPECT_LENGTH:
         warnings.append(f"the arm is {skeleton.length:.4g} m long; is it in millimetres, not metres?")

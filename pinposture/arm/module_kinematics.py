@@ -127,8 +127,7 @@ def joints_in_base_frame(
     stations: Array,
     columns: NDArray[np.intp],
     ratios: Array,
-    lower: Array,
-    upper: Array,
+    limits: Array,
 ) -> ModuleJoints:
     """Describe consecutive joints as a module.
 
@@ -139,8 +138,7 @@ def joints_in_base_frame(
         stations: the base of the module, a point on each axis, and its end, (n + 2, 3) [m], world frame.
         columns: degree of freedom of each joint, (n,).
         ratios: motion relative to its degree of freedom, (n,).
-        lower: smallest positions of these degrees of freedom in the order of the joints, (k,).
-        upper: largest ones, (k,).
+        limits: smallest and largest positions of these degrees of freedom in the order of the joints, (2, k).
     """
     base = stations[0]
     end = stations[-1]
@@ -154,8 +152,8 @@ def joints_in_base_frame(
         end=(end - base) @ frame,
         inputs=np.array([numbers[column] for column in columns.tolist()], dtype=np.int64),
         ratios=np.ascontiguousarray(ratios, dtype=float),
-        lower=np.array(lower, dtype=float),
-        upper=np.array(upper, dtype=float),
+        lower=np.array(limits[0], dtype=float),
+        upper=np.array(limits[1], dtype=float),
         base=np.array(base),
         frame=frame,
     )

@@ -135,11 +135,17 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
                 continue  # coupled to joints outside
             inputs = [first[column] for column in dict.fromkeys(own)]
             part = slice(start, stop)
-            stations = skeleton.stations[[start, *range(start, stop), stop]]
             limits = np.array([skeleton.lower[inputs], skeleton.upper[inputs]]) / skeleton.ratios[inputs]
-            kinds = skeleton.names[part], skeleton.revolute[part], skeleton.axes[part]
-            moved = columns[part], skeleton.ratios[part], *np.sort(limits, axis=0)
-            found = registered_kinematics(joints_in_base_frame(*kinds, stations, *moved))
+            joints = joints_in_base_frame(
+                names=skeleton.names[part],
+                revolute=skeleton.revolute[part],
+                axes=skeleton.axes[part],
+                stations=skeleton.stations[[start, *range(start, stop), stop]],
+                columns=columns[part],
+                ratios=skeleton.ratios[part],
+                limits=np.sort(limits, axis=0),
+            )
+            found = registered_kinematics(joints)
             if found is not None:
                 covered, count, modules = best[stop]
                 entry = (covered + stop - start, count + 1)

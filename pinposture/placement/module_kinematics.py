@@ -552,11 +552,15 @@ def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoi
     chain = arm.chain
     columns = chain.columns[joints]
     own = np.array(list(dict.fromkeys(columns.tolist())))
-    stations = chain.flattened(np.vstack([base, chain.origins[joints], end]))
-    lower = arm.limits.lower[own]
-    upper = arm.limits.upper[own]
-    kinds = chain.joints[joints], chain.revolute[joints], chain.axes[joints]
-    return joints_in_base_frame(*kinds, stations, columns, chain.ratios[joints], lower, upper)
+    return joints_in_base_frame(
+        names=chain.joints[joints],
+        revolute=chain.revolute[joints],
+        axes=chain.axes[joints],
+        stations=chain.flattened(np.vstack([base, chain.origins[joints], end])),
+        columns=columns,
+        ratios=chain.ratios[joints],
+        limits=np.array([arm.limits.lower[own], arm.limits.upper[own]]),
+    )
 
 
 def after_last_mover(chain: Chain, module: int, start: int) -> int:

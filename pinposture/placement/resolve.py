@@ -455,7 +455,13 @@ def resolve_targets(
             another arm or without a configuration.
         UnknownName: no such `placement`, `incomplete` or `method`.
     """
-    _check_arguments(arm, curve, samples, placement, roll, incomplete, method, near)
+    _check_shape(arm, curve, near)
+    if placement is not None:
+        require_known("placement", placement, PLACEMENTS)
+    require_known("way to treat an incomplete target", incomplete, ("raise", "partial"))
+    require_known("method", method, METHODS)
+    require_whole("samples", samples, 2)
+    as_number("roll", roll, "a finite angle [rad]", lambda x: True)
     placed, moved = place_curve(arm, curve, placement, roll)
     if placement is None and moved.distance > FAR * arm.length:
         warn_caller(far_moved(arm, "the curve", moved))
@@ -470,26 +476,11 @@ def resolve_targets(
     return target
 
 
-def _check_arguments(
-    arm: Arm,
-    curve: Curve,
-    samples: int,
-    placement: str | None,
-    roll: float,
-    incomplete: str,
-    method: str,
-    near: Target | None,
-) -> None:
+def _check_shape(arm: Arm, curve: Curve, near: Target | None) -> None:
     require_instance("arm", arm, Arm, "an Arm")
     require_instance("curve", curve, Curve, "a Curve")
     if misfit := length_misfit(arm, curve):
         raise CurveError("curve", misfit)
-    if placement is not None:
-        require_known("placement", placement, PLACEMENTS)
-    require_known("way to treat an incomplete target", incomplete, ("raise", "partial"))
-    require_known("method", method, METHODS)
-    require_whole("samples", samples, 2)
-    as_number("roll", roll, "a finite angle [rad]", lambda x: True)
     arm.require_near("coefficients of the curve", curve.coefficients)
     if near is not None:
         require_instance("near", near, Target, "a Target with a configuration q, or None")
