@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, overload
+from types import MappingProxyType, UnionType
+from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints, overload
 from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import finite_vector, require_finite, require_known
+from pinposture._validation import require_finite, require_known
 from pinposture.arm import Arm
-from pinposture.collision import Scene
-from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.batch import Batch
@@ -31,21 +32,115 @@ from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.run import (
     CONFIGURATION_ARRAYS,
     ENDINGS,
-    INFO,
     STEP_ARRAYS,
     Arrays,
     Run,
     info_of,
-    run_arrays,
 )
-from pinposture.motion.trajectory import Trajectory, Waypoint
+from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
-from pinposture.placement.target import Moved
+from pinposture.schema import read_plain
 from pinposture.storage import with_suffix, write_bytes
 from pinposture.units import length_text
 
 Result = TypeVar("Result")
 About = dict[str, Any]
+
+
+# Archives: the arrays of a result by the names of its fields, and everything else in JSON.
+#
+# A part of a result that has arrays itself, such as its target, is spread: its arrays have its name as a
+# prefix, and its other fields are among those of the result. Other parts are described under their names.
+
+
+def pack(result: Any, prefix: str = "", without: Collection[str] = ()) -> tuple[About, Arrays]:
+    """Return the description and the arrays of a result.
+
+    Args:
+        result: the result, or a part of it.
+        prefix: what the names of its arrays begin with.
+        without: fields that are packed otherwise.
+    """
+    about: About = {}
+    arrays: Arrays = {}
+    for name, kinds in _fields(cast(type, type(result))).items():
+        value = getattr(result, name)
+        if name in without:
+            continue
+        if _is_array(kinds):
+            if value is not None:
+                arrays[f"{prefix}{name}"] = np.asarray(value)
+        elif isinstance(value, Mapping):
+            arrays |= {f"{prefix}{name}_{key}": column for key, column in value.items()}
+        elif hasattr(value, "to_dict"):
+            about[name] = value.to_dict()
+        elif not is_dataclass(value):
+            about[name] = value
+        elif _has_arrays(type(value)):
+            described, own = pack(value, f"{prefix}{name}_")
+            about |= described
+            arrays |= own
+        else:
+            about[name] = vars(value)
+    return about, arrays
+
+
+def unpack(
+    kind: type, about: About, arrays: Arrays, prefix: str = "", without: Collection[str] = ()
+) -> dict[str, Any]:
+    """Return the fields of a result of a class from the output of `pack`; those without a value are missing.
+
+    Raises:
+        InvalidValue: a value that does not fit its field.
+        KeyError: an array or a part that is missing.
+    """
+    values: dict[str, Any] = {}
+    for name, kinds in _fields(kind).items():
+        stored = f"{prefix}{name}"
+        part = next((each for each in kinds if hasattr(each, "from_dict") or is_dataclass(each)), None)
+        if name in without:
+            continue
+        if _is_array(kinds):
+            array = arrays.get(stored) if type(None) in kinds else arrays[stored]
+            values[name] = array if array is None or array.ndim else float(array)
+        elif get_origin(kinds[0]) is Mapping:
+            start = f"{stored}_"
+            values[name] = {
+                key.removeprefix(start): each for key, each in arrays.items() if key.startswith(start)
+            }
+        elif part is None:
+            if name in about:
+                values[name] = read_plain(_hints(kind)[name], about[name], name)
+        elif hasattr(part, "from_dict"):
+            described = about[name]
+            values[name] = None if described is None else part.from_dict(described)
+        elif _has_arrays(part):
+            values[name] = part(**unpack(part, about, arrays, f"{stored}_"))
+        else:
+            values[name] = part(**about[name])
+    return values
+
+
+_hints = cache(get_type_hints)
+
+
+@cache
+def _fields(kind: type) -> dict[str, tuple[Any, ...]]:
+    """Return the types that each field of a class may have."""
+    hints = _hints(kind)
+    found = {}
+    for each in fields(cast(Any, kind)):
+        hint = hints[each.name]
+        found[each.name] = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return found
+
+
+def _is_array(kinds: tuple[Any, ...]) -> bool:
+    return any(get_origin(each) is np.ndarray for each in kinds)
+
+
+def _has_arrays(kind: type) -> bool:
+    return any(map(_is_array, _fields(kind).values()))
 
 
 class Format(NamedTuple):
@@ -56,18 +151,20 @@ class Format(NamedTuple):
         version: the version that is written and read.
         kind: the class.
         noun: name of the content, for messages.
-        pack: returns the description and the arrays of a result.
-        unpack: restores the result from them; may raise anything if they are damaged.
+        check: raises an error unless the parts of a restored result fit each other.
         advice: messages if another format is found instead, by its name.
+        pack: returns the description and the arrays of a result.
+        unpack: returns the fields from them; may raise anything if they are damaged.
     """
 
     name: str
     version: int
     kind: type
     noun: str
-    pack: Callable[[Any], tuple[About, Arrays]]
-    unpack: Callable[[About, Arrays], Any]
-    advice: Mapping[str, str]
+    check: Callable[[Any], None]
+    advice: Mapping[str, str] = MappingProxyType({})
+    pack: Callable[[Any], tuple[About, Arrays]] = pack
+    unpack: Callable[[type, About, Arrays], dict[str, Any]] = unpack
 
 
 ARCHIVES: dict[str, Format] = {}
@@ -177,7 +274,9 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
             allowed = ", ".join(f"{form.name!r} version {form.version}" for form in known)
             text = f"format {found!r} version {version}; allowed: {allowed}"
             raise FileError(path, text if wanted is None else wanted.advice.get(found, text))
-        return wanted.unpack(about, arrays)
+        result = wanted.kind(**wanted.unpack(wanted.kind, about, arrays))
+        wanted.check(result)
+        return result
     except FileError:
         raise
     except Exception as error:  # a damaged file can raise anything: zlib, numpy, Pinocchio
@@ -217,36 +316,10 @@ def _format_of(kind: type, name: str, value: object) -> Format:
     raise InvalidValue(name, value, f"{allowed} or Simulation{hint}")
 
 
-# Parts that several formats share.
-
-_LIMITS_ARRAYS = ("step", "velocity", "acceleration", "jerk")
-_TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
-
-
-def _pack_limits(limits: Limits) -> tuple[About, Arrays]:
-    given = {name: getattr(limits, name) for name in _LIMITS_ARRAYS}
-    arrays = {f"limits_{name}": np.asarray(value) for name, value in given.items() if value is not None}
-    return {"dt": limits.dt, "position_margin": limits.position_margin}, arrays
-
-
-def _unpack_limits(about: About, arrays: Arrays) -> Limits:
-    stored = {name: arrays.get(f"limits_{name}") for name in _LIMITS_ARRAYS}
-    values: dict[str, Any] = {
-        name: value if value is None or value.ndim else float(value) for name, value in stored.items()
-    }
-    return Limits(**values, dt=about["dt"], position_margin=about["position_margin"])
-
-
-def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
-    """Return how a curve was moved, from JSON data."""
-    if data is None:
-        return None
-    translation, rotation = (finite_vector("moved", each, 3).tolist() for each in data)
-    return Moved(tuple(translation), tuple(rotation))
-
+# What the parts of a result must be, for all formats.
 
 _TEXTS = frozenset({"status", "reason", "closest", "violated_constraints"})
-_FLAGS = frozenset({"active", "clipped", "error_increasing", "motion_target_mask"})
+_FLAGS = frozenset({"active", "clipped", "error_increasing", "target_mask"})
 
 COMPARED_ROWS = 500
 """Rows of a loaded run whose control points are compared with its configurations, at most."""
@@ -296,168 +369,79 @@ def check_postures(
 
 # Runs.
 
-_RUN_ARRAYS = (*CONFIGURATION_ARRAYS, "points", "point_errors", *STEP_ARRAYS)
 
-
-def _pack_run(run: Run) -> tuple[About, Arrays]:
-    about, arrays = _pack_limits(run.limits)
-    arrays |= run_arrays(run) | {"points": run.points, "point_errors": run.point_errors}
-    for name in _TARGET_ARRAYS:
-        value = getattr(run.target, name)
-        if value is not None:
-            arrays[f"target_{name}"] = value
-    about |= {
-        "arm": run.arm.to_dict(),
-        "curve": None if run.target.curve is None else run.target.curve.to_dict(),
-        "method": run.target.method,
-        "incomplete": run.target.incomplete,
-        "moved": run.target.moved,
-        "approximate": run.target.approximate,
-        "controller": run.controller,
-        "scene": None if run.scene is None else run.scene.to_dict(),
-        "status": run.status,
-        "reason": run.reason,
-    }
-    return about, arrays
-
-
-def _unpack_run(about: About, arrays: Arrays) -> Run:
-    target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
-    arm = Arm.from_dict(about["arm"])
-    steps = len(arrays["active"])
+def _check_run(run: Run) -> None:
+    arm = run.arm
     m = arm.n_modules
     shapes = {
-        "q": (steps + 1, arm.nq),
-        "points": (steps + 1, m, 3),
-        "point_errors": (steps + 1, m),
-        "clearance": (steps + 1,),
-        "active": (steps, m),
-        "clipped": (steps, arm.nv),
+        "q": (run.steps + 1, arm.nq),
+        "points": (run.steps + 1, m, 3),
+        "point_errors": (run.steps + 1, m),
+        "clearance": (run.steps + 1,),
+        "active": (run.steps, m),
+        "clipped": (run.steps, arm.nv),
+        "error_increasing": (run.steps,),
+        "violated_constraints": (run.steps,),
     }
-    check_arrays(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS})
-    _check_info(arrays, steps)
-    check_arrays(arrays, {"target_points": (m, 3), "target_weights": (m,)})
-    check_postures(arm, arrays)
-    require_finite("point_errors", arrays["point_errors"])
-    require_known("status", about["status"], ENDINGS)
-    return Run(
-        arm=arm,
-        target=Target(
-            **target,
-            curve=None if about["curve"] is None else Curve.from_dict(about["curve"]),
-            method=about["method"],
-            incomplete=about["incomplete"],
-            moved=_unpack_moved(about.get("moved")),
-            approximate=about.get("approximate", ""),  # missing in files of older versions
-        ),
-        limits=_unpack_limits(about, arrays),
-        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
-        controller=about["controller"],
-        status=about["status"],
-        reason=about["reason"],
-        info=info_of(arrays),
-        **{name: arrays[name] for name in _RUN_ARRAYS},
-    )
+    check_arrays(vars(run), shapes)
+    _check_info(run.info, run.steps)
+    check_arrays(vars(run.target), {"points": (m, 3), "weights": (m,)})
+    check_postures(arm, vars(run))
+    require_finite("point_errors", run.point_errors)
+    require_known("status", run.status, ENDINGS)
 
 
-def _check_info(arrays: Mapping[str, NDArray[Any]], steps: int) -> None:
+def _check_info(info: Mapping[str, NDArray[Any]], steps: int) -> None:
     """Raise InvalidValue unless each array of `Run.info` has a row of numbers or texts per step."""
-    for name, column in arrays.items():
-        if name.startswith(INFO) and (column.shape[:1] != (steps,) or column.dtype.kind not in "biufU"):
+    for name, column in info.items():
+        if column.shape[:1] != (steps,) or column.dtype.kind not in "biufU":
             found = f"{column.dtype} {column.shape}"
-            raise InvalidValue(name, found, f"{steps} rows of numbers or texts")
+            raise InvalidValue(f"info_{name}", found, f"{steps} rows of numbers or texts")
 
 
 # Motions.
 
-_TIMED_ARRAYS = ("targets", "target_mask", "plan_time")
+_OF_A_MOTION = "motion_"
+"""What the names of arrays begin with that a motion has beside those of its run."""
 
 
 def _pack_motion(motion: Trajectory) -> tuple[About, Arrays]:
-    about, arrays = _pack_run(motion.run)
-    about["motion"] = {
-        "start_index": motion.start_index,
-        "planned": motion.planned,
-        "waypoints": [list(place) for place in motion.waypoints],
-        "deviations": list(motion.deviations),
-    }
-    return about, arrays | {f"motion_{name}": getattr(motion, name) for name in _TIMED_ARRAYS}
+    about, arrays = pack(motion.run)
+    about["motion"], own = pack(motion, _OF_A_MOTION, without=("run",))
+    return about, arrays | own
 
 
-def _unpack_motion(about: About, arrays: Arrays) -> Trajectory:
-    run = _unpack_run(about, arrays)
-    timed = about["motion"]
+def _unpack_motion(kind: type, about: About, arrays: Arrays) -> dict[str, Any]:
+    values = unpack(kind, about["motion"], arrays, _OF_A_MOTION, without=("run",))
+    return {**values, "run": Run(**unpack(Run, about, arrays))}
+
+
+def _check_motion(motion: Trajectory) -> None:
+    run = motion.run
+    _check_run(run)
     if run.limits.dt is None:
         raise InvalidValue("dt", None, "the duration of a cycle")
     rows = run.steps + 1
     m = run.arm.n_modules
-    check_arrays(
-        arrays, {"motion_targets": (rows, m, 3), "motion_target_mask": (rows, m), "motion_plan_time": (rows,)}
-    )
-    return Trajectory(
-        run=run,
-        **{name: arrays[f"motion_{name}"] for name in _TIMED_ARRAYS},
-        start_index=timed["start_index"],
-        planned=timed["planned"],
-        waypoints=tuple(
-            Waypoint(*place)._replace(moved=_unpack_moved(place[7] if len(place) > 7 else None))
-            for place in timed["waypoints"]
-        ),
-        deviations=tuple(timed["deviations"]),
-    )
+    check_arrays(vars(motion), {"targets": (rows, m, 3), "target_mask": (rows, m), "plan_time": (rows,)})
 
 
 # Batches.
 
-_BATCH_ARRAYS = (
-    "status",
-    "reason",
-    "steps",
-    "start_error",
-    "final_error",
-    "mean_error",
-    "path_length_ratio",
-    "clearance",
-    "closest",
-    "q_start",
-    "q_final",
-)
-
 
 def _pack_batch(batch: Batch) -> tuple[About, Arrays]:
-    about, arrays = _pack_limits(batch.limits)
-    arrays |= {name: getattr(batch, name) for name in _BATCH_ARRAYS}
-    target_arrays, about_targets = _pack_targets(batch.targets)
-    arrays |= target_arrays
-    if batch.motions is not None:
-        arrays |= _pack_motions(batch.motions)
-    about |= {
-        "arm": batch.arm.to_dict(),
-        "targets": about_targets,
-        "controller": batch.controller,
-        "scene": None if batch.scene is None else batch.scene.to_dict(),
-        "max_steps": batch.max_steps,
-        "tolerance": batch.tolerance,
-        "motions": batch.motions is not None,
-    }
-    return about, arrays
+    about, arrays = pack(batch, without=("targets", "motions"))
+    about["targets"], of_targets = _pack_targets(batch.targets)
+    about["motions"] = batch.motions is not None
+    of_motions = {} if batch.motions is None else _pack_motions(batch.motions)
+    return about, arrays | of_targets | of_motions
 
 
-def _unpack_batch(about: About, arrays: Arrays) -> Batch:
-    columns: dict[str, Any] = {name: arrays[name] for name in _BATCH_ARRAYS}
-    batch = Batch(
-        arm=Arm.from_dict(about["arm"]),
-        targets=_unpack_targets(arrays, about["targets"]),
-        controller=about["controller"],
-        limits=_unpack_limits(about, arrays),
-        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
-        max_steps=about["max_steps"],
-        tolerance=about["tolerance"],
-        motions=_unpack_motions(arrays) if about["motions"] else None,
-        **columns,
-    )
-    _check_batch(batch)
-    return batch
+def _unpack_batch(kind: type, about: About, arrays: Arrays) -> dict[str, Any]:
+    values = unpack(kind, about, arrays, without=("targets", "motions"))
+    values["targets"] = _unpack_targets(about["targets"], arrays)
+    values["motions"] = _unpack_motions(arrays) if about["motions"] else None
+    return values
 
 
 def _pack_motions(motions: Sequence[Arrays]) -> Arrays:
@@ -509,55 +493,41 @@ def _unpack_motions(arrays: Arrays) -> tuple[Arrays, ...]:
     return motions
 
 
-def _pack_targets(targets: Sequence[Target]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+_TARGET = "target_"
+"""What the names of the arrays of targets begin with."""
+
+
+def _pack_targets(targets: Sequence[Target]) -> tuple[About, Arrays]:
     """Return targets as arrays, with a row for each value that is not None, and other data for JSON."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for name in _TARGET_ARRAYS:
-        values = [getattr(target, name) for target in targets]
-        arrays[f"has_{name}"] = np.array([value is not None for value in values])
-        known = [value for value in values if value is not None]
-        if known:
-            arrays[f"target_{name}"] = np.array(known)
-    curves: dict[str, int] = {}
-    places = []
-    for target in targets:
-        text = json.dumps(None if target.curve is None else target.curve.to_dict())
-        places.append(curves.setdefault(text, len(curves)))
-    about = {
-        "curves": [json.loads(text) for text in curves],
-        "curve": places,
-        "method": [target.method for target in targets],
-        "incomplete": [target.incomplete for target in targets],
-        "moved": [target.moved for target in targets],
-        "approximate": [target.approximate for target in targets],
-    }
-    return arrays, about
+    packed = [pack(target) for target in targets]
+    arrays: Arrays = {}
+    for name, kinds in _fields(Target).items():
+        if _is_array(kinds):
+            arrays[f"has_{name}"] = np.array([name in own for _, own in packed])
+            known = [own[name] for _, own in packed if name in own]
+            if known:
+                arrays[f"{_TARGET}{name}"] = np.array(known)
+    about: About = {name: [described[name] for described, _ in packed] for name in packed[0][0]}
+    texts = [json.dumps(described) for described in about["curve"]]
+    numbers = {text: number for number, text in enumerate(dict.fromkeys(texts))}
+    about["curve"] = [numbers[text] for text in texts]
+    about["curves"] = [json.loads(text) for text in numbers]
+    return about, arrays
 
 
-def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> tuple[Target, ...]:
+def _unpack_targets(about: About, arrays: Arrays) -> tuple[Target, ...]:
     """Return the targets from the result of `_pack_targets`."""
     curves = [None if described is None else Curve.from_dict(described) for described in about["curves"]]
-    columns: dict[str, list[Any]] = {}
-    for name in _TARGET_ARRAYS:
-        rows = iter(arrays.get(f"target_{name}", ()))
-        columns[name] = [next(rows) if known else None for known in arrays[f"has_{name}"]]
-    count = len(about["curve"])  # `moved` and `approximate` are missing in files of older versions
-    moved = map(_unpack_moved, about.get("moved", [None] * count))
-    close = about.get("approximate", [""] * count)
-    others = zip(about["curve"], about["method"], about["incomplete"], moved, close, strict=True)
-    return tuple(
-        Target(
-            **dict(zip(columns, values, strict=True)),
-            curve=curves[curve],
-            method=method,
-            incomplete=incomplete,
-            moved=way,
-            approximate=approximate,
-        )
-        for values, (curve, method, incomplete, way, approximate) in zip(
-            zip(*columns.values(), strict=True), others, strict=True
-        )
-    )
+    others = {name: values for name, values in about.items() if name not in ("curve", "curves")}
+    names = [name for name in _fields(Target) if f"has_{name}" in arrays]
+    rows = {name: iter(arrays.get(f"{_TARGET}{name}", ())) for name in names}
+    targets = []
+    for k, curve in enumerate(about["curve"]):
+        own: Arrays = {name: next(rows[name]) for name in names if arrays[f"has_{name}"][k]}
+        described = {name: values[k] for name, values in others.items()}
+        values = unpack(Target, described, own, without=("curve",))
+        targets.append(Target(curve=curves[curve], **values))
+    return tuple(targets)
 
 
 def _check_batch(batch: Batch) -> None:
@@ -569,8 +539,9 @@ def _check_batch(batch: Batch) -> None:
         raise InvalidValue("numbers of targets and runs", numbers, "as many, or one target")
     for target in batch.targets:
         target.check(arm)
+    names = [name for name, kinds in _fields(Batch).items() if _is_array(kinds)]
     ends = {"q_start": (count, arm.nq), "q_final": (count, arm.nq)}
-    check_arrays(vars(batch), {name: ends.get(name, (count,)) for name in _BATCH_ARRAYS})
+    check_arrays(vars(batch), {name: ends.get(name, (count,)) for name in names})
     for name in ("start_error", "final_error", "mean_error", "path_length_ratio", "q_start", "q_final"):
         require_finite(name, getattr(batch, name))
     motions = batch.motions
@@ -584,23 +555,21 @@ def _check_batch(batch: Batch) -> None:
         shapes |= {"active": (steps, arm.n_modules), "clipped": (steps, arm.nv)}
         check_arrays(arrays, shapes)
         require_finite("q", arrays["q"])
-        _check_info(arrays, steps)
+        _check_info(info_of(arrays), steps)
 
 
 # Joint trajectories as arrays, exact to the last bit.
 
-_JOINT_ARRAYS = ("time", "positions", "velocities", "accelerations")
+_OF_JOINTS = ("joint_names", "units")
 
 
 def _pack_joints(trajectory: JointTrajectory) -> tuple[About, Arrays]:
-    names = (*_JOINT_ARRAYS, "joint_names", "units")
-    return {"name": trajectory.name}, {name: np.asarray(getattr(trajectory, name)) for name in names}
+    about, arrays = pack(trajectory)
+    return about, arrays | {name: np.array(about.pop(name), dtype=np.str_) for name in _OF_JOINTS}
 
 
-def _unpack_joints(about: About, arrays: Arrays) -> JointTrajectory:
-    values: dict[str, Any] = {name: arrays[name] for name in _JOINT_ARRAYS}
-    values |= {name: tuple(arrays[name].tolist()) for name in ("joint_names", "units")}
-    return JointTrajectory(**values, name=about["name"])
+def _unpack_joints(kind: type, about: About, arrays: Arrays) -> dict[str, Any]:
+    return unpack(kind, about | {name: arrays[name].tolist() for name in _OF_JOINTS}, arrays)
 
 
 _NO_RUN = {
@@ -612,7 +581,13 @@ _NO_MOTION = {
     "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
 }
 _JOINTS = "pinposture-joint-trajectory"
-register(Format("pinposture-run", 6, Run, "run", _pack_run, _unpack_run, _NO_RUN))
-register(Format("pinposture-motion", 4, Trajectory, "motion", _pack_motion, _unpack_motion, _NO_MOTION))
-register(Format("pinposture-batch", 5, Batch, "batch", _pack_batch, _unpack_batch, {}))
-register(Format(_JOINTS, 1, JointTrajectory, "joint trajectory", _pack_joints, _unpack_joints, {}))
+register(Format("pinposture-run", 6, Run, "run", _check_run, _NO_RUN))
+register(
+    Format(
+        "pinposture-motion", 4, Trajectory, "motion", _check_motion, _NO_MOTION, _pack_motion, _unpack_motion
+    )
+)
+register(Format("pinposture-batch", 5, Batch, "batch", _check_batch, {}, _pack_batch, _unpack_batch))
+register(
+    Format(_JOINTS, 1, JointTrajectory, "joint trajectory", lambda _: None, {}, _pack_joints, _unpack_joints)
+)

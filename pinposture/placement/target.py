@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 from weakref import WeakSet
 
 import numpy as np
@@ -23,6 +23,7 @@ from pinposture._validation import (
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, warn_caller
+from pinposture.schema import quantities
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -274,8 +275,8 @@ class Moved(NamedTuple):
         rotation: rotation vector about its start, (3,) [rad], world frame.
     """
 
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float]
+    translation: Annotated[tuple[float, float, float], quantities("length", 3)]
+    rotation: Annotated[tuple[float, float, float], quantities("angle", 3)]
 
     @property
     def distance(self) -> float:

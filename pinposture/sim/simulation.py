@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -261,26 +261,12 @@ _ADVICE_BY_FORMAT = {
     "pinposture-run": "contains a run, not a simulation of it; simulate it with: pinposture simulate FILE",
     "pinposture-motion": "contains a motion, not a simulation; simulate it with: pinposture simulate FILE",
 }
-_VALUES = ("loop", "timestep", "status", "reason", "measured")
 
 
-def _pack(simulation: Simulation) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the file contents for a simulation: JSON-compatible data, and arrays."""
-    stored = {each.name: getattr(simulation, each.name) for each in fields(simulation)}
-    arrays = {name: value for name, value in stored.items() if isinstance(value, np.ndarray)}
-    about = {name: stored[name] for name in _VALUES}
-    about["dt"] = simulation.dt
-    about["tolerance"] = simulation.tolerance
-    about["arm"] = simulation.arm.to_dict()
-    about["servos"] = vars(simulation.servos)
-    about["warnings"] = list(simulation.warnings)
-    about["scene"] = None if simulation.scene is None else simulation.scene.to_dict()
-    return about, arrays
-
-
-def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
-    arm = Arm.from_dict(about["arm"])
-    rows = len(arrays["q"])
+def _check(simulation: Simulation) -> None:
+    """Raise InvalidValue unless the parts of a simulation fit each other."""
+    arm = simulation.arm
+    rows = len(simulation.q)
     m = arm.n_modules
     shapes = {
         "gravity": (3,),
@@ -295,29 +281,20 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
         "targets": (rows, m, 3),
         "weights": (rows, m),
     }
-    check_arrays(arrays, {name: shape for name, shape in shapes.items() if name in arrays})
-    check_postures(arm, arrays)
-    check_postures(arm, arrays, "commanded", "commanded_points")
+    given = {name: array for name, array in vars(simulation).items() if array is not None}
+    check_arrays(given, {name: shape for name, shape in shapes.items() if name in given})
+    check_postures(arm, given)
+    check_postures(arm, given, "commanded", "commanded_points")
     for name in ("gravity", "torques", "saturated", "targets", "weights"):
-        if name in arrays:
-            require_finite(name, arrays[name])
+        if name in given:
+            require_finite(name, given[name])
     for name in ("torque_limits", "clearance"):  # which may be infinite
-        if np.isnan(arrays[name]).any():
+        if np.isnan(given[name]).any():
             raise InvalidValue(name, math.nan, "numbers")
     for name in ("dt", "timestep"):
-        require_positive(name, about[name])
+        require_positive(name, given[name])
     for name in ("tolerance", "measured"):
-        require_positive(name, about.get(name, 0.0), zero=True)
-    return Simulation(
-        arm=arm,
-        servos=Servos(**about["servos"]),
-        dt=about["dt"],
-        tolerance=about.get("tolerance", 0.0),
-        warnings=tuple(about["warnings"]),
-        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
-        **{name: arrays.get(name) for name in shapes},  # type: ignore[arg-type]
-        **{name: about[name] for name in _VALUES},
-    )
+        require_positive(name, given[name], zero=True)
 
 
-register(Format("pinposture-simulation", 3, Simulation, "simulation", _pack, _unpack, _ADVICE_BY_FORMAT))
+register(Format("pinposture-simulation", 3, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))
