@@ -135,7 +135,8 @@ def decode_xml(content: bytes, source: str | Path) -> str:
     except UnicodeError as error:
         what = f"byte {error.start}" if isinstance(error, UnicodeDecodeError) else str(error)
         said = ", the encoding that it declares" if declared and not marked else ""
-        raise FileError(source, f"is not {_spoken(encoding)} text ({what}){said}") from None
+        spoken = "UTF-8" if encoding.lower().replace("_", "-") in ("utf-8", "utf8", "utf-8-sig") else encoding
+        raise FileError(source, f"is not {spoken} text ({what}){said}") from None
     except (LookupError, ValueError):
         reason = f"declares the encoding {encoding!r}, which is unknown; save the file as UTF-8"
         raise FileError(source, reason) from None
@@ -148,10 +149,6 @@ def without_encoding(text: str) -> str:
     if declared is None or declared[3].lower() in ("utf-8", "utf8"):
         return text
     return declared[1] + text[declared.end() :]
-
-
-def _spoken(encoding: str) -> str:
-    return "UTF-8" if encoding.lower().replace("_", "-") in ("utf-8", "utf8", "utf-8-sig") else encoding
 
 
 def parse_json(path: Path, text: str, **options: Any) -> Any:

@@ -69,7 +69,7 @@ from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, warn_caller
 from pinposture.kernels.arrays import Screws
-from pinposture.schema import as_plain
+from pinposture.schema import as_plain, read_plain
 from pinposture.storage import settled
 from pinposture.units import length_text
 
@@ -384,7 +384,7 @@ class Arm(ConfigurationSpace):
         try:
             model = rebuild_model(described["model"])
             placement = rigid_placement("base_placement", described["base_placement"])
-            report = LoadReport.from_dict(described["report"]) if described.get("report") else None
+            report = read_plain(LoadReport | None, described.get("report"), "report")
             urdf = described["urdf"]
             spec = described.get("spec")
             if spec is not None:

@@ -226,8 +226,8 @@ def is_coupled(joint: pin.JointModel) -> bool:
 
 def joint_ratios(model: pin.Model, joints: Iterable[int]) -> Array:
     """Return the motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled."""
-    kinds = [model.joints[joint] for joint in joints]
-    return np.array([kind.extract().scaling if is_coupled(kind) else 1.0 for kind in kinds])
+    coupled = set(model.mimicking_joints)
+    return np.array([model.joints[each].extract().scaling if each in coupled else 1.0 for each in joints])
 
 
 def joint_axes(model: pin.Model, joints: list[int]) -> tuple[Array, NDArray[np.bool_]]:
@@ -244,8 +244,8 @@ def joint_placements(model: pin.Model) -> list[pin.SE3]:
     Coupled joints are then at their offsets, which `pin.Model.jointPlacements` does not include.
     """
     placements = list(model.jointPlacements)
-    for number, joint in enumerate(model.joints):
-        if is_coupled(joint) and (offset := joint.extract().offset):
+    for number in model.mimicking_joints:
+        if offset := model.joints[number].extract().offset:
             (axis,), (turns,) = joint_axes(model, [number])
             motion = pin.SE3.Identity()
             if turns:
@@ -261,8 +261,9 @@ def read_couplings(model: pin.Model) -> tuple[Coupling, ...]:
     names = list(model.names)
     joints = list(model.joints)
     leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
-    return tuple(
-        Coupling(str(name), str(leaders[joint.idx_v]), float(own.scaling), float(own.offset))
-        for name, joint in zip(names, joints, strict=True)
-        if is_coupled(joint) and (own := joint.extract())
-    )
+    couplings = []
+    for number in sorted(model.mimicking_joints):
+        own = joints[number].extract()
+        leader = str(leaders[joints[number].idx_v])
+        couplings.append(Coupling(str(names[number]), leader, float(own.scaling), float(own.offset)))
+    return tuple(couplings)

@@ -29,6 +29,7 @@ from pinposture.arm.urdf_reader import (
     JointDescription,
     is_urdf_text,
     leading_joint,
+    quote_joints,
     quote_names,
     read_description,
 )
@@ -70,16 +71,6 @@ class LoadReport:
     segmentation: Segmentation
     soft_limited: tuple[str, ...] = ()
     drives: tuple[Drive, ...] = ()
-
-    @classmethod
-    def from_dict(cls, described: Mapping[str, Any]) -> LoadReport:
-        """Rebuild a report from the output of `dataclasses.asdict`."""
-        sizes = tuple(described["segmentation"]["sizes"])
-        segmentation = Segmentation(**{**described["segmentation"], "sizes": sizes})
-        lists = tuple(described["package_dirs"]), tuple(described["warnings"])
-        narrowed = tuple(described.get("soft_limited", ()))
-        drives = tuple(Drive(*each) for each in described.get("drives", ()))
-        return cls(described["base"], described["tip"], *lists, segmentation, narrowed, drives)
 
 
 class LoadedModel(NamedTuple):
@@ -369,19 +360,19 @@ def _lock_warnings(
     ]
     stuck = [j.name for j in chain if j.type != "fixed" and not j.moves and j.name not in locked]
     if stuck:
-        messages.append(f"limits that allow a single position lock {_quote_joints(stuck)} on the chain")
+        messages.append(f"limits that allow a single position lock {quote_joints(stuck)} on the chain")
     limited = [joint for joint in chain if joint.name in free and joint.type in ("revolute", "prismatic")]
     endless = [joint.name for joint in limited if joint.lower == -np.inf and joint.upper == np.inf]
     if endless:
-        messages.append(f"no limits are given for {_quote_joints(endless)}; treated as unlimited")
+        messages.append(f"no limits are given for {quote_joints(endless)}; treated as unlimited")
     unset = [joint.name for joint in chain if joint.name in free and joint.velocity == 0.0]
     if unset:
-        messages.append(f"the velocity limit of {_quote_joints(unset)} is 0; treated as no limit")
+        messages.append(f"the velocity limit of {quote_joints(unset)} is 0; treated as no limit")
     turns = {j.name: max(-j.lower, j.upper) for j in chain if j.type == "revolute" and j.name in free}
     wide = {name: turn for name, turn in turns.items() if SUSPECT_LIMITS[0] < turn <= SUSPECT_LIMITS[1]}
     if wide:
         largest = f"up to {max(wide.values()):g} rad"
-        messages.append(f"limits of {_quote_joints([*wide])} are {largest}; are they in degrees?")
+        messages.append(f"limits of {quote_joints([*wide])} are {largest}; are they in degrees?")
     still = [
         joint
         for joint in description.joints
@@ -396,10 +387,10 @@ def _lock_warnings(
     led = [joint.name for joint in still if joint.mimic and leading_joint(joint, named).name in free]
     if led:
         what = "mimic joints on it, but are locked where those are at zero"
-        messages.append(f"{_quote_joints(led)} off the chain {what}")
+        messages.append(f"{quote_joints(led)} off the chain {what}")
     lost = [joint.name for joint in still if joint.follows is not None and joint.follows.joint not in named]
     if lost:
-        messages.append(f"{_quote_joints(lost)} off the chain mimic joints that do not exist")
+        messages.append(f"{quote_joints(lost)} off the chain mimic joints that do not exist")
     return messages
 
 
@@ -415,10 +406,6 @@ def _off_chain(description: Description, base: str, tip: str, still: list[JointD
     places = [f"{len(names)} at link {link!r} ({quote_names(names, 3)})" for link, names in branches.items()]
     listed = "; ".join(places[:6]) + ("; ..." if len(places) > 6 else "")
     return f"{count_joints(len(still))} off the chain from {base!r} to {tip!r} locked: {listed}"
-
-
-def _quote_joints(names: list[str]) -> str:
-    return ("joint " if len(names) == 1 else "joints ") + quote_names(names)
 
 
 def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:

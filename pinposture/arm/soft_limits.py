@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pinposture.arm.urdf_reader import Description, JointDescription, quote_names
+from pinposture.arm.urdf_reader import Description, JointDescription, SoftLimits, quote_joints
 from pinposture.errors import URDFError
 
 ADVICE = "hard_limits=True (--hard-limits) ignores soft limits"
@@ -19,24 +19,26 @@ def with_soft_limits(description: Description) -> Description:
     Raises:
         URDFError: soft limits leave a joint no range, or are crossed.
     """
-    joints = tuple(_narrowed(joint, description.source) for joint in description.joints)
-    return replace(description, joints=joints)
+    joints = []
+    for joint in description.joints:
+        limited = joint.type in ("revolute", "prismatic") and joint.moves
+        narrowed = None if joint.soft is None or not limited else _narrowed(joint, joint.soft, description)
+        joints.append(narrowed or joint)
+    return replace(description, joints=tuple(joints))
 
 
-def _narrowed(joint: JointDescription, source: str) -> JointDescription:
-    if joint.soft is None or joint.type not in ("revolute", "prismatic") or not joint.moves:
-        return joint
-    lower = max(joint.lower, joint.soft.lower)
-    upper = min(joint.upper, joint.soft.upper)
+def _narrowed(joint: JointDescription, soft: SoftLimits, description: Description) -> JointDescription:
+    lower = max(joint.lower, soft.lower)
+    upper = min(joint.upper, soft.upper)
     if lower < upper:
         return replace(joint, lower=lower, upper=upper)
-    words = f"{joint.soft.lower:g} to {joint.soft.upper:g}"
-    if joint.soft.lower > joint.soft.upper:
+    words = f"{soft.lower:g} to {soft.upper:g}"
+    if soft.lower > soft.upper:
         reason = f"<safety_controller> soft limits are {words}; allowed: lower <= upper (0 if not given)"
     else:
         hard = f"{joint.lower:g} to {joint.upper:g}"
         reason = f"<safety_controller> soft limits are {words}, and leave no range within {hard}"
-    raise URDFError(source, f"joint {joint.name!r}", f"{reason}; {ADVICE}")
+    raise URDFError(description.source, f"joint {joint.name!r}", f"{reason}; {ADVICE}")
 
 
 def soft_limited(narrowed: Description, read: Description, names: list[str]) -> tuple[str, ...]:
@@ -64,13 +66,13 @@ def soft_limit_warnings(read: Description, names: list[str]) -> list[str]:
     endless = [name for name in soft if by_name[name].type == "continuous"]
     if endless:
         messages.append(
-            f"soft limits of {_joints(endless)} are not used, as continuous joints have no limits"
+            f"soft limits of {quote_joints(endless)} are not used, as continuous joints have no limits"
         )
     limited = {name: each for name, each in soft.items() if name not in endless}
     halves = [name for name, each in limited.items() if each.one_sided]
     if halves:
         messages.append(
-            f"<safety_controller> of {_joints(halves)} gives one of two soft limits; the other is 0, as in "
+            f"<safety_controller> of {quote_joints(halves)} gives one of two soft limits; the other is 0, as in "
             f"URDF ({ADVICE})"
         )
     beyond = [
@@ -80,10 +82,6 @@ def soft_limit_warnings(read: Description, names: list[str]) -> list[str]:
     ]
     if beyond:
         messages.append(
-            f"soft limits of {_joints(beyond)} are beyond the limits of <limit>, which apply where they are"
+            f"soft limits of {quote_joints(beyond)} are beyond the limits of <limit>, which apply where they are"
         )
     return messages
-
-
-def _joints(names: list[str]) -> str:
-    return ("joint " if len(names) == 1 else "joints ") + quote_names(names)

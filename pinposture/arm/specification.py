@@ -173,13 +173,10 @@ def _read_coupling(value: object, _: ValidationInfo) -> Any:
 
 def _read_folders(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
     source = in_file(info)
-    if not is_list_of(is_text if source is not None else _is_path)(value):
+    kinds = str if source is not None else str | Path
+    if not is_list_of(lambda each: isinstance(each, kinds))(value):
         raise NotAllowed(value, "a list of folders")
     return tuple(Path(each) if source is None else settled(source.resolve(each)) for each in value)
-
-
-def _is_path(value: object) -> bool:
-    return isinstance(value, str | Path)
 
 
 def _read_xacro_args(value: object, info: ValidationInfo) -> dict[str, str]:

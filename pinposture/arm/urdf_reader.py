@@ -97,12 +97,12 @@ class JointDescription:
     excluded: str | None = None  # why it cannot be on a chain, from <excluded reason="...">; None if it can
     soft: SoftLimits | None = None  # where its controller stops it; None if not given, or both 0
 
-    @property
+    @cached_property
     def mimic(self) -> bool:
         """True if it follows another joint."""
         return self.follows is not None
 
-    @property
+    @cached_property
     def moves(self) -> bool:
         """False if it is fixed, or if its limits allow a single position."""
         return self.lower < self.upper
@@ -371,6 +371,11 @@ def quote_names(names: Sequence[str], most: int = 8) -> str:
     return ", ".join(map(repr, names[:most])) + (", ..." if len(names) > most else "")
 
 
+def quote_joints(names: Sequence[str]) -> str:
+    """Name joints in messages."""
+    return ("joint " if len(names) == 1 else "joints ") + quote_names(names)
+
+
 def _read_names(elements: Iterable[Element], kind: str, source: str) -> tuple[str, ...]:
     names = tuple(element.get("name", "") for element in elements)
     for number, name in enumerate(names, start=1):
@@ -462,15 +467,17 @@ def _read_joint(element: Element, source: str) -> JointDescription:
     axis: Vector = (1.0, 0.0, 0.0)
     if kind not in ("fixed", "floating"):
         axis = _unit(_read_vector(element, "axis", "xyz", axis, fault), fault)
-    numbers = {tag: _read_part(element, tag, fault) for tag in _PARTS}
+    parts = {tag: element.find(tag) for tag in _PARTS}
+    numbers = {tag: None if part is None else _read_part(part, fault) for tag, part in parts.items()}
     lower, upper = _read_limits(kind, numbers["limit"], fault)
     velocity = (numbers["limit"] or {}).get("velocity")
     follows = None
-    mimic = element.find("mimic")
+    mimic = parts["mimic"]
     if mimic is not None:
         given = {"multiplier": 1.0, "offset": 0.0, **(numbers["mimic"] or {})}
         follows = Follows(mimic.attrib["joint"], **given)
     excluded = element.find("excluded")
+    soft = numbers["safety_controller"]
     return JointDescription(
         name=name,
         type=kind,
@@ -484,7 +491,7 @@ def _read_joint(element: Element, source: str) -> JointDescription:
         velocity=velocity,
         follows=follows,
         excluded=None if excluded is None else excluded.get("reason", ""),
-        soft=_read_soft_limits(numbers["safety_controller"]),
+        soft=None if soft is None else _read_soft_limits(soft),
     )
 
 
@@ -502,12 +509,10 @@ def finite_numbers(words: Sequence[str]) -> list[float] | None:
     return numbers if all(map(math.isfinite, numbers)) else None
 
 
-def _read_numbers(words: Sequence[str], what: str, fault: MakeError) -> list[float]:
-    numbers = finite_numbers(words)
-    if numbers is None:
-        bad = next(word for word in words if finite_numbers([word]) is None)
-        raise fault(f"{what} is {bad[:40]!r}; allowed: a finite number, no blank after it")
-    return numbers
+def _no_number(words: Sequence[str], names: Sequence[str], fault: MakeError) -> URDFError:
+    """Return the error about the first of some words that is no finite number."""
+    at = next(k for k, word in enumerate(words) if finite_numbers([word]) is None)
+    return fault(f"{names[at]} is {words[at][:40]!r}; allowed: a finite number, no blank after it")
 
 
 def _read_vector(element: Element, tag: str, attribute: str, default: Vector, fault: MakeError) -> Vector:
@@ -516,7 +521,10 @@ def _read_vector(element: Element, tag: str, attribute: str, default: Vector, fa
     if text is None:
         return default
     what = f"<{tag}> {attribute}"
-    numbers = _read_numbers(list(filter(None, text.split(" "))), what, fault)
+    words = list(filter(None, text.split(" ")))
+    numbers = finite_numbers(words)
+    if numbers is None:
+        raise _no_number(words, [what] * len(words), fault)
     if len(numbers) != 3:
         raise fault(f"{what} is {text[:40]!r}; allowed: three numbers with blanks between them")
     if max(map(abs, numbers)) > 1e100:
@@ -533,11 +541,9 @@ def _unit(vector: Vector, fault: MakeError) -> Vector:
     return x / norm, y / norm, z / norm
 
 
-def _read_part(element: Element, tag: str, fault: MakeError) -> dict[str, float] | None:
-    """Return the numbers of a joint element by attribute; None if there is no such element."""
-    part = element.find(tag)
-    if part is None:
-        return None
+def _read_part(part: Element, fault: MakeError) -> dict[str, float]:
+    """Return the numbers of an element of a joint by attribute."""
+    tag = part.tag
     required, optional = _PARTS[tag]
     for attribute in required:
         if attribute not in part.attrib:
@@ -550,11 +556,12 @@ def _read_part(element: Element, tag: str, fault: MakeError) -> dict[str, float]
     unlimited = [
         name for name in given if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
     ]
-    numbers = dict.fromkeys(unlimited, math.inf)
-    for name in given:
-        if name not in numbers:
-            numbers[name] = _read_numbers([part.attrib[name]], f"<{tag}> {name}", fault)[0]
-    return numbers
+    finite = [name for name in given if name not in unlimited]
+    words = [part.attrib[name] for name in finite]
+    numbers = finite_numbers(words)
+    if numbers is None:
+        raise _no_number(words, [f"<{tag}> {name}" for name in finite], fault)
+    return dict.fromkeys(unlimited, math.inf) | dict(zip(finite, numbers, strict=True))
 
 
 def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) -> tuple[float, float]:
@@ -577,9 +584,9 @@ def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) ->
     return lower, upper
 
 
-def _read_soft_limits(safety: dict[str, float] | None) -> SoftLimits | None:
+def _read_soft_limits(safety: dict[str, float]) -> SoftLimits | None:
     """Return soft limits; none if both are 0, which is their value in URDF if they are not given."""
-    lower, upper = ((safety or {}).get(f"soft_{end}_limit") for end in ("lower", "upper"))
+    lower, upper = (safety.get(f"soft_{end}_limit") for end in ("lower", "upper"))
     if not lower and not upper:
         return None
     return SoftLimits(lower or 0.0, upper or 0.0, lower is None or upper is None)

@@ -19,12 +19,13 @@ from pinposture.cli.inputs import (
     ArmOptions,
     DegreesOption,
     JsonOption,
+    StartOptions,
     TrackOptions,
     UrdfArgument,
     as_configuration,
     numbers_in,
     read_array,
-    read_start,
+    read_option,
 )
 from pinposture.cli.output import (
     BATCH,
@@ -81,6 +82,7 @@ def run(
     be saved.
     """
     from pinposture.motion import save, track_many
+    from pinposture.schema import Length
 
     track_options.controller_options.check()
     output = output_options.output
@@ -101,7 +103,7 @@ def run(
             limits=limits,
             scene=surroundings,
             max_steps=track_options.steps,
-            tolerance=track_options.near,
+            tolerance=read_option("--tolerance", track_options.tolerance, Length),
             jobs=jobs,
             keep="ends" if output_options.ends_only or output is None else "motions",
             progress=progress,
@@ -157,7 +159,7 @@ class StartsOptions:
             if count is not None and not 1 <= count <= MOST_RUNS:
                 raise InvalidValue("--count", count, f"a whole number from 1 to {MOST_RUNS}")
             seeds = range(self.seed, self.seed + (10 if count is None else count))
-            return [read_start(arm, self.starts, seed, self.degrees, scene).q for seed in seeds]
+            return [StartOptions(self.starts, self.degrees, seed).read(arm, scene).q for seed in seeds]
         path = Path(self.starts)
         if path.suffix.lower() not in (".csv", ".npy"):
             raise UnknownName("kind of starts", self.starts, (*STARTS, "a .csv file", "a .npy file"))

@@ -69,6 +69,7 @@ def run(
     given. The summary lists the largest velocity and acceleration, from rest to rest.
     """
     from pinposture.motion import Trajectory
+    from pinposture.schema import Duration
     from pinposture.storage import check_writable
 
     check_form(output, form)
@@ -83,11 +84,11 @@ def run(
     _write(trajectory, output, form, kept.arm)
     limits = (kept.run if isinstance(kept, Trajectory) else kept).limits
     if limits.acceleration is None:
+        cycle = read_option("--dt", trajectory_options.dt, Duration)
         most = words_of(trajectory.summary())["acceleration"]
         print_warning(
             f"no acceleration limit: joints accelerate by {most}; plan again with "
-            f"--dt {limits.dt or trajectory_options.cycle:g} --acceleration A, or acceleration in the "
-            "[limits] of a task"
+            f"--dt {limits.dt or cycle:g} --acceleration A, or acceleration in the [limits] of a task"
         )
     for fault in kept.faults:
         print_warning(f"exported despite a fault: {fault}")
@@ -119,14 +120,6 @@ class TrajectoryOptions:
         ),
     ] = None
 
-    @property
-    def cycle(self) -> float | None:
-        """The duration of a step [s]; None if not given."""
-        from pinposture.schema import Duration
-
-        cycle: float | None = read_option("--dt", self.dt, Duration)
-        return cycle
-
     def read(self, kept: Run | Trajectory) -> JointTrajectory:
         """Return the joint trajectory of a motion, which has its own time, or of a run.
 
@@ -135,12 +128,14 @@ class TrajectoryOptions:
         """
         from pinposture.motion import Trajectory
         from pinposture.motion.joint_trajectory import step_duration
+        from pinposture.schema import Duration
 
+        cycle = read_option("--dt", self.dt, Duration)
         if isinstance(kept, Trajectory):
-            step_duration(self.cycle, kept.dt)  # rejects another duration
+            step_duration(cycle, kept.dt)  # rejects another duration
             trajectory = kept.joint_trajectory(self.force)
         else:
-            trajectory = kept.joint_trajectory(self.cycle, self.force)
+            trajectory = kept.joint_trajectory(cycle, self.force)
         if self.start is not None:
             trajectory = trajectory.starting_at(kept.arm, read_numbers("--start", self.start))
         return trajectory.with_coupled(kept.arm) if self.coupled else trajectory

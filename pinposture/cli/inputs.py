@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 STARTS = ("straight", "smooth", "random")
 USUAL_MODULES = 20
 """Number of modules for which the preset helix is made."""
+LISTS = (".npy", ".csv", ".json")
+"""Suffixes of files with the numbers of a start."""
 AMPLITUDES = (0.2, 1.0)
 """Range of the maximum joint position of a smooth start [rad or m]."""
 
@@ -262,47 +264,6 @@ class Start(NamedTuple):
     words: str
 
 
-def read_start(arm: Arm, text: str, seed: int, degrees: bool, scene: Scene) -> Start:
-    """Return the start.
-
-    A smooth or random posture that is not clear of the scene is bent less, until it is.
-
-    Args:
-        arm: the arm.
-        text: "straight", "smooth", "random", numbers separated by commas, or the path of a file of numbers.
-        seed: seed of smooth and random starts.
-        degrees: whether numbers for revolute joints are in degrees.
-        scene: what a smooth or random start must be clear of, if possible.
-
-    Raises:
-        UnknownName: not one of these.
-        FileError: a file without numbers.
-        InvalidValue: numbers of the wrong count, not finite, or far outside the limits of the arm; a seed
-            below 0; or degrees for a start without numbers.
-    """
-    import numpy as np
-
-    from pinposture.arm import smooth_configuration
-
-    if seed < 0:
-        raise InvalidValue("--seed", seed, "a whole number of at least 0")
-    if degrees and text in STARTS:
-        raise InvalidValue("--degrees", degrees, f"only with numbers; the start is {text!r}")
-    rng = np.random.default_rng(seed)
-    if text == "straight":
-        return Start(arm.straight(), "the straight arm")
-    if text == "random":
-        return _bend_until_clear(arm, arm.random(rng), scene, f"a random posture, seed {seed}")
-    if text == "smooth":
-        drawn = smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
-        return _bend_until_clear(arm, drawn, scene, f"a smooth random posture, seed {seed}")
-    values = _read_file(Path(text)) if Path(text).suffix.lower() in _READERS else _parsed(text)
-    if values is None:
-        allowed = (*STARTS, *(f"a {suffix} file" for suffix in _READERS), "numbers separated by commas")
-        raise UnknownName("start", text, allowed)
-    return Start(as_configuration(arm, values, "start", degrees), f"as given by --start {text}")
-
-
 @dataclass(frozen=True)
 class StartOptions:
     """The start of a motion."""
@@ -318,8 +279,43 @@ class StartOptions:
     seed: Annotated[int, MOTION("Seed of a smooth or random start.")] = 0
 
     def read(self, arm: Arm, scene: Scene) -> Start:
-        """Return the start, as `read_start` does."""
-        return read_start(arm, self.start, self.seed, self.degrees, scene)
+        """Return the start.
+
+        A smooth or random posture that is not clear of the scene is bent less, until it is.
+
+        Args:
+            arm: the arm.
+            scene: what a smooth or random start must be clear of, if possible.
+
+        Raises:
+            UnknownName: neither one of `STARTS`, nor numbers, nor a file of numbers.
+            FileError: a file without numbers.
+            InvalidValue: numbers of the wrong count, not finite, or far outside the limits of the arm; a seed
+                below 0; or degrees for a start without numbers.
+        """
+        import numpy as np
+
+        from pinposture.arm import smooth_configuration
+
+        text = self.start
+        seed = self.seed
+        if seed < 0:
+            raise InvalidValue("--seed", seed, "a whole number of at least 0")
+        if self.degrees and text in STARTS:
+            raise InvalidValue("--degrees", self.degrees, f"only with numbers; the start is {text!r}")
+        rng = np.random.default_rng(seed)
+        if text == "straight":
+            return Start(arm.straight(), "the straight arm")
+        if text == "random":
+            return _bend_until_clear(arm, arm.random(rng), scene, f"a random posture, seed {seed}")
+        if text == "smooth":
+            drawn = smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
+            return _bend_until_clear(arm, drawn, scene, f"a smooth random posture, seed {seed}")
+        values = _read_file(Path(text)) if Path(text).suffix.lower() in LISTS else _parsed(text)
+        if values is None:
+            allowed = (*STARTS, *(f"a {suffix} file" for suffix in LISTS), "numbers separated by commas")
+            raise UnknownName("start", text, allowed)
+        return Start(as_configuration(arm, values, "start", self.degrees), f"as given by --start {text}")
 
 
 STRAIGHTER = 40
@@ -396,7 +392,13 @@ def _parsed(text: str) -> list[float] | None:
 
 def _read_file(path: Path) -> list[float]:
     with numbers_in(path, "list"):
-        values = _READERS[path.suffix.lower()](path)
+        suffix = path.suffix.lower()
+        if suffix == ".npy":
+            values = read_array(path)
+        elif suffix == ".json":
+            values = parse_json(path, read_text(path))
+        else:
+            values = read_text(path).replace(",", " ").split()
         if not isinstance(values, list):
             raise ValueError("not a list")
         if not values:
@@ -428,17 +430,6 @@ def read_array(path: Path) -> Any:
     except ValueError:  # which advises to unpickle it
         raise ValueError("it holds no array of plain numbers") from None
     return values.tolist() if isinstance(values, np.ndarray) else values
-
-
-def _read_csv(path: Path) -> Any:
-    return [float(field) for field in read_text(path).replace(",", " ").split()]
-
-
-def _read_json(path: Path) -> Any:
-    return parse_json(path, read_text(path))
-
-
-_READERS = {".npy": read_array, ".csv": _read_csv, ".json": _read_json}
 
 
 def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
@@ -730,11 +721,3 @@ class TrackOptions:
     ] = None
     limit_options: LimitOptions
     scene_options: SceneOptions
-
-    @property
-    def near(self) -> float | None:
-        """The mean point error that counts as arrived [m]; None if not given."""
-        from pinposture.schema import Length
-
-        near: float | None = read_option("--tolerance", self.tolerance, Length)
-        return near

@@ -73,12 +73,15 @@ def run(
     With --scene it also shows the obstacles of the file, the bodies of the arm, and what is nearest to each;
     with --self-collision, distances of the arm from itself count. The help of track describes scene files.
     """
-    curve_options.check()
+    curve = curve_options.curve
+    scale = curve_options.scale
+    if curve is None and scale != 1.0:
+        raise InvalidValue("--scale", scale, "only with --curve")
     arm = arm_options.read(urdf)
     surroundings = scene_options.read(arm) if scene_options.given else None
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
-    followed = curve_options.describe(arm)
+    followed = None if curve is None else _describe_following(arm, curve, scale)
     around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
         from pinposture.viz import plot_arm
@@ -107,15 +110,6 @@ class CurveOptions:
         ),
     ] = None
     scale: ScaleOption = 1.0
-
-    def check(self) -> None:
-        """Raise InvalidValue for a scale without a curve."""
-        if self.curve is None and self.scale != 1.0:
-            raise InvalidValue("--scale", self.scale, "only with --curve")
-
-    def describe(self, arm: Arm) -> dict[str, Any] | None:
-        """Return how well an arm can follow the curve, as data for JSON; None without a curve."""
-        return None if self.curve is None else _describe_following(arm, self.curve, self.scale)
 
 
 _JOINTS = {

@@ -17,10 +17,10 @@ from pinposture.cli.inputs import (
     DegreesOption,
     JsonOption,
     SceneOptions,
+    StartOptions,
     UrdfArgument,
     read_declared,
     read_option,
-    read_start,
 )
 from pinposture.cli.output import (
     File,
@@ -92,14 +92,16 @@ def run(
     from pinposture.storage import write_figure, write_text
     from pinposture.task import TipGoal
 
-    search_options.check()
+    start = search_options.start
+    seed = search_options.seed
+    degrees = search_options.degrees
+    if degrees and start is None:
+        raise InvalidValue("--degrees", degrees, "only with --start")
     arm = arm_options.read(urdf)
     surroundings = scene_options.read(arm)
     told = {"position": goal_options.to, "direction": goal_options.direction}
     goal = read_declared(TipGoal, {**told, "budget": search_options.budget})
-    start = search_options.start
-    seed = search_options.seed
-    first = search_options.read_start(arm, surroundings)
+    first = None if start is None else StartOptions(start, degrees, seed).read(arm, surroundings).q
     check_directory(output)
     with search_progress():
         found = reach(
@@ -167,15 +169,6 @@ class SearchOptions:
     degrees: DegreesOption = False
     seed: Annotated[int, MOTION("Seed of the search, and of a smooth or random start.")] = 0
     budget: Annotated[str | None, MOTION("{task.TipGoal.budget}", "TIME")] = None
-
-    def check(self) -> None:
-        """Raise InvalidValue for degrees without a start."""
-        if self.degrees and self.start is None:
-            raise InvalidValue("--degrees", self.degrees, "only with --start")
-
-    def read_start(self, arm: Arm, scene: Scene) -> NDArray[np.float64] | None:
-        """Return the start of the paths, (nq,); None if not given."""
-        return None if self.start is None else read_start(arm, self.start, self.seed, self.degrees, scene).q
 
 
 def _print_postures(found: Sequence[ReachedPosture]) -> None:

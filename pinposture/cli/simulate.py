@@ -87,6 +87,7 @@ def run(
     """
     from pinposture.arm.mjcf import load_mujoco
     from pinposture.collision import Scene
+    from pinposture.sim import simulate
 
     load_mujoco()  # fails early if it is not installed
     settings = simulation_options.read()
@@ -94,8 +95,20 @@ def run(
     arm, motion = _read(path, urdf, arm_options)
     check_directory(output)
     with count_progress("cycle") as progress:
-        drive = _simulate_closed if simulation_options.closed else _simulate_open
-        simulation = drive(arm, motion, settings, surroundings, progress)
+        if simulation_options.closed:
+            simulation = _simulate_closed(arm, motion, settings, surroundings, progress)
+        else:
+            simulation = simulate(
+                arm,
+                motion,
+                servos=settings.servos,
+                gravity=settings.gravity,
+                dt=settings.cycle,
+                hold=settings.hold,
+                progress=progress,
+                scene=surroundings,
+                tolerance=settings.tolerance,
+            )
     files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
     if summary["saturated_joints"]:
@@ -186,29 +199,6 @@ def _read(
         raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not contain")
     arm = arm_options.read(urdf)
     return arm, motion.matched(arm)
-
-
-def _simulate_open(
-    arm: Arm,
-    motion: Run | Trajectory | JointTrajectory,
-    settings: Settings,
-    scene: Scene | None,
-    progress: Callable[[int, int], object],
-) -> Simulation:
-    """Simulate a motion that is sent to the servos."""
-    from pinposture.sim import simulate
-
-    return simulate(
-        arm,
-        motion,
-        servos=settings.servos,
-        gravity=settings.gravity,
-        dt=settings.cycle,
-        hold=settings.hold,
-        progress=progress,
-        scene=scene,
-        tolerance=settings.tolerance,
-    )
 
 
 def _simulate_closed(

@@ -18,6 +18,7 @@ from pinposture.cli.inputs import (
     UrdfArgument,
     ViewOption,
     as_data,
+    read_option,
 )
 from pinposture.cli.output import (
     check_directory,
@@ -81,6 +82,7 @@ def run(
     """
     from pinposture.motion import track
     from pinposture.motion.track import name_enough_steps, usual_max_steps
+    from pinposture.schema import Length
 
     controller_options = track_options.controller_options
     controller_options.check(**vars(tip_options))
@@ -95,7 +97,7 @@ def run(
     check_directory(output)  # before the run, which would be lost otherwise
     steps = track_options.steps
     most = usual_max_steps(arm, begin.q, target, limits) if steps is None else steps
-    near = track_options.near
+    near = read_option("--tolerance", track_options.tolerance, Length)
     move = partial(track, arm, target, begin.q, chosen, limits, surroundings, tolerance=near)
     with step_progress(target, most) as callback:
         motion = move(max_steps=most, callback=callback)

@@ -177,7 +177,7 @@ def damaged(described: dict, *path: object, to: object) -> dict:
         (("model",), "22 serialization::archive", "description of an arm"),
         (("base_placement", 0, 0), 3.0, "base_placement"),
         (("control_points",), ["nowhere"], "nowhere"),
-        (("report", "segmentation"), None, "description of an arm"),
+        (("report", "segmentation"), None, "report.segmentation"),
     ],
 )
 def test_damaged_data_are_refused_by_name(path, value, message):
