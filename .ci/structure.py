@@ -50,11 +50,11 @@ CEILINGS = {
     "imports that go up": 0,  # 0
     "class names defined twice": 0,  # 0
     "constants of two meanings in sight": 0,  # 0
-    "long parameter lists": 28,  # 0
+    "long parameter lists": 17,  # 0
     "kernel calls spread from tuples": 0,  # 0
     "assignments that share a line": 0,  # 0
     "subtractions from a target": 1,  # 1
-    "codecs": 10,  # 6
+    "codecs": 9,  # 6
     "control loops": 1,  # 1
     "least-squares loops": 9,  # 1
     "files of a step": 24,  # 12
@@ -64,7 +64,7 @@ CEILINGS = {
     "switches between files of the first step": 165,  # 90
     "calls of the second step": 145,  # 50
     "calls of the second step in a scene": 248,  # 80
-    "calls of Task.load": 3716,  # 2500
+    "calls of Task.load": 2459,  # 2500
     "calls of a cycle of perform": 446,  # 80
 }
 """The most that there may be of each."""
@@ -75,10 +75,9 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "arm.urdf_reader",
         "arm.urdf_writer",
         "collision.files",  # meshes and scans
-        "cli.inputs",  # options
-        "motion.files",  # arrays and what is said of them
-        "motion.joint_files",  # tables of joints, and ROS messages as JSON and YAML
-        "motion.ros",  # ROS bags
+        "motion.files",  # results: arrays by the names of fields, and the other fields
+        "motion.joint_files",  # tables of joints
+        "motion.ros",  # ROS messages, goals and bags
         "schema",  # of declared classes and functions, and of what is in them
         "toml",  # text and lines
     ),

@@ -72,8 +72,8 @@ def soft_limit_warnings(read: Description, names: list[str]) -> list[str]:
     halves = [name for name, each in limited.items() if each.one_sided]
     if halves:
         messages.append(
-            f"<safety_controller> of {quote_joints(halves)} gives one of two soft limits; the other is 0, as in "
-            f"URDF ({ADVICE})"
+            f"<safety_controller> of {quote_joints(halves)} gives one of two soft limits; the other is 0, "
+            f"as in URDF ({ADVICE})"
         )
     beyond = [
         name
@@ -82,6 +82,7 @@ def soft_limit_warnings(read: Description, names: list[str]) -> list[str]:
     ]
     if beyond:
         messages.append(
-            f"soft limits of {quote_joints(beyond)} are beyond the limits of <limit>, which apply where they are"
+            f"soft limits of {quote_joints(beyond)} are beyond the limits of <limit>, which apply where "
+            "they are"
         )
     return messages

@@ -121,7 +121,7 @@ def run(
     if blocked:
         where = f"in collision in {len(blocked)} of {len(batch)} runs, run {blocked[0]} first"
         words["starts"] += f"; {where}; choose others by --starts or --seed"
-    results = {"scene": track_options.scene_options.file, **batch.summary(), "starts_in_collision": blocked}
+    results = {"scene": track_options.scene_options.scene, **batch.summary(), "starts_in_collision": blocked}
     told = {**asked, **results, "file": files.get("file")}
     print_result(output_options.as_json, told, words, files.values(), failure)
     end_with(batch.faults)

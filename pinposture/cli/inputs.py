@@ -311,10 +311,12 @@ class StartOptions:
         if text == "smooth":
             drawn = smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
             return _bend_until_clear(arm, drawn, scene, f"a smooth random posture, seed {seed}")
-        values = _read_file(Path(text)) if Path(text).suffix.lower() in LISTS else _parsed(text)
-        if values is None:
+        try:
+            listed = Path(text).suffix.lower() in LISTS
+            values = _read_file(Path(text)) if listed else read_numbers("start", text)
+        except InvalidValue:
             allowed = (*STARTS, *(f"a {suffix} file" for suffix in LISTS), "numbers separated by commas")
-            raise UnknownName("start", text, allowed)
+            raise UnknownName("start", text, allowed) from None
         return Start(as_configuration(arm, values, "start", self.degrees), f"as given by --start {text}")
 
 
@@ -365,10 +367,10 @@ def as_configuration(arm: Arm, values: list[float], name: str, degrees: bool) ->
 
 def read_numbers(name: str, text: str) -> list[float]:
     """Parse numbers separated by commas; raise InvalidValue with the given name if invalid."""
-    values = _parsed(text)
-    if values is None:
-        raise InvalidValue(name, text, "numbers separated by commas")
-    return values
+    try:
+        return [float(field) for field in text.split(",")]
+    except ValueError:
+        raise InvalidValue(name, text, "numbers separated by commas") from None
 
 
 def read_modules(text: str) -> int | list[int] | list[str]:
@@ -381,13 +383,6 @@ def read_modules(text: str) -> int | list[int] | list[str]:
     except ValueError:
         return fields
     return sizes[0] if len(sizes) == 1 else sizes
-
-
-def _parsed(text: str) -> list[float] | None:
-    try:
-        return [float(field) for field in text.split(",")]
-    except ValueError:
-        return None
 
 
 def _read_file(path: Path) -> list[float]:
@@ -681,16 +676,6 @@ class SceneOptions:
             flags="--self-collision/--no-self-collision",
         ),
     ] = None
-
-    @property
-    def file(self) -> str | None:
-        """The scene file, for a summary."""
-        return None if self.scene is None else str(self.scene)
-
-    @property
-    def given(self) -> bool:
-        """Whether any of these options is given."""
-        return self.scene is not None or self.self_collision is not None
 
     def read(self, arm: Arm) -> Scene:
         """Return the scene of the file, or that of the arm alone, with self-collision as requested."""

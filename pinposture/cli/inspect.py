@@ -78,7 +78,8 @@ def run(
     if curve is None and scale != 1.0:
         raise InvalidValue("--scale", scale, "only with --curve")
     arm = arm_options.read(urdf)
-    surroundings = scene_options.read(arm) if scene_options.given else None
+    unasked = scene_options.scene is None and scene_options.self_collision is None
+    surroundings = None if unasked else scene_options.read(arm)
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
     followed = None if curve is None else _describe_following(arm, curve, scale)

@@ -44,8 +44,8 @@ UNLIMITED = 10_000
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    """Print one JSON object on stdout; infinite numbers, such as missing limits, become null."""
-    typer.echo(json.dumps(_finite(data), indent=2, allow_nan=False))
+    """Print one JSON object on stdout: null for infinite numbers, such as missing limits; paths as text."""
+    typer.echo(json.dumps(_finite(data), indent=2, allow_nan=False, default=str))
 
 
 def _finite(value: Any) -> Any:
@@ -219,7 +219,7 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
     """
     # Short enough to leave room for the ^C of the terminal: on a full line it would spoil the next line.
     text = "step {} of {}, mean point error {}"
-    with _progress_bar("tracking", text, first="planning") as update:
+    with progress_bar("tracking", text, first="planning") as update:
 
         def show(step: int, state: Any, _: object) -> None:
             update(step, steps, length_text(target.mean_distance(state.points)))
@@ -237,26 +237,12 @@ def count_progress(noun: str) -> Iterator[Callable[[int, int], object]]:
     Yields:
         A function to call with the number of finished items and the total number.
     """
-    with _progress_bar("running", f"{noun} {{}} of {{}}", first=f"first {noun}", remaining=True) as update:
+    with progress_bar("running", f"{noun} {{}} of {{}}", first=f"first {noun}", remaining=True) as update:
         yield update
 
 
 @contextmanager
-def time_progress() -> Iterator[Callable[[float, float], object]]:
-    """Show the progress of a motion on stderr; nothing if that is not a terminal."""
-    with _progress_bar("moving", "{:.1f} s of {:.1f} s", first="planning") as update:
-        yield update
-
-
-@contextmanager
-def search_progress() -> Iterator[None]:
-    """Show on stderr how long a search takes; nothing if that is not a terminal."""
-    with _progress_bar("searching", "", first="postures"):
-        yield
-
-
-@contextmanager
-def _progress_bar(
+def progress_bar(
     label: str, text: str, *, first: str, remaining: bool = False
 ) -> Iterator[Callable[..., object]]:
     """Show a bar on stderr, with the time taken so far; nothing if that is not a terminal.
@@ -371,9 +357,13 @@ def find_kept(path: Path) -> tuple[Path, str]:
     Raises:
         FileError: a directory with neither, or with none written after a failed run.
     """
+    from pinposture.motion import Run, Trajectory
+    from pinposture.motion.files import kind_of
+
     if not path.is_dir():
         return path, ""
-    found = [path / name for name in (MOTION_FILE, RUN_FILE) if _is_kept(path / name)]
+    named = [path / name for name in (MOTION_FILE, RUN_FILE)]
+    found = [file for file in named if kind_of(file) in (Run, Trajectory)]  # not a joint trajectory
     status = read_status(path)
     if status.get("state") == "failed":
         ended = modification_time(path / STATUS)
@@ -407,14 +397,6 @@ def modification_time(path: Path) -> int:
         return path.stat().st_mtime_ns
     except OSError:
         return 0
-
-
-def _is_kept(path: Path) -> bool:
-    """Return whether a file contains a run or motion; exported joint trajectories do not count."""
-    from pinposture.motion import Run, Trajectory
-    from pinposture.motion.files import kind_of
-
-    return kind_of(path) in (Run, Trajectory)
 
 
 def load_kept(path: Path) -> Run | Trajectory:

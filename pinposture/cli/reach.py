@@ -30,8 +30,8 @@ from pinposture.cli.output import (
     print_json,
     print_note,
     print_table,
+    progress_bar,
     run_files,
-    search_progress,
     write_files,
 )
 from pinposture.errors import InvalidValue
@@ -103,7 +103,7 @@ def run(
     goal = read_declared(TipGoal, {**told, "budget": search_options.budget})
     first = None if start is None else StartOptions(start, degrees, seed).read(arm, surroundings).q
     check_directory(output)
-    with search_progress():
+    with progress_bar("searching", "", first="postures"):
         found = reach(
             arm,
             goal.position,
@@ -129,7 +129,7 @@ def run(
     if as_json:
         asked = {"urdf": urdf, "to": goal.position, "direction": goal.direction, "start": start, "seed": seed}
         postures = [each.summary() for each in found]
-        kept = {"scene": scene_options.file, "postures": postures, "files": list(written.values())}
+        kept = {"scene": scene_options.scene, "postures": postures, "files": list(written.values())}
         print_json({**asked, **kept})
     else:
         _print_postures(found)

@@ -26,8 +26,8 @@ from pinposture.cli.output import (
     print_note,
     print_result,
     print_table,
+    progress_bar,
     read_status,
-    time_progress,
     words_of,
     write_files,
 )
@@ -197,7 +197,7 @@ def run(
         for where, place in find_crowded(reference, scene).items():
             if not place.crowding(0.0):  # of the others, `perform` warns
                 print_note(f"{where}: {place.crowding(scene.margin)}")
-        with time_progress() as moving:
+        with progress_bar("moving", "{:.1f} s of {:.1f} s", first="planning") as moving:
             motion = task.perform(reference, moving)
         files, failure = write_files([] if output is None else motion_files(motion, output, task.formats))
         if folder is not None and failure is None:

@@ -106,7 +106,7 @@ def run(
     summary = {**motion.summary(), "tip": None if task is None else tip_off(task, motion)}
     asked: dict[str, object] = {"urdf": urdf, "curve": curve}
     asked |= {"start": start_options.start, "seed": start_options.seed}
-    asked |= {"controller": controller_options.controller, "scene": track_options.scene_options.file}
+    asked |= {"controller": controller_options.controller, "scene": track_options.scene_options.scene}
     taken = {"start_taken": begin.words, "start_positions": arm.positions(begin.q).tolist()}
     told = {**asked, **taken, **summary, "files": files}
     print_result(output_options.as_json, told, words_of(told), files.values(), failure)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
@@ -363,10 +363,6 @@ class _Choice(NamedTuple):
         listed = np.array(candidates, dtype=np.int64).reshape(-1, 2)
         return cls(objects, own, names, listed, excluded, objects.distances(()))
 
-    def excluded_while(self, moving: Collection[str]) -> dict[IndexPair, str]:
-        """Return the excluded pairs while some obstacles move."""
-        return {pair: why for pair, why in self.excluded.items() if self.names[pair[1]] not in moving}
-
 
 class CollisionModel:
     """Distances of an arm from a scene and from itself. May be shared between threads.
@@ -492,7 +488,7 @@ class CollisionModel:
         for number, name in enumerate(names[len(choice.bodies) :]):
             self._numbers[name].append(number)
         self._velocities = self._velocities_in(scene)
-        excluded = choice.excluded_while(moving)
+        excluded = {pair: why for pair, why in choice.excluded.items() if names[pair[1]] not in moving}
         left_out = (ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         self.excluded_pairs = tuple(dict.fromkeys(left_out))
         self._warn_of_excluded_pairs()

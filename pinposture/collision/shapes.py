@@ -515,10 +515,6 @@ def _finite_points(name: str, values: ArrayLike) -> Array:
     return points
 
 
-def _no_faces() -> NDArray[np.int32]:
-    return np.zeros((0, 3), dtype=np.int32)
-
-
 @declared(eq=False)
 class Mesh(Surface):
     """A mesh, including its cavities, or the convex hull of points.
@@ -543,7 +539,9 @@ class Mesh(Surface):
     vertices: Annotated[Array, CheckedBy(_finite_points)] = field(repr=False)
     center: Point = (0.0, 0.0, 0.0)
     rotation: Turn = UNTURNED
-    faces: Annotated[NDArray[np.int32], AS_GIVEN] = field(default_factory=_no_faces, repr=False)
+    faces: Annotated[NDArray[np.int32], AS_GIVEN] = field(
+        default_factory=lambda: np.zeros((0, 3), dtype=np.int32), repr=False
+    )
     path: Path | None = None
     scale: Number = 1.0
     convex: bool = field(init=False, default=True)  # type: ignore[misc]

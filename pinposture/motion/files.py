@@ -21,14 +21,9 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.batch import Batch
-from pinposture.motion.joint_files import (
-    check_format,
-    read_ros_message,
-    read_table,
-    write_ros_message,
-    write_table,
-)
+from pinposture.motion.joint_files import check_format, read_table, write_table
 from pinposture.motion.joint_trajectory import JointTrajectory
+from pinposture.motion.ros import read_ros_message, write_ros_message
 from pinposture.motion.run import (
     CONFIGURATION_ARRAYS,
     ENDINGS,

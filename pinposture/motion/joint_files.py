@@ -1,25 +1,21 @@
-"""Text files of joint trajectories: CSV tables, and ROS 2 messages in JSON or YAML."""
+"""Tables of joint trajectories in CSV, and rates that files leave out."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
-from math import floor, inf, isfinite, nan
+from math import isfinite, nan
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.errors import FileError, InvalidValue, did_you_mean
-from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
-from pinposture.storage import parse_json, read_text, require_suffix, write_text
+from pinposture.errors import FileError, InvalidValue
+from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory
+from pinposture.storage import read_text, require_suffix, write_text
 
 SUFFIXES = (".npz", ".csv", ".json", ".yaml", ".yml")
 """Suffixes of files that can be written and read."""
@@ -66,196 +62,7 @@ def with_computed_rates(
         raise FileError(path, str(error)) from error
 
 
-# The ROS 2 message trajectory_msgs/msg/JointTrajectory in JSON.
-#
-# Fields and types are those of the message definition, of `std_msgs/msg/Header` and of
-# `builtin_interfaces/msg/Duration`: int32 seconds, uint32 nanoseconds, float64 numbers. The stamp is zero, so
-# that a controller starts on receipt. Missing fields have the default of their type, as on the ROS command
-# line: zero or empty.
-
-NANOSECONDS = 10**9
-"""Nanoseconds per second."""
-
-MAX_SECONDS = 2**31 - 1
-"""Largest int32 [s]."""
-
-MESSAGE = ("header", "joint_names", "points")
-POINT_ARRAYS = ("positions", "velocities", "accelerations", "effort")
-POINT = (*POINT_ARRAYS, "time_from_start")
-DURATION = ("sec", "nanosec")
-
-
-def to_message(trajectory: JointTrajectory) -> dict[str, Any]:
-    """Return the message as plain data.
-
-    Raises:
-        InvalidValue: rows less than a nanosecond apart, or times out of the range of int32 seconds.
-    """
-    times = [_nanoseconds(float(moment)) for moment in trajectory.time]
-    for k, (before, after) in enumerate(pairwise(times), start=1):
-        if before == after:
-            allowed = f"at least a nanosecond after time[{k - 1}] in a ROS 2 message"
-            raise InvalidValue(f"time[{k}]", float(trajectory.time[k]), allowed)
-    if times[-1] // NANOSECONDS > MAX_SECONDS:
-        allowed = f"at most {MAX_SECONDS} s in a ROS 2 message"
-        raise InvalidValue(f"time[{len(times) - 1}]", float(trajectory.time[-1]), allowed)
-    rows = zip(
-        times,
-        trajectory.positions.tolist(),
-        trajectory.velocities.tolist(),
-        trajectory.accelerations.tolist(),
-        strict=True,
-    )
-    return {
-        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
-        "joint_names": list(trajectory.joint_names),
-        "points": [
-            {
-                "positions": positions,
-                "velocities": velocities,
-                "accelerations": accelerations,
-                "effort": [],
-                "time_from_start": {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS},
-            }
-            for time, positions, velocities, accelerations in rows
-        ],
-    }
-
-
-def write_ros_message(trajectory: JointTrajectory, path: Path) -> None:
-    """Write the message in JSON, which is also YAML.
-
-    Raises:
-        FileError: the file cannot be written.
-        InvalidValue: as `to_message`.
-    """
-    write_text(path, json.dumps(to_message(trajectory), allow_nan=False) + "\n")
-
-
-def read_ros_message(path: Path) -> JointTrajectory:
-    """Read a message, or a goal of the action FollowJointTrajectory with one as its `trajectory`.
-
-    Missing rates are computed from positions; efforts are dropped.
-
-    Raises:
-        FileError: the file is missing or contains something else; names the point, 0-based.
-    """
-    text = read_text(path)
-    content = parse_json(path, text) if path.suffix.lower() == ".json" else _parse_yaml(path, text)
-    if isinstance(content, dict) and "trajectory" in content:
-        content = content["trajectory"]
-    _check_fields(path, "the message", content, MESSAGE)
-    joints = content.get("joint_names", [])
-    if not isinstance(joints, list):
-        raise FileError(path, f"joint_names is {joints!r}; allowed: a list of names")
-    try:
-        check_names(joints)
-    except InvalidValue as error:
-        raise FileError(path, str(error)) from error
-    points = content.get("points", [])
-    if not (isinstance(points, list) and points):
-        raise FileError(path, f"points is {points!r}; allowed: a list of at least one point")
-    times: list[int] = []
-    tables: dict[str, list[list[float]]] = {name: [] for name in POINT_ARRAYS}
-    for k, point in enumerate(points):
-        _check_fields(path, f"points[{k}]", point, POINT)
-        times.append(_time(path, k, point.get("time_from_start", {}), times[-1] if times else -1))
-        for name in POINT_ARRAYS:
-            tables[name].append(_numbers(path, k, name, point.get(name, []), len(joints)))
-    values = [np.array(tables[name]) for name in POINT_ARRAYS[:3]]
-    return with_computed_rates(path, joints, np.array([time / NANOSECONDS for time in times]), values)
-
-
-def _parse_yaml(path: Path, text: str) -> Any:
-    """Return the content of a YAML text with one document, as `ros2 topic echo --once` prints it.
-
-    Raises:
-        FileError: it is malformed; names the line. It is not JSON as well, and PyYAML is not installed.
-    """
-    with suppress(ValueError, RecursionError):
-        return json.loads(text)
-    try:
-        import yaml
-    except ImportError:
-        raise FileError(
-            path, "is YAML and not JSON, which needs another package; pip install pyyaml"
-        ) from None
-    try:
-        documents = [each for each in yaml.safe_load_all(text) if each is not None]
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = "" if mark is None else f"line {mark.line + 1}: "
-        raise FileError(path, f"{line}{getattr(error, 'problem', None) or 'is not YAML'}") from error
-    except (ValueError, RecursionError) as error:
-        raise FileError(path, f"cannot be read as YAML ({error})") from error
-    if len(documents) != 1:
-        raise FileError(path, f"has {len(documents)} documents; allowed: one message")
-    return documents[0]
-
-
-def _check_fields(path: Path, what: str, value: Any, fields: tuple[str, ...]) -> None:
-    """Raise FileError unless a value is an object with some of these fields; others may be misspelt."""
-    if not isinstance(value, dict):
-        raise FileError(path, f"{what} is {_short(value)}; allowed: an object with {', '.join(fields)}")
-    for name in value:
-        if name not in fields:
-            hint = did_you_mean(name, fields)
-            raise FileError(path, f"{what} has a field {name!r}{hint}; allowed: {', '.join(fields)}")
-
-
-def _time(path: Path, number: int, value: Any, before: int) -> int:
-    """Return the time of a point [ns], which must be after the previous one."""
-    what = f"points[{number}].time_from_start"
-    _check_fields(path, what, value, DURATION)
-    for name, most in zip(DURATION, (MAX_SECONDS, NANOSECONDS - 1), strict=True):
-        part = value.get(name, 0)
-        if type(part) is not int or not 0 <= part <= most:
-            raise FileError(path, f"{what}.{name} is {_short(part)}; allowed: whole numbers from 0 to {most}")
-    time: int = value.get("sec", 0) * NANOSECONDS + value.get("nanosec", 0)
-    if time <= before:
-        allowed = f"more than {before / NANOSECONDS} s of points[{number - 1}]"
-        raise FileError(path, f"{what} is {time / NANOSECONDS} s; allowed: {allowed}")
-    return time
-
-
-def _numbers(path: Path, number: int, name: str, value: Any, count: int) -> list[float]:
-    """Return the numbers of a point, one for each joint; NaN if optional ones are missing."""
-    what = f"points[{number}].{name}"
-    optional = name != "positions"
-    if value == [] and optional:
-        return [nan] * count
-    if not (isinstance(value, list) and len(value) == count):
-        found = f"of length {len(value)}" if isinstance(value, list) else _short(value)
-        allowed = f"{count}, one for each joint" + (", or none" if optional else "")
-        raise FileError(path, f"{what} is {found}; allowed: {allowed}")
-    numbers = [_finite(part) for part in value]
-    if not all(map(isfinite, numbers)):
-        k = next(k for k, part in enumerate(numbers) if not isfinite(part))
-        raise FileError(path, f"{what}[{k}] is {_short(value[k])}; allowed: finite numbers")
-    return numbers
-
-
-def _finite(value: Any) -> float:
-    if type(value) not in (int, float):
-        return nan
-    try:
-        return float(value)
-    except OverflowError:
-        return inf
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value, default=str)
-    return text if len(text) < 60 else text[:57] + "..."
-
-
-def _nanoseconds(time: float) -> int:
-    """Return a time rounded to whole nanoseconds; seconds are split off, as their product would round."""
-    whole = floor(time)
-    return whole * NANOSECONDS + round((time - whole) * NANOSECONDS)
-
-
-# CSV tables: a line of headings with units, then a line for each row.
+# A line of headings with units, then a line for each row.
 #
 # The headings are `time [s]`, and for each joint its name followed by `position [rad]`, `velocity [rad/s]`
 # and `acceleration [rad/s^2]`, with m instead of rad for a prismatic joint, and no unit if it is unknown.

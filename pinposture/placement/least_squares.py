@@ -118,7 +118,7 @@ def fit_curve(
     tangents = curve.tangent(s)
     turns = transported_turns(tangents)
     stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / TURN_PER_STAGE))
-    unknowns = problem.first_guess()
+    unknowns = problem.straight
     for share in np.arange(stages) / max(stages, 1):
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
         unknowns = problem.solve(partial, unknowns, evaluations=4)
@@ -264,6 +264,7 @@ class FitProblem:
     Attributes:
         lower: smallest unknowns, (n + m,).
         upper: largest unknowns, (n + m,).
+        straight: those of the straight arm on a straight curve, (n + m,).
         columns: tangent space indices of the joints, (n,).
         reach: length of the arm with its slides extended [m].
         exact: distance below which the fit needs no restart, in arm lengths.
@@ -296,16 +297,12 @@ class FitProblem:
         self.lower = np.concatenate([lower, MIN_SPACING * lengths]) / self._units
         self.upper = np.concatenate([upper, longest]) / self._units
         straight = np.concatenate([self._rest[columns], lengths]) / self._units
-        self._straight = np.clip(straight, self.lower, self.upper)
+        self.straight = np.clip(straight, self.lower, self.upper)
 
     @property
     def points(self) -> int:
         """Number of control points, m."""
         return self._arm.n_modules
-
-    def first_guess(self) -> Array:
-        """Return the unknowns of the straight arm on a straight curve."""
-        return np.asarray(self._straight)
 
     def perturb(self, unknowns: Array, rng: np.random.Generator) -> Array:
         """Add normally distributed noise to the joint positions."""
@@ -387,7 +384,7 @@ class FitProblem:
         jacobian[: 3 * m] *= self._units / arm.length
         jacobian[3 * m :, :n] = self._bending * np.eye(n)
         distances = (arm.chain.flattened(state.points) - goals).ravel() / arm.length
-        bends = self._bending * (unknowns[:n] - self._straight[:n])
+        bends = self._bending * (unknowns[:n] - self.straight[:n])
         return np.concatenate([distances, bends]), jacobian
 
 
@@ -417,7 +414,7 @@ class SlidingFit(FitProblem):
         longest = MAX_SPACING * np.maximum(longest, longest.mean()) / arm.length
         self.upper[n:] = np.maximum(self.upper[n:], longest)
         self.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths / arm.length)
-        self._straight = np.clip(self.joined(slid, start + np.cumsum(lengths)), self.lower, self.upper)
+        self.straight = np.clip(self.joined(slid, start + np.cumsum(lengths)), self.lower, self.upper)
         self._only_points = False
         self._tip_weight = TIP_WEIGHT * to_end
         self._end = min(length - END_MARGIN * arm.length, start + self.reach)
@@ -480,7 +477,7 @@ class SlidingFit(FitProblem):
         links = np.zeros((len(rows), n + m))
         slides = SLIDE_WEIGHT * np.eye(n + m)[sliding]
         links[:, :n] = weight * self._units[:n] * rows
-        shifts = slides @ (unknowns - self._straight)
+        shifts = slides @ (unknowns - self.straight)
         residual = np.concatenate([residual, tip, weight * gaps, shifts])
         return residual, np.vstack([jacobian, row, links, slides])
 

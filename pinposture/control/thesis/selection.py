@@ -253,7 +253,8 @@ class Selection:
     def _conditioned(self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which of the points keep the posture control matrix well conditioned."""
         kept = np.empty(len(chosen), dtype=bool)
-        least = self.conditioning * _effective_length(arm)
+        counted = arm.length * min(1.0, MAX_COUNTED_MODULES / arm.n_modules)
+        least = self.conditioning * counted
         kernels.well_conditioned(screws, _full_rows(arm, chosen), least, kept)
         return kept
 
@@ -280,8 +281,3 @@ def _full_rows(arm: Arm, points: NDArray[np.int64]) -> Rows:
     known = arm.kinematics.task_constants
     count = len(points)
     return Rows(points, known.dimensions[:count], known.frames[:count], FULL)
-
-
-def _effective_length(arm: Arm) -> float:
-    """Return the arm length to which conditioning is relative [m]."""
-    return arm.length * min(1.0, MAX_COUNTED_MODULES / arm.n_modules)
