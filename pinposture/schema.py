@@ -689,11 +689,6 @@ def read_as(kind: Any, value: object, source: InputFile | None) -> Any:
     return _adapter(kind).validate_python(value, context=source)
 
 
-def read_part(key: str | int, kind: Any, value: object, source: InputFile) -> Any:
-    """Read the value of a key of a table; report mistakes at this key."""
-    return read_within(key, read_again, kind, value, source)
-
-
 def read_again(kind: Any, value: object, source: InputFile) -> Any:
     """Read, within a reader, a value as what the reader has found it to be."""
     try:

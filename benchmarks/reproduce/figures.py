@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Annotation, Text
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from pinposture.errors import InvalidValue
 from pinposture.motion import Run
@@ -25,12 +25,13 @@ from pinposture.motion.words import headline
 from pinposture.units import ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.panels import (
+    format_run_axes,
     mark_projection,
+    places_of,
     plot_point_count,
     plot_point_errors,
     plot_points_and_index,
     plot_posture_error,
-    plot_used_points,
 )
 from pinposture.viz.postures import PosturePanel, draw_intermediate_postures, draw_runs
 
@@ -249,6 +250,20 @@ def _endings(runs: Mapping[str, Run], compared: Mapping[str, Run], length: int) 
         lines += [f"{ending}; {extent};", f"posture error {_change(run)}"]
     lines += [f"{name} alone: posture error {_change(run)}" for name, run in compared.items()]
     return [each for line in lines for each in textwrap.wrap(line, length)]
+
+
+def plot_used_points(run: Run, ax: Axes, color: str | None = None) -> None:
+    """Draw a dot for each active control point in each step."""
+    color = palette.controller_color(run.controller) if color is None else color
+    steps, points = np.nonzero(run.active)
+    style: dict[str, Any] = {"ls": "none", "marker": "o", "mew": 0.0}
+    style["ms"] = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
+    places = places_of(run)
+    ax.plot(places[steps + 1], points + 1, color=color, **style)
+    format_run_axes(ax, run, "control point, from base to tip")
+    ax.set_xlim(0.0, places[-1] + places[min(1, run.steps)])
+    ax.set_ylim(0.0, run.arm.n_modules + 1.0)
+    ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
 def _share_values(panels: list[Axes], floor: float) -> None:

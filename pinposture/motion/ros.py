@@ -22,7 +22,6 @@ from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError, InvalidValue, did_you_mean
 from pinposture.motion.joint_files import with_computed_rates
 from pinposture.motion.joint_trajectory import JointTrajectory, check_names
-from pinposture.schema import shown
 from pinposture.storage import check_writable, parse_json, read_text, require_suffix, write_text
 
 WORLDS = ("world", "map")
@@ -173,7 +172,7 @@ def _parse_yaml(path: Path, text: str) -> Any:
 def _check_fields(path: Path, what: str, value: Any, fields: tuple[str, ...]) -> None:
     """Raise FileError unless a value is an object with some of these fields; others may be misspelt."""
     if not isinstance(value, dict):
-        raise FileError(path, f"{what} is {shown(value)}; allowed: an object with {', '.join(fields)}")
+        raise FileError(path, f"{what} is {_shown(value)}; allowed: an object with {', '.join(fields)}")
     for name in value:
         if name not in fields:
             hint = did_you_mean(name, fields)
@@ -187,7 +186,7 @@ def _time(path: Path, number: int, value: Any, before: int) -> int:
     for name, most in zip(DURATION, (MAX_SECONDS, NANOSECONDS - 1), strict=True):
         part = value.get(name, 0)
         if type(part) is not int or not 0 <= part <= most:
-            raise FileError(path, f"{what}.{name} is {shown(part)}; allowed: whole numbers from 0 to {most}")
+            raise FileError(path, f"{what}.{name} is {_shown(part)}; allowed: whole numbers from 0 to {most}")
     time: int = value.get("sec", 0) * NANOSECONDS + value.get("nanosec", 0)
     if time <= before:
         allowed = f"more than {before / NANOSECONDS} s of points[{number - 1}]"
@@ -202,13 +201,19 @@ def _numbers(path: Path, number: int, name: str, value: Any, count: int) -> list
     if value == [] and optional:
         return [nan] * count
     if not (isinstance(value, list) and len(value) == count):
-        found = f"of length {len(value)}" if isinstance(value, list) else shown(value)
+        found = f"of length {len(value)}" if isinstance(value, list) else _shown(value)
         allowed = f"{count}, one for each joint" + (", or none" if optional else "")
         raise FileError(path, f"{what} is {found}; allowed: {allowed}")
     for k, part in enumerate(value):
         if not (is_number(part) and abs(part) <= sys.float_info.max):
-            raise FileError(path, f"{what}[{k}] is {shown(part)}; allowed: finite numbers")
+            raise FileError(path, f"{what}[{k}] is {_shown(part)}; allowed: finite numbers")
     return list(map(float, value))
+
+
+def _shown(value: Any) -> str:
+    """Return a value as JSON has it, truncated."""
+    text = json.dumps(value, default=str)
+    return text if len(text) < 60 else text[:57] + "..."
 
 
 def _nanoseconds(time: float) -> int:

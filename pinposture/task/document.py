@@ -31,9 +31,9 @@ from pinposture.schema import (
     in_file,
     is_file_name,
     is_list_of,
+    read_again,
     read_by,
     read_keys,
-    read_part,
     read_quantities,
     read_within,
     read_word,
@@ -248,7 +248,7 @@ def read_controller(value: object, info: ValidationInfo) -> Controller:
     for key in _WEIGHTS:
         if key not in table:
             continue
-        number = read_part(key, Number, table[key], cast(InputFile, in_file(info)))
+        number = read_within(key, read_again, Number, table[key], in_file(info))
         if not isinstance(controller, Geodesic):
             raise Refusal(f"is for the controller 'geodesic'; it is {name!r}", key)
         with refusing(table, key):

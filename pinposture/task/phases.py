@@ -43,8 +43,9 @@ from pinposture.schema import (
     declared,
     is_list_of,
     is_table,
+    read_again,
     read_by,
-    read_part,
+    read_within,
     refusing,
     write_parts,
 )
@@ -188,7 +189,7 @@ class Phase(Declared):
         key = next(each for each in MOTIONS if each in values)
         if key == "keyframes" and not is_list_of(is_table)(values[key]):
             raise NotAllowed(values[key], "a list of tables, each begun by [[phases.keyframes]]", key)
-        motion = read_part(key, MOTIONS[key], values[key], source)
+        motion = read_within(key, read_again, MOTIONS[key], values[key], source)
         name = {"name": values["name"]} if "name" in values else {}
         return {"motion": motion, **name}
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
@@ -181,20 +180,6 @@ def _plot_on_second_axis(run: Run, ax: Axes, values: Array, label: str) -> None:
     other.set_ylabel(label, fontsize=9, color=palette.INK)
     other.tick_params(labelsize=8)
     other.spines[["top", "left", "bottom"]].set_visible(False)
-
-
-def plot_used_points(run: Run, ax: Axes, color: str | None = None) -> None:
-    """Draw a dot for each active control point in each step."""
-    color = palette.controller_color(run.controller) if color is None else color
-    steps, points = np.nonzero(run.active)
-    style: dict[str, Any] = {"ls": "none", "marker": "o", "mew": 0.0}
-    style["ms"] = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
-    places = places_of(run)
-    ax.plot(places[steps + 1], points + 1, color=color, **style)
-    format_run_axes(ax, run, "control point, from base to tip")
-    ax.set_xlim(0.0, places[-1] + places[min(1, run.steps)])
-    ax.set_ylim(0.0, run.arm.n_modules + 1.0)
-    ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
 def mark_projection(run: Run, ax: Axes) -> None:

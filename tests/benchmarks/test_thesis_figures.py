@@ -12,12 +12,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import pinposture as pp
-from benchmarks.reproduce.figures import draw_errors, draw_final_postures, draw_planar
+from benchmarks.reproduce.figures import draw_errors, draw_final_postures, draw_planar, plot_used_points
 from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
-from pinposture.viz.panels import mark_projection, plot_point_count, plot_points_and_index, plot_used_points
+from pinposture.viz.panels import mark_projection, plot_point_count, plot_points_and_index
 
 
 def spatial() -> pp.Arm:
