@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 ROUNDING = 1e-9
 """Errors below this share of the arm length are rounding. Forward kinematics of 40 joints is exact to some
 1e-15 of it, and runs converge to 1e-6."""
@@ -11,26 +13,30 @@ BELOW_ROUNDING = "below rounding"
 
 
 SMALLEST_WRITTEN = 1e-7
-"""Shorter lengths are not written as numbers [m]: those would be in scientific notation."""
+"""Shorter lengths are not written as numbers [m]: what is measured is not that exact."""
 
 
-def length_text(length: float, arm_length: float = 0.0) -> str:
+def length_text(length: float, arm_length: float = 0.0, smallest: float = SMALLEST_WRITTEN) -> str:
     """Return a length in words: in millimetres below one metre, in metres from there on.
 
     Args:
         length: the length [m].
         arm_length: length of the arm [m]: an error below `ROUNDING` times it is written as `BELOW_ROUNDING`.
             0: exact lengths.
+        smallest: shorter lengths are not written as numbers [m]; 0 for what is given, such as a tolerance.
     """
     if abs(length) < ROUNDING * arm_length:
         return BELOW_ROUNDING
     metres = round(length, 3)
     if not abs(metres) < 1.0:
         return f"{metres:.4g} m"
-    if 0.0 < abs(length) < SMALLEST_WRITTEN:
-        return f"below {1e3 * SMALLEST_WRITTEN:g} mm"
+    if 0.0 < abs(length) < smallest:
+        return f"below {1e3 * smallest:g} mm"
     millimetres = 1e3 * length
-    return f"{millimetres:.0f} mm" if abs(millimetres) >= 100.0 else f"{millimetres:.3g} mm"
+    if abs(millimetres) >= 100.0:
+        return f"{millimetres:.0f} mm"
+    digits = f"{Decimal(f'{millimetres:.3g}'):f}"  # without an exponent
+    return f"{digits} mm"
 
 
 def error_text(error: float, arm_length: float) -> str:

@@ -29,6 +29,13 @@ def test_lengths_are_in_millimetres_below_one_metre(length, text):
     assert length_text(length) == text
 
 
+@pytest.mark.parametrize(
+    ("given", "text"), [(5e-8, "0.00005 mm"), (1.26e-12, "0.00000000126 mm"), (0.01, "10 mm")]
+)
+def test_a_given_length_is_written_however_short(given, text):
+    assert length_text(given, smallest=0.0) == text
+
+
 @given(st.floats(1e-7, 1e6))
 def test_a_text_is_the_length_to_three_digits(length):
     number, unit = length_text(length).split()

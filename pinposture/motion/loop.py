@@ -350,8 +350,8 @@ class RecordedLoop(Loop):
             if brake is None or self.memory is None or np.all(np.abs(self.memory.dq) <= brake):  # it can stop
                 return "converged", describe_arrival(self.arm, mean, tolerance)
         if self.record.steps >= max_steps:
-            above = f"mean point error {length_text(mean)}, above the tolerance of {length_text(tolerance)}"
-            return "max_steps", above
+            allowed = length_text(tolerance, smallest=0.0)
+            return "max_steps", f"mean point error {length_text(mean)}, above the tolerance of {allowed}"
         idle = self.record.travel_without_progress()
         if idle >= tolerances.STALL_TRAVEL * (1.0 - tolerances.STEP_ROUNDING):
             error = f"mean point error {length_text(mean)}"
@@ -362,7 +362,7 @@ class RecordedLoop(Loop):
 def describe_arrival(arm: Arm, mean: float, tolerance: float) -> str:
     """Say how close to its target an arm is that has converged; both [m]."""
     error = length_text(mean, arm.length)
-    return f"mean point error {error}, within the tolerance of {length_text(tolerance)}"
+    return f"mean point error {error}, within the tolerance of {length_text(tolerance, smallest=0.0)}"
 
 
 def describe_binding_limits(arm: Arm, step: Step) -> str:

@@ -173,6 +173,7 @@ def _keyframes(places: list[dict[str, Any]], arm_length: float) -> str:
 def _of_joints(summary: Mapping[str, Any]) -> dict[str, str]:
     speeds = ", ".join(f"{value:.4g} {unit}" for unit, value in summary["largest_speed"].items())
     rates = ", ".join(f"{value:.4g} {unit}" for unit, value in summary["largest_acceleration"].items())
+    rates = rates.replace("^2", "²")
     return {
         "motion": f"{len(summary['joints'])} joints, {summary['points']} points, {summary['duration']:.4g} s",
         "speed": f"at most {speeds}",

@@ -308,6 +308,7 @@ class Recording:
 def _final_error(error: float, tolerance: float, time: float, saturated: Array) -> str:
     """Describe the error at the end, and whether servos were saturated."""
     off = f"mean point error {length_text(error)} after {time:.6g} s"
+    allowed = length_text(tolerance, smallest=0.0)
     if error <= tolerance:
-        return f"{off}, within the tolerance of {length_text(tolerance)}"
-    return f"{off}, above the tolerance of {length_text(tolerance)}{describe_saturation(saturated)}"
+        return f"{off}, within the tolerance of {allowed}"
+    return f"{off}, above the tolerance of {allowed}{describe_saturation(saturated)}"
