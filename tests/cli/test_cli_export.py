@@ -77,7 +77,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
     warning, written = result.err.splitlines()
     assert written == f"wrote {file}"
     reached = np.abs(changes).max() / 0.02**2
-    assert f"no acceleration limit: joints accelerate by at most {reached:.4g} rad/s^2; plan again" in warning
+    assert f"no acceleration limit: joints accelerate by at most {reached:.4g} rad/s²; plan again" in warning
     assert "--dt 0.02 --acceleration A" in warning
 
 
