@@ -100,7 +100,8 @@ class Status:
         notice = session.message
         message = ""
         if notice is not None:
-            style = f"color:{STATUS_COLORS[notice.kind]};margin-top:4px"
+            ink = palette.mixed(STATUS_COLORS[notice.kind], palette.INK, 0.45)  # not pale on white
+            style = f"color:{ink};margin-top:4px"
             about = f'id="notice" data-kind="{notice.kind}" style="{style}"'
             message = f"<div {about}>{escape(notice.text)}</div>"
         content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)

@@ -41,8 +41,8 @@ MAX_ROWS = 600  # of a trace; of more, the largest of neighbours stand for them
 MILLI = 1e3
 MOTION_PERIOD = 0.1  # between two plots of a motion [s]
 LIVE_PERIOD = 0.3  # between two plots of the live arm [s]
-SETTLING_PERIOD = 3.0  # between two plots after a browser connects [s]
-SETTLING_PLOTS = 2  # number of these
+SETTLING_PERIOD = 3.0  # until a plot is sent again after a browser connects [s]; then twice that, and so on
+SETTLING_PLOTS = 4  # number of these: a slow browser knows the width of its plots late, and leaves them empty
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
 PLOT_HEIGHT = 90  # [pixels]
 LEGEND_HEIGHT = 30  # of two lines [pixels]
@@ -228,7 +228,8 @@ class Plots:
         if clients != self._clients:
             self._clients = clients
             self._connected = now
-        settled = self._connected, min((now - self._connected) // SETTLING_PERIOD, SETTLING_PLOTS)
+        since = now - self._connected
+        settled = self._connected, min(int(np.log2(1.0 + since / SETTLING_PERIOD)), SETTLING_PLOTS)
         lately = now if self._recent.changing else settled
         key = (None, lately) if motion is None else (motion, playback.time)
         if key == self._shown:
