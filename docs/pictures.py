@@ -441,7 +441,7 @@ def draw(name: str, folder: Path) -> Path:
     else:
         example, saved, *shares = ANIMATIONS.get(name, (name, EXAMPLES.get(name, "")))
         back = Path.cwd()
-        with tempfile.TemporaryDirectory() as place, contextlib.redirect_stdout(None):
+        with tempfile.TemporaryDirectory() as place, contextlib.redirect_stdout(io.StringIO()):
             os.chdir(place)
             try:
                 runpy.run_path(str(HERE.parent / "examples" / f"{example}.py"), run_name="__main__")

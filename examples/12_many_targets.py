@@ -31,11 +31,14 @@ if __name__ == "__main__":  # worker processes import this file
 
     # Plot each final posture, coloured by its number of steps; a cross marks the target of the tip.
     figure, axes = plt.subplots(subplot_kw={"projection": "3d"}, figsize=(7, 6))
-    panel, (colors, norm) = PosturePanel(arm, axes), colors_along(batch.steps.max())
+    panel = PosturePanel(arm, axes)
+    colors, norm = colors_along(batch.steps.max())
     for number, run in enumerate(batch):
         panel.posture(run.q[-1], colors(norm(run.steps)), "_", width=1)
-        axes.scatter(*batch.target(number).points[-1], marker="x", color="black", s=12)
+        label = "_" if number else "target of the tip"
+        axes.scatter(*batch.target(number).points[-1], marker="x", color="black", s=12, label=label)
     panel.finish()
+    axes.legend(loc="upper left", fontsize=9, frameon=False)
     add_colorbar([axes], batch.steps.max(), "steps", shrink=0.6)
     figure.savefig(out / "reached.png", dpi=120)
 
