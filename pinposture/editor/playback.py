@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 POSTURE_SHARE = 0.5  # of the progress, for finding the postures; the rest is the motion
 YIELD_TIME = 0.0005  # sleep after each cycle [s], for the other threads
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the playback, relative to real time
-REPORTED_TIME_SCALE = 1.005  # from which on it is reported that a motion takes longer than planned
 
 
 class Rehearsed(NamedTuple):
@@ -95,7 +94,9 @@ class Rehearsal:
 
         report(0.0)
         own = task.edited()  # of no file, whose lines may have changed
-        return own.perform(own.reference(found), moved)
+        motion = own.perform(own.reference(found), moved)
+        _ = motion.slowdown  # found here, not in the editor's loop: it may look at a scan
+        return motion
 
 
 class Moment(NamedTuple):
@@ -334,6 +335,5 @@ def _report(motion: Trajectory | None, reason: str) -> tuple[str, str]:
         return f"the motion does not arrive at its last posture: {motion.run.reason}", "warning"
     if motion.deviations:
         return f"a motion of {motion.time[-1]:.4g} s; {motion.deviations[0]}", "warning"
-    scale = motion.time_scale
-    slower = f", {scale:.3g} times as long as planned" if scale > REPORTED_TIME_SCALE else ""
+    slower = f", {motion.slowdown}" if motion.slowdown else ""
     return f"a motion of {motion.time[-1]:.4g} s{slower}", "info"

@@ -41,7 +41,7 @@ def test_the_arm_follows_while_a_point_is_dragged(edit: Edit, look: Look, file: 
     window.drag(points[2], points[2] + [0.1, 0.0, 0.0], note)
     wait_until(lambda: note() or max(moved for _, moved, _ in seen) > 0.01, "the arm follows")
     assert not any(changed for changed, _, _ in seen)  # nothing counts before the hand lets go
-    window.drag_on(0.02, -0.06, note)
+    window.drag_on(0.03, 0.05, note)
     window.picture("02-dragging")
     window.drop()
     wait_until(lambda: session.history.undoable == "moved point 3", "it counts")

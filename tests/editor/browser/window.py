@@ -211,8 +211,8 @@ class Window:
         self.page.wait_for_timeout(1500)
         kept = self._pictures / f"{name}.png"
         seen = Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
-        # Of all methods, this one keeps the colours of small things.
-        reduced = seen.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        # Together these keep the colours of small things, and of large ones.
+        reduced = seen.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
         reduced.save(kept, optimize=True)
         assert kept.stat().st_size < LARGEST
 
