@@ -14,7 +14,7 @@ from itertools import count
 from typing import Any, NamedTuple
 
 import tomlkit
-from tomlkit.items import AbstractTable, Array, InlineTable, Item
+from tomlkit.items import AbstractTable, Array, InlineTable, Item, Trivia, Whitespace
 
 from pinposture.schema import Place, is_table
 from pinposture.storage import parse_toml
@@ -507,21 +507,21 @@ def _item(value: Any, broken: bool = False) -> Item:
 
 
 def _array(items: list[Item], broken: bool) -> Array:
-    array = tomlkit.array()
+    """Return a list as it is written; built at once, as tomlkit counts all parts anew for each insertion."""
     texts = [item.as_string() for item in items]
-    if not broken or sum(map(len, texts)) + 2 * len(texts) <= MAX_LINE_WIDTH // 2:
-        array.extend(items)
-        return array
+    lines = broken and sum(map(len, texts)) + 2 * len(texts) > MAX_LINE_WIDTH // 2
     nested = any(isinstance(item, Array | InlineTable) for item in items)
-    line: list[Item] = []
+    parts: list[Item] = []
     width = 0
     for item, text in zip(items, texts, strict=True):
-        if line and (nested or width + len(text) + 4 > MAX_LINE_WIDTH):
-            array.add_line(*line)
-            line = []
-            width = 0
-        line.append(item)
-        width += len(text) + 2
-    array.add_line(*line)
-    array.add_line(indent="")
-    return array
+        begins = lines and (not parts or nested or width + len(text) + 4 > MAX_LINE_WIDTH)
+        between = "\n    " if begins else " "
+        if parts:
+            parts.append(Whitespace(","))
+        if parts or begins:
+            parts.append(Whitespace(between))
+        parts.append(item)
+        width = (0 if begins else width) + len(text) + 2
+    if lines:
+        parts += [Whitespace(","), Whitespace("\n")]
+    return Array(parts, Trivia())
