@@ -6,26 +6,31 @@ than degrees of freedom, as with antagonistic tendons.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from math import inf
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import model_validator
+from typing_extensions import Self
 
 from pinposture._validation import (
     as_floats,
     finite_array,
     finite_vector,
     make_read_only,
+    require_instance,
     require_known,
     require_positive,
+    set_fields,
 )
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
+from pinposture.schema import AS_GIVEN, CheckedBy, Declared, declared
 
 Array = NDArray[np.float64]
 
@@ -48,8 +53,8 @@ class Tendon(NamedTuple):
     start: str | int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Actuators:
+@declared(eq=False)
+class Actuators(Declared):
     """The actuators of an arm: u = R q.
 
     Attributes:
@@ -62,12 +67,34 @@ class Actuators:
         acceleration: largest acceleration of each, (k,) [m/s^2 or rad/s^2]; infinite: no limit.
     """
 
-    arm: Arm
-    names: tuple[str, ...]
-    matrix: Array
-    units: tuple[str, ...]
-    velocity: Array
-    acceleration: Array
+    arm: Annotated[Arm, AS_GIVEN]
+    names: Annotated[tuple[str, ...], CheckedBy(lambda _, names: check_names(names))]
+    matrix: Annotated[Array, AS_GIVEN]
+    units: Annotated[tuple[str, ...], AS_GIVEN]
+    velocity: Annotated[Array, AS_GIVEN] = inf  # type: ignore[assignment]
+    acceleration: Annotated[Array, AS_GIVEN] = inf  # type: ignore[assignment]
+
+    @model_validator(mode="after")
+    def _fit(self) -> Self:
+        require_instance("arm", self.arm, Arm, "an Arm")
+        count = len(self.names)
+        matrix = finite_array("matrix", self.matrix, (count, self.arm.nv))
+        units = tuple(self.units) if isinstance(self.units, Iterable) else ()
+        if len(units) != count or not all(each in (RADIAN, METRE) for each in units):
+            allowed = f"{RADIAN!r} or {METRE!r} for each of {count} actuators"
+            raise InvalidValue("units", self.units, allowed)
+        limits = {}
+        for name in ("velocity", "acceleration"):
+            listed = as_floats(name, getattr(self, name))
+            if listed.shape not in ((), (count,)):
+                raise InvalidValue(f"{name} (shape)", listed.shape, f"one number or ({count},)")
+            for number in np.atleast_1d(listed):
+                if number != inf:
+                    require_positive(name, float(number))
+            limits[name] = np.array(np.broadcast_to(listed, count))
+        make_read_only(matrix, *limits.values())
+        set_fields(self, matrix=matrix, units=units, **limits)
+        return self
 
     @classmethod
     def from_matrix(
@@ -92,17 +119,7 @@ class Actuators:
         Raises:
             InvalidValue: wrong shapes, numbers that are not finite, or limits that are not positive.
         """
-        checked = check_names(names)
-        table = finite_array("matrix", matrix, (len(checked), arm.nv))
-        make_read_only(table)
-        if len(units) != len(checked) or not set(units) <= {RADIAN, METRE}:
-            allowed = f"{RADIAN!r} or {METRE!r} for each of {len(checked)} actuators"
-            raise InvalidValue("units", units, allowed)
-        limits = [
-            _positive_limits(name, value, len(checked))
-            for name, value in (("velocity", velocity), ("acceleration", acceleration))
-        ]
-        return cls(arm, checked, table, tuple(units), *limits)
+        return cls(arm, names, matrix, units, velocity, acceleration)  # type: ignore[arg-type]
 
     @classmethod
     def from_tendons(
@@ -238,16 +255,6 @@ class Actuators:
             self.units,
             moved.name,
         )
-
-
-def _positive_limits(name: str, value: float | ArrayLike, count: int) -> Array:
-    listed = as_floats(name, value)
-    if listed.ndim > 1 or (listed.ndim == 1 and len(listed) != count):
-        raise InvalidValue(f"{name} (shape)", listed.shape, f"one number or ({count},)")
-    for number in np.atleast_1d(listed):
-        if number != inf:
-            require_positive(name, float(number))
-    return np.array(np.broadcast_to(listed, count))
 
 
 def _across(arm: Arm, axis: Array) -> Array:

@@ -181,6 +181,9 @@ def test_bad_actuators_are_refused(arm: pp.Arm, tendons: dict[str, Tendon]) -> N
     bent = pp.Arm.from_model(arm.model, arm.control_points)
     assert Actuators.from_tendons(bent, tendons).matrix.shape == (9, 6)
     for made, words in (
+        (lambda: Actuators(arm, ("u",), np.full((1, 6), np.nan), ("m",)), r"matrix\[0, 0\] is nan"),
+        (lambda: Actuators(arm, ("u",), np.ones((1, 6)), 7), "'rad' or 'm' for each of 1"),
+        (lambda: Actuators("arm", ("u",), np.ones((1, 6)), ("m",)), "an Arm"),
         (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 5], ["m"]), r"of shape \(1, 6\)"),
         (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 6], ["deg"]), "'rad' or 'm' for each of 1"),
         (lambda: Actuators.from_matrix(arm, ["u"], [[1.0] * 6], ["m"], velocity=0.0), "velocity is 0"),

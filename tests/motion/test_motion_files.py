@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +108,30 @@ def test_a_file_gives_everything_back(arm: pp.Arm, kind: str, tmp_path: Path) ->
     assert_equal(loaded, motion)
     again = pp.save(loaded, tmp_path / "again.npz")
     assert_equal(pp.load(again, Trajectory), motion)
+
+
+def test_a_file_has_every_field_of_a_target(arm: pp.Arm, tmp_path: Path) -> None:
+    target = replace(
+        pp.resolve_targets(arm, pp.Curve.line((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), placement="align"),
+        velocity=np.full(arm.nv, 0.25),
+        fallback="its modules zigzag",
+        approximate="a local minimum",
+    )
+    run = pp.track(arm, target, np.full(arm.nq, 0.1), max_steps=2)
+    batch = pp.track_many(arm, [target], [np.full(arm.nq, 0.1)] * 2, max_steps=2, jobs=1)
+    kept = replace(run, target=target)
+    several = replace(batch, targets=(target, replace(target, velocity=None, moved=None)))
+    loaded = [
+        pp.load(pp.save(kept, tmp_path / "run"), pp.Run).target,
+        *pp.load(pp.save(several, tmp_path / "batch"), pp.Batch).targets,
+    ]
+    assert target.placed_by and target.moved is not None
+    for got, given_target in zip(loaded, (target, *several.targets), strict=True):
+        for each in fields(pp.Target):
+            if each.name != "curve":
+                np.testing.assert_equal(getattr(got, each.name), getattr(given_target, each.name), each.name)
+        assert got.curve.to_dict() == given_target.curve.to_dict()
+    assert type(loaded[0].moved) is type(target.moved)
 
 
 def test_a_motion_pickles(motion: Trajectory) -> None:
