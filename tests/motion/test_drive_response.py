@@ -224,15 +224,21 @@ def tip_of(arm: pp.Arm, q: np.ndarray) -> pin.SE3:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("noise", "scene", "cycles", "most"), [(0.0, None, 1100, 2e-5), (3e-4, pp.Scene(), 700, 1e-3)]
+    ("priority", "noise", "scene", "cycles", "most"),
+    [
+        (False, 0.0, None, 1100, 2e-5),
+        (False, 3e-4, pp.Scene(), 700, 1e-3),
+        pytest.param(True, 0.0, pp.Scene(), 1100, 2e-5, marks=pytest.mark.soak),
+        pytest.param(True, 3e-4, pp.Scene(), 1100, 1e-3, marks=pytest.mark.soak),
+    ],
 )
 def test_the_measured_tip_takes_its_task_in_spite_of_sag_that_changes(
-    arm: pp.Arm, noise: float, scene: pp.Scene | None, cycles: int, most: float
+    arm: pp.Arm, priority: bool, noise: float, scene: pp.Scene | None, cycles: int, most: float
 ) -> None:
     rng = np.random.default_rng(0)
     goal = rng.uniform(-0.4, 0.4, arm.nv)
     wanted = tip_of(arm, goal)
-    controller = pp.Geodesic(tasks=(pp.EndEffector(pose=wanted),))
+    controller = pp.Geodesic(tasks=(pp.EndEffector(pose=wanted, priority=priority),))
     tracker = Tracker(arm, controller, LIMITS, scene)
     tracker.update(Target.from_configuration(arm, goal))
     q = np.zeros(arm.nv)

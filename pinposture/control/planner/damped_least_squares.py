@@ -43,6 +43,9 @@ MAX_QUICK_STEPS = 6
 INDEPENDENT = 1e-6
 """Smallest singular value of independent rows of tasks with priority, relative to the largest."""
 
+PRIORITY_DAMPING = 1e-8
+"""Damping of the step for tasks with priority alone, relative to the mean diagonal of A^T A."""
+
 FEW_ROWS = 2
 SQUARED_JOINTS_PER_ROW = 1000.0
 """Number of constraints up to which the time that is linear in the number of joints is the shorter one: the
@@ -130,10 +133,12 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
         return solve_posture(solver, scale * errors, weight, np.zeros(len(bounds.lower)), bounds)
     rows = objective.rows(bounds.state)
     errors = scale * rows.errors
-    least = MIN_DAMPING * _mean_diagonal(objective, rows.matrix)
+    least = MIN_DAMPING * mean_diagonal(objective, rows.matrix)
     hessian = damped_hessian(rows.matrix, damping * DAMPING_SHARE * float(errors @ errors) + least)
     tasks = objective.task_rows(bounds.state, priority=True)
-    first = None if tasks is None else solve_priority(objective, bounds, tasks, scale * tasks.errors)
+    first = None
+    if tasks is not None:
+        first = solve_priority(objective, bounds, tasks, scale * tasks.errors, np.zeros(len(bounds.lower)))
     return solve_remaining(hessian, -(rows.matrix.T @ errors), bounds, first)
 
 
@@ -185,18 +190,24 @@ class PriorityStep(NamedTuple):
 
 
 def solve_priority(
-    objective: Objective, bounds: StepBounds, tasks: LinearRows, wanted: Array
+    objective: Objective, bounds: StepBounds, tasks: LinearRows, wanted: Array, center: Array
 ) -> PriorityStep | None:
     """Solve for the tasks with priority alone; None if that fails.
+
+    Where the arm is almost singular, damping keeps the step close to `center`, which is the solution if its
+    rows have the wanted motion.
 
     Args:
         objective: the objective.
         bounds: the bounds of the step.
         tasks: the rows of these tasks.
         wanted: the motion that the rows should have, (r,) [m].
+        center: the step to stay close to, (n,).
     """
-    hessian = damped_hessian(tasks.matrix, 1e-8 * _mean_diagonal(objective, tasks.matrix))
-    alone = solve(hessian, -(tasks.matrix.T @ wanted), bounds.lower, bounds.upper, bounds.rows)
+    damping = PRIORITY_DAMPING * mean_diagonal(objective, tasks.matrix)
+    hessian = damped_hessian(tasks.matrix, damping)
+    gradient = -(tasks.matrix.T @ wanted + damping * center)
+    alone = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows)
     if alone.x is None:
         return None
     _, sigma, right = np.linalg.svd(tasks.matrix, full_matrices=False)
@@ -395,6 +406,6 @@ def _error_scale(objective: Objective, state: ChainState) -> float:
     return min(1.0, typical / max(float(errors.max()), 1e-300))
 
 
-def _mean_diagonal(objective: Objective, matrix: Array) -> float:
+def mean_diagonal(objective: Objective, matrix: Array) -> float:
     """Return the mean diagonal of A^T A [m^2], above 0."""
     return float(max((matrix**2).sum() / matrix.shape[1], 1e-12 * objective.arm.length**2))

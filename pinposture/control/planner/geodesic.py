@@ -233,7 +233,10 @@ class Geodesic:
         if progress is not None and scheduled and progress.idle_travel < MAX_IDLE_TRAVEL:
             objective = self._objective(state, target, progress)
             return _within(progress.along(progress.path.revised(objective=objective)), limits)
-        if progress is not None and not scheduled and _are_alike(progress.objective.target, target):
+        alike = progress is not None and _are_alike(progress.objective.target, target)
+        if progress is not None and alike and not progress.arrived and progress.objective.tasks != self.tasks:
+            alike = not any(task.priority for task in self.tasks)  # the path bends to where those are
+        if progress is not None and not scheduled and alike:
             updated = self._go_on(state, target, limits, progress)
         else:
             updated = self._plan(state, target, limits, None if scheduled else progress)
@@ -286,7 +289,8 @@ class Geodesic:
         fast = avoidance is None and not objective.has_tasks  # wherever the target has gone
         if progress is None or not (fast or is_small_change(progress.objective, objective)):
             return PathProgress(retime(self._find_path(objective, state, limits), limits))
-        place = np.inf if progress.arrived or progress.path.attempt else progress.place
+        idle = progress.idle_travel >= MAX_IDLE_TRAVEL
+        place = np.inf if progress.arrived or progress.path.attempt or idle else progress.place
         given = progress.path, place, progress.bend, objective, state, bounds, avoidance
         path, bend = replan(*given, prompt=not self.plans)
         if bend is None:

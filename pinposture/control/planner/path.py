@@ -26,8 +26,6 @@ MAX_STEP = 10.0
 SHORT_MOTION = 0.1
 """Joint motion up to which joint interpolation is direct enough, in `Arm.joint_units`."""
 
-NO_ERRORS = np.zeros(0)
-
 
 class Stride(NamedTuple):
     """A step along a path.
@@ -70,7 +68,7 @@ class JointPath:
     attempt: int = 0
     hindrance: str = ""
     found_by: str = "relaxation"
-    task_errors: tuple[Array, Array] = (NO_ERRORS, NO_ERRORS)
+    task_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 
     @property
     def arm(self) -> Arm:

@@ -190,10 +190,38 @@ def find_path(
     path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until, report)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
     scene = None if avoidance is None else avoidance.clearance.scene
-    first, last = (objective.task_rows(at, priority=True) for at in (state, goal))
-    if first is None or last is None:
-        return replace(path, scene=scene, attempt=attempt)
-    return replace(path, scene=scene, attempt=attempt, task_errors=(first.errors, last.errors))
+    return replace(path, scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal))
+
+
+def _task_errors(
+    objective: Objective,
+    state: ChainState,
+    goal: ChainState,
+    former: JointPath | None = None,
+    place: float = 0.0,
+) -> tuple[Array, Array]:
+    """Return the errors of the tasks with priority at the ends of a path, as in `JointPath.task_errors`.
+
+    Args:
+        objective: the objective.
+        state: the state of the arm.
+        goal: the state at the end.
+        former: the path that is bent from the place of the arm on; None: the path starts at the arm. The
+            errors planned for that place change by as much as other tasks change those of the arm.
+        place: that place, in waypoints.
+    """
+    now, last = (objective.task_rows(at, priority=True) for at in (state, goal))
+    if now is None or last is None:
+        return np.zeros(0), np.zeros(0)
+    if former is None:
+        return now.errors, last.errors
+    here = now.errors
+    share = place / former.end
+    before = former.objective.task_rows(state, priority=True)
+    if before is not None and len(former.task_errors[0]) == len(here) == len(before.errors):
+        first, end = former.task_errors
+        here = (1.0 - share) * first + share * end + here - before.errors
+    return here if share >= 1.0 else (here - share * last.errors) / (1.0 - share), last.errors
 
 
 def short_path(
@@ -220,6 +248,7 @@ def short_path(
     if motion * len(objective.columns) > MAX_SHORT_MOTION:
         return None
     path = direct_path(objective, state.q, goal.q, bounds.edges)
+    path = replace(path, task_errors=_task_errors(objective, state, goal))
     if avoidance is None:
         return path
     if motion > MIN_PLANNED_MOTION:
@@ -581,7 +610,8 @@ def replan(
     bent = change if bend is None else bend + change
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
-        return replace(path.bent(place, change, bounds.edges), objective=objective), bent
+        errors = _task_errors(objective, state, goal, path, place)
+        return replace(path.bent(place, change, bounds.edges), objective=objective, task_errors=errors), bent
     new = None
     if not objective.has_tasks or _size(objective, arm.difference(state.q, goal.q)) <= MIN_PLANNED_MOTION:
         new = short_path(objective, state, goal, bounds, avoidance)

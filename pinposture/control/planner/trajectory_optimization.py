@@ -298,6 +298,8 @@ class _Iterate(NamedTuple):
         contacts: pairs of bodies that are near.
         clear: which pieces keep the smallest distance, (N,).
         energy: the sum that is minimised [m^2].
+        scale: the energy to which a decrease is compared [m^2]. With tasks it is that without contacts: some
+            bodies miss clearance in every configuration, which hides what tasks still miss.
     """
 
     x: Array
@@ -306,6 +308,7 @@ class _Iterate(NamedTuple):
     contacts: PathContacts
     clear: NDArray[np.bool_]
     energy: float
+    scale: float
 
 
 class _PathRelaxation:
@@ -343,7 +346,7 @@ class _PathRelaxation:
                 damping = damping * increase
                 increase = increase**2
                 continue
-            converged = tried.energy > (1.0 - NEWTON_CONVERGED) * now.energy
+            converged = now.energy - tried.energy < NEWTON_CONVERGED * now.scale
             now = tried
             damping = max(damping * DAMPING_DECREASE, MIN_DAMPING)
             increase = DAMPING_INCREASE
@@ -376,8 +379,10 @@ class _PathRelaxation:
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
         rows = self._rows(offsets)
         contacts, clear = self._clearance(offsets)
-        energy += float((rows.errors**2).sum()) + float((contacts.errors[contacts.errors > 0.0] ** 2).sum())
-        return _Iterate(x, points, rows, contacts, clear, energy)
+        energy += float((rows.errors**2).sum())
+        missing = float((contacts.errors[contacts.errors > 0.0] ** 2).sum())
+        scale = energy if len(rows.errors) else energy + missing
+        return _Iterate(x, points, rows, contacts, clear, energy + missing, scale)
 
     def _rows(self, offsets: Array) -> PathRows:
         """Return the rows of tasks and of constraints at the inner waypoints."""

@@ -159,4 +159,32 @@ def test_a_task_with_priority_is_reached_from_a_straight_arm(seed: int, scene: S
         reached = data.oMf[arm.model.getFrameId(arm.control_points[-1])]
         assert np.linalg.norm(pin.log6(pose.actInv(reached)).vector) < 1e-4
         steps.append(run.steps)
-    assert steps[1] <= 5 * steps[0]  # a path that rounding pushes aside takes ten times as many
+    assert steps[1] <= 3 * steps[0]  # one that waits for what tasks keep it from takes five times as many
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", [None, Scene()])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_path_bends_to_a_task_with_priority_that_moves(seed: int, scene: Scene | None) -> None:
+    arm = pp.Arm.from_template("RyRz", 4)
+    rng = np.random.default_rng(seed)
+    goal = rng.uniform(-0.4, 0.4, arm.nv)
+    target = pp.Target.from_configuration(arm, goal)
+    limits = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=10.0)
+    data = arm.model.createData()
+    frame = arm.model.getFrameId(arm.control_points[-1])
+
+    def tip(q: np.ndarray) -> np.ndarray:
+        pin.framesForwardKinematics(arm.model, data, q)
+        return data.oMf[frame].translation.copy()
+
+    away = 0.005 * arm.length * rng.normal(size=3)
+    state = arm.at(0.5 * goal + 0.1)
+    memory = None
+    for number in range(200):  # an arm that stays on the path to where the task was takes up to 300
+        place = tip(goal) + away * min(number // 10, 2)
+        controller = pp.Geodesic(tasks=(EndEffector(position=place, priority=True),), scene=scene)
+        step = controller.step(state, target, limits, memory)
+        memory = step.memory
+        state = state.moved(step.dq)
+    assert np.linalg.norm(tip(state.q) - place) < 1e-6 * arm.length
