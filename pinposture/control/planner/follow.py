@@ -174,7 +174,7 @@ class PathProgress(NamedTuple):
             ahead: the next steps, if already computed.
             taken: number of those steps that have been taken.
         """
-        idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.path.end
+        idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.timed.path.end
         return PathProgress(  # faster than `_replace`, and called in nearly every cycle
             self.timed,
             place,
@@ -192,7 +192,7 @@ class PathProgress(NamedTuple):
 
     def matches(self, state: ChainState) -> bool:
         """Whether the arm is close enough to its expected position to stay on the path."""
-        arm = self.path.arm
+        arm = self.timed.path.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
         chain = arm.kinematics
@@ -295,7 +295,7 @@ def fast_step(progress: PathProgress, state: ChainState, bounds: JointBounds) ->
         bounds: the limits of the joints.
     """
     timed = progress.timed
-    objective = progress.objective
+    objective = progress.timed.path.objective
     if progress.arrived or timed.profile is not None or objective.has_tasks:
         return None
     arm = state.arm
@@ -341,8 +341,8 @@ def _is_expected(progress: PathProgress, state: ChainState) -> bool:
 def _steps_ahead(progress: PathProgress, state: ChainState, bounds: JointBounds) -> StepsAhead:
     """Compute the next simple steps on a path; only one if the arm is not at its expected position."""
     arm = state.arm
-    path = progress.path
-    wanted = progress.objective.chain
+    path = progress.timed.path
+    wanted = path.objective.chain
     expected = progress.expected
     count = STEPS_AHEAD
     if expected is None:
@@ -538,7 +538,8 @@ def advance(
         avoidance: the obstacles to avoid; None: none.
     """
     if progress.arrived:
-        candidate = reduce_remaining(progress, StepBounds.of(progress.objective, state, box, avoidance))
+        objective = progress.timed.path.objective
+        candidate = reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
     else:
         candidate = step_along(progress, state, box, limits, avoidance)
     return _check_step(candidate, state, limits.for_arm(state.arm), box, avoidance, progress)
@@ -656,7 +657,7 @@ def _next_on_path(
 ) -> _Proposal:
     """Propose the next step along the path, with the rows of the tasks with priority at the state."""
     timed = progress.timed
-    path = progress.path
+    path = progress.timed.path
     here = progress.place
     columns = progress.objective.columns
     units = progress.objective.chain.units
@@ -723,7 +724,7 @@ def _admitted(path: JointPath, place: float, tasks: LinearRows, motion: Array) -
 
 def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateStep:
     """Return the step that reduces the remaining errors at the end of the path, damped until it does."""
-    objective = progress.objective
+    objective = progress.timed.path.objective
     damping = progress.damping
     found = None
     state = bounds.state
@@ -798,8 +799,8 @@ def _check_step(
             reason = CANNOT_EVADE
         violated += relaxed + avoidance.describe_violations(state)
         near = avoidance.describe_obstruction(state, candidate.solution, bool(reason))
-        near += (progress.path.hindrance,) if progress.path.hindrance else ()
-    objective = progress.objective
+        near += (progress.timed.path.hindrance,) if progress.timed.path.hindrance else ()
+    objective = progress.timed.path.objective
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)
     sides = box.sides if share == 1.0 else UNBOUNDED_STEP * np.ones((2, arm.nv))

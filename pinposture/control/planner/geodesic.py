@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, cast
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from pinposture.control.planner.damped_least_squares import StepBounds, solve_po
 from pinposture.control.planner.follow import (
     MAX_DEVIATION,
     GeodesicMemory,
+    Goal,
     PathProgress,
     advance,
     fast_step,
@@ -134,61 +136,12 @@ class Geodesic:
         """Compute one step; see `Controller.step`. The first step to a target plans and takes longer."""
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
-        state = state.chain_state
-        bounds = limits.for_arm(state.arm)
-        before = memory.progress if isinstance(memory, GeodesicMemory) else None
-        if before is not None and before.timed.bounds is bounds and self._is_unchanged(before, state, target):
-            step = fast_step(before, state, bounds)
+        now = _Situation(self, state.chain_state, target, limits, memory)
+        for mode in MODES:
+            step = mode.take(now)
             if step is not None:
                 return step
-        scheduled = before is not None and before.timed.scheduled and not before.arrived
-        if not (self.tasks or scheduled or self._constrained):
-            target.check(state.arm)
-            objective = self.objective(state.arm, target)
-            if bounds.brake is None:
-                step = step_to_goal(objective, state, bounds)
-                if step is not None:
-                    return step
-            else:
-                step, goal = pursue(objective, state, limits, memory)
-                if step is not None:
-                    return step
-                step = self._follow(state, target, limits, memory, before)
-                known = cast(GeodesicMemory, step.memory)
-                return step._replace(memory=replace(known, goal=goal))
-        return self._follow(state, target, limits, memory, before)
-
-    def _follow(
-        self,
-        state: ChainState,
-        target: Target,
-        limits: Limits,
-        memory: Memory | None,
-        before: PathProgress | None,
-    ) -> Step:
-        """Take a step along a path, planning it first if needed."""
-        bounds = limits.for_arm(state.arm)
-        previous = memory.dq if memory is not None else None
-        box = limits.box(state, previous)
-        if box.outside and not (before is not None and _is_almost_inside(state, bounds)):
-            return self._return(state, target, box, limits, previous)
-        if before is None and self.scene is not None:
-            step = self._back_out(state, target, box, limits, previous)
-            if step is not None:
-                return step
-        progress = self._update(state, target, limits, before)
-        if before is None or progress.path.start is not before.path.start:
-            progress = PathProgress.begin(progress.timed, previous)
-        avoidance = Avoidance.of(self.scene, progress.objective, bounds, previous, self.offset)
-        if avoidance is None and progress is not before:
-            step = fast_step(progress, state, bounds)
-            if step is not None:
-                return step
-        step = advance(progress, state, limits, box, avoidance)
-        at_rest = previous is None or not np.any(previous)
-        if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
-            step = _explain_collision(step, avoidance, state)
-        return step
+        raise AssertionError("the last mode always makes a step")
 
     def start(self, path: TimedPath, state: ArmState, memory: Memory | None = None) -> GeodesicMemory:
         """Return the memory with which the next steps follow a given path.
@@ -210,24 +163,13 @@ class Geodesic:
         motion = Memory(np.zeros(state.arm.nv)) if memory is None else memory
         return GeodesicMemory(motion.dq, motion.stopping, progress)
 
-    def _is_unchanged(self, progress: PathProgress, state: ChainState, target: Target) -> bool:
-        """Whether the step needs neither planning nor collision avoidance."""
-        simple = not (self.tasks or self._constrained) and progress.idle_travel < MAX_IDLE_TRAVEL
-        objective = progress.objective
-        return simple and objective.target is target and objective.arm is state.arm
-
-    @property
-    def _constrained(self) -> bool:
-        """Whether there is more to keep than limits."""
-        return self.scene is not None or bool(self.constraints)
-
     def _update(
         self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None
     ) -> PathProgress:
         """Return the progress, on a new path for the first step, a new target or lack of progress."""
         if progress is not None and not progress.matches(state):
             progress = None
-        if progress is not None and progress.path.scene is not self.scene:
+        if progress is not None and progress.timed.path.scene is not self.scene:
             progress = progress.along(progress.path.revised(scene=self.scene))
         scheduled = progress is not None and progress.timed.scheduled and not progress.arrived
         if progress is not None and scheduled and progress.idle_travel < MAX_IDLE_TRAVEL:
@@ -241,7 +183,7 @@ class Geodesic:
         else:
             updated = self._plan(state, target, limits, None if scheduled else progress)
         moving = self.scene is not None and self.scene.moving
-        if not moving or updated.arrived or updated.objective.has_tasks:
+        if not moving or updated.arrived or updated.timed.path.objective.has_tasks:
             return updated
         bounds = limits.for_arm(state.arm)
         avoidance = Avoidance.of(self.scene, updated.objective, bounds)
@@ -313,53 +255,6 @@ class Geodesic:
                 return known.with_target(target)
         return self.objective(state.arm, target)
 
-    def _return(
-        self, state: ChainState, target: Target, box: StepBox, limits: Limits, previous: Array | None
-    ) -> Step:
-        """Take a step back into the position limits, where a path can begin."""
-        arm = state.arm
-        target.check(arm)
-        dq = np.zeros(arm.nv)
-        violated = box.violated_constraints
-        dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
-        objective = self.objective(arm, target)
-        avoidance = Avoidance.of(self.scene, objective, limits.for_arm(arm), previous, self.offset)
-        share = 1.0
-        stopping = None
-        if avoidance is not None:
-            if avoidance.moving or avoidance.offset is not None:
-                evading = _smallest_motion(avoidance, StepBounds.of(objective, state, box, avoidance))
-                dq[objective.columns] = evading[objective.columns]
-            dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
-            if share < 1.0:
-                violated += ("position limit: a faster return would violate the margin to an obstacle",)
-            violated += relaxed
-        reason = "" if np.any(dq) else "joints are outside their limits, and an obstacle blocks their return"
-        return _step_before_planning(state, target, dq, violated, reason, stopping)
-
-    def _back_out(
-        self, state: ChainState, target: Target, box: StepBox, limits: Limits, previous: Array | None
-    ) -> Step | None:
-        """Take the smallest step that leads the arm out of an obstacle, from inside which no path is clear.
-
-        Returns:
-            None if the arm is not in collision, or if no such step gains clearance.
-        """
-        target.check(state.arm)
-        objective = self.objective(state.arm, target)
-        avoidance = Avoidance.of(self.scene, objective, limits.for_arm(state.arm), previous)
-        if avoidance is None or avoidance.near(state).minimum >= 0.0:
-            return None
-        cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
-        after = state.moved(cleared.dq)
-        gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
-        if gained < MIN_CLEARANCE_GAIN * state.arm.length:
-            return None
-        violated = (
-            box.violated_constraints + cleared.violated_constraints + avoidance.describe_violations(state)
-        )
-        return _step_before_planning(state, target, cleared.dq, violated, "", cleared.stopping)
-
     def keep_clear(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Memory:
@@ -393,6 +288,177 @@ class Geodesic:
         box = limits.box(state, memory.dq)
         cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
         return replace(memory, dq=cleared.dq, stopping=cleared.stopping)
+
+
+class _Situation:
+    """What a step begins with, and what its modes derive from that when they need it.
+
+    Attributes:
+        controller: the controller.
+        state: the state of the arm.
+        target: the target posture.
+        limits: the limits of the step.
+        memory: the memory of the previous step; None at the first.
+        before: progress on the path of the previous step; None: it was not on one.
+        previous: the previous step, (nv,) [rad or m]; None at the first.
+        bounds: the limits of the joints.
+        limited_only: whether there is nothing to keep but limits, and nothing to do but the target posture.
+        direct: whether each joint may go to its goal on its own: the same, and there is no schedule.
+        goal: the goal for the memory, from `pursue`.
+    """
+
+    def __init__(
+        self, controller: Geodesic, state: ChainState, target: Target, limits: Limits, memory: Memory | None
+    ) -> None:
+        self.controller = controller
+        self.state = state
+        self.target = target
+        self.limits = limits
+        self.memory = memory
+        self.before = memory.progress if isinstance(memory, GeodesicMemory) else None
+        self.previous = None if memory is None else memory.dq
+        self.bounds = limits.for_arm(state.arm)
+        self.limited_only = controller.scene is None and not (controller.tasks or controller.constraints)
+        self.direct = self.limited_only and (
+            self.before is None or self.before.arrived or not self.before.timed.scheduled
+        )
+        self.goal: Goal | None = None
+
+    @cached_property
+    def box(self) -> StepBox:
+        """The steps that the limits allow."""
+        return self.limits.box(self.state, self.previous)
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The objective of the controller for the target."""
+        self.target.check(self.state.arm)
+        return self.controller.objective(self.state.arm, self.target)
+
+    def remember_goal(self, step: Step) -> Step:
+        """Return a step whose memory has the goal, too, so that the next step knows how it moves."""
+        known = cast(GeodesicMemory, step.memory)
+        return step if self.goal is None else step._replace(memory=replace(known, goal=self.goal))
+
+
+def _continue_path(now: _Situation) -> Step | None:
+    before = now.before
+    if before is None or before.timed.bounds is not now.bounds or not now.limited_only:
+        return None
+    objective = before.timed.path.objective
+    same = objective.target is now.target and objective.arm is now.state.arm
+    if not same or before.idle_travel >= MAX_IDLE_TRAVEL:
+        return None
+    return fast_step(before, now.state, now.bounds)
+
+
+def _go_to_goal(now: _Situation) -> Step | None:
+    if not now.direct or now.bounds.brake is not None:
+        return None
+    return step_to_goal(now.objective, now.state, now.bounds)
+
+
+def _pursue_goal(now: _Situation) -> Step | None:
+    if not now.direct or now.bounds.brake is None:
+        return None
+    step, now.goal = pursue(now.objective, now.state, now.limits, now.memory)
+    return step
+
+
+def _return_into_limits(now: _Situation) -> Step | None:
+    """Take a step back into the position limits, where a path can begin."""
+    box = now.box
+    state = now.state
+    if not box.outside or (now.before is not None and _is_almost_inside(state, now.bounds)):
+        return None
+    controller = now.controller
+    dq = np.zeros(state.arm.nv)
+    violated = box.violated_constraints
+    columns = state.arm.columns
+    dq[columns] = np.clip(dq, box.lower, box.upper)[columns]
+    objective = now.objective
+    avoidance = Avoidance.of(controller.scene, objective, now.bounds, now.previous, controller.offset)
+    share = 1.0
+    stopping = None
+    if avoidance is not None:
+        if avoidance.moving or avoidance.offset is not None:
+            evading = _smallest_motion(avoidance, StepBounds.of(objective, state, box, avoidance))
+            dq[objective.columns] = evading[objective.columns]
+        dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
+        if share < 1.0:
+            violated += ("position limit: a faster return would violate the margin to an obstacle",)
+        violated += relaxed
+    reason = "" if np.any(dq) else "joints are outside their limits, and an obstacle blocks their return"
+    step = _step_before_planning(state, now.target, dq, violated, reason, stopping)
+    return now.remember_goal(step)
+
+
+def _back_out(now: _Situation) -> Step | None:
+    """Take the smallest step that leads the arm out of an obstacle, from inside which no path is clear.
+
+    None if the arm is not in collision, or if no such step gains clearance.
+    """
+    scene = now.controller.scene
+    if now.before is not None or scene is None:
+        return None
+    state = now.state
+    avoidance = Avoidance(CollisionModel(state.arm, scene), now.objective, now.bounds, now.previous)
+    if avoidance.near(state).minimum >= 0.0:
+        return None
+    cleared = _smallest_step(avoidance, StepBounds.of(now.objective, state, now.box, avoidance))
+    after = state.moved(cleared.dq)
+    gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
+    if gained < MIN_CLEARANCE_GAIN * state.arm.length:
+        return None
+    violated = now.box.violated_constraints + cleared.violated_constraints
+    violated += avoidance.describe_violations(state)
+    return _step_before_planning(state, now.target, cleared.dq, violated, "", cleared.stopping)
+
+
+def _follow_path(now: _Situation) -> Step:
+    """Take a step along a path, planning it first if needed."""
+    controller = now.controller
+    state = now.state
+    before = now.before
+    progress = controller._update(state, now.target, now.limits, before)
+    if before is None or progress.timed.path.start is not before.timed.path.start:
+        progress = PathProgress.begin(progress.timed, now.previous)
+    given = controller.scene, progress.timed.path.objective, now.bounds, now.previous, controller.offset
+    avoidance = Avoidance.of(*given)
+    if avoidance is None and progress is not before:
+        step = fast_step(progress, state, now.bounds)
+        if step is not None:
+            return now.remember_goal(step)
+    step = advance(progress, state, now.limits, now.box, avoidance)
+    at_rest = now.previous is None or not np.any(now.previous)
+    if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
+        step = _explain_collision(step, avoidance, state)
+    return now.remember_goal(step)
+
+
+class Mode(NamedTuple):
+    """A way to make a step.
+
+    Attributes:
+        name: what it does.
+        when: when it applies, in words.
+        take: returns the step, or None if the mode does not apply or cannot make one.
+    """
+
+    name: str
+    when: str
+    take: Callable[[_Situation], Step | None]
+
+
+MODES = (
+    Mode("continue on the path", "the last step was on it, and nothing has changed", _continue_path),
+    Mode("go to the goal", "no acceleration limits, and the goal is one short step away", _go_to_goal),
+    Mode("pursue the goal", "acceleration limits, and a goal nearby that moves steadily", _pursue_goal),
+    Mode("return into limits", "a joint is outside its position limits", _return_into_limits),
+    Mode("back out", "the arm is in collision before there is a path", _back_out),
+    Mode("follow a path", "in all other cases; plans, bends or retimes the path first", _follow_path),
+)
+"""The modes of a step, in order: the first that returns a step makes it. See docs/design/modes.md."""
 
 
 class PromptGeodesic(Geodesic):
@@ -474,8 +540,8 @@ def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
 
 def _within(progress: PathProgress, limits: Limits) -> PathProgress:
     """Return the progress, retimed if the limits have changed."""
-    same = progress.timed.bounds is limits.for_arm(progress.path.arm)
-    return progress if same else progress.retimed(progress.path, limits)
+    same = progress.timed.bounds is limits.for_arm(progress.timed.path.arm)
+    return progress if same else progress.retimed(progress.timed.path, limits)
 
 
 def _step_before_planning(
