@@ -261,7 +261,7 @@ def plot_used_points(run: Run, ax: Axes, color: str | None = None) -> None:
     places = places_of(run)
     ax.plot(places[steps + 1], points + 1, color=color, **style)
     format_run_axes(ax, run, "control point, from base to tip")
-    ax.set_xlim(0.0, places[-1] + places[min(1, run.steps)])
+    ax.set_xlim(0.0, (places[-1] + places[min(1, run.steps)]) or 1.0)
     ax.set_ylim(0.0, run.arm.n_modules + 1.0)
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
