@@ -173,7 +173,8 @@ def _mistakes(found: Mapping[str, Any]) -> list[tuple[Place, Refusal]]:
     if found["type"] == "missing":
         return [(inside[:-1], Refusal(f"the key {inside[-1]!r} is missing"))]
     if cause is None:
-        return [(inside, NotAllowed(found["input"], found["msg"]))]
+        allowed = "the path of a file" if found["type"] == "path_type" else found["msg"]
+        return [(inside, NotAllowed(found["input"], allowed))]
     listed = [_refusal(each, found["input"]) for each in getattr(cause, "all", (cause,))]
     return [((*inside, *each.within), each) for each in listed]
 

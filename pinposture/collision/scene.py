@@ -206,7 +206,12 @@ class Scene(Declared):
         Args:
             before: a scene that `moved` or `after` derived from the same first one; infinity otherwise.
             reach: distance from the middle of an obstacle at which its rotation counts [m].
+
+        Raises:
+            InvalidValue: no scene, or no length.
         """
+        require_instance("before", before, Scene, "a Scene(...)")
+        require_positive("reach", reach, zero=True)
         if before.first != self.first:
             return math.inf
         farthest = 0.0

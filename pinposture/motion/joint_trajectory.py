@@ -395,7 +395,10 @@ class JointTrajectory:
         led = self.matched(arm)
         driven = led.driven(arm)
         every = [*_themselves(arm), *_followers(arm)]
-        added = led._followed([each for each in every if each.joint not in driven.joint_names])
+        coupled = [each for each in every if each.joint not in driven.joint_names]
+        if not coupled:
+            return driven
+        added = led._followed(coupled)
         return replace(
             driven,
             joint_names=driven.joint_names + added.joint_names,
@@ -413,8 +416,9 @@ class JointTrajectory:
         Raises:
             InvalidValue: as `matched`.
         """
+        led = self.matched(arm)
         drives = {each.leader: each for each in arm.drives}
-        return self.matched(arm)._followed([drives.get(each.joint, each) for each in _themselves(arm)])
+        return led._followed([drives.get(each.joint, each) for each in _themselves(arm)])
 
     def matched(self, arm: Arm) -> JointTrajectory:
         """Return the trajectory with the joints in the order of an arm, with their units.

@@ -205,3 +205,9 @@ def test_no_description_breaks_in_another_way_than_by_name(kind, data):
         assert "it" in str(error)
     else:
         assert Scene.from_dict(json.loads(json.dumps(made.to_dict()))) == made
+
+
+@pytest.mark.parametrize(("before", "reach"), [(None, 0.1), ("scene", 0.1), (..., -1.0), (..., None)])
+def test_how_far_obstacles_moved_needs_a_scene_and_a_length(before, reach) -> None:
+    with pytest.raises(InvalidValue):
+        pp.Scene().displacement(pp.Scene() if before is ... else before, reach)

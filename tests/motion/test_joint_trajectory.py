@@ -420,3 +420,16 @@ def test_a_motion_cannot_be_changed_from_outside() -> None:
     for name in ("time", "positions", "velocities", "accelerations"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(motion, name)[0] = 1.0
+
+
+def test_without_coupled_joints_there_are_none_to_append() -> None:
+    arm = template_arm("RyRz", 3)
+    motion = pp.JointTrajectory.from_configurations(arm, [np.zeros(6), np.full(6, 0.1)], 0.1)
+    assert motion.with_coupled(arm).joint_names == motion.joint_names
+
+
+@pytest.mark.parametrize("name", ["driven", "with_coupled", "matched"])
+def test_joints_are_matched_with_those_of_an_arm_alone(name: str) -> None:
+    motion = pp.JointTrajectory.from_configurations(template_arm("RyRz", 3), np.zeros((2, 6)), 0.1)
+    with pytest.raises(InvalidValue, match="arm"):
+        getattr(motion, name)("arm")
