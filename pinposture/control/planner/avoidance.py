@@ -149,7 +149,8 @@ pairs are considered while a path is relaxed, in arm lengths."""
 GAIN_SHARE = 0.5
 RETREAT_GAIN_SHARE = 0.9
 """Share of the largest possible gain of clearance in a step that is required of a pair that is too close: for
-a fixed obstacle, and for a moving one."""
+a fixed obstacle, and for one that moves or has been moved. With half of the gain, a joint comes to no more
+than the speed that it can brake in one step."""
 
 RETREAT_SHARE = 0.2
 RETREAT_SPEED_SHARE = 0.5
@@ -381,7 +382,11 @@ class Avoidance:
         room = near.distances - self.margin - STEP_CLEARANCE * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         if not self.moving:
-            return ConstraintRows(matrix, np.minimum(-self._approach * room, GAIN_SHARE * most))
+            share = np.full(len(room), GAIN_SHARE)
+            moved = self.clearance.scene.moving
+            if moved:  # such an obstacle may still approach
+                share[[not moved.isdisjoint(pair) for pair in near.pairs]] = RETREAT_GAIN_SHARE
+            return ConstraintRows(matrix, np.minimum(-self._approach * room, share * most))
         # Retreating at c - a r, where c is the speed of the obstacle, takes an acceleration of at most a c.
         closing = -self._dt * near.rates
         approach = np.full(len(room), self._approach)
