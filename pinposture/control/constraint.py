@@ -89,7 +89,7 @@ def sides_of(constraints: Sequence[Constraint], state: ArmState) -> Sides:
     rooms = [np.zeros(0)]
     names: list[str] = []
     for constraint in constraints:
-        name = _name(constraint)
+        name = str(getattr(constraint, "name", type(constraint).__name__))
         matrix, lower, upper = _rows(constraint, name, state)
         for sign, bound in ((1.0, -lower), (-1.0, upper)):
             finite = np.isfinite(bound)
@@ -106,10 +106,6 @@ def describe_violated(sides: Sides, length: float) -> tuple[str, ...]:
         if -room > VIOLATION_ROUNDING * length:
             worst[name] = max(worst.get(name, 0.0), -room)
     return tuple(f"constraint: {name} is violated by {length_text(by)}" for name, by in worst.items())
-
-
-def _name(constraint: Constraint) -> str:
-    return str(getattr(constraint, "name", type(constraint).__name__))
 
 
 def _rows(constraint: Constraint, name: str, state: ArmState) -> tuple[Array, Array, Array]:

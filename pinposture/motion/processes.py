@@ -6,6 +6,7 @@ import logging
 import os
 import pickle
 import signal
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext, suppress
@@ -14,6 +15,7 @@ from itertools import islice
 from multiprocessing import Pipe, parent_process
 from multiprocessing.connection import Connection
 from multiprocessing.util import Finalize
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, RLock, Thread
 from time import perf_counter
@@ -160,6 +162,7 @@ def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: b
             yield function(*positional, **named)
     if parent_process() is not None:
         _end_pool_with(os.getpid())
+    _open_streams()
     as_they_come = get_active_backend()[0].supports_return_generator
     with _one_thread_each():
         pool = Parallel(
@@ -174,6 +177,13 @@ def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: b
     with pool:  # the same processes for all portions
         while portion := list(islice(waiting, PORTION)):
             yield from pool(portion)
+
+
+def _open_streams() -> None:
+    """Open standard streams that lead nowhere in a process that has none: starting another flushes them."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
 
 
 def _forget_pool() -> None:
@@ -229,6 +239,7 @@ class _Line:
     def _start(self) -> None:
         self.interruptible = False
         self._connection, other = Pipe()
+        _open_streams()
         # `multiprocessing` by itself would run the script of the user again.
         self.process = get_context("loky").Process(
             target=_answer_calls, args=(other,), daemon=True, env=dict.fromkeys(THREAD_COUNTS, "1")

@@ -7,6 +7,8 @@ import os
 import pickle
 import queue
 import signal
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -186,3 +188,25 @@ def test_a_process_of_any_kind_makes_the_same_runs(method: str) -> None:
         np.testing.assert_array_equal(found, expected)
     child.join(60.0)
     assert child.exitcode == 0
+
+
+WITHOUT_STREAMS = """
+import sys
+import numpy as np
+import pinposture as pp
+
+arm = pp.Arm.from_template("RyRz", 3)
+targets = [pp.Target.from_configuration(arm, np.full(6, 0.1 * k)) for k in range(4)]
+sys.stdout = sys.stderr = None
+batch = pp.track_many(arm, targets, arm.neutral(), jobs=2)
+tracker = pp.Tracker(arm, limits=pp.Limits(velocity=1.0, acceleration=5.0, dt=0.01), deadline=0.002)
+sys.exit(0 if all(batch.converged) else 3)
+"""
+
+
+@pytest.mark.process
+@pytest.mark.long
+def test_a_program_without_a_console_starts_processes(tmp_path: Path) -> None:
+    script = tmp_path / "service.py"
+    script.write_text(WITHOUT_STREAMS)
+    subprocess.run([sys.executable, str(script)], cwd=tmp_path, timeout=120, check=True)
