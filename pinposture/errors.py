@@ -258,17 +258,19 @@ class CurveOutOfReach(TargetError):
 
 
 class ControllerError(PostureError):
-    """An exception in the step of a controller; it is the cause of this error.
+    """An exception in the step of a controller, or the rows of a constraint; it is the cause of this error.
 
     Attributes:
-        controller: the class of the controller.
+        controller: the class of the controller, or the name of the constraint.
         reason: the exception, in words.
+        call: the call that raised it.
     """
 
-    def __init__(self, controller: str, reason: str) -> None:
+    def __init__(self, controller: str, reason: str, call: str = "step(...)") -> None:
         self.controller = controller
         self.reason = reason
-        super().__init__(f"{controller}.step(...) raised {reason}")
+        self.call = call
+        super().__init__(f"{controller}.{call} raised {reason}")
 
 
 class ReachError(PostureError):

@@ -8,15 +8,16 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_array, require_instance
+from pinposture._validation import as_floats, finite_array, require_instance
 from pinposture.arm import ArmState
-from pinposture.errors import InvalidValue
+from pinposture.control.controller import describe_exception
+from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-VIOLATION_ROUNDING = 1e-9
-"""Violation of a constraint that counts as rounding, in arm lengths."""
+VIOLATION_ROUNDING = 1e-6
+"""Violation of a constraint that does not count, in arm lengths: as exact as a target is taken."""
 
 ROWS = "three arrays: a matrix (r, nv) of finite numbers, and the bounds lower <= upper, (r,) each"
 
@@ -84,6 +85,7 @@ def sides_of(constraints: Sequence[Constraint], state: ArmState) -> Sides:
 
     Raises:
         InvalidValue: a constraint does not return what `Constraint.rows` should.
+        ControllerError: it raised an exception that is no `PostureError`.
     """
     matrices = [np.zeros((0, state.arm.nv))]
     rooms = [np.zeros(0)]
@@ -109,19 +111,22 @@ def describe_violated(sides: Sides, length: float) -> tuple[str, ...]:
 
 
 def _rows(constraint: Constraint, name: str, state: ArmState) -> tuple[Array, Array, Array]:
-    given = constraint.rows(state)
     what = f"{name}.rows(state)"
+    try:
+        given = constraint.rows(state)
+    except PostureError:
+        raise
+    except Exception as error:
+        raise ControllerError(name, describe_exception(error), "rows(state)") from error
     if not isinstance(given, tuple) or len(given) != 3:
         raise InvalidValue(what, given, ROWS)
     matrix = finite_array(f"{what}, matrix", given[0], (None, state.arm.nv))
-    try:
-        lower = np.asarray(given[1], dtype=np.float64)
-        upper = np.asarray(given[2], dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(f"{what}, bounds", given[1:], ROWS) from None
+    lower = as_floats(f"{what}, lower", given[1], ROWS)
+    upper = as_floats(f"{what}, upper", given[2], ROWS)
     shape = (len(matrix),)
     if lower.shape != shape or upper.shape != shape:
         raise InvalidValue(f"{what}, bounds (shape)", (lower.shape, upper.shape), f"{shape} each")
-    if not np.all(lower <= upper):  # false for NaN
-        raise InvalidValue(f"{what}, bounds", (lower.tolist(), upper.tolist()), "lower <= upper, not NaN")
+    if not np.all((lower <= upper) & (lower < np.inf) & (upper > -np.inf)):  # false for NaN
+        allowed = "lower <= upper, not NaN, lower not inf, upper not -inf"
+        raise InvalidValue(f"{what}, bounds", (lower.tolist(), upper.tolist()), allowed)
     return matrix, lower, upper

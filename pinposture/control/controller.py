@@ -193,7 +193,7 @@ def next_step(
     except PostureError:
         raise
     except Exception as error:
-        raise ControllerError(type(controller).__qualname__, _described(error)) from error
+        raise ControllerError(type(controller).__qualname__, describe_exception(error)) from error
     if not isinstance(step, Step):
         allowed = "a Step, for instance Step(limited.dq, clipped=limited.clipped)"
         raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
@@ -204,10 +204,10 @@ def next_step(
     return step if step.memory is not None else step._replace(memory=Memory(step.dq))
 
 
-def _described(error: Exception) -> str:
-    """Return an exception in words, with the last line in the file of the controller that led to it."""
+def describe_exception(error: Exception) -> str:
+    """Return an exception in words, with the last line in the file of the called function that led to it."""
     words = " ".join(f"{type(error).__name__}: {error}".split())
-    frames = extract_tb(error.__traceback__)[1:]  # without that of `next_step`
+    frames = extract_tb(error.__traceback__)[1:]  # without that of the caller
     if not frames:  # the call itself failed
         return words
     file = frames[0].filename

@@ -447,8 +447,9 @@ class Run(Outcome):
             return super()._faults_before_end
         lines = str(self.violated_constraints[steps[0]]).splitlines()
         first = next(line for line in lines if line.startswith("constraint: ")).partition(": ")[2]
+        others = "" if len(steps) == 1 else f", the first of {len(steps)} steps that violate constraints"
         return (
-            f"{first} in step {steps[0] + 1}, the first of {len(steps)} steps that violate constraints",
+            f"{first} in step {steps[0] + 1}{others}",
             *super()._faults_before_end,
         )
 

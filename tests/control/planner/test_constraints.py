@@ -13,7 +13,7 @@ import pinposture as pp
 from pinposture.collision import CollisionModel
 from pinposture.control import Geodesic
 from pinposture.control.constraint import sides_of
-from pinposture.errors import InvalidValue
+from pinposture.errors import ControllerError, InvalidValue
 from pinposture.motion import Tracker
 
 MODULES = 10
@@ -137,7 +137,7 @@ def test_an_arm_that_begins_outside_returns_and_the_verdict_says_so(kind: str) -
     assert run.converged
     excess = np.array([excess_by_pinocchio(kind, q) for q in run.q])
     assert excess.max() == pytest.approx(excess[0])  # no farther out than at the start
-    outside = np.flatnonzero(excess[:-1] > 1e-9)
+    outside = np.flatnonzero(excess[:-1] > 1e-6 * arm().length)
     np.testing.assert_array_equal(run.violated_steps["constraint"], outside)
     name = "camera" if kind == "cone" else "Between"
     assert f"{name} is violated by {1e3 * excess[0]:.3g} mm in step 1" in run.verdict
@@ -247,6 +247,9 @@ ONE = np.ones((1, 2 * MODULES))
         ((ONE, [np.nan], [1.0]), "lower <= upper"),
         ((ONE, [1.0], [0.0]), "lower <= upper"),
         ((ONE, [1.0 + 1.0j], [2.0]), "three arrays"),
+        ((ONE * (1.0 + 1.0j), [-1.0], [2.0]), "finite numbers"),
+        ((ONE, [np.inf], [np.inf]), "lower not inf"),
+        ((ONE, [-np.inf], [-np.inf]), "upper not -inf"),
     ],
 )
 def test_what_is_no_constraint_is_refused(value, what: str) -> None:
@@ -254,6 +257,18 @@ def test_what_is_no_constraint_is_refused(value, what: str) -> None:
     with pytest.raises(InvalidValue, match=what) as refused:
         pp.track(arm(), target, arm().neutral(), Geodesic(constraints=[Given(value)]))
     assert "Given.rows(state)" in str(refused.value)
+
+
+def test_an_exception_in_a_constraint_names_it_and_its_line() -> None:
+    class Broken:
+        name = "mine"
+
+        def rows(self, state):
+            raise ValueError("my bug")
+
+    target = pp.Target.from_configuration(arm(), 0.2 * np.ones(arm().nv))
+    with pytest.raises(ControllerError, match=r"mine\.rows\(state\) raised ValueError: my bug \(test_.*line"):
+        pp.track(arm(), target, arm().neutral(), Geodesic(constraints=[Broken()]))
 
 
 @pytest.mark.parametrize("wrong", [[3], [LinkInCone], LinkInCone(), None, ["cone"]])
