@@ -212,7 +212,8 @@ class Outcome:
     def verdict(self) -> str:
         """Whether it converged, its faults and why it ended, in one line."""
         there = "reached the target" if self.converged else "did not reach the target"
-        but = "".join(f", but {what}" for what in self._faults_before_end if what not in self.reason)
+        faults = [what for what in self._faults_before_end if what not in self.reason]
+        but = f", but {', and '.join(faults)}" if faults else ""
         return f"{there} ({self.status}){but}: {self.reason}"
 
     @cached_property
