@@ -278,7 +278,7 @@ class Plots:
         apart = 'style="margin-right:9px"'
         words = f"<span {apart}>{when}</span>"
         for color, text in entries:
-            words += f'<span {apart}><i style="{STYLES["swatch"]};background:{color}"></i>{text}</span>'
+            words += f'<span {apart}><span style="{STYLES["swatch"]};background:{color}"></span>{text}</span>'
         style = f"font-size:11px;line-height:1.2;padding:2px 10px;height:{LEGEND_HEIGHT}px"
         style += ";display:flex;flex-wrap:wrap;align-content:flex-start"
         put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
