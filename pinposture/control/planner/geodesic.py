@@ -423,8 +423,8 @@ def _follow_path(now: _Situation) -> Step:
     progress = controller._update(state, now.target, now.limits, before)
     if before is None or progress.timed.path.start is not before.timed.path.start:
         progress = PathProgress.begin(progress.timed, now.previous)
-    given = controller.scene, progress.timed.path.objective, now.bounds, now.previous, controller.offset
-    avoidance = Avoidance.of(*given)
+    objective = progress.timed.path.objective
+    avoidance = Avoidance.of(controller.scene, objective, now.bounds, now.previous, controller.offset)
     if avoidance is None and progress is not before:
         step = fast_step(progress, state, now.bounds)
         if step is not None:

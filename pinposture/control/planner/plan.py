@@ -425,6 +425,8 @@ def _clearest_path(
 ) -> JointPath:
     """Return a direct clear path; if none is found, the one with the largest clearance.
 
+    Among those that are clear, it is the one with the most pieces within the constraints.
+
     The candidates are, in this order: the most direct path; two paths relaxed among the obstacles from
     different initial guesses; one found by search and then relaxed; further relaxed paths. The first clear
     one is returned; if it is long, the shorter of it and the searched one.
@@ -445,7 +447,7 @@ def _clearest_path(
     most_direct = direct_path(objective, start, goal.q, bounds.edges)
     short = MAX_DETOUR * most_direct.length
     clear: list[JointPath] = []
-    hindered: list[tuple[float, JointPath]] = []
+    hindered: list[tuple[tuple[float, float], JointPath]] = []
 
     def tell(trying: str) -> None:
         if report is not None:
@@ -467,12 +469,14 @@ def _clearest_path(
     try:
         for path in candidates():
             closest = _closest_on(path, avoidance, possible)
-            if closest.distance >= possible and avoidance.keeps_constraints(start, path.offsets).all():
+            kept = avoidance.keeps_constraints(start, path.offsets)
+            if closest.distance >= possible and kept.all():
                 clear.append(path)
                 if objective.tasks or path.length <= short:  # the search would disregard the tasks
                     return path
             else:
-                hindered.append((closest.distance, _hindered(path, closest, avoidance)))
+                rank = min(closest.distance, possible), float(kept.mean())
+                hindered.append((rank, _hindered(path, closest, avoidance)))
             if perf_counter() >= until:
                 break
     except KeyboardInterrupt:
@@ -481,7 +485,7 @@ def _clearest_path(
         logger.warning("planning was interrupted; the best path so far is returned")
         if not clear and not hindered:
             closest = _closest_on(most_direct, avoidance, possible)
-            hindered.append((0.0, _hindered(most_direct, closest, avoidance)))
+            hindered.append(((0.0, 0.0), _hindered(most_direct, closest, avoidance)))
     if clear:
         return min(clear, key=lambda path: path.length)
     return max(hindered, key=lambda each: each[0])[1]
