@@ -315,11 +315,21 @@ class Schedule(NamedTuple):
     @property
     def shortest(self) -> int:
         """Smallest number of rows from one keyframe to the next."""
-        return int((self.reached[1:] - self.left[:-1]).min())
+        return int(self.between.min())
+
+    @property
+    def between(self) -> NDArray[np.int64]:
+        """Numbers of rows from each keyframe to the next, (K - 1,)."""
+        return self.reached[1:] - self.left[:-1]
 
     def finer(self, times: int) -> Schedule:
         """Return the same schedule with `times` as many rows."""
         return Schedule(times * self.reached, times * self.left, self.rests)
+
+    def with_between(self, rows: NDArray[np.int64]) -> Schedule:
+        """Return a schedule with other numbers of rows from each keyframe to the next, (K - 1,)."""
+        later = np.append(0, np.cumsum(rows - self.between))
+        return Schedule(self.reached + later, self.left + later, self.rests)
 
     def stretches(self) -> list[Stretch]:
         """Return the parts between rests, in order."""
@@ -397,7 +407,7 @@ def lap_of(keyframes: tuple[Keyframe, ...], interval: float) -> tuple[Keyframe, 
         return there
     if back is None:
         cycles = schedule(there, interval)
-        back = interval * int((cycles.reached[1:] - cycles.left[:-1]).max())
+        back = interval * int(cycles.between.max())
     if round(back / interval) < 1:
         reason = f"its duration is {back:g} s; the return to it takes at least a cycle of {interval:g} s"
         raise TaskError(title(keyframes, 0), reason)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from pinposture._validation import require_known, require_positive, require_whole
+from pinposture._validation import require_instance, require_known, require_positive, require_whole
 from pinposture.arm import Arm
+from pinposture.control.limits import Limits
 from pinposture.control.reach import require_within_reach
 from pinposture.errors import InvalidValue, OutOfReach, warn_caller
 from pinposture.placement.least_squares import FitProblem, refined
@@ -132,6 +133,20 @@ class PieceEnd(NamedTuple):
     pinned: bool
 
 
+class Motion(NamedTuple):
+    """Joint positions for all rows.
+
+    Attributes:
+        rows: the row at which each keyframe is reached and left.
+        per_cycle: rows per control cycle.
+        positions: joint positions, (N + 1, nv) [rad or m]; continuous joints are unwrapped.
+    """
+
+    rows: Schedule
+    per_cycle: int
+    positions: Array
+
+
 class RowSolver:
     """Finds joint positions for all rows.
 
@@ -142,8 +157,11 @@ class RowSolver:
     A stretch to or from a taught configuration is interpolated in joint space.
     """
 
-    def __init__(self, arm: Arm, motion: ResolvedMotion, continuity: str) -> None:
+    def __init__(
+        self, arm: Arm, keyframes: tuple[Keyframe, ...], motion: ResolvedMotion, continuity: str
+    ) -> None:
         self._arm = arm
+        self._keyframes = keyframes
         self._motion = motion
         self._continuity = continuity
         self._bending = Bending(arm, motion.length)
@@ -158,13 +176,27 @@ class RowSolver:
         self._follower = LeastSquaresFollower(arm, "closest" if sequential else motion.method)
         self._endless = arm.kinematics.endless
 
-    def positions(self, schedule: Schedule, progress: Progress | None = None) -> Array:
-        """Return joint positions of all rows (N + 1, nv) [rad or m]; continuous joints are unwrapped.
+    def solve(self, cycles: Schedule, progress: Progress | None = None) -> Motion:
+        """Return the motion at given times, with rows so close that joints move little between them.
 
         Args:
-            schedule: when each keyframe is reached and left.
+            cycles: when each keyframe is reached and left, in control cycles.
             progress: called with the number of finished rows and the total number.
         """
+        per_cycle = self._first_guess(cycles)
+        for attempt in range(MAX_REFINEMENTS):
+            rows = cycles.finer(per_cycle)
+            positions = self._with_tips(rows, self._positions(rows, progress))
+            longest = float((np.abs(np.diff(positions, axis=0)) / self._arm.joint_units).max())
+            more = _rows_per_cycle(cycles, math.ceil(per_cycle * longest / ROW_STEP))
+            logger.debug("%d rows, the longest step %.3g", rows.rows, longest)
+            if longest <= MAX_ROW_STEP or more <= per_cycle or attempt == MAX_REFINEMENTS - 1:
+                break
+            per_cycle = more
+        return Motion(rows, per_cycle, positions)
+
+    def _positions(self, schedule: Schedule, progress: Progress | None) -> Array:
+        """Return joint positions of all rows (N + 1, nv) [rad or m]; continuous joints are unwrapped."""
 
         def report(row: int) -> None:
             if progress is not None:
@@ -179,6 +211,39 @@ class RowSolver:
             found[stretch.rows[0] : stretch.rows[-1] + 1] = rows
             found[stretch.rows[-1] : schedule.left[stretch.last] + 1] = before
         return np.asarray(np.clip(found, self._arm.limits.lower, self._arm.limits.upper))
+
+    def _first_guess(self, cycles: Schedule) -> int:
+        """Estimate the rows per cycle for short steps from the distances between keyframes."""
+        positions = np.array([each.positions for each in self._motion.keyframes])
+        apart = (np.abs(np.diff(positions, axis=0)) / self._arm.joint_units).max(axis=1)
+        speed = PEAK_SPEED_RATIO * float((apart / cycles.between).max())
+        return _rows_per_cycle(cycles, math.ceil(speed / ROW_STEP))
+
+    def _with_tips(self, rows: Schedule, positions: Array) -> Array:
+        """Shift the rows so that keyframes meet their tip tasks, smoothly in between."""
+        arm = self._arm
+        shifts = np.zeros((len(self._keyframes), arm.nv))
+        for index, keyframe in enumerate(self._keyframes):
+            if keyframe.tip is not None:
+                where = title(self._keyframes, index)
+                q = arm.configuration(positions[rows.reached[index]])
+                with naming(where):
+                    shifts[index] = tip_shift(arm, keyframe, self._motion.keyframes[index].target, q, where)
+                try:
+                    require_within_reach(arm, keyframe.tip)
+                except OutOfReach as error:
+                    warn_caller(f"{where}: {error}")
+        if not np.any(shifts):
+            return positions
+        shifted = positions.copy()
+        for stretch in rows.stretches():
+            numbers = np.arange(stretch.rows[0], stretch.rows[-1] + 1)
+            own = shifts[stretch.first : stretch.last + 1]
+            shifted[numbers] += interpolate(stretch, own, self._continuity, numbers)
+        for shift, reached, left in zip(shifts, rows.reached, rows.left, strict=True):
+            if left > reached:
+                shifted[reached : left + 1] = positions[reached : left + 1] + shift
+        return np.asarray(np.clip(shifted, arm.limits.lower, arm.limits.upper))
 
     def _stretch(self, stretch: Stretch, before: Array, report: Callable[[int], None]) -> Array:
         """Return joint positions of the rows of a stretch, given those at its start."""
@@ -372,6 +437,7 @@ def keyframe_reference(
     continuity: Literal["velocity", "acceleration"] = "velocity",
     progress: Progress | None = None,
     repeat: int = 1,
+    limits: Limits | None = None,
 ) -> Reference:
     """Plan the motion through keyframes at given times.
 
@@ -387,6 +453,10 @@ def keyframe_reference(
 
     Between two keyframes, a control point has a target if it has one at either of them.
 
+    The shape of the motion depends on the times between keyframes relative to each other. Where limits allow
+    no motion as fast as that, it is the shape for times that they allow: asking for less time then changes
+    nothing, and never makes the motion take longer.
+
     Args:
         arm: the arm.
         keyframes: two or more, in order.
@@ -399,9 +469,10 @@ def keyframe_reference(
         repeat: number of laps. If the last posture is not the first, the arm returns to the first in between,
             within the `duration` of the first keyframe; by default, within the longest time from one
             keyframe to the next. Each lap begins and ends at rest.
+        limits: limits of the motion, of which speeds and accelerations count here; None: no limits.
 
     Returns:
-        The reference, with a mark for each keyframe of each lap.
+        The reference at the times asked for, with a mark for each keyframe of each lap.
 
     Raises:
         InvalidValue: fewer than two keyframes, or an invalid keyframe, interval or number of laps.
@@ -415,6 +486,7 @@ def keyframe_reference(
     require_positive("interval", interval)
     require_known("continuity", continuity, CONTINUITIES)
     require_whole("repeat", repeat, 1)
+    require_instance("limits", limits, Limits | None, "Limits(...), or None")
     tour = keyframes
     keyframes = tour if repeat == 1 else lap_of(tour, float(interval))
     cycles = schedule(keyframes, float(interval))
@@ -426,18 +498,12 @@ def keyframe_reference(
     if repeat > 1:  # a lap ends as it begins, to the last bit
         again = motion.keyframes[0]._replace(fixed=True)
         motion = motion._replace(keyframes=(*motion.keyframes[:-1], again))
-    solver = RowSolver(arm, motion, continuity)
-    per_cycle = _first_guess(arm, cycles, motion)
-    for attempt in range(MAX_REFINEMENTS):
-        rows = cycles.finer(per_cycle)
-        positions = solver.positions(rows, progress)
-        positions = _with_tips(arm, keyframes, motion, rows, positions, continuity)
-        longest = float((np.abs(np.diff(positions, axis=0)) / arm.joint_units).max())
-        more = _rows_per_cycle(cycles, math.ceil(per_cycle * longest / ROW_STEP))
-        logger.debug("%d rows, the longest step %.3g", rows.rows, longest)
-        if longest <= MAX_ROW_STEP or more <= per_cycle or attempt == MAX_REFINEMENTS - 1:
-            break
-        per_cycle = more
+    solver = RowSolver(arm, keyframes, motion, continuity)
+    solved = solver.solve(cycles, progress)
+    slowed = None if limits is None else _slowed(arm, keyframes, motion, cycles, solved, limits)
+    if slowed is not None:
+        solved = solver.solve(slowed, progress)
+    rows, per_cycle, positions = solved
     if progress is not None:
         progress(rows.rows, rows.rows)
     start = arm.configuration(positions[0])
@@ -453,7 +519,12 @@ def keyframe_reference(
         off = end_off(arm, keyframe, target)
         marks.append(Mark(name, row, target, keyframe.tip, keyframe.speed, end_off=off))
     weights = _weights(rows, [mark.target.weights for mark in marks])
-    lap = Reference(arm, interval / per_cycle, start, offsets, weights, tuple(marks))
+    lap = Reference(arm, interval / per_cycle, start, offsets, weights, tuple(marks), numbered=True)
+    if slowed is not None:
+        durations = np.full(rows.rows - 1, interval / per_cycle)
+        for k, duration in enumerate(interval * cycles.between / rows.between):
+            durations[rows.left[k] : rows.reached[k + 1]] = duration
+        lap = replace(lap, interval=float(durations.min()), durations=durations)
     return lap if repeat == 1 else _repeated(lap, len(tour), int(rows.left[len(tour) - 1]), repeat)
 
 
@@ -463,24 +534,65 @@ def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
     turns = np.where(lap.arm.kinematics.endless, np.round(lap.offsets[-1] / (2.0 * np.pi)), 0.0)
     offsets = []
     weights = []
+    durations = []
     marks = [lap.marks[0]._replace(name=f"{lap.marks[0].name}, lap 1")]
     for number in range(repeat):
         last = number == repeat - 1
         kept = end + 1 if last else rows
         offsets.append(lap.offsets[:kept] + 2.0 * np.pi * number * turns)
         weights.append(lap.weights[:kept])
+        durations.append(np.diff(lap.times[: end + 1 if last else None]))
         for index, mark in enumerate(lap.marks[1 : count if last else None], start=1):
             name = f"{mark.name}, lap {number + 1 + index // count}"  # the return begins the next lap
             marks.append(mark._replace(name=name, row=number * rows + mark.row))
-    return replace(lap, offsets=np.concatenate(offsets), weights=np.concatenate(weights), marks=tuple(marks))
+    return replace(
+        lap,
+        offsets=np.concatenate(offsets),
+        weights=np.concatenate(weights),
+        durations=None if lap.durations is None else np.concatenate(durations),
+        marks=tuple(marks),
+    )
 
 
-def _first_guess(arm: Arm, cycles: Schedule, motion: ResolvedMotion) -> int:
-    """Estimate the rows per cycle for short steps from the distances between keyframes."""
-    positions = np.array([each.positions for each in motion.keyframes])
-    apart = (np.abs(np.diff(positions, axis=0)) / arm.joint_units).max(axis=1)
-    speed = PEAK_SPEED_RATIO * float((apart / (cycles.reached[1:] - cycles.left[:-1])).max())
-    return _rows_per_cycle(cycles, math.ceil(speed / ROW_STEP))
+def _slowed(
+    arm: Arm,
+    keyframes: tuple[Keyframe, ...],
+    motion: ResolvedMotion,
+    cycles: Schedule,
+    solved: Motion,
+    limits: Limits,
+) -> Schedule | None:
+    """Return a schedule with the cycles that limits require between keyframes; None if those there suffice.
+
+    No motion is faster, whatever happens between the keyframes: from one at which a joint rests, it has to
+    gain speed, and to lose it until the next at which it rests.
+
+    Args:
+        arm: the arm.
+        keyframes: the keyframes.
+        motion: the same, resolved.
+        cycles: the schedule asked for, in cycles.
+        solved: the motion at these times.
+        limits: limits of the motion.
+    """
+    bounds = limits.for_arm(arm)
+    moves = np.diff(solved.positions[solved.rows.reached], axis=0) * arm.moved
+    rests = np.repeat(cycles.rests[:, None], arm.nv, axis=1)
+    taught = np.array([keyframe.anchored is None for keyframe in motion.keyframes])
+    turns = moves[:-1] * moves[1:] <= 0.0  # `interpolate` stops a joint where it turns back
+    rests[1:-1] |= turns & taught[1:-1, None]
+    ends = rests[:-1].astype(np.int64) + rests[1:]
+    distance = np.abs(moves)
+    speed = bounds.bound * np.array([[keyframe.speed] for keyframe in keyframes[1:]])
+    needed = np.divide(distance, speed, out=np.zeros_like(distance), where=distance > 0.0)
+    if bounds.brake is not None:
+        gaining = ends * speed / (2.0 * bounds.brake)  # cycles lost at both ends, if full speed is reached
+        short = distance <= speed * gaining
+        needed = np.where(short, np.sqrt(2.0 * ends * distance / bounds.brake), needed + gaining)
+    least = np.minimum(needed.max(axis=1), MOST_CYCLES)
+    least *= ENOUGH_ROWS / max(least.sum(), ENOUGH_ROWS)
+    between = np.maximum(cycles.between, np.floor(least).astype(np.int64))
+    return None if np.array_equal(between, cycles.between) else cycles.with_between(between)
 
 
 def _rows_per_cycle(cycles: Schedule, wanted: int) -> int:
@@ -488,39 +600,6 @@ def _rows_per_cycle(cycles: Schedule, wanted: int) -> int:
     fewest = math.ceil(MIN_ROWS_BETWEEN / cycles.shortest)
     enough = max(ENOUGH_ROWS // cycles.rows, ENOUGH_ROWS_PER_CYCLE)
     return max(1, min(max(fewest, min(wanted, enough)), MAX_ROWS_IN_ALL // cycles.rows))
-
-
-def _with_tips(
-    arm: Arm,
-    keyframes: tuple[Keyframe, ...],
-    motion: ResolvedMotion,
-    rows: Schedule,
-    positions: Array,
-    continuity: str,
-) -> Array:
-    """Shift the rows so that keyframes meet their tip tasks, smoothly in between."""
-    shifts = np.zeros((len(keyframes), arm.nv))
-    for index, keyframe in enumerate(keyframes):
-        if keyframe.tip is not None:
-            where = title(keyframes, index)
-            q = arm.configuration(positions[rows.reached[index]])
-            with naming(where):
-                shifts[index] = tip_shift(arm, keyframe, motion.keyframes[index].target, q, where)
-            try:
-                require_within_reach(arm, keyframe.tip)
-            except OutOfReach as error:
-                warn_caller(f"{where}: {error}")
-    if not np.any(shifts):
-        return positions
-    shifted = positions.copy()
-    for stretch in rows.stretches():
-        numbers = np.arange(stretch.rows[0], stretch.rows[-1] + 1)
-        own = shifts[stretch.first : stretch.last + 1]
-        shifted[numbers] += interpolate(stretch, own, continuity, numbers)
-    for shift, reached, left in zip(shifts, rows.reached, rows.left, strict=True):
-        if left > reached:
-            shifted[reached : left + 1] = positions[reached : left + 1] + shift
-    return np.asarray(np.clip(shifted, arm.limits.lower, arm.limits.upper))
 
 
 def _weights(rows: Schedule, masks: list[Array]) -> Array:

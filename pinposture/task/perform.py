@@ -321,7 +321,7 @@ def move_through(
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
     require_instance("scene", scene, Scene | None, "a Scene(...), or None")
     keyframes = placed(as_keyframes(keyframes), scene)
-    reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat)
+    reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat, limits=limits)
     return perform(reference, controller, limits, scene, q0)
 
 

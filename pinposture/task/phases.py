@@ -538,7 +538,9 @@ class _Planner:
             )
             keyframes = (Keyframe(joints=tuple(self._arm.positions(self._q))), *keyframes)
         keyframes = placed(keyframes, self._scene)
-        piece = keyframe_reference(self._arm, keyframes, self._dt, self._continuity, self._progress)
+        piece = keyframe_reference(
+            self._arm, keyframes, self._dt, self._continuity, self._progress, limits=self._limits
+        )
         self._add(replace(piece, marks=piece.marks[1:] if self._pieces else piece.marks), name)
 
     def _withdraw(self, withdrawal: Withdrawal, name: str) -> None:

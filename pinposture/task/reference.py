@@ -71,6 +71,7 @@ class Reference:
         marks: the named rows, in order; one for each keyframe.
         durations: time from each row to the next, (N,) [s]; None if it is the interval. The interval is then
             the shortest of them.
+        numbered: whether the marks are numbered keyframes, the first of them in the first row.
     """
 
     arm: Arm
@@ -80,6 +81,7 @@ class Reference:
     weights: Array
     marks: tuple[Mark, ...] = ()
     durations: Array | None = None
+    numbered: bool = False
 
     def __post_init__(self) -> None:
         rows = len(self.offsets)
@@ -198,9 +200,10 @@ def _closest(arm: Arm, q: Array, scene: Scene) -> Closest:
 
 def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, Outlook]:
     """Return the named postures that do not keep the margin of a scene, by their names in messages."""
-    keyed = bool(reference.marks) and reference.marks[0].row == 0 and reference.durations is None
     places = [] if scene is None else enumerate(outlook(reference, scene), start=1)
-    named = {f"keyframe {k} {place.name!r}" if keyed else place.name: place for k, place in places}
+    named = {
+        f"keyframe {k} {place.name!r}" if reference.numbered else place.name: place for k, place in places
+    }
     return {where: place for where, place in named.items() if scene and place.crowding(scene.margin)}
 
 

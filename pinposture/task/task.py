@@ -316,7 +316,9 @@ class Task:
                     progress,
                 )
             keyframes = cast("tuple[Keyframe, ...]", self.motion)
-            return keyframe_reference(self.arm, keyframes, dt, self.continuity, progress, self.repeat)
+            return keyframe_reference(
+                self.arm, keyframes, dt, self.continuity, progress, self.repeat, self.limits
+            )
 
     def outlook(self, reference: Reference) -> list[Outlook]:
         """Predict how well the arm can reach the postures; clearances are those at the postures.
