@@ -313,11 +313,6 @@ class Schedule(NamedTuple):
         return int(self.left[-1]) + 1
 
     @property
-    def shortest(self) -> int:
-        """Smallest number of rows from one keyframe to the next."""
-        return int(self.between.min())
-
-    @property
     def between(self) -> NDArray[np.int64]:
         """Numbers of rows from each keyframe to the next, (K - 1,)."""
         return self.reached[1:] - self.left[:-1]

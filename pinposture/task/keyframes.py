@@ -597,7 +597,7 @@ def _slowed(
 
 def _rows_per_cycle(cycles: Schedule, wanted: int) -> int:
     """Return the number of rows per cycle, if so many are wanted for short steps."""
-    fewest = math.ceil(MIN_ROWS_BETWEEN / cycles.shortest)
+    fewest = math.ceil(MIN_ROWS_BETWEEN / int(cycles.between.min()))
     enough = max(ENOUGH_ROWS // cycles.rows, ENOUGH_ROWS_PER_CYCLE)
     return max(1, min(max(fewest, min(wanted, enough)), MAX_ROWS_IN_ALL // cycles.rows))
 
