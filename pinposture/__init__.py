@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         Scan,
         Scene,
         Sphere,
+        weigh,
     )
     from pinposture.control import (
         Controller,
@@ -137,6 +138,7 @@ __all__ = [
     "track",
     "track_many",
     "view",
+    "weigh",
 ]
 
 # Everything is imported when it is first asked for: who plans needs no matplotlib, who draws no solver.
@@ -193,6 +195,7 @@ _PACKAGES = {
         "Scan",
         "Scene",
         "Sphere",
+        "weigh",
     ),
     "placement": ("PointFilter", "Target", "fit_points", "resolve_targets"),
     "task": (

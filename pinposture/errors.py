@@ -194,6 +194,31 @@ class URDFError(PostureError, ValueError):
         super().__init__(f"{source}: {element}: {reason}")
 
 
+class WeightUnknown(PostureError, ValueError):
+    """Torques that cannot be computed or judged, because masses or torque limits are not known.
+
+    Attributes:
+        what: what is not known, "mass" or "torque limit".
+        names: the links or joints of which it is not known.
+    """
+
+    def __init__(self, what: str, names: Iterable[str], remedy: str) -> None:
+        self.what = what
+        self.names = tuple(names)
+        self.remedy = remedy
+        owner = "link" if what == "mass" else "joint"
+        one = len(self.names) == 1
+        listed = enumerated([repr(name) for name in self.names], 6)
+        subject = (
+            f"the {what} of {owner} {listed} is" if one else f"the {_plural(what)} of {owner}s {listed} are"
+        )
+        super().__init__(f"{subject} not known; {remedy}")
+
+
+def _plural(word: str) -> str:
+    return f"{word}es" if word.endswith("s") else f"{word}s"
+
+
 class CurveError(PostureError, ValueError):
     """Points or parameters that do not describe a curve, or a curve far too long for the arm.
 

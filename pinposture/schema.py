@@ -215,6 +215,7 @@ def _joined(mistakes: Sequence[tuple[Place, Refusal]]) -> Refusal | Refusals:
 # Quantities: numbers in SI units, or text with a unit.
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_MASSES = {"kg": 1.0, "g": 1e-3, "t": 1e3}
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi}
 
 
@@ -233,6 +234,11 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "rate of change of turning": _per(_ANGLES, "s^2"),
         "jerk": _per(_LENGTHS, "s^3"),
         "jerk of turning": _per(_ANGLES, "s^3"),
+        "mass": _MASSES,
+        "mass per length": _per(_MASSES, "m"),
+        "moment of inertia": {"kgm^2": 1.0},
+        "torque": {"Nm": 1.0, "Ncm": 1e-2, "mNm": 1e-3, "kNm": 1e3},
+        "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
     }
 )
 """Units by kind of quantity, with their values in SI units."""

@@ -31,6 +31,7 @@ from hostile_inputs import a_target, an_arm
 
 import pinposture as pp
 from pinposture import kernels
+from pinposture.arm import Load, Weight
 from pinposture.schema import Declared
 from pinposture.task.reference import Reference
 
@@ -98,6 +99,19 @@ def examples() -> dict[str, Any]:
         "goal": (0.1, 0.03, 0.03),
         "direction": (1.0, 0.0, 0.0),
         "reach.budget": 0.5,
+        "density": 1200.0,
+        "masses": {},
+        "mass": 0.5,
+        "com": (0.01, 0.0, 0.02),
+        "frame": "module_02",
+        "inertia": (1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0),
+        "mass_per_length": 0.1,
+        "Arm.with_cable.start": "module_01",
+        "Arm.with_cable.end": 2,
+        "effort": 7.0,
+        "gravity": (0.0, 0.0, -9.81),
+        "weight": Weight(payloads=(Load(0.5),), effort=7.0),
+        "spec": arm.spec,
         "plan.budget": 0.5,
         "dq": np.full(6, 0.01),
         "previous": np.full(6, 0.01),
@@ -221,8 +235,8 @@ def examples() -> dict[str, Any]:
 
 
 SUBJECTS: dict[str, Callable[[], Any]] = {
-    "Arm": an_arm,
-    "ArmState": lambda: an_arm().at(np.full(6, 0.2)),
+    "Arm": lambda: an_arm().with_effort(7.0),
+    "ArmState": lambda: an_arm().with_effort(7.0).at(np.full(6, 0.2)),
     "CollisionModel": lambda: pp.CollisionModel(an_arm(), examples()["scene"]),
     "Curve": lambda: pp.Curve.spline(examples()["control_points"]),
     "EndEffector": lambda: pp.EndEffector(position=(0.1, 0.0, 0.1)),

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from sampling import examples
 
 import pinposture as pp
-from pinposture.arm import ArmSpec, FeedSpec
+from pinposture.arm import ArmSpec, Cable, FeedSpec, Load, Weight
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.schema import mistakes_of, place_in_words, read_as
 from pinposture.sim import DriveModel, Sensing, Servos
@@ -61,6 +61,9 @@ NEEDED: dict[type, dict[str, Any]] = {
     Withdrawal: {},
     FeedSpec: {"stroke": 0.3},
     ArmSpec: {"template": "RyRz", "modules": 3},
+    Load: {"mass": 0.5},
+    Cable: {"mass_per_length": 0.1},
+    Weight: {},
     pp.Sphere: {"center": (0.1, 0.2, 0.3), "radius": 0.1},
     pp.Capsule: {"start": (0.1, 0.2, 0.3), "end": (0.4, 0.5, 0.6), "radius": 0.1},
     pp.Box: {"center": (0.1, 0.2, 0.3), "size": (0.1, 0.2, 0.3)},
@@ -112,6 +115,9 @@ SHARED = [
     (Withdrawal, ("speed",)),
     (FeedSpec, ("stroke", "length", "speed")),
     (ArmSpec, ("joint_limits", "characteristic_length")),
+    (Load, ("mass", "com")),
+    (Cable, ("mass_per_length", "start", "end")),
+    (Weight, ("effort", "gravity", "density")),
     (pp.Sphere, ("center", "radius")),
     (pp.Capsule, ("start", "end", "radius")),
     (pp.Box, ("center", "size", "rotation")),
@@ -193,9 +199,9 @@ def test_obstacles_and_curves_are_given_with_units_in_calls_and_files() -> None:
     helix: Any = pp.Curve.helix
     assert helix("6 cm", "150 mm", 4, phase="90 deg") == pp.Curve.helix(0.06, 0.15, 4, phase=math.pi / 2)
     with pytest.raises(
-        InvalidValue, match=r"^radius is '6 kg', and 'kg' is not a known unit; allowed: .* m, cm, mm$"
+        InvalidValue, match=r"^radius is '6 lb', and 'lb' is not a known unit; allowed: .* m, cm, mm$"
     ):
-        helix("6 kg", 0.1, 4)
+        helix("6 lb", 0.1, 4)
 
 
 def test_the_mistakes_in_a_scene_file_are_told_together(tmp_path: Path) -> None:

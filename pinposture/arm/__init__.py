@@ -7,12 +7,14 @@ from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, continuum_section, template
+from pinposture.arm.weight import Cable, Load, Overload, Weight
 
 __all__ = [
     "TEMPLATES",
     "Arm",
     "ArmSpec",
     "ArmState",
+    "Cable",
     "ChainState",
     "ControlPoints",
     "Coupling",
@@ -21,9 +23,12 @@ __all__ = [
     "FeedSpec",
     "JointLimits",
     "JointSpec",
+    "Load",
     "ModuleTemplate",
+    "Overload",
     "PlacementSpec",
     "Violation",
+    "Weight",
     "bent_configuration",
     "continuum_section",
     "smooth_configuration",

@@ -66,8 +66,24 @@ from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.arm.weight import (
+    EFFORT_REMEDY,
+    NOTHING,
+    REMEDY,
+    TORQUE_ROUNDING,
+    Added,
+    Cable,
+    Load,
+    Overload,
+    Weight,
+    added_masses,
+    check_masses,
+    effort_limits,
+    links_without_mass,
+    weighted_model,
+)
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, warn_caller
+from pinposture.errors import InvalidValue, PostureError, WeightUnknown, warn_caller
 from pinposture.kernels.arrays import Screws
 from pinposture.schema import as_plain, read_plain
 from pinposture.storage import settled
@@ -100,9 +116,12 @@ class Arm(ConfigurationSpace):
         kinematics: the chain as arrays for kernels.
         frames: reads the control points from Pinocchio; None if the arm is too long for that.
         moved: 1 where a degree of freedom belongs to the chain, else 0, (nv,).
+        effort: largest torque or force along each degree of freedom, (nv,) [N m or N]; infinite where it is
+            not known. An effort of 0 in the description counts as unknown.
         characteristic_length: the sliding distance equivalent to one radian, where both are compared [m]:
             the mean module length, unless set by `with_characteristic_length`.
         joint_units: unit motion of each joint, (nv,): one radian, or `characteristic_length` metres.
+        weight: what is known of its weight beyond the description: payloads, cables, torque limits, gravity.
         cache: data that other packages derive from the arm, such as its collision models, keyed by class or
             function; neither copied nor pickled.
     """
@@ -116,6 +135,7 @@ class Arm(ConfigurationSpace):
         report: LoadReport | None = None,
         characteristic_length: float | None = None,
         spec: ArmSpec | None = None,
+        weight: Weight = NOTHING,
     ) -> None:
         super().__init__(model)
         self.control_points = tuple(control_points)
@@ -127,6 +147,13 @@ class Arm(ConfigurationSpace):
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self.chain: Chain = read_chain(model, self.control_points)
+        self.weight = weight
+        self._described = model
+        self.added: tuple[Added, ...] = added_masses(weight, model, self.chain, self.control_points, self.tip)
+        self._masses_checked = False
+        self._effort_checked = False
+        self.effort = _read_only(effort_limits(model, weight, self.drives))
+        self.model = model = weighted_model(model, weight, self.added)
         lower = self.limits.lower
         upper = self.limits.upper
         for u in np.flatnonzero(lower > upper):
@@ -322,6 +349,8 @@ class Arm(ConfigurationSpace):
             xacro_args=read_arguments(xacro_args) if kept else {},
             hard_limits=hard_limits,
         )
+        if isinstance(source, pin.Model) and source.gravity != loaded.model.gravity:
+            spec = replace(spec, weight=Weight(gravity=tuple(source.gravity.linear.tolist())))
         return cls._from_loaded(loaded, spec)
 
     @classmethod
@@ -331,7 +360,7 @@ class Arm(ConfigurationSpace):
         if loaded.base_placement is not None and spec.placement is None:
             spec = replace(spec, placement=PlacementSpec.of(loaded.base_placement))
         parts = (loaded.model, loaded.control_points, loaded.base_placement, loaded.text, loaded.report)
-        return cls(*parts, spec.characteristic_length, spec)
+        return cls(*parts, spec.characteristic_length, spec, spec.weight or NOTHING)
 
     @classmethod
     def from_model(
@@ -371,7 +400,10 @@ class Arm(ConfigurationSpace):
             described["spec"] = as_plain(self.spec)
             if isinstance(self.spec.urdf, str):  # the text is under "urdf" already
                 del described["spec"]["urdf"]
-        described["model"] = describe_model(self.model)
+        if self.weight != NOTHING:
+            described.get("spec", {}).pop("weight", None)
+            described["weight"] = as_plain(self.weight)
+        described["model"] = describe_model(self._described)
         return described
 
     @classmethod
@@ -387,8 +419,10 @@ class Arm(ConfigurationSpace):
             report = read_plain(LoadReport | None, described.get("report"), "report")
             urdf = described["urdf"]
             spec = described.get("spec")
+            weight = read_plain(Weight, described.get("weight", {}), "weight", folder=".")
             if spec is not None:
                 spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)
+                spec = replace(spec, weight=weight if "weight" in described else None)
             return cls(
                 model,
                 described["control_points"],
@@ -397,6 +431,7 @@ class Arm(ConfigurationSpace):
                 report,
                 described["characteristic_length"],
                 spec,
+                weight,
             )
         except PostureError:
             raise
@@ -761,8 +796,164 @@ class Arm(ConfigurationSpace):
         allowed = "a finite length above 0 [m]"
         unit = as_number("characteristic_length", characteristic_length, allowed, lambda x: x > 0.0)
         spec = None if self.spec is None else replace(self.spec, characteristic_length=unit)
-        parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
-        return Arm(*parts, unit, spec)
+        return self._made_again(spec, unit, self.weight)
+
+    def with_spec(self, spec: ArmSpec) -> Arm:
+        """Return the same arm with another specification of it, such as one without a file.
+
+        Raises:
+            InvalidValue: not an `ArmSpec`.
+        """
+        require_instance("spec", spec, ArmSpec, "an ArmSpec")
+        return self._made_again(spec, self.characteristic_length, self.weight)
+
+    def _made_again(self, spec: ArmSpec | None, unit: float, weight: Weight) -> Arm:
+        parts = (self._described, self.control_points, self.base_placement, self.urdf, self.report)
+        return Arm(*parts, unit, spec, weight)
+
+    def with_payload(
+        self,
+        mass: float,
+        com: ArrayLike = (0.0, 0.0, 0.0),
+        frame: str | None = None,
+        inertia: ArrayLike = (0.0,) * 6,
+    ) -> Arm:
+        """Return the same arm with a payload in addition to what it carries.
+
+        Args:
+            mass: mass of the payload [kg].
+            com: its centre of mass in the frame that carries it, (3,) [m].
+            frame: the link, control point or joint that carries it, by name; the tip of the arm if None.
+            inertia: its moments about the centre of mass, axes of the frame, xx, yy, zz, xy, xz, yz
+                [kg m^2]; zeros for a point. Only simulations use them.
+
+        Raises:
+            UnknownName: there is no such frame.
+            InvalidValue: an invalid number, or a frame that no joint moves.
+        """
+        load = Load(mass, com, frame, inertia)  # type: ignore[arg-type]
+        return self.with_weight(replace(self.weight, payloads=(*self.weight.payloads, load)))
+
+    def with_cable(self, mass_per_length: float, start: str | int | None = None, end: str | int = -1) -> Arm:
+        """Return the same arm with a mass that is distributed evenly along it, as of a cable or a sleeve.
+
+        Args:
+            mass_per_length: mass per length of arm [kg/m].
+            start: the control point at which it begins, by name or index, 0-based; the first joint if None.
+            end: the control point at which it ends.
+
+        Raises:
+            UnknownName: there is no such control point.
+            InvalidValue: an invalid number, or a cable that ends before it begins.
+        """
+        cable = Cable(mass_per_length, start, end)
+        return self.with_weight(replace(self.weight, cables=(*self.weight.cables, cable)))
+
+    def with_effort(self, effort: float | Mapping[str, float] | ArrayLike | None) -> Arm:
+        """Return the same arm with other torque limits.
+
+        Args:
+            effort: largest torque or force of each drive [N m or N]: one number; numbers by the name of the
+                joint; or one for each degree of freedom, (nv,). None: those of the description.
+
+        Raises:
+            UnknownName: there is no such joint.
+            InvalidValue: not positive numbers.
+        """
+        if np.ndim(effort) == 1 and not isinstance(effort, Mapping):  # type: ignore[arg-type]
+            listed = finite_vector("effort", effort, self.nv)  # type: ignore[arg-type]
+            effort = dict(zip(self.joint_names, listed.tolist(), strict=True))
+        return self.with_weight(replace(self.weight, effort=effort))  # type: ignore[arg-type]
+
+    def with_gravity(self, gravity: ArrayLike | None) -> Arm:
+        """Return the same arm in another gravity.
+
+        For an arm on a wall or a ceiling, give `base_placement` instead: gravity acts along -z of the world.
+
+        Args:
+            gravity: gravitational acceleration, world frame, (3,) [m/s^2]. None: that of the model.
+
+        Raises:
+            InvalidValue: not three finite numbers.
+        """
+        given = None if gravity is None else tuple(finite_vector("gravity", gravity, 3).tolist())
+        return self.with_weight(replace(self.weight, gravity=given))
+
+    def with_weight(self, weight: Weight) -> Arm:
+        """Return the same arm with another weight: all that is known of it beyond the description.
+
+        Raises:
+            InvalidValue: not a `Weight`, or as `with_payload` and `with_cable`.
+            UnknownName: a frame, control point or joint does not exist.
+        """
+        require_instance("weight", weight, Weight, "a Weight")
+        spec = None if self.spec is None else replace(self.spec, weight=weight)
+        return self._made_again(spec, self.characteristic_length, weight)
+
+    def require_masses(self) -> None:
+        """Check, once, that the masses of all links are known.
+
+        Numbers that cannot be right are reported as `PostureWarning`.
+
+        Raises:
+            WeightUnknown: a link that a joint moves has a shape or an extent, and no mass; names the links.
+            URDFError: an impossible number in the description; names the link.
+            InvalidValue: an impossible mass in a model; names the joint.
+        """
+        if self._masses_checked:
+            return
+        warnings = check_masses(self._described, self.urdf, self.chain.length)
+        if self.links_without_mass:
+            raise WeightUnknown("mass", self.links_without_mass, REMEDY)
+        for message in warnings:
+            warn_caller(message)
+        self._masses_checked = True
+
+    @cached_property
+    def links_without_mass(self) -> tuple[str, ...]:
+        """Links that joints move and whose masses are not known; joints where links have no names.
+
+        They have a shape or an extent, but no mass. `pp.weigh` gives them one.
+        """
+        described = (self._described, self.urdf, self.weight)
+        return tuple(links_without_mass(*described, self.chain, self.control_points))
+
+    def require_effort(self, warns: bool = True) -> None:
+        """Check that torque limits are known; a `PostureWarning` names, once, those that are not.
+
+        Args:
+            warns: whether it warns.
+
+        Raises:
+            WeightUnknown: no torque limit is known.
+        """
+        unknown = [self.joint_names[u] for u in np.flatnonzero(np.isinf(self.effort))]
+        if len(unknown) == self.nv:
+            raise WeightUnknown("torque limit", unknown, EFFORT_REMEDY)
+        if unknown and warns and not self._effort_checked:
+            warn_caller(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
+            self._effort_checked = True
+
+    def find_overload(self, q: ArrayLike) -> Overload | None:
+        """Return the joint that exceeds its torque limit most when the arm is held at a configuration.
+
+        Args:
+            q: configuration, (nq,).
+
+        Returns:
+            None if no joint exceeds it, or if masses or limits are not known: then nothing can be said.
+
+        Raises:
+            InvalidValue: q has the wrong size or is not finite.
+        """
+        state = self.at(q)
+        if not np.any(np.isfinite(self.effort)):
+            return None
+        try:
+            worst = state.most_loaded()
+        except WeightUnknown:
+            return None
+        return worst if worst.share > 1.0 + TORQUE_ROUNDING else None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Arm.from_dict, (self.to_dict(),)
@@ -913,6 +1104,56 @@ class ArmState(ABC):
             return self.jacobians
         return _read_only((self.arm.plane @ self.jacobians) * self.arm.joint_units)
 
+    @cached_property
+    def gravity_torques(self) -> Array:
+        """Torques and forces with which the motors hold the arm still, (nv,) [N m or N].
+
+        They balance gravity, payloads and cables included; forces where a joint slides. Of coupled joints it
+        is the torque along the leader, by virtual work; see `Arm.drives`.
+
+        Raises:
+            WeightUnknown: masses that are not known; names the links.
+            URDFError: an impossible mass or inertia in the description; names the link.
+        """
+        self.arm.require_masses()
+        return _read_only(self._gravity_torques())
+
+    @property
+    def torque_margin(self) -> Array:
+        """Torque or force that each motor has left at rest, (nv,) [N m or N]; negative if it has not enough.
+
+        The torque limit, `Arm.effort`, minus the size of the torque. It is infinite where no limit is known,
+        which a `PostureWarning` says once for each arm.
+
+        Raises:
+            WeightUnknown: as `gravity_torques`, or no torque limit is known at all.
+        """
+        self.arm.require_effort()
+        return _read_only(self.arm.effort - np.abs(self.gravity_torques))
+
+    def most_loaded(self) -> Overload:
+        """Return the joint with the largest torque in relation to its limit, at rest.
+
+        Raises:
+            WeightUnknown: as `gravity_torques`, or no torque limit is known.
+        """
+        arm = self.arm
+        arm.require_effort(warns=False)
+        torques = np.abs(self.gravity_torques)
+        worst = int((torques / arm.effort).argmax())
+        name = arm.joint_names[worst]
+        needed = float(torques[worst])
+        limit = float(arm.effort[worst])
+        for drive in arm.drives:
+            if drive.leader == name:
+                slides = not drive.turns
+                return Overload(drive.joint, needed / abs(drive.ratio), limit / abs(drive.ratio), slides)
+        return Overload(name, needed, limit, bool(arm.in_metres[worst]))
+
+    @abstractmethod
+    def _gravity_torques(self) -> Array:
+        """Return the torques that balance gravity, given that masses are known."""
+
     def manipulability(self) -> Array:
         """Return the manipulability indices of all sections, (4.3) and (4.4); computed once per state.
 
@@ -1000,6 +1241,10 @@ class PinocchioState(ArmState):
         kernels.carry_screws(frames.motions, chain.columns, units, chain.ends, frames.points, screws)
         return Screws(screws, chain.ends, frames.points)
 
+    @override
+    def _gravity_torques(self) -> Array:
+        return cast(FrameReader, self.arm.frames).gravity_torques(self._q)
+
 
 class ChainState(ArmState):
     """The arm at one configuration, computed by the compiled pass along the chain, for solvers.
@@ -1050,6 +1295,16 @@ class ChainState(ArmState):
             screws,
         )
         return Screws(screws, chain.ends, placed.points)
+
+    @override
+    def _gravity_torques(self) -> Array:
+        arm = self.arm
+        if len(arm.columns) == arm.nv:
+            return arm.kinematics.gravity_torques(self.raw_positions)
+        if arm.frames is None:
+            allowed = f"an arm of at most {MAX_PINOCCHIO_DOF} DOF, or one without moving joints off its chain"
+            raise InvalidValue("arm", arm, allowed)
+        return arm.frames.gravity_torques(self._q)
 
 
 def arm_of(state: object) -> Arm:

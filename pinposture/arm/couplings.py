@@ -219,6 +219,22 @@ def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
     return model
 
 
+def limit_leaders(model: pin.Model, described: pin.Model, drives: Iterable[Drive]) -> None:
+    """Set the torque limits of leaders that a drive stands behind, by virtual work; writes to the model.
+
+    Args:
+        model: the model of the arm.
+        described: the model of all joints of the description.
+        drives: the drives.
+    """
+    for drive in drives:
+        leader = model.joints[model.getJointId(drive.leader)].idx_v
+        limit = described.upperEffortLimit[described.joints[described.getJointId(drive.joint)].idx_v]
+        at_leader = limit * abs(drive.ratio) if limit < NO_LIMIT else NO_LIMIT
+        model.upperEffortLimit[leader] = at_leader
+        model.lowerEffortLimit[leader] = -at_leader
+
+
 def is_coupled(joint: pin.JointModel) -> bool:
     """Check whether a joint of a model follows another and has no degree of freedom of its own."""
     return bool(joint.shortname() == "JointModelMimic")

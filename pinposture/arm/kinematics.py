@@ -421,6 +421,10 @@ class FrameReader:
         aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         return np.array(pin.computeFrameJacobian(self._model, self._buffers()[0], q, frame, aligned))
 
+    def gravity_torques(self, q: Array) -> Array:
+        """Compute the torques and forces that balance gravity, (nv,) [N m or N]; a copy."""
+        return np.array(pin.computeGeneralizedGravity(self._model, self._buffers()[0], q))
+
     def read(self, q: Array) -> Frames:
         """Compute the frames at a configuration (nq,); the arrays are copies."""
         data, placed, positions, orientations = self._buffers()
@@ -512,6 +516,7 @@ class Kinematics:
             driven=np.argsort(numbers, kind="stable").astype(np.int64),
             starts=np.searchsorted(np.sort(numbers), np.arange(len(self.columns) + 1)).astype(np.int64),
         )
+        self._model = model
         self._chain = chain
         self._units = joint_units
 
@@ -537,6 +542,34 @@ class Kinematics:
         jacobians = np.zeros((len(self.ends), 3, len(self.endless)))
         kernels.jacobians(self.constants, forward.axes, forward.origins, forward.points, jacobians)
         return jacobians
+
+    def gravity_torques(self, positions: Array) -> Array:
+        """Compute the torques and forces that balance gravity at joint positions (nv,), (nv,) [N m or N].
+
+        The weight of joints off the chain is not counted.
+        """
+        chain, masses, gravity = self._weights
+        k = len(masses)
+        axes = np.empty((k, 3))
+        origins = np.empty((k, 3))
+        centers = np.empty((k, 3))
+        torques = np.zeros(len(self.endless))
+        kernels.placements(chain, positions, axes, origins, centers, np.empty((k, 3, 3)))
+        kernels.gravity_torques(chain, axes, origins, centers, masses, gravity, torques)
+        return torques
+
+    @cached_property
+    def _weights(self) -> tuple[ChainArrays, Array, Array]:
+        """The chain with centres of mass in place of control points, (k,) masses, and gravity, (3,)."""
+        bodies = [self._model.inertias[self._model.getJointId(name)] for name in self._chain.joints]
+        k = len(bodies)
+        chain = self.constants._replace(
+            ends=np.arange(1, k + 1, dtype=np.int64),
+            offsets=np.array([body.lever for body in bodies]),
+            turns=np.repeat(np.eye(3)[None], k, axis=0),
+        )
+        masses = np.array([body.mass for body in bodies])
+        return chain, masses, np.array(self._model.gravity.linear)
 
     @cached_property
     def task_constants(self) -> TaskConstants:

@@ -16,7 +16,14 @@ import pinocchio as pin
 
 from pinposture._validation import require_known, rigid_placement
 from pinposture.arm.configurations import NO_LIMIT, ConfigurationSpace
-from pinposture.arm.couplings import CoupledJoints, Drive, couple_joints, find_couplings, with_couplings
+from pinposture.arm.couplings import (
+    CoupledJoints,
+    Drive,
+    couple_joints,
+    find_couplings,
+    limit_leaders,
+    with_couplings,
+)
 from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.model_builder import build_model
@@ -126,10 +133,7 @@ def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedMo
     locks = _checked_locks(description, options.locked or {})
     coupled = _moving_joints(description, base, tip, locks)
     names = [joint.name for joint in coupled.moving]
-    model = build_model(description.text, description.source, _coupled_turns(coupled))
-    model = _lock_others(model, description, names, locks)
-    _set_limits(model, coupled.moving)
-    model = couple_joints(model, coupled)
+    model = _chain_model(description, coupled, locks)
     if placement is not None:
         place_base(model, placement)
     skeleton = read_skeleton(model, names, tip, *ConfigurationSpace(model).limits[:2])
@@ -151,6 +155,16 @@ def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedMo
     decided = (folders, tuple(warnings), segmentation, narrowed, tuple(coupled.drives))
     report = LoadReport(base, tip, *decided)
     return LoadedModel(model, points, placement, description.text, report)
+
+
+def _chain_model(description: Description, coupled: CoupledJoints, locks: Mapping[str, float]) -> pin.Model:
+    """Return the model of the moving joints of a chain, coupled and limited as described."""
+    whole = build_model(description.text, description.source, _coupled_turns(coupled))
+    model = _lock_others(whole, description, [joint.name for joint in coupled.moving], locks)
+    _set_limits(model, coupled.moving)
+    model = couple_joints(model, coupled)
+    limit_leaders(model, whole, coupled.drives)
+    return model
 
 
 def description_text(

@@ -18,6 +18,7 @@ from pinposture.arm.configurations import MOST_MOVING
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.template import JointSpec, ModuleTemplate, template
 from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.arm.weight import Weight
 from pinposture.errors import InvalidValue
 from pinposture.schema import (
     AnyLength,
@@ -221,6 +222,7 @@ class ArmSpec(Declared):
         hard_limits: whether soft limits are ignored, as in `Arm.load`.
         placement: placement of the base in the world; the origin if None.
         characteristic_length: sliding distance equivalent to one radian [m]; the mean module length if None.
+        weight: what it carries, its torque limits and gravity, where the description does not say.
     """
 
     template: Annotated[str, read_by(_read_template)] | None = None
@@ -247,6 +249,7 @@ class ArmSpec(Declared):
     hard_limits: Flag = False
     placement: Annotated[PlacementSpec | None, _of_fields(PlacementSpec)] = None
     characteristic_length: Length | None = None
+    weight: Annotated[Weight | None, _of_fields(Weight)] = None
 
     def __repr__(self) -> str:
         shown = []

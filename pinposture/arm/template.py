@@ -45,7 +45,7 @@ class JointSpec:
         lower: smallest position [rad], or [m] if prismatic; -inf if continuous.
         upper: largest position [rad], or [m] if prismatic; inf if continuous.
         velocity: largest speed [rad/s], or [m/s] if prismatic; the default is a placeholder.
-        effort: largest torque [N m], or force [N] if prismatic; the default is a placeholder.
+        effort: largest torque [N m], or force [N] if prismatic; 0 if it is not known.
         follows: index of an earlier joint of the module that this one follows, 0-based; it then has no degree
             of freedom of its own. None if it has one.
         ratio: its motion relative to that of the joint it follows.
@@ -60,7 +60,7 @@ class JointSpec:
     lower: float = -math.pi
     upper: float = math.pi
     velocity: float = 2.0
-    effort: float = 100.0
+    effort: float = 0.0
     follows: int | None = None
     ratio: float = 1.0
 
@@ -71,9 +71,10 @@ class JointSpec:
         elif self.axis not in _UNIT_VECTORS:
             raise InvalidValue("joint axis", self.axis, "'x', 'y', 'z' or three numbers")
         self._check_limits()
-        for name in ("velocity", "effort"):
-            value = _number(name, getattr(self, name), "a finite number above 0", lowest=math.ulp(0.0))
-            object.__setattr__(self, name, value)
+        velocity = _number("velocity", self.velocity, "a finite number above 0", lowest=math.ulp(0.0))
+        object.__setattr__(self, "velocity", velocity)
+        effort = _number("effort", self.effort, "a finite number, 0 or more", lowest=0.0)
+        object.__setattr__(self, "effort", effort)
         if self.follows is not None and (type(self.follows) is not int or self.follows < 0):
             raise InvalidValue("follows", self.follows, "the index of an earlier joint, or None")
         object.__setattr__(self, "ratio", _number("ratio", self.ratio, "a finite number"))

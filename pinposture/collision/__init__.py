@@ -6,6 +6,7 @@ from pinposture.collision.pipe import Bend, pipe, pipe_axis, pipe_walls
 from pinposture.collision.scan import Scan
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Sphere
+from pinposture.collision.weighing import weigh
 
 __all__ = [
     "Bend",
@@ -26,4 +27,5 @@ __all__ = [
     "pipe",
     "pipe_axis",
     "pipe_walls",
+    "weigh",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
@@ -60,7 +60,7 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
     stand_ins = _stand_ins(arm, radius)
     if arm_radius is not None or arm.urdf is None or "<collision" not in arm.urdf:
         return tuple(body for bodies in stand_ins.values() for body in bodies)
-    described, faults = _described_bodies(arm)
+    described, faults = described_bodies(arm)
     bodies = _merge_capsules(arm.model, described)
     lacking = list(dict.fromkeys(joint for _, joint, _ in faults))
     if not any(lacking) and not any(body.joint for body in described):  # geometry of the base alone
@@ -82,20 +82,31 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
     return tuple(sorted(bodies, key=lambda body: body.joint))
 
 
-def _described_bodies(arm: Arm) -> tuple[list[Body], list[Fault]]:
-    """Read the <collision> elements of the arm's links, in document order."""
+def described_bodies(
+    arm: Arm, tag: str = "collision", names: Collection[str] | None = None
+) -> tuple[list[Body], list[Fault]]:
+    """Read the shapes of an arm's links, in document order.
+
+    Args:
+        arm: the arm.
+        tag: "collision" or "visual".
+        names: the links; None: all.
+
+    Returns:
+        The bodies, and what cannot be read.
+    """
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     hulls: dict[str, Array | str] = {}
     bodies = []
     faults = []
     for link in parse_xml(arm.urdf or "", "URDF text").iterfind("link"):
         name = link.get("name", "")
-        if name not in links:
+        if name not in links or (names is not None and name not in names):
             continue
         frame = links[name]
-        for collision in link.iterfind("collision"):
+        for element in link.iterfind(tag):
             try:
-                shape = _read_shape(collision, frame.placement, hulls, arm.package_dirs)
+                shape = _read_shape(element, frame.placement, hulls, arm.package_dirs)
                 bodies.append(Body(name, int(frame.parentJoint), shape))
             except (FileError, InvalidValue) as error:
                 faults.append((name, int(frame.parentJoint), str(error)))

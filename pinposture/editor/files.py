@@ -275,16 +275,7 @@ def _with_same_arm(task: Task, current: Task, kept: Path) -> Task:
     if arm.urdf == other.urdf and specs[0] == specs[1]:
         return task.edited(arm=other)
     if arm.spec.urdf == settled(kept.with_suffix(".urdf")):
-        spec = replace(arm.spec, urdf=arm.urdf)
-        parts = (
-            arm.model,
-            arm.control_points,
-            arm.base_placement,
-            arm.urdf,
-            arm.report,
-            arm.characteristic_length,
-        )
-        return task.edited(arm=Arm(*parts, spec))
+        return task.edited(arm=arm.with_spec(replace(arm.spec, urdf=arm.urdf)))
     return task
 
 

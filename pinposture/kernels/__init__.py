@@ -38,7 +38,7 @@ _KERNELS = {
     "constrained_step": "minimise_with_rows",
     "continuous_collision": "smallest_distance_on_motions",
     "joint_response": "watch_joints",
-    "kinematics": "carry_screws jacobians joints_along motions_along placements trace_points",
+    "kinematics": "carry_screws gravity_torques jacobians joints_along motions_along placements trace_points",
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
     ),

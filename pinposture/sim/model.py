@@ -19,11 +19,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm
-from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.inertias import (
+    DEFAULT_MASS,
+    DEFAULT_RADIUS,
+    RigidBody,
+    physically_consistent,
+    read_inertials,
+)
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.mjcf import load_mujoco
 from pinposture.arm.model_builder import build_model
-from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
+from pinposture.arm.urdf_reader import load_text, text_for_pinocchio
+from pinposture.arm.weight import NOTHING, REMEDY, add_masses, effort_limits
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
 from pinposture.schema import CheckedBy, Declared, Flag, checked_number, declared, quantity
@@ -73,8 +80,8 @@ class Servos(Declared):
         frequency: natural frequency of the slowest vibration mode of the arm [Hz]. Under gravity, the tip of
             any arm sags by about 9.81 / (2 pi frequency)^2 [m]: 2.5 mm at 10 Hz.
         damping: damping ratio of that mode; 1 is critical. Faster modes are damped more.
-        torque_limits: True for the effort limits of the description, False for none, or one limit for all
-            joints [N m or N]. Arms from templates have a placeholder of 100.
+        torque_limits: True for the effort limits of the arm, False for none, or one limit for all joints
+            [N m or N]. The limits of arms from templates are unknown, and infinite here.
         gravity_compensation: whether to add the torques that balance gravity, from the model of the arm.
         speed_reference: whether damping acts on the velocity relative to that of the set point, as in drives
             that receive positions and velocities; otherwise it acts on the velocity itself, and the arm lags.
@@ -151,59 +158,10 @@ def torques_within_limits(
     return np.clip(torques * scale, lower, upper)
 
 
-GRAVITY = (0.0, 0.0, -9.81)  # for `gravity=True`, world frame [m/s^2]
 POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length, at least 1 m
 MAX_DEFLECTION = 0.01  # of a servo due to joint friction and damping at speed 1, in joint units
 N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass matrices
 MAX_LISTED = 6  # maximum number of links with the same fault in a warning
-
-# Solid ball at the joint that replaces a moving link without mass [kg], [m].
-DEFAULT_MASS = 1e-3
-DEFAULT_RADIUS = 1e-2
-MIN_RADIUS = 1e-4  # moments of inertia are at least those of a ball of the same mass with this radius [m]
-INERTIA_ROUNDING = 1e-3  # relative violation of physical consistency that is corrected without a warning
-
-
-# Attributes of the elements of <inertial>: number of values, their minimum, and a description.
-_INERTIAL = {
-    "mass": (("value",), 1, 0.0, "a finite number, 0 or more [kg]"),
-    "inertia": (("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, -np.finfo(np.float64).max, "a finite number"),
-    "origin": (("xyz", "rpy"), 3, -np.finfo(np.float64).max, "three finite numbers"),
-}
-
-
-class RigidBody(NamedTuple):
-    """Inertial parameters of a rigid body.
-
-    Attributes:
-        mass: mass [kg].
-        center: centre of mass in the frame of the body, (3,) [m].
-        inertia: inertia tensor about the centre of mass, axes of the body frame, (3, 3) [kg m^2].
-    """
-
-    mass: float
-    center: Array
-    inertia: Array
-
-
-def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:
-    """Return the nearest physically consistent inertial parameters, and the corrected fault, or "".
-
-    An inertia tensor I is physically consistent if the second moment of mass, trace(I) / 2 - I, is positive
-    semidefinite: then no principal moment exceeds the sum of the other two.
-    """
-    if body.mass <= 0.0:
-        ball = 0.4 * DEFAULT_MASS * DEFAULT_RADIUS**2 * np.eye(3)
-        return RigidBody(DEFAULT_MASS, np.zeros(3), ball), "no mass"
-    moments, axes = np.linalg.eigh(np.trace(body.inertia) / 2.0 * np.eye(3) - body.inertia)
-    # A moment below 1e-12 of the largest could become negative due to rounding error.
-    least = max(body.mass * MIN_RADIUS**2 / 5.0, 1e-12 * float(moments[2]))
-    if moments[0] >= least:
-        return body, ""
-    second = axes * np.maximum(moments, least) @ axes.T
-    rounded = moments[0] >= -INERTIA_ROUNDING * moments[2] and moments[1] > least
-    inertia = np.trace(second) * np.eye(3) - second
-    return RigidBody(body.mass, body.center, inertia), "" if rounded else "unphysical moments of inertia"
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +208,7 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     Args:
         arm: the arm, created from a URDF or from modules.
         servos: its servos; None: `Servos()`.
-        gravity: whether there is gravity, or its acceleration, (3,) [m/s^2], world frame.
+        gravity: whether there is gravity, that of the arm, or its acceleration, (3,) [m/s^2], world frame.
 
     Raises:
         InvalidValue: an arm from `Arm.from_model`, or invalid gravity.
@@ -261,10 +219,11 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     mujoco = load_mujoco()
     servos = Servos() if servos is None else servos
     if isinstance(gravity, (bool, np.bool_)):
-        acceleration = np.array(GRAVITY) if gravity else np.zeros(3)
+        acceleration = np.array(arm.model.gravity.linear) if gravity else np.zeros(3)
     else:
         acceleration = finite_vector("gravity", gravity, 3)
     complete, source = _complete_model(arm)
+    add_masses(complete, arm.added)
     bodies, corrections = _rigid_bodies(complete)
     if arm.couplings and np.any(complete.upperDryFrictionLimit > 0.0):
         corrections = (*corrections, "dry friction of joints is ignored, because joints are coupled")
@@ -278,16 +237,17 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     dofs = {name: int(model.joint(name).dofadr[0]) for name in list(complete.names)[1:]}
     rest = np.zeros(model.nv)
     effort = np.zeros(model.nv)
+    described = effort_limits(complete, NOTHING, ())
     for name, position in _held_positions(arm, complete, source).items():
         rest[dofs[name]] = position
     for joint in list(complete.joints)[1:]:
         dof = dofs[complete.names[joint.id]]
-        limit = float(complete.upperEffortLimit[joint.idx_v])
-        effort[dof] = limit if 0.0 < limit < NO_LIMIT else math.inf  # 0 stands for an unknown limit
+        effort[dof] = described[joint.idx_v]
         # Set here, because the type of these fields of MjSpec depends on the version of MuJoCo.
         model.dof_damping[dof] = complete.damping[joint.idx_v]
         model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]
     columns = np.array([dofs[name] for name in arm.joint_names], dtype=np.intp)
+    effort[columns] = arm.effort
     leading = np.ones(model.nv, dtype=np.bool_)
     coupling = np.eye(model.nv)
     for each in arm.couplings:
@@ -356,7 +316,7 @@ def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
         allowed = "an arm from a URDF or from modules; Arm.from_model provides no description to simulate"
         raise InvalidValue("arm", arm, allowed)
     text, source = load_text(arm.urdf)
-    _check_inertials(text, source)
+    read_inertials(text, source)
     model = build_model(text_for_pinocchio(text), source)
     fixed = [joint.id for joint in list(model.joints)[1:] if joint.nv != 1]
     if fixed:
@@ -365,29 +325,6 @@ def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
         if not model.existJointName(name):
             raise URDFError(source, f"joint {name!r}", "is not a moving joint of the robot description")
     return model, source
-
-
-def _check_inertials(text: str, source: str) -> None:
-    """Raise URDFError for an invalid number in <inertial>; Pinocchio accepts NaN and negative masses."""
-    for link in parse_xml(text, source).findall("link"):
-        inertial = link.find("inertial")
-        name = f"link {link.get('name')!r}"
-        if inertial is None:
-            continue
-        for tag, (attributes, size, least, allowed) in _INERTIAL.items():
-            part = inertial.find(tag)
-            if part is None and tag != "origin":
-                raise URDFError(source, name, f"<inertial> has no <{tag}>")
-            for attribute in attributes:
-                value = None if part is None else part.get(attribute)
-                if value is None and tag == "origin":  # zero
-                    continue
-                try:
-                    numbers = [float(piece) for piece in (value or "").split()]
-                except ValueError:
-                    numbers = []
-                if len(numbers) != size or not all(least <= number < np.inf for number in numbers):
-                    raise URDFError(source, name, f"<{tag}> {attribute} is {value!r}; allowed: {allowed}")
 
 
 def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
@@ -404,7 +341,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
             faults.setdefault(fault, []).append(links_after[name].name)
     ball = f"a ball of {1e3 * DEFAULT_MASS:g} g with a radius of {1e2 * DEFAULT_RADIUS:g} cm"
     correction = {
-        "no mass": f"taken as {ball}",
+        "no mass": f"taken as {ball}; {REMEDY}",
         "unphysical moments of inertia": "moments raised to the nearest physical ones",
     }
     messages = []

@@ -153,6 +153,7 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
             split=arm.report.segmentation.sizes,
             placement=spec.placement,
             characteristic_length=spec.characteristic_length,
+            weight=spec.weight,
         )
     source = spec.urdf
     folders = spec.package_dirs

@@ -79,7 +79,7 @@ def test_joints_are_locked_where_it_is_said(command, arm_file):
         (("m01_j1_y",), "--locked is 'm01_j1_y'; allowed: NAME=VALUE"),
         (("=0.5",), "NAME=VALUE"),
         (("m01_j1_y=up",), "--locked m01_j1_y is 'up'; allowed: a number in SI units"),
-        (("m01_j1_y=3 kg",), "'kg' is not a known unit"),
+        (("m01_j1_y=3 lb",), "'lb' is not a known unit"),
         (("m01_j1_y=0", "m01_j1_y=1"), "NAME=VALUE, each name once"),
         (("nobody=0",), "'nobody'"),
     ],

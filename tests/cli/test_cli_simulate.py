@@ -68,7 +68,7 @@ def test_exported_joints_are_simulated_with_the_arm_that_is_named(
 
 def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_file):
     weak = tmp_path / "weak.urdf"
-    weak.write_text(arm_file.read_text().replace('effort="100.0"', 'effort="0.01"'))
+    weak.write_text(arm_file.read_text().replace('effort="0.0"', 'effort="0.01"'))
     file = tmp_path / "joints.csv"
     pp.save(pp.load(timed_run / "run.npz", pp.Run).joint_trajectory(), file)
     result = command("simulate", file, "--urdf", weak, "--hold", 1)

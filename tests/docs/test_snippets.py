@@ -27,6 +27,7 @@ PAGES = (
         "your_own_module.md",
         "scenes.md",
         "reach.md",
+        "weight.md",
         "robot.md",
     ),
     "streaming.md",

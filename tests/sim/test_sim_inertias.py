@@ -7,7 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.sim.model import DEFAULT_MASS, INERTIA_ROUNDING, MIN_RADIUS, RigidBody, physically_consistent
+from pinposture.arm.inertias import (
+    DEFAULT_MASS,
+    INERTIA_ROUNDING,
+    MIN_RADIUS,
+    RigidBody,
+    physically_consistent,
+)
 
 SEEDS = st.integers(0, 10_000)
 

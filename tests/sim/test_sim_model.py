@@ -284,3 +284,45 @@ def test_stops_damping_friction_and_efforts_are_those_of_the_description():
 def test_a_gravity_that_is_none_is_refused(gravity):
     with pytest.raises(InvalidValue, match="gravity"):
         sim.build_plant_model(pendulum(), gravity=gravity)
+
+
+def test_what_an_arm_carries_is_simulated_and_equals_mujocos_own_model():
+    """MuJoCo reads the file by itself, and gets the payloads as bodies of their own."""
+    bare = arm_named("mixed")
+    arm = bare.with_payload(0.7, (0.05, -0.02, 0.03), "m02_l3", (2e-3, 2e-3, 3e-3, 0, 0, 0))
+    arm = arm.with_payload(0.4, frame="module_03").with_gravity((1.0, 2.0, -9.0)).with_effort(5.0)
+    spec = mujoco.MjSpec.from_string(bare.urdf)
+    spec.option.gravity = PLACED.rotation.T @ (1.0, 2.0, -9.0)
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT  # of contacts and joint limits
+    body = spec.body("m02_l3").add_body(explicitinertial=True, mass=0.7, ipos=(0.05, -0.02, 0.03))
+    body.fullinertia = [2e-3, 2e-3, 3e-3, 0, 0, 0]
+    ball = spec.body("m03_l3").add_body(explicitinertial=True, mass=0.4, ipos=(0.02, 0.0, 0.0))
+    ball.fullinertia = [1e-12, 1e-12, 1e-12, 0, 0, 0]
+    own = spec.compile()
+    data = mujoco.MjData(own)
+    plant = sim.build_plant_model(arm)
+    order = [own.joint(name).dofadr[0] for name in arm.joint_names]
+    still = np.zeros(arm.nv)
+    for seed in range(3):
+        q = arm.random(seed)
+        data.qpos[order] = arm.positions(q)
+        mujoco.mj_inverse(own, data)
+        held = arm.at(q).gravity_torques
+        np.testing.assert_allclose(held, data.qfrc_inverse[order], atol=1e-9)
+        np.testing.assert_allclose(held, forces(plant, arm.positions(q), still), atol=1e-9)
+    assert plant.gravity.tolist() == [1.0, 2.0, -9.0]
+    assert plant.torque_limits.tolist() == [5.0] * arm.nv
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_torques_of_foreign_robots_are_those_of_the_simulation(name):
+    """Pinocchio has the joints of the chain alone; the simulation holds the others."""
+    arm = quiet(ROBOTS / name, **FOREIGN[name])
+    plant = sim.build_plant_model(arm)
+    q = arm.random(1)
+    if arm.links_without_mass:
+        arm = pp.weigh(arm, masses=dict.fromkeys(arm.links_without_mass, 0.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)  # moments of inertia
+        held = arm.at(q).gravity_torques
+    np.testing.assert_allclose(held, forces(plant, arm.positions(q), np.zeros(arm.nv)), atol=1e-9)

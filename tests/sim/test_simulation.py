@@ -248,7 +248,8 @@ def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
 
 @pytest.mark.parametrize("limits", [True, False])
 def test_a_summary_is_json(limits):
-    ended = sim.simulate(four_modules(), ROWS, sim.Servos(torque_limits=limits), dt=DT, hold=0.0)
+    arm = four_modules().with_effort(100.0)
+    ended = sim.simulate(arm, ROWS, sim.Servos(torque_limits=limits), dt=DT, hold=0.0)
     told = json.loads(json.dumps(ended.summary(), allow_nan=False))
     assert told["largest_torque"]["limit"] == (100.0 if limits else None)
     assert told["largest_torque"]["value"] == pytest.approx(

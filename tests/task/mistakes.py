@@ -108,7 +108,7 @@ SCENE -> [scene]\nfile = "scene.toml"\nmargin = "5 mm"§\n :: scene.margin: ther
 type = "sphere"\n -> :: scene.obstacles.ball: the key 'type' is missing; allowed: @ [scene.obstacles.ball]
 radius = 0.1\n -> :: scene.obstacles.ball: the key 'radius' is missing @ [scene.obstacles.ball]
 radius = 0.1 -> radius = 0 :: scene.obstacles.ball.radius: is 0; allowed: a length
-radius = 0.1 -> radius = "1 kg" :: scene.obstacles.ball.radius: is '1 kg' | 'kg'
+radius = 0.1 -> radius = "1 lb" :: scene.obstacles.ball.radius: is '1 lb' | 'lb'
 [0.0, 0.0, "-50 cm"] -> [0, 0] :: scene.obstacles.ball.center: is [0, 0]
 SCENE -> [scene.obstacles]\nball = 3 :: scene.obstacles.ball: is 3; allowed: a table
 SCENE -> [scene]\nobstacles = [] :: scene.obstacles: is []; allowed: a table

@@ -1,0 +1,446 @@
+"""What an arm weighs and carries: payloads, cables, torque limits, and the direction of gravity.
+
+A model is made of a description, which gives the masses of links, and of a `Weight`, which adds to them:
+`weighted_model`. Torques of a posture are those of that model, and so is the simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, ValidationInfo, model_validator
+from typing_extensions import Self
+
+from pinposture._validation import is_whole, require_known
+from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.couplings import Drive, is_coupled
+from pinposture.arm.inertias import RigidBody, physically_consistent, read_inertials
+from pinposture.arm.kinematics import ON_AXIS, Chain, frame_ids, neutral_placements
+from pinposture.arm.manipulability import chosen_points
+from pinposture.arm.serialization import describe_model, rebuild_model
+from pinposture.arm.urdf_reader import load_text, parse_xml
+from pinposture.errors import InvalidValue, enumerated
+from pinposture.schema import (
+    Declared,
+    NotAllowed,
+    Position,
+    PositiveNumber,
+    Text,
+    check,
+    declared,
+    is_table,
+    quantities,
+    quantity,
+    read_bounded,
+    read_by,
+    read_within,
+)
+from pinposture.units import length_text
+
+Array = NDArray[np.float64]
+
+DISTANT_CENTER = 2.0
+"""Distance of a centre of mass from its joint beyond which it may be a mistake [arm lengths]."""
+REMEDY = "give masses with pp.weigh(arm, density=...), or in the <inertial> of the description"
+"""What to do about links without masses."""
+
+EFFORT_REMEDY = "give torque limits with arm.with_effort(...), or in the description"
+"""What to do about joints without torque limits."""
+
+
+def _read_list(value: object) -> object:
+    if not isinstance(value, list | tuple):
+        raise NotAllowed(value, "a list")
+    return value
+
+
+def _is_point(value: object) -> bool:
+    return isinstance(value, str) or is_whole(value)
+
+
+Listed = BeforeValidator(_read_list)
+ControlPoint = Annotated[str | int, check(_is_point, "the name or the index of a control point")]
+Mass = Annotated[float, quantity("mass", least=0.0)]
+_Moments = Annotated[tuple[float, ...], quantities("moment of inertia", 6)]
+_Effort = ("torque", "force")
+
+
+@declared()
+class Load(Declared):
+    """A rigid mass that is fixed to the arm.
+
+    Attributes:
+        mass: its mass [kg].
+        com: its centre of mass in the frame that carries it, x, y, z [m].
+        frame: the link, control point or joint that carries it, by name; the tip of the arm if None.
+        inertia: moments about the centre of mass, axes of the frame, xx, yy, zz, xy, xz, yz [kg m^2]; zeros
+            for a point.
+
+    Raises:
+        InvalidValue: a mass that is negative, or moments that no solid of this mass has.
+    """
+
+    mass: Mass
+    com: Position = (0.0, 0.0, 0.0)
+    frame: Text | None = None
+    inertia: _Moments = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _solid(self) -> Self:
+        moments = self.body().inertia
+        if not np.any(moments):
+            return self
+        least = float(np.linalg.eigvalsh(np.trace(moments) / 2.0 * np.eye(3) - moments)[0])
+        if self.mass == 0.0 or least < -1e-9 * float(np.abs(moments).max()):
+            allowed = "moments of a solid of this mass: none above the sum of the other two"
+            raise InvalidValue("inertia", self.inertia, allowed)
+        return self
+
+    def body(self) -> RigidBody:
+        """Return it as a rigid body."""
+        xx, yy, zz, xy, xz, yz = self.inertia
+        moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return RigidBody(self.mass, np.array(self.com), moments)
+
+
+@declared()
+class Cable(Declared):
+    """A mass that is distributed evenly along the arm: a cable, a hose, a sleeve.
+
+    It follows the straight lines between joints, and is cut where modules end.
+
+    Attributes:
+        mass_per_length: its mass per length of arm [kg/m].
+        start: the control point from which it runs, by name or index, 0-based; the first joint if None.
+        end: the control point at which it ends.
+    """
+
+    mass_per_length: Annotated[float, quantity("mass per length", least=0.0)]
+    start: ControlPoint | None = None
+    end: ControlPoint = -1
+
+
+def _read_effort(value: object, _: ValidationInfo) -> float | dict[str, float]:
+    if not is_table(value):
+        return read_bounded(value, _Effort, above=0.0)
+    if not all(isinstance(name, str) for name in value):  # type: ignore[attr-defined]
+        raise NotAllowed(value, "names of joints and their limits")
+    listed: Mapping[str, object] = value  # type: ignore[assignment]
+    return {name: read_within(name, read_bounded, each, _Effort, 0.0) for name, each in listed.items()}
+
+
+@declared()
+class Weight(Declared):
+    """What is known of the weight of an arm beyond its description.
+
+    Attributes:
+        masses: masses of links to which the description gives none.
+        payloads: what the arm carries.
+        cables: masses that are distributed along the arm.
+        density: density of the shapes from which `masses` were computed [kg/m^3]; None: from none.
+        effort: largest torque or force of each drive [N m or N]: one number, or numbers by name of the joint;
+            that of the description if None.
+        gravity: gravitational acceleration, world frame, (3,) [m/s^2]; that of the model if None, usually
+            9.81 along -z.
+    """
+
+    masses: Annotated[tuple[Load, ...], Listed] = ()
+    payloads: Annotated[tuple[Load, ...], Listed] = ()
+    cables: Annotated[tuple[Cable, ...], Listed] = ()
+    density: PositiveNumber | None = None
+    effort: Annotated[float | dict[str, float], read_by(_read_effort)] | None = None
+    gravity: Annotated[tuple[float, ...], quantities("acceleration", 3)] | None = None
+
+
+NOTHING = Weight()
+"""Nothing is known beyond the description."""
+
+
+class Added(NamedTuple):
+    """A mass fixed to a link, or where no link is named to the body that a joint moves."""
+
+    link: str | None
+    joint: str
+    placement: pin.SE3  # in the frame of the joint, of the frame to which the inertia refers
+    inertia: pin.Inertia
+
+
+def added_masses(
+    weight: Weight, model: pin.Model, chain: Chain, control_points: Sequence[str], tip: str
+) -> tuple[Added, ...]:
+    """Return the masses that a weight adds to a model.
+
+    Args:
+        weight: the weight.
+        model: the model of the arm.
+        chain: its chain.
+        control_points: names of its control points.
+        tip: name of the frame of loads that name none.
+
+    Raises:
+        UnknownName: a frame or a control point does not exist.
+        InvalidValue: a frame that no joint moves, or a cable without length.
+    """
+    added = []
+    for load in (*weight.masses, *weight.payloads):
+        name = tip if load.frame is None else load.frame
+        frame = find_frame(model, name)
+        if frame.parentJoint == 0:
+            raise InvalidValue("frame", name, "a frame that a joint of the arm moves")
+        link = name if frame.type == pin.FrameType.BODY else None
+        joint = str(model.names[frame.parentJoint])
+        added.append(Added(link, joint, frame.placement, spatial_inertia(load.body())))
+    for cable in weight.cables:
+        added.extend(_along_chain(cable, model, chain, control_points))
+    return tuple(added)
+
+
+def find_frame(model: pin.Model, name: str) -> pin.Frame:
+    """Return a frame of a model by name; of a joint, even if the model lists no frames of joints.
+
+    Raises:
+        UnknownName: there is no such frame.
+    """
+    if not model.existFrame(name) and model.existJointName(name):
+        return pin.Frame(name, model.getJointId(name), pin.SE3.Identity(), pin.FrameType.JOINT)
+    return model.frames[frame_ids(model, [name])[0]]
+
+
+def spatial_inertia(body: RigidBody) -> pin.Inertia:
+    """Return the inertia of a body as Pinocchio's, unchecked."""
+    inertia = pin.Inertia.Zero()  # the constructor would refuse unphysical ones
+    inertia.mass = body.mass
+    inertia.lever = body.center
+    inertia.inertia = body.inertia
+    return inertia
+
+
+def _along_chain(cable: Cable, model: pin.Model, chain: Chain, control_points: Sequence[str]) -> list[Added]:
+    """Return the rods of a cable: from each joint to the next, by the control point where a module ends."""
+    (last,) = chosen_points(control_points, [cable.end])
+    stop = chain.module_slices[last].stop
+    start = 0
+    if cable.start is not None:
+        (first,) = chosen_points(control_points, [cable.start])
+        start = chain.module_slices[first].stop - 1
+        if last <= first:
+            raise InvalidValue("cable", cable, "an end farther along the arm than its start")
+    ends = {part.stop - 1: k for k, part in enumerate(chain.module_slices)}
+    placements = neutral_placements(model)
+    added = []
+    for u in range(start, stop):
+        nodes = [] if u == start and cable.start is not None else [chain.origins[u]]
+        if u in ends:
+            nodes.append(chain.points[ends[u]])
+        if u + 1 < stop:
+            nodes.append(chain.origins[u + 1])
+        joint = model.getJointId(chain.joints[u])
+        for one, other in pairwise(placements[joint].actInv(node) for node in nodes):
+            rod = spatial_inertia(rod_body(cable.mass_per_length, one, other))
+            added.append(Added(None, chain.joints[u], pin.SE3.Identity(), rod))
+    return added
+
+
+def rod_body(mass_per_length: float, start: Array, end: Array) -> RigidBody:
+    """Return a thin rod between two points, (3,) [m], of a mass per length [kg/m]."""
+    along = end - start
+    length = float(np.linalg.norm(along))
+    mass = mass_per_length * length
+    moments = mass / 12.0 * (length**2 * np.eye(3) - np.outer(along, along))
+    return RigidBody(mass, (start + end) / 2.0, moments)
+
+
+def weighted_model(model: pin.Model, weight: Weight, added: Sequence[Added]) -> pin.Model:
+    """Return a model with a weight; the same model if it adds nothing."""
+    if not added and weight.gravity is None:
+        return model
+    made = rebuild_model(describe_model(model))
+    add_masses(made, added)
+    if weight.gravity is not None:
+        made.gravity = pin.Motion(np.array(weight.gravity), np.zeros(3))
+    return made
+
+
+def add_masses(model: pin.Model, added: Sequence[Added]) -> None:
+    """Add masses to a model of the same arm, whichever of its joints are locked; writes to the model."""
+    links = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
+    for each in added:
+        joint = model.getJointId(each.joint)
+        placement = each.placement
+        if each.link in links:
+            joint = links[each.link].parentJoint
+            placement = links[each.link].placement
+        model.inertias[joint] = model.inertias[joint] + placement.act(each.inertia)
+
+
+# Torque limits.
+
+
+def effort_limits(model: pin.Model, weight: Weight, drives: Sequence[Drive]) -> Array:
+    """Return the largest torque or force along each degree of freedom, (nv,) [N m or N]; infinite if unknown.
+
+    Where a drive moves coupled joints, its limit is that of the leader of the arm, by virtual work.
+
+    Raises:
+        UnknownName: a joint does not exist.
+    """
+    limits = np.minimum(np.asarray(model.upperEffortLimit), -np.asarray(model.lowerEffortLimit))
+    limits = np.where((limits > 0.0) & (limits < NO_LIMIT), limits, np.inf)
+    if weight.effort is None:
+        return limits
+    names = [str(name) for name in list(model.names)[1:]]
+    columns = {
+        name: model.joints[k].idx_v for k, name in enumerate(names, 1) if not is_coupled(model.joints[k])
+    }
+    shares = {name: (column, 1.0) for name, column in columns.items()}
+    driven = {each.joint: (columns[each.leader], abs(each.ratio)) for each in drives}
+    if not isinstance(weight.effort, dict):
+        at_drives = dict.fromkeys(columns.values(), weight.effort)
+        at_drives |= {column: weight.effort * ratio for column, ratio in driven.values()}
+        for column, limit in at_drives.items():
+            limits[column] = limit
+        return limits
+    for name, limit in weight.effort.items():
+        require_known("moving joint", name, shares | driven)
+        column, ratio = (shares | driven)[name]
+        limits[column] = limit * ratio
+    return limits
+
+
+# What is not known, and what is impossible.
+
+
+def links_without_mass(
+    model: pin.Model, urdf: str | None, weight: Weight, chain: Chain, control_points: Sequence[str]
+) -> list[str]:
+    """Return the links that joints move and whose masses are not known; joints where links have no names.
+
+    A link without mass is a mere frame if it has no shape, and is fixed to one with mass or between joints at
+    one place.
+
+    Args:
+        model: the model of the description alone.
+        urdf: the description; None if there is only the model.
+        weight: what is known beyond it.
+        chain: the chain of the arm.
+        control_points: names of its control points.
+
+    Raises:
+        URDFError: an impossible number in the description; names the link.
+    """
+    known = {load.frame for load in weight.masses}
+    carried = carried_links(model)
+    lacking: list[str] = []
+    if urdf is not None:
+        text, source = load_text(urdf)
+        massive = {name for name, body in read_inertials(text, source).items() if body.mass > 0.0}
+        moved = {link for links in carried.values() for link in links}
+        lacking = [name for name in shaped_links(text) if name in moved - massive - known]
+    for joint in _extended(model, chain, control_points):
+        names = carried.get(joint, []) or [str(model.names[joint])]
+        if model.inertias[joint].mass <= 0.0 and not known & {*names} and not {*lacking} & {*names}:
+            lacking.append(names[0])
+    return lacking
+
+
+def carried_links(model: pin.Model) -> dict[int, list[str]]:
+    """Return the names of the links that each joint carries, by its index."""
+    carried: dict[int, list[str]] = {}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint:
+            carried.setdefault(int(frame.parentJoint), []).append(str(frame.name))
+    return carried
+
+
+def check_masses(model: pin.Model, urdf: str | None, length: float) -> list[str]:
+    """Return warnings about moments of inertia that no solid has, and centres of mass that are far away.
+
+    Args:
+        model: the model of the description alone.
+        urdf: the description; None if there is only the model.
+        length: length of the arm [m].
+
+    Raises:
+        URDFError: an impossible number in the description; names the link.
+        InvalidValue: an impossible mass in a model; names the joint.
+    """
+    if urdf is not None:
+        moved = {link for links in carried_links(model).values() for link in links}
+        bodies = {name: body for name, body in read_inertials(*load_text(urdf)).items() if name in moved}
+    else:
+        bodies = {}
+        for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+            body = RigidBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
+            if not 0.0 <= body.mass < np.inf or not np.all(np.isfinite(body.center)):
+                given = body.mass, *body.center.tolist()
+                allowed = "a finite mass, 0 or more [kg], and a finite centre of mass"
+                raise InvalidValue(f"inertia of joint {str(name)!r}", given, allowed)
+            bodies[str(name)] = body
+    warnings = []
+    solid = {name: physically_consistent(body)[1] for name, body in bodies.items() if body.mass > 0.0}
+    unphysical = [repr(name) for name, fault in solid.items() if fault]
+    if unphysical:
+        no = f"no solid has the moments of inertia of {enumerated(unphysical, 6)}"
+        warnings.append(f"{no}; torques at rest do not depend on them")
+    for name, body in bodies.items():
+        away = float(np.linalg.norm(body.center))
+        if body.mass > 0.0 and away > DISTANT_CENTER * length:
+            where = f"{length_text(away)} from its frame, {away / length:.3g} times the length of the arm"
+            warnings.append(f"the centre of mass of {name!r} is {where}; is it in millimetres, not metres?")
+    return warnings
+
+
+def shaped_links(text: str) -> list[str]:
+    """Return the names of the links of a URDF that have shapes."""
+    links = parse_xml(text, "URDF text").iterfind("link")
+    return [
+        link.get("name", "")
+        for link in links
+        if link.find("visual") is not None or link.find("collision") is not None
+    ]
+
+
+def _extended(model: pin.Model, chain: Chain, control_points: Sequence[str]) -> list[int]:
+    """Return the joints that carry bodies with an extent: to another joint, or to a control point."""
+    ends = [(model.parents[joint], model.jointPlacements[joint]) for joint in range(1, model.njoints)]
+    for index in frame_ids(model, control_points):
+        frame = model.frames[index]
+        ends.append((frame.parentJoint, frame.placement))
+    least = ON_AXIS * chain.length
+    return sorted({int(joint) for joint, end in ends if joint and np.linalg.norm(end.translation) > least})
+
+
+# Torques beyond their limits.
+
+TORQUE_ROUNDING = 1e-9
+"""Relative excess over a torque limit that is attributed to rounding."""
+
+
+class Overload(NamedTuple):
+    """A joint that needs more torque, or force, than its drive has.
+
+    Attributes:
+        joint: its name; of coupled joints, that of the one that is driven.
+        needed: the torque that holds the arm [N m or N].
+        limit: the largest that its drive has [N m or N].
+        slides: whether it slides.
+    """
+
+    joint: str
+    needed: float
+    limit: float
+    slides: bool
+
+    @property
+    def share(self) -> float:
+        """The torque in relation to its limit."""
+        return self.needed / self.limit
+
+    def __str__(self) -> str:
+        unit = "N" if self.slides else "N m"
+        return f"joint {self.joint!r} needs {self.needed:.4g} of {self.limit:.4g} {unit}"
