@@ -43,7 +43,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 187,  # 170
-    "definitions": 3968,
+    "definitions": 3977,
     "constants": 1196,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
@@ -60,12 +60,12 @@ CEILINGS = {
     "files of a step": 25,  # 12
     "files of a task": 79,  # 40
     "files of a drag": 42,  # 15
-    "calls of the first step": 360,  # 140
+    "calls of the first step": 336,  # 140
     "switches between files of the first step": 167,  # 90
-    "calls of the second step": 143,  # 50
-    "calls of the second step in a scene": 245,  # 80
+    "calls of the second step": 70,  # 50
+    "calls of the second step in a scene": 235,  # 80
     "calls of Task.load": 2461,  # 2500
-    "calls of a cycle of perform": 439,  # 80
+    "calls of a cycle of perform": 430,  # 80
 }
 """The most that there may be of each."""
 

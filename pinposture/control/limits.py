@@ -83,6 +83,11 @@ class JointBounds(NamedTuple):
         """The limits of a step, for kernels."""
         return LimitArrays(self.units, self.slack, self.edges, self.bound)
 
+    @property
+    def braking(self) -> Array:
+        """`brake` for kernels, empty without a limit."""
+        return _NO_BOUND if self.brake is None else self.brake
+
 
 def joint_bounds(
     arm: Arm,
@@ -513,14 +518,13 @@ class Limits(Declared):
         arm = arm_of(state)
         bounds = self.for_arm(arm)
         positions = state.raw_positions
-        before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
+        before = previous_step(arm, bounds, previous)
         sides = np.empty((2, arm.nv))
-        brake = _NO_BOUND if bounds.brake is None else bounds.brake
         found = kernels.step_box(
             positions,
             bounds.edges,
             bounds.bound,
-            brake,
+            bounds.braking,
             before,
             LIMIT_ROUNDING,
             arm.kinematics.columns,
@@ -530,7 +534,7 @@ class Limits(Declared):
         relaxed: tuple[str, ...] = ()
         if found % 2:
             relaxed = violated_limits(
-                arm, positions, bounds.edges, bounds.bound, brake, before, LIMIT_ROUNDING
+                arm, positions, bounds.edges, bounds.bound, bounds.braking, before, LIMIT_ROUNDING
             )
         return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
@@ -551,12 +555,11 @@ class Limits(Declared):
         arm = arm_of(state)
         bounds = self.for_arm(arm)
         dq = finite_vector("dq", dq, arm.nv, LARGEST_NUMBER)
-        before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
-        brake = _NO_BOUND if bounds.brake is None else bounds.brake
+        before = previous_step(arm, bounds, previous)
         cut = np.empty(arm.nv)
         clipped = np.empty(arm.nv, dtype=np.bool_)
         scale = kernels.shorten_step(
-            dq, state.raw_positions, bounds.edges, bounds.bound, brake, before, cut, clipped
+            dq, state.raw_positions, bounds.edges, bounds.bound, bounds.braking, before, cut, clipped
         )
         return LimitedStep(cut, scale, clipped)
 
@@ -749,6 +752,11 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
     if in_degrees:
         text += "; is it in degrees?"
     warn_caller(text)
+
+
+def previous_step(arm: Arm, bounds: JointBounds, previous: Array | None) -> Array:
+    """Return the previous step for kernels, (nv,) [rad or m]; empty where it does not matter."""
+    return _NO_BOUND if bounds.brake is None else _previous(arm, previous)
 
 
 def _previous(arm: Arm, previous: Array | None) -> Array:

@@ -44,8 +44,9 @@ _KERNELS = {
     ),
     "modules": "module_crossings module_faces module_forward module_inverse neighbours place_modules",
     "path_following": (
-        "advance find_speed_profile joint_distance look_ahead next_path_speed position_excess shorten_step "
-        "spline_slopes step_along step_box step_to stoppable_steps sum_point_errors"
+        "advance find_speed_profile joint_distance look_ahead next_path_speed "
+        "path_offset position_excess shorten_step smooth_offsets spline_slopes step_along step_box "
+        "step_on_profile step_to stoppable_steps sum_point_errors"
     ),
     "path_relaxation": "find_direct_waypoints refine_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",

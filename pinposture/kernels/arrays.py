@@ -215,6 +215,50 @@ class NextSteps(NamedTuple):
     at_limit: Flags2
 
 
+class TimedPathArrays(NamedTuple):
+    """A path of nv joints through N + 1 waypoints, and the highest speed along it.
+
+    Attributes:
+        offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m].
+        slopes: change of it per waypoint, (N + 1, nv).
+        start: joint positions at the start, (nv,) [rad or m].
+        top: the highest speed at equidistant places, (K + 1,) [waypoints per step]; empty without a profile.
+        a: slopes of the K parts in between, (K, 3, nv); see `find_speed_profile`.
+        b: their bends, likewise.
+        brake: largest change between steps along the path, (nv,); may be infinite.
+        most: largest number of waypoints of one step; may be infinite.
+        small: slope that counts as zero, relative to the largest.
+    """
+
+    offsets: Array2
+    slopes: Array2
+    start: Array1
+    top: Array1
+    a: Array3
+    b: Array3
+    brake: Array1
+    most: float
+    small: float
+
+
+class PathMotion(NamedTuple):
+    """How an arm moves along a path.
+
+    Attributes:
+        place: the place on the path, in waypoints.
+        speed: number of waypoints in the previous step.
+        expected: joint positions expected there, (nv,) [rad or m].
+        previous: the previous step, (nv,) [rad or m]; empty: it does not matter, as there is no `brake`.
+        brake: largest change of a step, (nv,) [rad or m]; empty: no limit.
+    """
+
+    place: float
+    speed: float
+    expected: Array1
+    previous: Array1
+    brake: Array1
+
+
 class PointObjective(NamedTuple):
     """A weighted least-squares objective of points along a chain, and of chords between successive points.
 

@@ -13,14 +13,19 @@ from pinposture.kernels.arrays import (
     Ints1,
     LimitArrays,
     NextSteps,
+    PathMotion,
     PathTolerances,
     PointGoals,
     StepArrays,
+    TimedPathArrays,
 )
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 
 STEP_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
+
+CATCH_UP_SHARE = 0.25
+"""Share of the acceleration limit that is used to make up a lag."""
 
 MAX_BRAKING_STEPS = 1e60
 """Number of braking steps that stands for infinitely many: a joint without position limits."""
@@ -442,6 +447,56 @@ def position_excess(positions: Array1, edges: Array2, columns: Ints1) -> float:
 
 
 @compiled
+def path_offset(
+    offsets: Array2, start: Array1, positions: Array1, endless: Flags1, place: float, filled: Array1
+) -> None:
+    """Compute the displacement of joints from the start of a path, with the full turns of a place near them.
+
+    Args:
+        offsets: displacements of waypoints from the start, (N + 1, nv), joined by straight lines.
+        start: joint positions at the start, (nv,).
+        positions: current joint positions, (nv,).
+        endless: which joints are periodic, (nv,).
+        place: the place, in waypoints.
+        filled: filled with the displacement, (nv,).
+    """
+    i = min(int(place), len(offsets) - 2)
+    share = place - i
+    for u in range(len(positions)):
+        gone = positions[u] - start[u]
+        if endless[u]:
+            here = (1.0 - share) * offsets[i, u] + share * offsets[i + 1, u]
+            gone += 2.0 * np.pi * np.round((here - gone) / (2.0 * np.pi))
+        filled[u] = gone
+
+
+@subkernel
+def _smooth_offset(offsets: Array2, slopes: Array2, place: float, filled: Array1) -> None:
+    """Compute `smooth_offsets` for one place; fills (nv,)."""
+    i = min(int(place), len(offsets) - 2)
+    t = place - i
+    before = (1.0 + 2.0 * t) * (1.0 - t) ** 2
+    after = t * t * (3.0 - 2.0 * t)
+    for u in range(len(filled)):
+        here = before * offsets[i, u] + after * offsets[i + 1, u]
+        filled[u] = here + t * (1.0 - t) * ((1.0 - t) * slopes[i, u] - t * slopes[i + 1, u])
+
+
+@compiled
+def smooth_offsets(offsets: Array2, slopes: Array2, places: Array1, filled: Array2) -> None:
+    """Compute displacements from the start on the cubic spline through waypoints.
+
+    Args:
+        offsets: displacement of each waypoint from the start, (N + 1, nv).
+        slopes: change of it per waypoint, (N + 1, nv).
+        places: the places, in waypoints, (k,).
+        filled: filled with the displacement at each, (k, nv).
+    """
+    for i in range(len(places)):
+        _smooth_offset(offsets, slopes, places[i], filled[i])
+
+
+@compiled
 def step_along(
     offsets: Array2,
     start: Array1,
@@ -474,27 +529,23 @@ def step_along(
     """
     n = len(columns)
     last = len(offsets) - 1
-    offset = np.empty(n)
+    offset = np.empty(len(positions))
+    path_offset(offsets, start, positions, endless, place, offset)
     begin = np.empty(n)
     left = 0.0
     i = min(int(place), last - 1)
     share = place - i
     for k in range(n):
         u = columns[k]
-        here = (1.0 - share) * offsets[i, u] + share * offsets[i + 1, u]
-        gone = positions[u] - start[u]
-        if endless[u]:
-            gone += 2.0 * np.pi * np.round((here - gone) / (2.0 * np.pi))
-        offset[k] = gone
-        begin[k] = here - gone
-        left = max(left, abs(offsets[last, u] - gone) / units[k])
+        begin[k] = (1.0 - share) * offsets[i, u] + share * offsets[i + 1, u] - offset[u]
+        left = max(left, abs(offsets[last, u] - offset[u]) / units[k])
     while place < last:
         i = min(int(place), last - 1)
         reach = 1.0
         for k in range(n):
             u = columns[k]
             bound = min(max(abs(limits[0, u]), abs(limits[1, u])), max_motion * units[k])
-            motion = offsets[i + 1, u] - offset[k] - begin[k]
+            motion = offsets[i + 1, u] - offset[u] - begin[k]
             if abs(begin[k]) > bound:
                 reach = 0.0
             elif motion > 0.0:
@@ -503,7 +554,8 @@ def step_along(
                 reach = min(reach, (bound + begin[k]) / -motion)
         place = i + 1.0 if reach >= 1.0 else place + reach * (i + 1.0 - place)
         for k in range(n):
-            begin[k] += min(reach, 1.0) * (offsets[i + 1, columns[k]] - offset[k] - begin[k])
+            u = columns[k]
+            begin[k] += min(reach, 1.0) * (offsets[i + 1, u] - offset[u] - begin[k])
         if reach < 1.0:
             break
     inside = True
@@ -514,6 +566,72 @@ def step_along(
         fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
         inside = inside and fits and abs(begin[k]) <= max_motion * units[k]
     return place, left, inside
+
+
+@compiled
+def step_on_profile(
+    path: TimedPathArrays,
+    columns: Ints1,
+    units: Array1,
+    bound: Array1,
+    brake: Array1,
+    limits: Array2,
+    tolerances: PathTolerances,
+    place: float,
+    speed: float,
+    lag: Array1,
+    dq: Array1,
+) -> tuple[float, bool, bool]:
+    """Compute the next step along a path with a speed profile, which also makes up a lag behind it.
+
+    Args:
+        path: the path.
+        columns: the joints that move on the path, (n,).
+        units: unit of motion of each of them, (n,).
+        bound: largest step of each joint, (nv,).
+        brake: largest change between steps, (nv,); empty for no limit.
+        limits: smallest and largest step, (2, nv).
+        tolerances: tolerances of the path.
+        place: the place on the path, in waypoints.
+        speed: number of waypoints in the previous step.
+        lag: displacement of the place from the joints, (nv,).
+        dq: filled with the step, (nv,).
+
+    Returns:
+        The place at its end; whether that is less far than the profile allows; and whether the step is within
+        the limits.
+    """
+    end = len(path.offsets) - 1.0
+    rate = next_path_speed(
+        place, speed, path.small, path.most, path.brake, path.a, path.b, path.top, len(path.offsets) - 1
+    )
+    wanted = min(rate, end - place)
+    here = np.empty(len(dq))
+    _smooth_offset(path.offsets, path.slopes, place, here)
+    _smooth_offset(path.offsets, path.slopes, place + wanted, dq)
+    # The share of the motion ahead that all joints can make while they catch up.
+    share = 1.0
+    for k in range(len(columns)):
+        u = columns[k]
+        onward = dq[u] - here[u]
+        gap = bound[u] + lag[u] if onward < 0.0 else bound[u] - lag[u]
+        share = min(share, 0.0 if abs(lag[u]) > bound[u] else gap / max(abs(onward), 1e-100))
+    hindered = share < 1.0 or place >= end
+    place += share * wanted
+    if place > end - tolerances.arrived:
+        place = end
+    _smooth_offset(path.offsets, path.slopes, place, dq)
+    for u in range(len(dq)):
+        # The lag is made up no faster than the arm can stop, or it would oscillate about its path.
+        caught = _stoppable_step(lag[u], CATCH_UP_SHARE * brake[u]) if len(brake) else lag[u]
+        dq[u] = dq[u] - here[u] + caught
+    inside = True
+    for k in range(len(columns)):
+        u = columns[k]
+        slack = STEP_ROUNDING * units[k]
+        fits = limits[0, u] - slack <= dq[u] <= limits[1, u] + slack
+        inside = inside and fits and abs(dq[u]) <= tolerances.max_motion * units[k]
+    return place, hindered, inside
 
 
 @compiled
@@ -588,15 +706,13 @@ def advance(
     limits: LimitArrays,
     positions: Array1,
     points: Array2,
-    offsets: Array2,
-    start: Array1,
-    place: float,
-    expected: Array1,
+    path: TimedPathArrays,
+    motion: PathMotion,
     tolerances: PathTolerances,
     goals: PointGoals,
     found: NextSteps,
 ) -> int:
-    """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` for consecutive simple steps.
+    """Run `step_box`, `step_along` or `step_on_profile`, and `look_ahead` for consecutive simple steps.
 
     All joints of the chain move on the path.
 
@@ -606,10 +722,8 @@ def advance(
         limits: the limits of each step.
         positions: joint positions, (nv,).
         points: the control points there, (m, 3).
-        offsets: waypoints of the path, (N + 1, nv); see `step_along`.
-        start: joint positions at its start, (nv,).
-        place: the place on the path.
-        expected: joint positions expected there, (nv,).
+        path: the path.
+        motion: how the arm moves along it.
         tolerances: tolerances of the path.
         goals: where the points are to be.
         found: filled with at most s steps.
@@ -617,38 +731,69 @@ def advance(
     Returns:
         Number of steps, at most s; the next step is not simple, or the path ends.
     """
-    none = np.empty(0)
+    columns = chain.inputs
+    last = len(path.offsets) - 1
     box = np.empty((2, len(positions)))
-    if joint_distance(expected, positions, endless, chain.inputs, limits.units) > tolerances.disturbed:
+    lag = np.empty(len(positions))
+    offset = np.empty(len(positions))
+    if joint_distance(motion.expected, positions, endless, columns, limits.units) > tolerances.disturbed:
         return 0
     here = positions
+    place = motion.place
+    speed = motion.speed
+    previous = motion.previous
     for i in range(len(found.places)):
         outside = step_box(
             here,
             limits.edges,
             limits.bound,
-            none,
-            none,
+            motion.brake,
+            previous,
             tolerances.rounding,
-            chain.inputs,
+            columns,
             limits.slack,
             box,
         )
         if outside != 0:
             return i
-        place, left, inside = step_along(
-            offsets,
-            start,
-            here,
-            endless,
-            chain.inputs,
-            limits.units,
-            place,
-            box,
-            tolerances.max_motion,
-            found.dq[i],
-        )
-        if not inside or (place >= len(offsets) - 1 and left <= tolerances.arrived):
+        if len(path.top) == 0:
+            reached, left, inside = step_along(
+                path.offsets,
+                path.start,
+                here,
+                endless,
+                columns,
+                limits.units,
+                place,
+                box,
+                tolerances.max_motion,
+                found.dq[i],
+            )
+            ahead = True  # a step that is not counts as hindered
+        else:
+            path_offset(path.offsets, path.start, here, endless, place, offset)
+            left = 0.0
+            for k in range(len(columns)):
+                u = columns[k]
+                left = max(left, abs(path.offsets[last, u] - offset[u]) / limits.units[k])
+            _smooth_offset(path.offsets, path.slopes, place, lag)
+            for u in range(len(lag)):
+                lag[u] -= offset[u]
+            reached, _, inside = step_on_profile(
+                path,
+                columns,
+                limits.units,
+                limits.bound,
+                motion.brake,
+                box,
+                tolerances,
+                place,
+                speed,
+                lag,
+                found.dq[i],
+            )
+            ahead = reached > place
+        if not inside or not ahead or (reached >= last and left <= tolerances.arrived):
             return i
         before, after = look_ahead(
             chain,
@@ -668,8 +813,11 @@ def advance(
             return i
         if i == 0:
             found.errors[0] = before
-        found.places[i] = place
+        found.places[i] = reached
+        speed = reached - place
+        place = reached
         here = found.reached[i]
+        previous = found.dq[i] if len(motion.brake) else motion.previous
     return len(found.places)
 
 

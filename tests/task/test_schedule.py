@@ -30,7 +30,7 @@ def test_times_and_durations_are_rounded_to_whole_cycles() -> None:
     assert found.reached.tolist() == [0, 13, 20, 35]
     assert found.left.tolist() == [3, 13, 25, 35]
     assert found.rests.tolist() == [True, False, True, True]
-    assert (found.rows, found.shortest) == (36, 7)
+    assert (found.rows, found.between.min()) == (36, 7)
     first, last = found.stretches()
     assert (first.first, first.last, first.rows.tolist()) == (0, 2, [3, 13, 20])
     assert (last.first, last.last, last.rows.tolist()) == (2, 3, [25, 35])

@@ -14,7 +14,15 @@ from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.arm.arm import arm_of
 from pinposture.control.controller import Memory, Step, require_step_arguments
-from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
+from pinposture.control.limits import (
+    LIMIT_ROUNDING,
+    JointBounds,
+    Limits,
+    StepBox,
+    farthest,
+    previous_step,
+    require_limits,
+)
 from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
     CONVERGED,
@@ -36,7 +44,7 @@ from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Li
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
 from pinposture.control.tasks import Displaced
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import NextSteps, PathTolerances, PointGoals, StepArrays
+from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
 from pinposture.units import length_text
@@ -80,16 +88,11 @@ MAX_LAG = 0.5
 """Share of a step by which an arm may lag behind its place on the path and still count as making progress,
 however short the step that its slowest joint allows."""
 
-CATCH_UP_SHARE = 0.25
-"""Share of the acceleration limit that is used to make up a lag."""
-
 MAX_PURSUED_MOTION = 0.5
 """Joint motion to a moving target up to which the joints move there directly, in `Arm.joint_units`."""
 
 MAX_UNTIMED_BEND = 1e-3
 """Displacement of the end of a path beyond which the path is retimed, in `Arm.joint_units`."""
-
-UNBOUNDED_STEP = np.array([[-np.inf], [np.inf]])
 
 
 class StepsAhead(NamedTuple):
@@ -279,11 +282,17 @@ def follow(
     progress = known if known is not None and known.timed is path else PathProgress.begin(path, previous)
     bounds = limits.for_arm(state.arm)
     avoidance = Avoidance.of(progress.path.scene, progress.objective, bounds, previous)
-    step = fast_step(progress, state, bounds) if avoidance is None else None
+    step = fast_step(progress, state, bounds, previous) if avoidance is None else None
     return advance(progress, state, limits, limits.box(state, previous), avoidance) if step is None else step
 
 
-def fast_step(progress: PathProgress, state: ChainState, bounds: JointBounds) -> Step | None:
+def fast_step(
+    progress: PathProgress,
+    state: ChainState,
+    bounds: JointBounds,
+    previous: Array | None,
+    goal: Goal | None = None,
+) -> Step | None:
     """Take the next step on a path without obstacles in the simple case; several are computed in one call.
 
     Most steps are of this kind. None in all other cases, which `advance` handles: limits that cannot be kept,
@@ -293,19 +302,26 @@ def fast_step(progress: PathProgress, state: ChainState, bounds: JointBounds) ->
         progress: position of the arm on its path.
         state: the state of the arm.
         bounds: the limits of the joints.
+        previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
+        goal: the goal for the memory.
     """
     timed = progress.timed
-    objective = progress.timed.path.objective
-    if progress.arrived or timed.profile is not None or objective.has_tasks:
+    path = timed.path
+    objective = path.objective
+    if progress.arrived or objective.has_tasks:
         return None
+    if bounds.brake is not None and path.end == 1.0 and not timed.scheduled:
+        return None  # each joint moves to the end on its own
     arm = state.arm
     ahead = progress.ahead
     i = progress.taken
     known = ahead is not None and ahead.bounds is bounds and i < len(ahead.places)
+    if known and bounds.brake is not None:
+        known = previous is not None and np.array_equal(previous, cast(StepsAhead, ahead).dq[i - 1])
     if ahead is None or not known or not _is_expected(progress, state):
         if len(objective.chain.joints) < len(arm.kinematics.columns):
             return None
-        ahead = _steps_ahead(progress, state, bounds)
+        ahead = _steps_ahead(progress, state, bounds, previous)
         i = 0
         if not ahead.places:
             return None
@@ -321,7 +337,7 @@ def fast_step(progress: PathProgress, state: ChainState, bounds: JointBounds) ->
         ahead.at_limit[i],
         error_increasing=_rises(objective, before, after),
         following_path=moved.idle_travel == 0.0,
-        memory=GeodesicMemory(dq, None, moved),
+        memory=GeodesicMemory(dq, None, moved, goal),
     )
 
 
@@ -338,13 +354,18 @@ def _is_expected(progress: PathProgress, state: ChainState) -> bool:
     return bool(off.dot(off) <= BOX_SLACK**2)
 
 
-def _steps_ahead(progress: PathProgress, state: ChainState, bounds: JointBounds) -> StepsAhead:
-    """Compute the next simple steps on a path; only one if the arm is not at its expected position."""
+def _steps_ahead(
+    progress: PathProgress, state: ChainState, bounds: JointBounds, previous: Array | None
+) -> StepsAhead:
+    """Compute the next simple steps on a path.
+
+    Only one if the arm is not at its expected position, or if the target moves along the path.
+    """
     arm = state.arm
-    path = progress.timed.path
-    wanted = path.objective.chain
+    timed = progress.timed
+    path = timed.path
     expected = progress.expected
-    count = STEPS_AHEAD
+    count = 1 if timed.scheduled else STEPS_AHEAD
     if expected is None:
         expected = state.raw_positions
     elif not _is_expected(progress, state):
@@ -356,18 +377,17 @@ def _steps_ahead(progress: PathProgress, state: ChainState, bounds: JointBounds)
         reached=np.empty((count, arm.nv)),
         at_limit=np.empty((count, arm.nv), dtype=np.bool_),
     )
+    before = previous_step(arm, bounds, previous)
     steps = kernels.advance(
         arm.kinematics.constants,
         arm.kinematics.endless,
         bounds.arrays,
         state.raw_positions,
         state.placements.points,
-        path.offsets,
-        path.positions,
-        progress.place,
-        expected,
+        timed.arrays,
+        PathMotion(progress.place, progress.speed, expected, before, bounds.braking),
         PATH_TOLERANCES,
-        PointGoals(wanted.targets, wanted.flags),
+        PointGoals(path.objective.chain.targets, path.objective.chain.flags),
         found,
     )
     places = found.places[:steps].tolist()
@@ -679,26 +699,23 @@ def _next_on_path(
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
         whole = float(np.abs(path.offsets[-1][columns] / units).max(initial=0.0))
         return _Proposal(max(here, 1.0 - ahead / max(whole, ARRIVED)), left, True, True, dq)
-    wanted = min(timed.profile.next(here, progress.speed), path.end - here)
-    smooth = path.smooth_offset(here)
-    onward = path.smooth_offset(here + wanted) - smooth
-    lag = smooth - offset
+    lag = path.smooth_offset(here) - offset
     if tasks is not None:
         lag = _admitted(path, here, tasks, lag)
-    # The share of the motion ahead that all joints can make while they catch up.
-    gap = np.where(onward < 0.0, bounds.bound + lag, bounds.bound - lag)
-    shares = np.where(np.abs(lag) > bounds.bound, 0.0, gap / np.maximum(np.abs(onward), 1e-100))
-    share = float(shares[columns].min(initial=1.0))
-    place = here + share * wanted
-    hindered = share < 1.0 or here >= path.end
-    place = path.end if place > path.end - ARRIVED else place
-    # The lag is made up no faster than the arm can stop, or it would oscillate about its path.
-    if bounds.brake is not None:
-        lag = farthest(lag, CATCH_UP_SHARE * bounds.brake)
-    dq = path.smooth_offset(place) - smooth + lag
-    one = state.arm.joint_units
-    within = (dq >= box.lower - BOX_SLACK * one) & (dq <= box.upper + BOX_SLACK * one)
-    inside = bool(np.all((within & (np.abs(dq) <= MAX_STEP * one))[columns]))
+    dq = np.empty(state.arm.nv)
+    place, hindered, inside = kernels.step_on_profile(
+        timed.arrays,
+        columns,
+        units,
+        bounds.bound,
+        bounds.braking,
+        box.sides,
+        PATH_TOLERANCES,
+        here,
+        progress.speed,
+        lag,
+        dq,
+    )
     return _Proposal(place, left, inside, hindered, dq)
 
 
@@ -803,7 +820,7 @@ def _check_step(
     objective = progress.timed.path.objective
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)
-    sides = box.sides if share == 1.0 else UNBOUNDED_STEP * np.ones((2, arm.nv))
+    sides = box.sides if share == 1.0 else np.outer((-np.inf, np.inf), np.ones(arm.nv))
     before_error, after_error = kernels.look_ahead(
         arm.kinematics.constants,
         state.raw_positions,

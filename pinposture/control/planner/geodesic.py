@@ -349,7 +349,14 @@ def _continue_path(now: _Situation) -> Step | None:
     same = objective.target is now.target and objective.arm is now.state.arm
     if not same or before.idle_travel >= MAX_IDLE_TRAVEL:
         return None
-    return fast_step(before, now.state, now.bounds)
+    goal = None
+    if now.direct and now.bounds.brake is not None:
+        goal = cast(GeodesicMemory, now.memory).goal
+        if goal is None or goal.target is not now.target:
+            return None  # it may move; see `pursue`
+        if np.any(goal.motion):
+            goal = goal._replace(motion=np.zeros(now.state.arm.nv))
+    return fast_step(before, now.state, now.bounds, now.previous, goal)
 
 
 def _go_to_goal(now: _Situation) -> Step | None:
@@ -426,7 +433,7 @@ def _follow_path(now: _Situation) -> Step:
     objective = progress.timed.path.objective
     avoidance = Avoidance.of(controller.scene, objective, now.bounds, now.previous, controller.offset)
     if avoidance is None and progress is not before:
-        step = fast_step(progress, state, now.bounds)
+        step = fast_step(progress, state, now.bounds, now.previous)
         if step is not None:
             return now.remember_goal(step)
     step = advance(progress, state, now.limits, now.box, avoidance)

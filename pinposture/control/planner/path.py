@@ -17,6 +17,7 @@ from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import TimedPathArrays
 
 Array = NDArray[np.float64]
 
@@ -114,11 +115,10 @@ class JointPath:
 
     def smooth_offset(self, place: float | Array) -> Array:
         """Return the displacement from the start on the cubic spline through the waypoints; as `offset`."""
-        i, t = self._piece(place)
-        before = (1.0 + 2.0 * t) * (1.0 - t) ** 2
-        after = t * t * (3.0 - 2.0 * t)
-        here = before * self.offsets[i] + after * self.offsets[i + 1]
-        return np.asarray(here + t * (1.0 - t) * ((1.0 - t) * self.slopes[i] - t * self.slopes[i + 1]))
+        places = np.array(place, dtype=np.float64, ndmin=1)
+        filled = np.empty((len(places), self.offsets.shape[1]))
+        kernels.smooth_offsets(self.offsets, self.slopes, places, filled)
+        return filled if np.ndim(place) else filled[0]
 
     def _piece(self, place: float | Array) -> tuple[Any, Any]:
         """Return the waypoint before a place, and how far the place is on the way to the next, in [0, 1]."""
@@ -134,9 +134,11 @@ class JointPath:
 
     def offset_of(self, state: ChainState, place: float) -> Array:
         """Return the displacement (nv,) from the start to a state near a place, with full turns of joints."""
-        here = self.offset(place)
-        on_path = self.arm.integrate(self.start, here)
-        return np.asarray(here + self.arm.difference(on_path, state.q))
+        filled = np.empty(self.arm.nv)
+        kernels.path_offset(
+            self.offsets, self.positions, state.raw_positions, self.arm.kinematics.endless, place, filled
+        )
+        return filled
 
     def revised(self, **changes: Any) -> JointPath:
         """Return the path with another objective or scene; cached values of the waypoints are kept."""
@@ -231,6 +233,19 @@ LEAST_PARTS = 128
 ZERO_SLOPE = 1e-12
 """Slope of a path that counts as zero, relative to the largest."""
 
+NO_PROFILE = TimedPathArrays(
+    offsets=np.empty((0, 0)),
+    slopes=np.empty((0, 0)),
+    start=np.empty(0),
+    top=np.empty(0),
+    a=np.empty((0, 3, 0)),
+    b=np.empty((0, 3, 0)),
+    brake=np.empty(0),
+    most=inf,
+    small=ZERO_SLOPE,
+)
+"""Arrays of a path without a speed profile, but for the path."""
+
 
 class SpeedProfile:
     """The highest speed along a path, at its waypoints.
@@ -243,6 +258,10 @@ class SpeedProfile:
 
     Attributes:
         top: the highest speed at equidistant places, (K + 1,) [waypoints per step].
+        slopes: slopes of the K parts in between, (K, 3, nv); see `kernels.find_speed_profile`.
+        bends: their bends, likewise.
+        brake: largest change between steps, (nv,) [rad or m]; may be infinite.
+        most: largest number of waypoints in one step.
     """
 
     def __init__(
@@ -251,12 +270,12 @@ class SpeedProfile:
         n = path.offsets.shape[1]
         self._waypoints = len(path.offsets) - 1
         rates = np.full(self._waypoints, max_rate, dtype=np.float64)
-        self._most = float(rates.max())
+        self.most = float(rates.max())
         count = -(-LEAST_PARTS // self._waypoints) * self._waypoints
         brake = np.full(n, np.inf) if bounds.brake is None else ACCELERATION_SHARE * bounds.brake
-        self._brake = brake
-        self._slopes = np.empty((count, 3, n))
-        self._bends = np.empty((count, 3, n))
+        self.brake = brake
+        self.slopes = np.empty((count, 3, n))
+        self.bends = np.empty((count, 3, n))
         self.top = np.empty(count + 1)
         kernels.find_speed_profile(
             path.offsets,
@@ -266,8 +285,8 @@ class SpeedProfile:
             initial_speed,
             rates,
             ZERO_SLOPE,
-            self._slopes,
-            self._bends,
+            self.slopes,
+            self.bends,
             self.top,
         )
 
@@ -283,10 +302,10 @@ class SpeedProfile:
             place,
             speed,
             ZERO_SLOPE,
-            self._most,
-            self._brake,
-            self._slopes,
-            self._bends,
+            self.most,
+            self.brake,
+            self.slopes,
+            self.bends,
             self.top,
             self._waypoints,
         )
@@ -312,7 +331,26 @@ class TimedPath:
     profile: SpeedProfile | None
     max_rate: float | Array = inf
 
-    @property
+    @cached_property
+    def arrays(self) -> TimedPathArrays:
+        """The path and its speed profile, for kernels."""
+        path = self.path
+        profile = self.profile
+        if profile is None:
+            return NO_PROFILE._replace(offsets=path.offsets, start=path.positions)
+        return TimedPathArrays(
+            offsets=path.offsets,
+            slopes=path.slopes,
+            start=path.positions,
+            top=profile.top,
+            a=profile.slopes,
+            b=profile.bends,
+            brake=profile.brake,
+            most=profile.most,
+            small=ZERO_SLOPE,
+        )
+
+    @cached_property
     def scheduled(self) -> bool:
         """Whether the path has a schedule: the target moves along it, and the path is kept."""
         return bool(np.all(np.isfinite(self.max_rate)))

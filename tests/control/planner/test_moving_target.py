@@ -113,9 +113,11 @@ def test_points_that_can_be_had_are_found_after_points_that_could_not(seed: int)
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("acceleration", (None, 10.0))
 def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
-    seed: int, monkeypatch: pytest.MonkeyPatch
+    seed: int, acceleration: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    limits = LIMITS if acceleration is None else pp.Limits(velocity=2.0, acceleration=acceleration, dt=0.02)
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
     target = Target.from_configuration(arm(), end)
@@ -126,14 +128,15 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
     taken = 0
     for _ in range(40):
         state = arm().at(q)
-        step = controller.step(state, target, LIMITS, memory)
+        step = controller.step(state, target, limits, memory)
         if step.reason:
             break
         monkeypatch.setattr(geodesic, "fast_step", lambda *_: None)
-        slow = controller.step(state, target, LIMITS, memory)
+        slow = controller.step(state, target, limits, memory)
         monkeypatch.setattr(geodesic, "fast_step", quick)
-        taken += memory is not None and quick(memory.progress, state, LIMITS.for_arm(arm())) is not None
-        np.testing.assert_allclose(step.dq, slow.dq, atol=1e-14)
+        bounds = limits.for_arm(arm())
+        taken += memory is not None and quick(memory.progress, state, bounds, memory.dq) is not None
+        np.testing.assert_allclose(step.dq, slow.dq, atol=1e-13)
         assert step.active == slow.active
         for name in set(step._fields) - {"dq", "memory"}:
             assert np.all(getattr(step, name) == getattr(slow, name)), name
