@@ -7,7 +7,7 @@ from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, continuum_section, template
-from pinposture.arm.weight import Cable, Load, Overload, Weight
+from pinposture.arm.weight import Cable, JointLoad, Load, Weight
 
 __all__ = [
     "TEMPLATES",
@@ -22,10 +22,10 @@ __all__ = [
     "Feasibility",
     "FeedSpec",
     "JointLimits",
+    "JointLoad",
     "JointSpec",
     "Load",
     "ModuleTemplate",
-    "Overload",
     "PlacementSpec",
     "Violation",
     "Weight",

@@ -70,11 +70,10 @@ from pinposture.arm.weight import (
     EFFORT_REMEDY,
     NOTHING,
     REMEDY,
-    TORQUE_ROUNDING,
     Added,
     Cable,
+    JointLoad,
     Load,
-    Overload,
     Weight,
     added_masses,
     check_masses,
@@ -890,10 +889,11 @@ class Arm(ConfigurationSpace):
         spec = None if self.spec is None else replace(self.spec, weight=weight)
         return self._made_again(spec, self.characteristic_length, weight)
 
-    def require_masses(self) -> None:
-        """Check, once, that the masses of all links are known.
+    def require_masses(self, warns: bool = True) -> None:
+        """Check that the masses of all links are known.
 
-        Numbers that cannot be right are reported as `PostureWarning`.
+        Args:
+            warns: whether a `PostureWarning` reports, once, numbers that cannot be right.
 
         Raises:
             WeightUnknown: a link that a joint moves has a shape or an extent, and no mass; names the links.
@@ -905,9 +905,10 @@ class Arm(ConfigurationSpace):
         warnings = check_masses(self._described, self.urdf, self.chain.length)
         if self.links_without_mass:
             raise WeightUnknown("mass", self.links_without_mass, REMEDY)
-        for message in warnings:
-            warn_caller(message)
-        self._masses_checked = True
+        if warns:
+            for message in warnings:
+                warn_caller(message)
+            self._masses_checked = True
 
     @cached_property
     def links_without_mass(self) -> tuple[str, ...]:
@@ -918,11 +919,19 @@ class Arm(ConfigurationSpace):
         described = (self._described, self.urdf, self.weight)
         return tuple(links_without_mass(*described, self.chain, self.control_points))
 
-    def require_effort(self, warns: bool = True) -> None:
-        """Check that torque limits are known; a `PostureWarning` names, once, those that are not.
+    @cached_property
+    def torques_known(self) -> bool:
+        """Whether all masses are known, and the torque limit of a joint at least."""
+        if not np.any(np.isfinite(self.effort)):
+            return False
+        try:
+            self.require_masses(warns=False)
+        except PostureError:
+            return False
+        return True
 
-        Args:
-            warns: whether it warns.
+    def require_effort(self) -> None:
+        """Check that torque limits are known; a `PostureWarning` names, once, joints without one.
 
         Raises:
             WeightUnknown: no torque limit is known.
@@ -930,30 +939,9 @@ class Arm(ConfigurationSpace):
         unknown = [self.joint_names[u] for u in np.flatnonzero(np.isinf(self.effort))]
         if len(unknown) == self.nv:
             raise WeightUnknown("torque limit", unknown, EFFORT_REMEDY)
-        if unknown and warns and not self._effort_checked:
+        if unknown and not self._effort_checked:
             warn_caller(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
             self._effort_checked = True
-
-    def find_overload(self, q: ArrayLike) -> Overload | None:
-        """Return the joint that exceeds its torque limit most when the arm is held at a configuration.
-
-        Args:
-            q: configuration, (nq,).
-
-        Returns:
-            None if no joint exceeds it, or if masses or limits are not known: then nothing can be said.
-
-        Raises:
-            InvalidValue: q has the wrong size or is not finite.
-        """
-        state = self.at(q)
-        if not np.any(np.isfinite(self.effort)):
-            return None
-        try:
-            worst = state.most_loaded()
-        except WeightUnknown:
-            return None
-        return worst if worst.share > 1.0 + TORQUE_ROUNDING else None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Arm.from_dict, (self.to_dict(),)
@@ -1131,15 +1119,17 @@ class ArmState(ABC):
         self.arm.require_effort()
         return _read_only(self.arm.effort - np.abs(self.gravity_torques))
 
-    def most_loaded(self) -> Overload:
+    def most_loaded(self) -> JointLoad | None:
         """Return the joint with the largest torque in relation to its limit, at rest.
 
-        Raises:
-            WeightUnknown: as `gravity_torques`, or no torque limit is known.
+        Returns:
+            Of coupled joints, the one that is driven. None if no torque limit or not all masses are known
+            (`gravity_torques` says which): then nothing can be said.
         """
         arm = self.arm
-        arm.require_effort(warns=False)
-        torques = np.abs(self.gravity_torques)
+        if not arm.torques_known:
+            return None
+        torques = np.abs(self._gravity_torques())
         worst = int((torques / arm.effort).argmax())
         name = arm.joint_names[worst]
         needed = float(torques[worst])
@@ -1147,8 +1137,8 @@ class ArmState(ABC):
         for drive in arm.drives:
             if drive.leader == name:
                 slides = not drive.turns
-                return Overload(drive.joint, needed / abs(drive.ratio), limit / abs(drive.ratio), slides)
-        return Overload(name, needed, limit, bool(arm.in_metres[worst]))
+                return JointLoad(drive.joint, needed / abs(drive.ratio), limit / abs(drive.ratio), slides)
+        return JointLoad(name, needed, limit, bool(arm.in_metres[worst]))
 
     @abstractmethod
     def _gravity_torques(self) -> Array:

@@ -421,8 +421,8 @@ TORQUE_ROUNDING = 1e-9
 """Relative excess over a torque limit that is attributed to rounding."""
 
 
-class Overload(NamedTuple):
-    """A joint that needs more torque, or force, than its drive has.
+class JointLoad(NamedTuple):
+    """The torque, or force, that a joint needs to hold the arm, and its limit.
 
     Attributes:
         joint: its name; of coupled joints, that of the one that is driven.
@@ -441,6 +441,19 @@ class Overload(NamedTuple):
         """The torque in relation to its limit."""
         return self.needed / self.limit
 
+    @property
+    def exceeded(self) -> bool:
+        """Whether the drive has not enough."""
+        return self.share > 1.0 + TORQUE_ROUNDING
+
+    @property
+    def unit(self) -> str:
+        """Unit of both."""
+        return "N" if self.slides else "N m"
+
+    def as_data(self) -> dict[str, str | float]:
+        """Return it as data for JSON."""
+        return {name: getattr(self, name) for name in ("joint", "needed", "limit", "unit", "share")}
+
     def __str__(self) -> str:
-        unit = "N" if self.slides else "N m"
-        return f"joint {self.joint!r} needs {self.needed:.4g} of {self.limit:.4g} {unit}"
+        return f"joint {self.joint!r} needs {self.needed:.4g} of {self.limit:.4g} {self.unit}"

@@ -79,7 +79,8 @@ def run(
     They are listed best first. The score is the mean of four values from 0 to 1: the clearance (1 from a
     twentieth of the arm length), the smallest distance of a joint from its limits relative to half its range,
     the distance of the tip from a singular posture, and with --start the directness of the path. Postures
-    with a clear path come before those without. The help of track describes scene files.
+    with a clear path come before those without. Torque is the largest share of its limit that a joint needs
+    to hold still, if masses and limits are known. The help of track describes scene files.
 
     This is a search: finding nothing does not prove that there is nothing. The exit code is 0 if the best
     posture and the path to it are clear, 1 if no clear path was found, 2 if there is no posture.
@@ -172,7 +173,16 @@ class SearchOptions:
 
 
 def _print_postures(found: Sequence[ReachedPosture]) -> None:
-    headings = ("rank", "clearance [m]", "from limits", "manipulability", "path ratio", "score", "path")
+    headings = (
+        "rank",
+        "clearance [m]",
+        "from limits",
+        "manipulability",
+        "path ratio",
+        "score",
+        "torque",
+        "path",
+    )
     rows = [
         (
             str(number),
@@ -181,6 +191,7 @@ def _print_postures(found: Sequence[ReachedPosture]) -> None:
             each.manipulability,
             each.path_ratio,
             each.score,
+            "-" if each.load is None else f"{100.0 * each.load.share:.3g} % ({each.load.joint})",
             "-" if each.path is None else each.path.hindrance or "clear",
         )
         for number, each in enumerate(found, start=1)

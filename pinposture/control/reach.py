@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import as_vector, require_instance, require_positive, require_whole
 from pinposture._validation import direction as unit_vector
-from pinposture.arm import Arm, ChainState, smooth_configuration
+from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
@@ -96,6 +96,8 @@ class ReachedPosture:
             has limits.
         manipulability: index of the tip (see `Ellipsoid.index`), in [0, 1]; 0 in a singular posture.
         path_ratio: length of the path in joint space over that of the straight line; None without a path.
+        load: the joint that is loaded most, in relation to its torque limit, when the arm is held there; None
+            if masses or torque limits are not known.
         score: in [0, 1]: mean of clearance (1 from a twentieth of the arm length), limit distance,
             manipulability, and the inverse of the path ratio if there is a path. Postures with a clear path
             rank before those without.
@@ -110,6 +112,7 @@ class ReachedPosture:
     manipulability: float
     path_ratio: float | None
     score: float
+    load: JointLoad | None = None
 
     def summary(self) -> dict[str, Any]:
         """Return the posture as JSON-compatible data [m, rad]."""
@@ -123,6 +126,7 @@ class ReachedPosture:
             "manipulability": self.manipulability,
             "path_ratio": self.path_ratio,
             "score": self.score,
+            "holding_torque": None if self.load is None else self.load.as_data(),
             "path": None if path is None else path.configurations.tolist(),
             "hindrance": None if path is None else path.hindrance,
         }
@@ -130,8 +134,9 @@ class ReachedPosture:
     def __repr__(self) -> str:
         way = "" if self.path is None else f", path {self.path.hindrance or 'clear'}"
         error = length_text(self.error)
+        heavy = f", {self.load}" if self.load is not None and self.load.exceeded else ""
         clear = f", clearance {length_text(self.clearance)}" if np.isfinite(self.clearance) else ""
-        return f"ReachedPosture(tip {error} off{clear}, score {self.score:.3g}{way})"
+        return f"ReachedPosture(tip {error} off{clear}{heavy}, score {self.score:.3g}{way})"
 
 
 def reach(
@@ -667,7 +672,8 @@ class _Search:
         distance = float(np.linalg.norm(at.points[-1] - _place_of(self.task)))
         q.flags.writeable = False
         target = Target(at.points, np.ones(arm.n_modules), q=q)
-        return ReachedPosture(q, target, None, distance, clearance, limit_distance, index, None, score)
+        load = at.most_loaded()
+        return ReachedPosture(q, target, None, distance, clearance, limit_distance, index, None, score, load)
 
     def _is_new(self, links: Array, shapes: list[Array]) -> bool:
         least = DISTINCT * self.arm.length

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
@@ -138,9 +139,9 @@ class Batch:
         """Which runs converged, (count,)."""
         return np.asarray(self.status == "converged")
 
-    @property
+    @cached_property
     def faults(self) -> tuple[str, ...]:
-        """Messages on runs that did not converge and on penetrations; empty if there are none."""
+        """Messages on runs that did not converge, penetrations, and postures that no motor can hold."""
         away = np.flatnonzero(~self.converged)
         inside = np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length)
         found = []
@@ -152,6 +153,12 @@ class Batch:
                 f"most {self.closest[deepest]}, by {-1e3 * self.clearance[deepest]:.3g} mm in run {deepest}"
             )
             found.append(f"bodies penetrate in {len(inside)} of {len(self)} runs, {most}")
+        loads = [self.arm.at(q).most_loaded() for q in self.q_final] if self.arm.torques_known else []
+        heavy = {run: load for run, load in enumerate(loads) if load is not None and load.exceeded}
+        if heavy:
+            run, load = max(heavy.items(), key=lambda each: each[1].share)
+            most = f"most in run {run}: {load}"
+            found.append(f"the final posture cannot be held in {len(heavy)} of {len(self)} runs, {most}")
         return tuple(found)
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture._validation import is_usable, make_read_only, require_instance
-from pinposture.arm import Arm
+from pinposture.arm import Arm, JointLoad
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.collision.model import Pair, arm_alone
 from pinposture.control import Limits
@@ -190,6 +190,21 @@ class Outcome:
         """Limits that the motion exceeds; None if there are none."""
         raise NotImplementedError
 
+    @cached_property
+    def heaviest(self) -> Heaviest | None:
+        """The joint that is loaded most, in relation to its limit, if the arm held still on the way.
+
+        None if masses or torque limits are not known.
+        """
+        if not self.arm.torques_known:
+            return None
+        loads = [self.arm.at(q).most_loaded() for q in self.q]
+        known = [(load.share, -row, load) for row, load in enumerate(loads) if load is not None]
+        if not known:
+            return None
+        _, row, load = max(known)
+        return Heaviest(load, -row)
+
     @property
     def converged(self) -> bool:
         """Whether the arm is at its target at the end, within the tolerance."""
@@ -200,8 +215,9 @@ class Outcome:
         """Why the motion should not be sent to a robot; empty if it may be.
 
         It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path,
-        or bodies penetrate each other. Without a scene, the parts of the arm must not penetrate each other
-        either; with self-collision off in the scene, they may.
+        a joint has not the torque to hold the arm still on the way, or bodies penetrate each other. Without a
+        scene, the parts of the arm must not penetrate each other either; with self-collision off in the
+        scene, they may. Torques count where masses and limits are known.
         """
         if self.converged:
             return self._faults_before_end
@@ -220,10 +236,31 @@ class Outcome:
     def _faults_before_end(self) -> tuple[str, ...]:
         """Clauses on exceeded limits and the deepest penetration."""
         found = [] if self.excess is None else [self.excess.text]
+        if self.heaviest is not None and self.heaviest.load.exceeded:
+            found.append(str(self.heaviest))
         deepest = find_penetration(self)
         if deepest is not None:
             found.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
         return tuple(found)
+
+
+class Heaviest(NamedTuple):
+    """The joint that is loaded most, at rest, in a motion.
+
+    Attributes:
+        load: its torque and limit.
+        row: the row of the motion.
+    """
+
+    load: JointLoad
+    row: int
+
+    def __str__(self) -> str:
+        return f"{self.load} to hold the arm {_after(self.row)}"
+
+
+def _after(row: int) -> str:
+    return f"after {row} steps" if row else "at the start"
 
 
 class Penetration(NamedTuple):
@@ -240,8 +277,7 @@ class Penetration(NamedTuple):
     row: int
 
     def __str__(self) -> str:
-        when = f"after {self.row} steps" if self.row else "at the start"
-        return f"{' and '.join(self.pair)} penetrate by {1e3 * self.depth:.3g} mm {when}"
+        return f"{' and '.join(self.pair)} penetrate by {1e3 * self.depth:.3g} mm {_after(self.row)}"
 
 
 def find_penetration(motion: Outcome) -> Penetration | None:
@@ -311,6 +347,13 @@ def closest(motion: Outcome) -> dict[str, Any] | None:
         "to_obstacles": None if obstacles is None else _closest_as_data(obstacles),
         "to_itself": None if itself is None else _closest_as_data(itself),
     }
+
+
+def holding_torque(motion: Outcome) -> dict[str, Any] | None:
+    """Return the joint that is loaded most, in relation to its limit, as data for JSON; None if not known."""
+    if motion.heaviest is None:
+        return None
+    return {**motion.heaviest.load.as_data(), "after_steps": motion.heaviest.row}
 
 
 def _closest_as_data(closest: Closest) -> dict[str, Any]:
@@ -542,6 +585,7 @@ class Run(Outcome):
             ],
             "violated_steps": {name: steps.tolist() for name, steps in self.violated_steps.items()},
             "clearance": closest(self),
+            "holding_torque": holding_torque(self),
             "start_clearance": None if self.scene is None else float(self.clearance[0]),
             "incomplete": target.incomplete,
             "moved": None if target.moved is None else target.moved._asdict(),

@@ -15,7 +15,15 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel
 from pinposture.control.limits import cycle_of
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.run import Run, closest, ending, joint_shares, largest_shares, require_no_faults
+from pinposture.motion.run import (
+    Run,
+    closest,
+    ending,
+    holding_torque,
+    joint_shares,
+    largest_shares,
+    require_no_faults,
+)
 from pinposture.placement.target import Moved
 
 Array = NDArray[np.float64]
@@ -244,6 +252,7 @@ class Trajectory:
                         name: value for name, value in place._asdict().items() if name not in ("row", "moved")
                     },
                     "moved": None if place.moved is None else place.moved._asdict(),
+                    "too_heavy": self._too_heavy(place),
                 }
                 for place in self.waypoints
             ],
@@ -259,8 +268,16 @@ class Trajectory:
             "arm_length": self.arm.length,
             "control_points": self.arm.n_modules,
             "clearance": closest(run),
+            "holding_torque": holding_torque(run),
             "deviations": list(self.deviations),
         }
+
+    def _too_heavy(self, place: Waypoint) -> str | None:
+        """Say that a joint has not the torque to hold the posture of a waypoint; None if none is known to."""
+        if place.row is None:
+            return None
+        load = self.arm.at(self.q[place.row]).most_loaded()
+        return str(load) if load is not None and load.exceeded else None
 
     def joint_trajectory(self, force: bool = False) -> JointTrajectory:
         """Return the motion as a joint trajectory for export, with one cycle of rest before and after.

@@ -98,6 +98,7 @@ def _of_run(summary: Mapping[str, Any]) -> dict[str, str]:
         if summary["start_clearance"] < 0.0:
             begun = f"{words['start']}; " if "start" in words else ""
             words["start"] = f"{begun}in collision, choose another one"
+    words |= _holding(summary)
     if summary["violated_constraints"]:
         first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), 200, placeholder=" ...")
@@ -130,6 +131,7 @@ def _of_trajectory(summary: Mapping[str, Any]) -> dict[str, str]:
     )
     if summary["clearance"] is not None:
         words["clearance"] = _closest(summary["clearance"], summary["dt"])
+    words |= _holding(summary, summary["dt"])
     if summary["deviations"]:
         words["not as planned"] = "\n".join(summary["deviations"])
     return words
@@ -166,6 +168,8 @@ def _keyframes(places: list[dict[str, Any]], arm_length: float) -> str:
             line += f", tip error {length_text(place['tip_off'], arm_length)}"
         if place["moved"] is not None and Moved(**place["moved"]):
             line += f", curve {Moved(**place['moved'])}"
+        if place["too_heavy"] is not None:
+            line += f", {place['too_heavy']}"
         lines.append(line)
     return "\n".join(lines)
 
@@ -248,6 +252,24 @@ def _closest(clearance: Mapping[str, Any], dt: float | None = None) -> str:
         if None not in kinds.values() and least["pair"] not in (None, clearance["pair"]):
             words += f"{length_text(least['smallest'])} from {name}, {' to '.join(least['pair'])}; "
     return f"{words}the margin is {length_text(clearance['margin'])}"
+
+
+def _holding(summary: Mapping[str, Any], dt: float | None = None) -> dict[str, str]:
+    """Describe the largest torque at rest in relation to its limit; nothing if it is not known.
+
+    Args:
+        summary: what `summary` returns.
+        dt: duration of a step [s]; None: count steps.
+    """
+    most = summary["holding_torque"]
+    if most is None:
+        return {}
+    steps = most["after_steps"]
+    after = "at the start"
+    if steps:
+        after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
+    needed = f"{most['needed']:.4g} of {most['limit']:.4g} {most['unit']}"
+    return {"torque at rest": f"at most {100.0 * most['share']:.3g} % ({most['joint']} {after}, {needed})"}
 
 
 FULL = 1.0 - 1e-6

@@ -20,7 +20,7 @@ from pinposture._validation import (
     require_finite,
     require_instance,
 )
-from pinposture.arm import Arm
+from pinposture.arm import Arm, JointLoad
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, warn_caller
 from pinposture.schema import quantities
@@ -147,6 +147,22 @@ class Target:
         if self.q is None or self.curve is None:
             return None
         return distance_from_curve(arm, self.q, self.curve)
+
+    def load(self, arm: Arm) -> JointLoad | None:
+        """Return the joint that is loaded most, in relation to its torque limit, in the target posture.
+
+        Args:
+            arm: the arm that is to take the posture.
+
+        Returns:
+            None if masses, torque limits or the configuration (`q`) are not known.
+
+        Raises:
+            InvalidValue: an arm of another size.
+        """
+        require_instance("arm", arm, Arm, "an Arm")
+        self.check_arm(arm)
+        return None if self.q is None else arm.at(self.q).most_loaded()
 
     def check(self, arm: Arm) -> None:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""

@@ -108,6 +108,11 @@ class Simulation(Outcome):
         """True if the simulation ran to its end, whether or not the arm arrived."""
         return self.status != "unstable"
 
+    @property
+    def heaviest(self) -> None:
+        """None: the torques of its servos tell more."""
+        return None
+
     @cached_property
     def excess(self) -> PathDeviation | None:
         """The deviation from the path if the arm arrived; None up to 5 tolerances or 5 % of its length.

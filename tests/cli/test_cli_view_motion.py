@@ -163,6 +163,7 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
         "moved": None,
         "speed": 1.0,
         "missed": False,
+        "too_heavy": None,
     }
     closest = pp.CollisionModel(five_modules(), around_a_ball()).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
