@@ -7,7 +7,7 @@ from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, continuum_section, template
-from pinposture.arm.weight import Cable, JointLoad, Load, Weight
+from pinposture.arm.weight import Cable, HeldOut, JointLoad, Load, Weight
 
 __all__ = [
     "TEMPLATES",
@@ -21,6 +21,7 @@ __all__ = [
     "Ellipsoid",
     "Feasibility",
     "FeedSpec",
+    "HeldOut",
     "JointLimits",
     "JointLoad",
     "JointSpec",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -70,14 +71,17 @@ from pinposture.arm.weight import (
     EFFORT_REMEDY,
     NOTHING,
     REMEDY,
+    TORQUE_ROUNDING,
     Added,
     Cable,
+    HeldOut,
     JointLoad,
     Load,
     Weight,
     added_masses,
     check_masses,
     effort_limits,
+    largest_payload,
     links_without_mass,
     weighted_model,
 )
@@ -919,6 +923,51 @@ class Arm(ConfigurationSpace):
         described = (self._described, self.urdf, self.weight)
         return tuple(links_without_mass(*described, self.chain, self.control_points))
 
+    def load_of(self, column: int, torque: float) -> JointLoad:
+        """Return the load of the drive behind a degree of freedom.
+
+        Args:
+            column: the degree of freedom, an index into `joint_names`.
+            torque: size of the torque or force along it [N m or N].
+        """
+        name = self.joint_names[column]
+        limit = float(self.effort[column])
+        for drive in self.drives:
+            if drive.leader == name:
+                ratio = abs(drive.ratio)
+                return JointLoad(drive.joint, torque / ratio, limit / ratio, not drive.turns)
+        return JointLoad(name, torque, limit, bool(self.in_metres[column]))
+
+    def held_out(self) -> HeldOut | None:
+        """Return how far the arm can be held straight out, with gravity from the worst direction.
+
+        Returns:
+            None if masses, or the torque limit of a joint of the chain, are not known.
+        """
+        columns = self.columns
+        if not self.torques_known or np.any(np.isinf(self.effort[columns])):
+            return None
+        state = self.chain_at(self.straight())
+        held = np.array([self.kinematics.gravity_torques(state.raw_positions, g) for g in np.eye(3)])
+        held = held.T[columns]
+        size = float(np.linalg.norm(self.model.gravity.linear))
+        torques = size * np.linalg.norm(held, axis=1)
+        shares = torques / self.effort[columns]
+        weak = np.flatnonzero(shares > 1.0 + TORQUE_ROUNDING)
+        first = int(weak[-1]) if len(weak) else int(shares.argmax())
+        load = self.load_of(int(columns[first]), float(torques[first]))
+        leaders = self.chain.leaders
+        begin = 0 if not len(weak) else int([*leaders, len(self.chain.joints)][first + 1])
+        line = np.vstack([state.origins, state.points[-1]])[begin:]
+        length = self.length
+        if len(weak):
+            length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+        payload = math.inf
+        if size > 0.0:
+            lever = -state.jacobians[-1].T[columns]
+            payload = largest_payload(held, lever, self.effort[columns] / size)
+        return HeldOut(length, load, payload)
+
     @cached_property
     def torques_known(self) -> bool:
         """Whether all masses are known, and the torque limit of a joint at least."""
@@ -1131,14 +1180,7 @@ class ArmState(ABC):
             return None
         torques = np.abs(self._gravity_torques())
         worst = int((torques / arm.effort).argmax())
-        name = arm.joint_names[worst]
-        needed = float(torques[worst])
-        limit = float(arm.effort[worst])
-        for drive in arm.drives:
-            if drive.leader == name:
-                slides = not drive.turns
-                return JointLoad(drive.joint, needed / abs(drive.ratio), limit / abs(drive.ratio), slides)
-        return JointLoad(name, needed, limit, bool(arm.in_metres[worst]))
+        return arm.load_of(worst, float(torques[worst]))
 
     @abstractmethod
     def _gravity_torques(self) -> Array:

@@ -543,12 +543,17 @@ class Kinematics:
         kernels.jacobians(self.constants, forward.axes, forward.origins, forward.points, jacobians)
         return jacobians
 
-    def gravity_torques(self, positions: Array) -> Array:
+    def gravity_torques(self, positions: Array, gravity: Array | None = None) -> Array:
         """Compute the torques and forces that balance gravity at joint positions (nv,), (nv,) [N m or N].
 
         The weight of joints off the chain is not counted.
+
+        Args:
+            positions: the joint positions, (nv,) [rad or m].
+            gravity: gravitational acceleration, world frame, (3,) [m/s^2]; that of the model if None.
         """
-        chain, masses, gravity = self._weights
+        chain, masses, usual = self._weights
+        gravity = usual if gravity is None else gravity
         k = len(masses)
         axes = np.empty((k, 3))
         origins = np.empty((k, 3))

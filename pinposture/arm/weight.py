@@ -457,3 +457,37 @@ class JointLoad(NamedTuple):
 
     def __str__(self) -> str:
         return f"joint {self.joint!r} needs {self.needed:.4g} of {self.limit:.4g} {self.unit}"
+
+
+class HeldOut(NamedTuple):
+    """How far an arm can be held straight out, with gravity from whichever direction is worst for a joint.
+
+    Attributes:
+        length: length of the part towards the tip that its joints hold [m].
+        load: the joint that gives up first: the nearest to the tip that has not enough, or if all have, the
+            one that is loaded most.
+        payload: mass that can be added at the tip until a joint gives up [kg]; 0 if one does without it.
+    """
+
+    length: float
+    load: JointLoad
+    payload: float
+
+
+def largest_payload(held: Array, lever: Array, effort: Array) -> float:
+    """Return the mass that joints can carry in addition, with gravity from the worst direction [kg].
+
+    Args:
+        held: torque per unit of gravity along x, y, z, (n, 3) [kg m or kg].
+        lever: the same per unit of added mass, (n, 3) [m, or 1 where a joint slides].
+        effort: largest torque per size of gravity, (n,) [kg m or kg].
+    """
+    # The largest torque of joint u is |held_u + m lever_u|, and reaches its limit at the larger root.
+    a = np.sum(lever**2, axis=1)
+    b = np.sum(held * lever, axis=1)
+    c = np.sum(held**2, axis=1) - effort**2
+    if np.any(c > 0.0):
+        return 0.0
+    carries = a > 0.0
+    roots = (np.sqrt(b**2 - a * c) - b)[carries] / a[carries]
+    return float(roots.min(initial=np.inf))

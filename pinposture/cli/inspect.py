@@ -20,7 +20,7 @@ from pinposture.cli.inputs import (
     read_points,
 )
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
-from pinposture.errors import InvalidValue, UnsupportedModule, enumerated
+from pinposture.errors import InvalidValue, PostureError, UnsupportedModule, enumerated
 from pinposture.storage import write_figure
 from pinposture.units import error_text, length_text
 
@@ -66,6 +66,9 @@ def run(
     the distance from base to tip of the straight arm, with a base that slides without real limits (over more
     than 100 arm lengths) at zero. Zero joint positions are often a singular posture: there manipulability
     measure, minimum singular value and index are 0, and the condition number is inf.
+
+    If masses and torque limits are known, it tells how far the arm can be held straight out with gravity from
+    the worst direction, and which joint gives up first.
 
     With --curve it also shows the distances of the control points and of the whole arm, including its links,
     from that curve, and where the curve exceeds what the modules can follow.
@@ -156,6 +159,7 @@ def _print_tables(about: Mapping[str, Any]) -> None:
         "locked": ", ".join(about["held"]) or "no joint",
         **({"coupled": f"{coupled} joints follow others"} if coupled else {}),
         **_soft_limits_in_words(about["soft_limited"]),
+        **_weight_in_words(about["weight"], about["length"]),
         **_following_in_words(about),
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
@@ -215,6 +219,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
         "kinematics": _kinematics(arm),
         "warnings": list(arm.warnings),
         "soft_limited": list(arm.report.soft_limited),
+        "weight": describe_weight(arm),
         "held": [joint.name for joint in description.joints if joint.moves and joint.name not in moving],
         "joints": _joints(arm, {joint.name: joint for joint in description.joints}),
         "control_points": [
@@ -254,6 +259,65 @@ def _describe_following(arm: Arm, curve: str, scale: float) -> dict[str, Any]:
         "too_much": [str(excess) for excess in arm.can_follow(target.curve).excesses],
         "incomplete": target.incomplete,
     }
+
+
+def describe_weight(arm: Arm) -> dict[str, Any]:
+    """Describe what an arm weighs, carries and holds, as JSON-compatible data [kg, m, N m or N]."""
+    import numpy as np
+
+    from pinposture.schema import as_plain
+
+    problem = None
+    try:
+        arm.require_masses(warns=False)
+    except PostureError as error:
+        problem = str(error)
+    unlimited = [arm.joint_names[u] for u in arm.columns if np.isinf(arm.effort[u])]
+    held = arm.held_out()
+    return {
+        "mass": None if problem else sum(float(body.mass) for body in list(arm.model.inertias)[1:]),
+        "unknown_masses": problem,
+        "given": as_plain(arm.weight),
+        "effort": [None if np.isinf(limit) else float(limit) for limit in arm.effort],
+        "joints_without_effort": unlimited,
+        "held_out": None
+        if held is None
+        else {
+            "length": held.length,
+            "gives_up": held.load.as_data(),
+            "payload": held.payload if np.isfinite(held.payload) else None,
+        },
+    }
+
+
+def _weight_in_words(weight: Mapping[str, Any], length: float) -> dict[str, str]:
+    given = weight["given"]
+    words = {"mass": weight["unknown_masses"] or f"{weight['mass']:.4g} kg that joints move"}
+    if "masses" in given:
+        source = f" from a density of {given['density']:.4g} kg/m³" if "density" in given else ""
+        words["mass"] += f", that of {len(given['masses'])} links{source}"
+    carried = [
+        f"{each['mass']:.4g} kg at {each.get('frame', 'the tip')}" for each in given.get("payloads", ())
+    ]
+    carried += [f"a cable of {each['mass_per_length']:.4g} kg/m" for each in given.get("cables", ())]
+    if carried:
+        words["carries"] = enumerated(carried, 8)
+    lacking = weight["joints_without_effort"]
+    if weight["unknown_masses"]:
+        return words
+    if lacking:
+        words["held out"] = f"not known: no torque limits of {enumerated(lacking, 6)}"
+        return words
+    held = weight["held_out"]
+    load = held["gives_up"]
+    needed = f"{load['needed']:.4g} of {load['limit']:.4g} {load['unit']}"
+    if load["share"] > 1.0:
+        reach = f"{length_text(held['length'])} of {length_text(length)} towards the tip"
+        words["held out"] = f"{reach}, in the worst direction; {load['joint']} gives up first ({needed})"
+        return words
+    more = "" if held["payload"] is None else f", and {held['payload']:.3g} kg more at the tip"
+    words["held out"] = f"wholly, in the worst direction{more}; most loaded is {load['joint']} ({needed})"
+    return words
 
 
 def _soft_limits_in_words(names: Sequence[str]) -> dict[str, str]:

@@ -483,3 +483,42 @@ def test_a_weight_is_declared() -> None:
     arm = pp.Arm.from_spec(spec)
     assert arm.weight == weight
     assert arm.at(arm.random(0)).gravity_torques.shape == (6,)
+
+
+# How far an arm can be held out.
+
+
+def test_a_long_snake_is_held_out_as_far_as_its_last_eight_modules() -> None:
+    held = pp.Arm.load(snake(20)).held_out()
+    assert held.length == pytest.approx(8 * 0.065)
+    assert str(held.load) == "joint 'j12' needs 7.747 of 7 N m"
+    assert held.payload == 0.0
+    short = pp.Arm.load(snake(6)).held_out()
+    assert short.length == pytest.approx(6 * 0.065)
+    assert short.load.joint == "j1"
+    assert short.payload == pytest.approx((7.0 - 0.3 * G * 0.065 * 36 / 2) / (G * 6 * 0.065))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_direction_of_gravity_is_worse_than_the_worst(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm = coupled_arm().with_payload(0.3, (0.0, 0.05, 0.02)).with_effort(50.0)
+    held = arm.held_out()
+    state = arm.at(arm.straight())
+    shares = []
+    loaded = []
+    for direction in rng.normal(size=(300, 3)):
+        gravity = G * direction / np.linalg.norm(direction)
+        other = arm.with_gravity(gravity)
+        shares.append(other.at(state.q).most_loaded().share)
+        loaded.append(other.with_payload(held.payload).at(state.q).most_loaded().share)
+    assert held.load.share * 0.9 < max(shares) <= held.load.share * (1.0 + 1e-9)
+    assert 0.9 < max(loaded) <= 1.0 + 1e-9
+
+
+def test_how_far_it_is_held_is_not_said_where_a_limit_is_unknown() -> None:
+    arm = template_arm("RyRz", 3)
+    assert arm.held_out() is None
+    assert arm.with_effort({"m01_j1_y": 3.0}).held_out() is None
+    assert arm.with_effort(3.0).held_out() is not None
+    assert arm.with_effort(3.0).with_gravity((0, 0, 0)).held_out().payload == np.inf

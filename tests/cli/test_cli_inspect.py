@@ -302,3 +302,25 @@ def test_a_curve_that_the_modules_cannot_follow_is_told_with_what_is_too_much(co
     ]
     assert any(text.startswith("curvature up to") for text in about["too_much"])
     assert about["too_much"][0] in command("inspect", arm_file, "--curve", tmp_path / "tight.json").out
+
+
+def test_it_tells_how_far_the_arm_is_held_out(command, arm_file):
+    text = arm_file.read_text()
+    about = json.loads(command("inspect", arm_file, "--json").out)["weight"]
+    assert about["held_out"] is None
+    joints = [f"m{m:02}_{name}" for m in range(1, 7) for name in ("j1_y", "j2_z")]
+    assert about["joints_without_effort"] == joints
+    assert "not known: no torque limits of m01_j1_y" in " ".join(command("inspect", arm_file).out.split())
+    weak = text.replace('effort="0.0"', 'effort="0.1"')
+    arm = pp.Arm.load(weak, modules=2)
+    found = arm.held_out()
+    told = json.loads(command("inspect", "-", "--json", input=weak).out)["weight"]
+    assert told["held_out"]["length"] == found.length < arm.length
+    assert told["held_out"]["gives_up"]["joint"] == found.load.joint
+    assert told["mass"] == pytest.approx(sum(body.mass for body in arm.model.inertias))
+    shown = " ".join(command("inspect", "-", input=weak).out.split())
+    assert f"{found.load.joint} gives up first ({found.load.needed:.4g} of 0.1 N m)" in shown
+    strong = " ".join(command("inspect", "-", input=text.replace('effort="0.0"', 'effort="9"')).out.split())
+    assert "held out wholly, in the worst direction, and 2.9" in strong
+    bare = command("inspect", "-", input=weak.replace("inertial", "ignored")).out
+    assert "masses of links 'm01_l1', 'm01_l2'" in " ".join(bare.split())
