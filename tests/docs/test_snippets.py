@@ -33,7 +33,7 @@ PAGES = (
     "streaming.md",
     "your_own_controller.md",
     "evidence.md",
-    "design/modes.md",
+    *(f"design/{page.name}" for page in sorted(DOCS.glob("design/*.md"))),
 )
 ELSEWHERE = {"tasks.md", "follow_leader.md", "trajectories.md", "physics.md"}  # in test_motion_pages.py
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
