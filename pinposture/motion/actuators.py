@@ -14,6 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
+from scipy.optimize import lsq_linear
 from typing_extensions import Self
 
 from pinposture._validation import (
@@ -28,7 +29,8 @@ from pinposture._validation import (
 )
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.errors import InvalidValue
+from pinposture.control.planner.avoidance import NO_BOUND, solve
+from pinposture.errors import InvalidValue, enumerated
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, declared
 
@@ -36,6 +38,13 @@ Array = NDArray[np.float64]
 
 INDEPENDENT = 1e-9
 """Smallest singular value of independent columns of R, relative to the largest."""
+
+
+BALANCED = 1e-7
+"""Largest error of torques from tensions, relative to the torques: the tolerance of the quadratic program."""
+
+FULL = 1.0 - 1e-6
+"""Share of the largest tension that counts as reached."""
 
 
 class Tendon(NamedTuple):
@@ -85,13 +94,10 @@ class Actuators(Declared):
             raise InvalidValue("units", self.units, allowed)
         limits = {}
         for name in ("velocity", "acceleration"):
-            listed = as_floats(name, getattr(self, name))
-            if listed.shape not in ((), (count,)):
-                raise InvalidValue(f"{name} (shape)", listed.shape, f"one number or ({count},)")
-            for number in np.atleast_1d(listed):
+            limits[name] = _of_each(name, getattr(self, name), count)
+            for number in limits[name]:
                 if number != inf:
                     require_positive(name, float(number))
-            limits[name] = np.array(np.broadcast_to(listed, count))
         make_read_only(matrix, *limits.values())
         set_fields(self, matrix=matrix, units=units, **limits)
         return self
@@ -203,6 +209,64 @@ class Actuators(Declared):
         moved[self.arm.columns] = vt.T @ ((u.T @ given) / sigma)
         return self.arm.configuration(moved), float(np.abs(self.matrix @ moved - given).max())
 
+    def tensions(
+        self, torques: ArrayLike, least: float | ArrayLike = 0.0, most: float | ArrayLike = inf
+    ) -> Array:
+        """Return the smallest tensions of tendons that exert given torques on the joints.
+
+        They solve -R^T t = torques, because a tendon pulls to where it is shorter, with the smallest sum of
+        squares within the limits. Torques that hold the arm are `arm.at(q).gravity_torques`.
+
+        Args:
+            torques: torque or force along each degree of freedom, (nv,) [N m or N].
+            least: smallest tension, which keeps the tendons taut, one number or (k,) [N].
+            most: largest tension, one number or (k,) [N]; infinite: no limit.
+
+        Returns:
+            The tensions, (k,) [N].
+
+        Raises:
+            InvalidValue: an actuator that is no tendon (in metres); wrong shapes or numbers; or torques that
+                no such tensions exert: names the joint that lacks most.
+        """
+        count = len(self.names)
+        wanted = finite_vector("torques", torques, self.arm.nv)
+        turning = [name for name, unit in zip(self.names, self.units, strict=True) if unit != METRE]
+        if turning:
+            raise InvalidValue("units", self.units, f"{METRE!r}, of tendons; {turning[0]!r} is none")
+        lower = _of_each("least", least, count)
+        upper = _of_each("most", most, count)
+        if not np.all((lower >= 0.0) & (lower < inf) & (upper >= lower)):
+            raise InvalidValue("least, most", (least, most), "0 <= least <= most [N]")
+        pull = -self.matrix.T
+        u, sigma, vt = np.linalg.svd(pull, full_matrices=False)
+        rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma.max(initial=0.0)))
+        # Equations with orthonormal rows, which say the same.
+        exact = (u[:, :rank].T @ wanted) / sigma[:rank]
+        size = max(float(np.abs(exact).max(initial=0.0)), float(lower.max()), 1e-30)
+        bounds = (lower / size, np.minimum(upper / size, NO_BOUND))
+        found = solve(np.eye(count), np.zeros(count), *bounds, equal=(vt[:rank], exact / size)).x
+        if found is not None:
+            tensions = np.clip(size * found, lower, upper)
+            lack = np.abs(pull @ tensions - wanted)
+            if lack.max(initial=0.0) <= BALANCED * max(float(np.abs(wanted).max()), size * sigma.max()):
+                return tensions
+        raise self._lacking(pull, wanted, lower, upper)
+
+    def _lacking(self, pull: Array, wanted: Array, lower: Array, upper: Array) -> InvalidValue:
+        """Return the error of torques that no tensions exert."""
+        most = np.where(upper > lower, upper, np.nextafter(lower, inf))
+        nearest = lsq_linear(pull, wanted, (lower, most)).x
+        lack = wanted - pull @ nearest
+        worst = int(np.abs(lack).argmax())
+        joint = self.arm.joint_names[worst]
+        unit = "N" if self.arm.in_metres[worst] else "N m"
+        allowed = f"torques that the tendons can exert; joint {joint!r} lacks {abs(lack[worst]):.4g} {unit}"
+        full = [name for name, t, top in zip(self.names, nearest, upper, strict=True) if t >= top * FULL]
+        if full:
+            allowed += f" with {enumerated([repr(name) for name in full], 4)} at the largest tension"
+        return InvalidValue(f"torque of joint {joint!r}", float(wanted[worst]), allowed)
+
     def limits(self, limits: Limits) -> Limits:
         """Return joint limits with which the actuators keep their velocity and acceleration limits.
 
@@ -255,6 +319,14 @@ class Actuators(Declared):
             self.units,
             moved.name,
         )
+
+
+def _of_each(name: str, value: float | ArrayLike, count: int) -> Array:
+    """Return a number of each actuator, (count,), given one for all or one for each."""
+    listed = as_floats(name, value)
+    if listed.shape not in ((), (count,)):
+        raise InvalidValue(f"{name} (shape)", listed.shape, f"one number or ({count},)")
+    return np.array(np.broadcast_to(listed, count))
 
 
 def _across(arm: Arm, axis: Array) -> Array:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
+from scipy.linalg import null_space
 
 import pinposture as pp
 from pinposture.arm import continuum_section
@@ -200,3 +201,66 @@ def test_bad_actuators_are_refused(arm: pp.Arm, tendons: dict[str, Tendon]) -> N
     free = Actuators.from_tendons(arm, tendons, velocity=0.01)
     with pytest.raises(InvalidValue, match="a finite velocity of joint 'm01_j01_y', which actuator '1a'"):
         free.limits(pp.Limits(step=None, velocity=np.inf, dt=0.02))
+
+
+# Tensions.
+
+
+def held_by(arm: pp.Arm, q: np.ndarray) -> np.ndarray:
+    return pin.rnea(arm.model, arm.model.createData(), q, np.zeros(arm.nv), np.zeros(arm.nv))
+
+
+@pytest.mark.parametrize("least", [0.0, 2.0])
+def test_tensions_hold_the_arm_and_are_the_smallest_that_do(
+    arm: pp.Arm, tendons: dict[str, Tendon], least: float
+) -> None:
+    actuators = Actuators.from_tendons(arm, tendons)
+    for seed in range(5):
+        q = arm.configuration(0.3 * arm.positions(arm.random(seed)))
+        torques = arm.at(q).gravity_torques
+        found = actuators.tensions(torques, least)
+        assert np.all(found >= least)
+        step = 1e-6  # virtual work: what the tendons do as they shorten is what the weight takes
+        for d in step * np.eye(arm.nv):
+            shorter = actuators.positions(arm.integrate(q, -d)) - actuators.positions(arm.integrate(q, d))
+            assert found @ shorter / (2 * step) == pytest.approx(held_by(arm, q) @ d / step, abs=1e-7)
+        free = null_space(actuators.matrix.T)  # changes of tensions that leave the torques as they are
+        assert free.shape == (9, 3)
+        for direction in np.random.default_rng(seed).normal(size=(300, 3)) @ free.T:
+            room = np.where(direction < 0.0, (found - least) / np.maximum(-direction, 1e-300), np.inf)
+            other = found + min(float(room.min()), 1e-3) * direction
+            assert found @ found <= other @ other + 1e-9 * (found @ found)
+
+
+def test_two_tendons_about_a_hinge_pull_one_or_both() -> None:
+    module = pp.ModuleTemplate("Hinge", [pp.JointSpec("z")], [0.1])
+    arm = pp.Arm.from_modules([module])
+    pair = {"left": Tendon((0.02, 0.0)), "right": Tendon((-0.02, 0.0))}
+    actuators = Actuators.from_tendons(arm, pair)
+    np.testing.assert_allclose(actuators.tensions([1.0]), [50.0, 0.0], atol=1e-6)  # it turns to the left, +y
+    np.testing.assert_allclose(actuators.tensions([-1.0]), [0.0, 50.0], atol=1e-6)
+    np.testing.assert_allclose(actuators.tensions([1.0], least=[1.0, 4.0]), [54.0, 4.0], atol=1e-6)
+    np.testing.assert_allclose(actuators.tensions([0.0], 3.0, 3.0), [3.0, 3.0], atol=1e-6)
+    np.testing.assert_allclose(actuators.tensions([1e-9]), [5e-8, 0.0], atol=1e-14)
+    with pytest.raises(InvalidValue, match=r"lacks 0\.2 N m with 'left' at the largest tension"):
+        actuators.tensions([1.0], most=40.0)
+
+
+def test_torques_without_tendons_are_refused(arm: pp.Arm, tendons: dict[str, Tendon]) -> None:
+    first = {name: tendon for name, tendon in tendons.items() if name[0] == "1"}
+    some = Actuators.from_tendons(arm, first)
+    torques = np.zeros(arm.nv)
+    torques[0] = 0.1
+    assert np.all(some.tensions(torques) >= 0.0)
+    torques[4] = 0.3
+    with pytest.raises(InvalidValue, match=f"joint '{arm.joint_names[4]}' lacks 0.3 N m"):
+        some.tensions(torques)
+    gears = Actuators.from_matrix(arm, ["gear"], np.ones((1, arm.nv)), ["rad"])
+    with pytest.raises(InvalidValue, match="'gear' is none"):
+        gears.tensions(torques)
+    limits = [(-1.0, 5.0), (5.0, 4.0), (np.inf, np.inf), (0.0, np.nan), ([1.0], 5.0), (0.0, [5.0])]
+    for least, most in limits:
+        with pytest.raises(InvalidValue):
+            some.tensions(np.zeros(arm.nv), least, most)
+    with pytest.raises(InvalidValue, match="torques"):
+        some.tensions([1.0, 2.0])
