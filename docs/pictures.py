@@ -377,6 +377,7 @@ EXAMPLES = {
     "13_tendon_arm": "out/tendon_arm/motion.png",
     "14_your_own_controller": "out/your_own_controller/comparison.png",
     "15_your_own_constraint": "out/your_own_constraint/angles.png",
+    "16_weight": "out/weight/straight.png",
 }
 """The figure that each example of the tutorial saves."""
 

@@ -979,8 +979,11 @@ class Arm(ConfigurationSpace):
             return False
         return True
 
-    def require_effort(self) -> None:
-        """Check that torque limits are known; a `PostureWarning` names, once, joints without one.
+    def require_effort(self, warns: bool = True) -> None:
+        """Check that torque limits are known.
+
+        Args:
+            warns: whether a `PostureWarning` names, once, joints without one.
 
         Raises:
             WeightUnknown: no torque limit is known.
@@ -988,7 +991,7 @@ class Arm(ConfigurationSpace):
         unknown = [self.joint_names[u] for u in np.flatnonzero(np.isinf(self.effort))]
         if len(unknown) == self.nv:
             raise WeightUnknown("torque limit", unknown, EFFORT_REMEDY)
-        if unknown and not self._effort_checked:
+        if unknown and warns and not self._effort_checked:
             warn_caller(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
             self._effort_checked = True
 

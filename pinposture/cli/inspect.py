@@ -68,7 +68,8 @@ def run(
     measure, minimum singular value and index are 0, and the condition number is inf.
 
     If masses and torque limits are known, it tells how far the arm can be held straight out with gravity from
-    the worst direction, and which joint gives up first.
+    the worst direction, and which joint gives up first; joints in the picture are then coloured by the share
+    of its torque limit that each needs.
 
     With --curve it also shows the distances of the control points and of the whole arm, including its links,
     from that curve, and where the curve exceeds what the modules can follow.
@@ -90,7 +91,8 @@ def run(
     if plot is not None:
         from pinposture.viz import plot_arm
 
-        write_figure(plot, plot_arm(arm, ellipsoids=points, scene=surroundings))
+        loaded = arm.torques_known and not points
+        write_figure(plot, plot_arm(arm, ellipsoids=points, scene=surroundings, torques=loaded))
     if as_json:
         drawn = None if plot is None else str(plot)
         print_json({"file": urdf, **about, "curve": followed, "scene": around, "plot": drawn})

@@ -13,7 +13,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.arm import Arm, ControlPoints, Ellipsoid
+from pinposture.arm import Arm, ChainState, ControlPoints, Ellipsoid
+from pinposture.arm.weight import TORQUE_ROUNDING
 from pinposture.collision import Scene
 from pinposture.units import length_text
 from pinposture.viz import palette
@@ -35,8 +36,22 @@ SIDE_ROOM = 0.015  # room beside scales and their labels, relative to the width 
 MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer to each other are left out
 
 
+LOADS = (
+    (0.5, palette.REGULAR, "o", "torque up to 50 % of its limit"),
+    (0.8, palette.WORSE, "o", "up to 80 %"),
+    (1.0 + TORQUE_ROUNDING, palette.ACTIVE, "o", "up to 100 %"),
+    (np.finfo(np.float64).max, palette.SINGULAR, "X", "beyond its limit"),
+    (np.inf, palette.REST, "s", "limit not known"),
+)
+"""Colour, marker and meaning of a joint by the largest share of its torque limit."""
+
+
 def plot_arm(
-    arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = (), scene: Scene | None = None
+    arm: Arm,
+    q: ArrayLike | None = None,
+    ellipsoids: ControlPoints = (),
+    scene: Scene | None = None,
+    torques: bool = False,
 ) -> Figure:
     """Draw the structure of an arm: modules in two alternating shades, joint axes, numbered control points.
 
@@ -49,6 +64,7 @@ def plot_arm(
         q: configuration, (nq,) [rad or m]; None: the neutral one.
         ellipsoids: control points with manipulability ellipsoids, by 0-based or negative index, or by name.
         scene: obstacles; shown where they are near.
+        torques: whether joints are coloured by the share of its torque limit that each needs to hold the arm.
 
     Returns:
         A figure, 1200 pixels wide, as from `plot`; in the plane for a planar arm, otherwise in space.
@@ -56,6 +72,7 @@ def plot_arm(
     Raises:
         InvalidValue: no arm, a configuration of the wrong size or not finite, or an invalid choice of points.
         UnknownName: an unknown control point.
+        WeightUnknown: `torques` of an arm without masses or torque limits.
     """
     require_type("arm", arm, Arm)
     shown = arm.neutral() if q is None else q
@@ -77,8 +94,10 @@ def plot_arm(
         start = point
     _draw_axes(panel, state.origins, state.placements.axes, half)
     dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": palette.INK, "mew": 0.9}
-    panel.line(state.points[:-1], label="control points", zorder=6, **dots)
+    panel.line(state.points[:-1], label="control points", zorder=6.7, **dots)
     panel.finish(scene)
+    if torques:  # after the base, which the first joint would be behind
+        _draw_loads(panel, state)
     panel.line(state.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
     shade_ellipsoids(panel, chosen)
     _fit_figure(figure, panel)
@@ -142,6 +161,22 @@ def _draw_axes(panel: PosturePanel, origins: Array, axes: Array, half: float) ->
             points = np.stack([points - along, points + along, gaps], axis=1).reshape(-1, 3)
         if len(points):
             panel.line(points, label=label, zorder=5, **style)
+
+
+def _draw_loads(panel: PosturePanel, state: ChainState) -> None:
+    """Mark joints by the share of its torque limit that each needs."""
+    arm = panel.arm
+    arm.require_effort(warns=False)
+    shares = np.abs(state.gravity_torques) / arm.effort
+    known = np.isfinite(arm.effort)
+    of_joints = np.where(known, shares, np.inf)[arm.chain.columns]
+    before = -1.0
+    for most, color, marker, meaning in LOADS:
+        chosen = (of_joints > before) & (of_joints <= most)
+        style: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 8.0, "mec": palette.INK, "mew": 0.5}
+        if np.any(chosen):
+            panel.line(state.origins[chosen], color=color, label=meaning, zorder=6.6, **style)
+        before = most
 
 
 def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:

@@ -180,7 +180,8 @@ def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch
     seen = []
     real = pinposture.viz.plot_arm
 
-    def plot_arm(arm, ellipsoids, scene):
+    def plot_arm(arm, ellipsoids, scene, torques):
+        assert not torques  # no limit is known
         seen.append((arm.n_modules, ellipsoids, scene and list(scene.obstacles)))
         return real(arm, ellipsoids=ellipsoids, scene=scene)
 
