@@ -23,7 +23,7 @@ from pinposture.collision.distances import (
     TreeKinematics,
 )
 from pinposture.collision.obstacles import Obstacle
-from pinposture.collision.scene import USUAL_MARGIN, Scene
+from pinposture.collision.scene import USUAL_MARGIN, Scene, split_velocity
 from pinposture.collision.shapes import Sphere
 from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, enumerated, warn_caller
@@ -391,7 +391,9 @@ class CollisionModel:
     _distances: PairDistances
     _moment: CollisionModel | None  # the model of the last scene with moved obstacles
     _numbers: dict[str, list[int]]  # indices of the solids of each obstacle
-    _velocities: Array
+    _velocities: Array  # of the middle of the obstacle of each solid, (o, 3) [m/s]
+    _turning: Array  # angular velocities, (o, 3) [rad/s]
+    _middles: Array  # (o, 3) [m]
 
     def __new__(cls, arm: Arm, scene: Scene) -> CollisionModel:
         """Return the model of an arm and a scene, created on first use.
@@ -446,7 +448,7 @@ class CollisionModel:
             moment = self._copy()
             moment.scene = scene
             moment._distances = self._elsewhere({name: scene.obstacles[name] for name in scene.moving})
-            moment._velocities = self._velocities_in(scene)
+            moment._take_velocities(scene)
             self._moment = moment
         return moment
 
@@ -466,12 +468,16 @@ class CollisionModel:
         }
         return self._distances.with_obstacles(changes)
 
-    def _velocities_in(self, scene: Scene) -> Array:
-        """Return the velocities of all obstacle solids, (o, 3) [m/s], with a last row of zeros."""
-        velocities = np.zeros((1 + sum(map(len, self._numbers.values())), 3))
+    def _take_velocities(self, scene: Scene) -> None:
+        """Take the velocities of all obstacle solids, with a last row of zeros for bodies of the arm."""
+        count = 1 + sum(map(len, self._numbers.values()))
+        self._velocities = np.zeros((count, 3))
+        self._turning = np.zeros((count, 3))
+        self._middles = np.zeros((count, 3))
         for name, velocity in scene.velocities.items():
-            velocities[self._numbers[name]] = velocity
-        return velocities
+            solids = self._numbers[name]
+            self._velocities[solids], self._turning[solids] = split_velocity(velocity)
+            self._middles[solids] = scene.obstacles[name].pose(np.zeros(3)).translation
 
     def _prepare(self, choice: _Choice, scene: Scene, moving: frozenset[str]) -> None:
         arm = choice.objects.arm
@@ -487,7 +493,7 @@ class CollisionModel:
         self._numbers = {name: [] for name in scene.obstacles}
         for number, name in enumerate(names[len(choice.bodies) :]):
             self._numbers[name].append(number)
-        self._velocities = self._velocities_in(scene)
+        self._take_velocities(scene)
         excluded = {pair: why for pair, why in choice.excluded.items() if names[pair[1]] not in moving}
         left_out = (ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         self.excluded_pairs = tuple(dict.fromkeys(left_out))
@@ -537,7 +543,9 @@ class CollisionModel:
         jacobian = self._kinematics.differentiate(placements, first, second, near.points, normals)
         best = self._closest(near.minimum, near.nearest)
         obstacles = self._distances.second[near.pairs] - len(self.bodies)
-        moved = self._velocities[np.maximum(obstacles, -1)]
+        there = near.points - near.distances[:, None] * near.normals  # on the obstacle
+        solids = np.maximum(obstacles, -1)
+        moved = self._velocities[solids] + np.cross(self._turning[solids], there - self._middles[solids])
         return Distances(
             distances=near.distances,
             jacobian=jacobian,
@@ -625,8 +633,8 @@ class CollisionModel:
             offsets: displacements from q0 at the ends of the motions, (N + 1, nv) [rad or m].
             below: as in `minimum_along`.
             enough: the search ends at the first distance below this [m].
-            times: time from now at each displacement, (N + 1,) [s]; obstacles move with their velocities.
-                None: they stand still.
+            times: time from now at each displacement, (N + 1,) [s]; obstacles move with the velocities of
+                their middles, and do not turn. None: they stand still.
         """
         size = self._arm_length
         search = MotionSearch(below, enough, MOTION_TOLERANCE * size, OPEN_MOTION * size)

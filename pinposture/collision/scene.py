@@ -9,15 +9,15 @@ from dataclasses import field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias, cast
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo
 
 from pinposture._validation import (
-    Vector,
+    LARGEST_LENGTH,
     length,
     point,
     require_instance,
@@ -47,15 +47,24 @@ from pinposture.schema import (
     read_by,
     read_keys,
     read_plain,
+    read_quantities,
     read_within,
     refusing,
 )
 from pinposture.storage import require_suffix, settled, write_text
 
+Array = NDArray[np.float64]
+
 VERSION = 1
 USUAL_MARGIN = 0.005  # the clearance to keep unless another one is given [m]
 MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
 PROBE_RADIUS = 1e-6  # radius of the sphere that represents a point [m]
+
+
+Twist: TypeAlias = tuple[float, ...]
+"""A velocity as it is given, with three numbers or six."""
+
+VELOCITIES = "three finite numbers [m/s], or six: with the angular velocity [rad/s]"
 
 
 def _require_named(value: object) -> dict[str, object]:
@@ -67,18 +76,37 @@ def _require_named(value: object) -> dict[str, object]:
     return dict(value)
 
 
-def _require_known_names(value: Mapping[str, Vector], info: ValidationInfo) -> Mapping[str, Vector]:
+def _require_known_names(value: Mapping[str, Twist], info: ValidationInfo) -> Mapping[str, Twist]:
     for name in value:
         require_known("obstacle", name, info.data.get("obstacles", value))
     return value
 
 
-Velocity = Annotated[Vector, CheckedBy(point, "speed")]
-"""A velocity, (3,) [m/s]."""
+def _read_velocity(value: object, info: ValidationInfo) -> Twist:
+    """Read a velocity: of the middle of an obstacle, and if there are six numbers, that of its rotation."""
+    name = str(info.field_name)
+    if np.shape(np.asarray(value, dtype=object)) != (6,):
+        return cast(Twist, CheckedBy(partial(point, allowed=VELOCITIES), "speed").read(name, value))
+    numbers = read_quantities(value, [*3 * ["speed"], *3 * ["rate of turning"]])
+    for index, number in enumerate(numbers):
+        if abs(number) > LARGEST_LENGTH:
+            raise NotAllowed(number, f"at most {LARGEST_LENGTH:g} either way", index)
+    return numbers
+
+
+Velocity = Annotated[Twist, read_by(_read_velocity)]
+"""A velocity, (3,) [m/s], or with a rotation, (6,) [m/s, rad/s]."""
 
 _Named = BeforeValidator(_require_named)
 _ReadOnly = AfterValidator(MappingProxyType)
 _Velocities: TypeAlias = Annotated[Mapping[str, Velocity], _Named]
+
+
+def split_velocity(velocity: Twist) -> tuple[Array, Array]:
+    """Return the linear and the angular part of a velocity, (3,) each [m/s] and [rad/s]."""
+    both = np.zeros(6)
+    both[: len(velocity)] = velocity
+    return both[:3], both[3:]
 
 
 @declared(eq=False)
@@ -99,7 +127,9 @@ class Scene(Declared):
         arm_radius: radius of stand-in capsules along the links [m], which replace the collision geometry of
             the description. None: use that geometry, and where there is none, capsules with a tenth of the
             mean module length as radius (`pinposture.collision.bodies`).
-        velocities: velocities of moving obstacles by name, (3,) [m/s]; all others stand still.
+        velocities: velocities of moving obstacles by name, world axes: (3,) [m/s]; or (6,), with the angular
+            velocity about the middle of the obstacle [rad/s] behind that of the middle. All others stand
+            still.
     """
 
     _first: ClassVar[Scene | None] = None  # of a scene that is another one at some moment
@@ -154,7 +184,7 @@ class Scene(Declared):
     def moved(
         self,
         placements: Mapping[str, pin.SE3 | ArrayLike],
-        velocities: Mapping[str, Vector] | None = None,
+        velocities: Mapping[str, Twist] | None = None,
     ) -> Scene:
         """Return the scene with some obstacles moved.
 
@@ -163,7 +193,8 @@ class Scene(Declared):
         Args:
             placements: displacements relative to the first scene, by obstacle name: a `pin.SE3`, or a
                 translation, (3,) [m]. For an obstacle described in its own frame, it places that frame.
-            velocities: as the attribute; obstacles without one stand still.
+            velocities: as the attribute; obstacles without one stand still, except that a `Tracker` takes
+                their velocities from the scenes that it gets.
 
         Returns:
             A scene in which all other obstacles stay where they are in this scene.
@@ -197,7 +228,12 @@ class Scene(Declared):
         require_positive("time", time, zero=True)
         obstacles = dict(self.obstacles)
         for name, velocity in self.velocities.items():
-            obstacles[name] = displaced(obstacles[name], pin.SE3(np.eye(3), time * np.array(velocity)))
+            linear, angular = split_velocity(velocity)
+            middle = obstacles[name].pose(np.zeros(3)).translation
+            turn = pin.exp3(time * angular)
+            obstacles[name] = displaced(
+                obstacles[name], pin.SE3(turn, middle + time * linear - turn @ middle)
+            )
         return self._at_moment(obstacles, dict(self.velocities))
 
     def displacement(self, before: Scene, reach: float) -> float:
@@ -236,7 +272,7 @@ class Scene(Declared):
             set_fields(other, _first=replace(self._first, self_collision=False))
         return other
 
-    def _at_moment(self, obstacles: dict[str, Obstacle], velocities: dict[str, Vector]) -> Scene:
+    def _at_moment(self, obstacles: dict[str, Obstacle], velocities: dict[str, Twist]) -> Scene:
         """Return the scene at another moment, without a check: that of many obstacles takes long."""
         other = object.__new__(type(self))
         other.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)})

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # for checkers and editors
     from pinposture.kernels.path_following import *
     from pinposture.kernels.path_relaxation import *
     from pinposture.kernels.posture_matrix import *
+    from pinposture.kernels.rate_of_change import *
     from pinposture.kernels.spline import *
     from pinposture.kernels.target_point import *
 
@@ -50,6 +51,7 @@ _KERNELS = {
     ),
     "path_relaxation": "find_direct_waypoints refine_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",
+    "rate_of_change": "fit_rate",
     "spline": (
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "
         "spline_coefficients spline_values"

@@ -34,6 +34,7 @@ from pinposture.motion.arrival import Arrival, Hindrance
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
 from pinposture.motion.loop import Loop, in_scene
+from pinposture.motion.obstacle_velocities import ObstacleVelocities
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
 from pinposture.units import length_text
@@ -144,7 +145,7 @@ class Tracker:
     Attributes:
         arm: the arm.
         report: the result of the last cycle.
-        scene: the latest obstacles.
+        scene: the latest obstacles, with their velocities.
         overruns: number of calls of `step` that took longer than the nominal cycle time.
 
     Args:
@@ -214,6 +215,7 @@ class Tracker:
             steps = PlannedStep(arm, controller)
         else:
             steps = DirectStep(controller, deadline)
+        self._obstacles = ObstacleVelocities(self.scene, arm.length)
         self._loop = Loop(arm.at(arm.neutral()), steps, limits, SmoothSteps(arm, limits))
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
@@ -375,7 +377,8 @@ class Tracker:
             points: measured positions of the control points, (m, 3) [m], world frame, which replace those
                 computed from the joint positions. Rows that are not finite are missing points.
             scene: the current obstacles, from `Scene.moved`; None: those of the previous cycle, moved on by
-                their velocities.
+                their velocities. Velocities that a scene does not tell are those of the last scenes: from the
+                third pose on, and as far as their noise allows.
 
         Returns:
             The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide it by the cycle
@@ -389,8 +392,9 @@ class Tracker:
         if dt is not None:
             require_positive("dt", dt)
         passed = self._period if dt is None else float(dt)
-        if scene is None and self.scene is not None and self.scene.velocities:
-            scene = self.scene.after(passed)
+        if not (scene is None or isinstance(scene, Scene)):
+            raise InvalidValue("scene", scene, "a Scene(...), or None")
+        scene = self._obstacles.advance(scene, passed)
         if scene is not None and scene is not self.scene:
             controller, self.scene = in_scene(self._loop.steps.controller, scene)
             if self._smoothing.active and scene.velocities:  # obstacles where the filtered steps meet them

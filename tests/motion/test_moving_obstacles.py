@@ -438,6 +438,27 @@ def test_an_obstacle_that_stood_beside_the_base_counts_everywhere() -> None:
     assert CollisionModel(arm(), moved).minimum(q).distance == pytest.approx(-0.03, abs=1e-6)
 
 
+def test_rates_of_an_obstacle_that_turns_are_those_of_later_moments() -> None:
+    h = 1e-5
+    bar = pp.Capsule((0.2, 0.4, -0.3), (0.6, 0.4, 0.3), 0.03)
+    wall = pp.HalfSpace((0.0, 0.0, -0.3), (0.0, 0.0, 1.0))
+    scene = pp.Scene({"bar": bar, "wall": wall}, self_collision=False, arm_radius=THIN)
+    q = pp.arm.smooth_configuration(arm(), np.random.default_rng(0), 0.8)
+    twists = {"bar": (0.1, -0.2, 0.3, 0.5, 1.0, -0.7), "wall": (0.0, 0.0, 0.1, 0.4, -0.3, 0.0)}
+    moving = scene.moved({}, velocities=twists)
+    near = CollisionModel(arm(), moving).nearest(arm().at(q), 0.5)
+    later = CollisionModel(arm(), moving.after(h)).nearest(arm().at(q), 1.0)
+    ahead = dict(zip(later.pairs, later.distances, strict=True))
+    assert len(near.pairs) > 10
+    for pair, distance, rate in zip(near.pairs, near.distances, near.rates, strict=True):
+        assert rate == pytest.approx((ahead[pair] - distance) / h, abs=1e-3)
+    turned = moving.after(0.5).obstacles["bar"]
+    turn = pin.exp3(0.5 * np.array(twists["bar"][3:]))
+    axis = np.array(turned.end) - np.array(turned.start)
+    np.testing.assert_allclose(axis, turn @ (np.array(bar.end) - np.array(bar.start)), atol=1e-12)
+    np.testing.assert_allclose(turned.pose(np.zeros(3)).translation, [0.45, 0.3, 0.15], atol=1e-12)
+
+
 @pytest.mark.long
 def test_rates_and_distances_in_time_are_those_of_later_moments() -> None:
     rng = np.random.default_rng(0)
@@ -477,13 +498,24 @@ def test_what_does_not_fit_is_named() -> None:
         scene.moved({"ball": (0.0, np.nan, 0.0)})
     with pytest.raises(InvalidValue, match="velocities"):
         scene.moved({}, velocities={"ball": 0.2})
+    with pytest.raises(InvalidValue, match=r"velocities.ball.*six"):
+        scene.moved({}, velocities={"ball": (0.0, 0.0, 0.0, 1.0)})
+    with pytest.raises(InvalidValue, match=r"velocities.ball"):
+        scene.moved({}, velocities={"ball": (0.0, 0.0, 0.0, 0.0, np.nan, 1.0)})
+    with pytest.raises(InvalidValue, match=r"velocities.ball"):
+        scene.moved({}, velocities={"ball": (0.0, 0.0, 0.0, 0.0, 1e5, 1.0)})
+    turning = pp.Scene.from_dict(
+        {**scene.to_dict(), "velocities": {"ball": [0, "1 cm/s", 0, 0, 0, "30 deg/s"]}}
+    )
+    assert turning.velocities["ball"] == pytest.approx((0.0, 0.01, 0.0, 0.0, 0.0, np.pi / 6.0))
+    assert pp.Scene.from_dict(turning.to_dict()) == turning
     moving = scene.moved({"ball": (0.1, 0.2, 0.3)}, velocities={"ball": (0.0, 0.1, 0.0)})
     assert pp.Scene.from_dict(moving.to_dict()) == moving
 
 
 @pytest.mark.parametrize(
     ("modules", "speed", "jerk", "least"),
-    [(10, 0.03, None, 0.0099), (10, 0.03, 100.0, 0.007), (5, 0.1, None, 0.002)],
+    [(10, 0.03, None, 0.0099), (10, 0.03, 100.0, 0.0095), (5, 0.1, None, 0.0099)],
 )
 def test_an_arm_at_rest_evades_an_obstacle_whose_velocity_nobody_tells(
     modules: int, speed: float, jerk: float | None, least: float
@@ -505,3 +537,54 @@ def test_an_arm_at_rest_evades_an_obstacle_whose_velocity_nobody_tells(
     assert statuses[0] == "converged"
     assert statuses[-1] in ("moving", "stalled")
     assert min(distances) > least
+
+
+def approach(seed: int) -> tuple[pp.Arm, np.ndarray, np.ndarray, np.ndarray, float]:
+    """A small arm at rest; place, velocity and radius of a ball that comes towards one of its points."""
+    rng = np.random.default_rng(seed)
+    small = template_arm("RyRz", int(rng.integers(4, 9)))
+    q = rng.uniform(-0.3, 0.3, small.nv)
+    aim = small.at(q).points[rng.integers(small.n_modules // 2, small.n_modules)]
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    velocity = rng.uniform(0.05, 0.5) * small.length * direction
+    return small, q, aim - 0.25 * small.length * direction, velocity, 0.06 * small.length
+
+
+def gap_of(small: pp.Arm, q: np.ndarray, center: np.ndarray, radius: float) -> float:
+    """Distance of a ball from the lines between the joints and the tip of an arm, in closed form."""
+    data = small.model.createData()
+    pin.framesForwardKinematics(small.model, data, q)
+    nodes = [data.oMi[joint].translation for joint in range(1, small.model.njoints)]
+    nodes = np.array([*nodes, data.oMf[small.model.getFrameId(small.control_points[-1])].translation])
+    ends = np.diff(nodes, axis=0)
+    squares = np.maximum((ends**2).sum(axis=1), 1e-30)
+    shares = np.clip(((center - nodes[:-1]) * ends).sum(axis=1) / squares, 0.0, 1.0)
+    return float(np.linalg.norm(nodes[:-1] + shares[:, None] * ends - center, axis=1).min()) - radius
+
+
+@pytest.mark.parametrize("noise, least", [(0.0, 0.02), (1e-3, 0.01)])
+@pytest.mark.parametrize("seed", cases(range(25), 2))
+def test_no_ball_whose_velocity_nobody_tells_touches_a_small_arm(
+    seed: int, noise: float, least: float
+) -> None:
+    """The command starts and stops a few times, not in each cycle."""
+    small, q, origin, velocity, radius = approach(seed)
+    rng = np.random.default_rng(seed)
+    margin = 0.02 * small.length
+    scene = pp.Scene(
+        {"ball": pp.Sphere(tuple(origin), radius)}, margin=margin, self_collision=False, arm_radius=margin
+    )
+    limits = pp.Limits(step=None, dt=DT, velocity=1.5, acceleration=5.0)
+    tracker = pp.Tracker(small, limits=limits, scene=scene)
+    tracker.update(pp.Target.from_configuration(small, q))
+    lowest = np.inf
+    moves = [False]
+    for cycle in range(int(0.35 * small.length / np.linalg.norm(velocity) / DT)):
+        moved = velocity * DT * cycle
+        dq = tracker.step(q, scene=scene.moved({"ball": moved + noise * rng.normal(size=3)}))
+        q = small.integrate(q, dq)
+        lowest = min(lowest, gap_of(small, q, origin + moved, radius + margin))
+        moves.append(bool(np.abs(dq).max() > 1e-9))
+    assert lowest > (least - 1e-4) * small.length
+    assert np.count_nonzero(np.diff(moves)) <= 7

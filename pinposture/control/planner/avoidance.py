@@ -381,11 +381,11 @@ class Avoidance:
         matrix = near.jacobian[:, self.objective.columns] * self.objective.units
         room = near.distances - self.margin - STEP_CLEARANCE * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
+        share = np.full(len(room), GAIN_SHARE)
+        moved = self.clearance.scene.moving
+        if moved:  # such an obstacle may still approach
+            share[[not moved.isdisjoint(pair) for pair in near.pairs]] = RETREAT_GAIN_SHARE
         if not self.moving:
-            share = np.full(len(room), GAIN_SHARE)
-            moved = self.clearance.scene.moving
-            if moved:  # such an obstacle may still approach
-                share[[not moved.isdisjoint(pair) for pair in near.pairs]] = RETREAT_GAIN_SHARE
             return ConstraintRows(matrix, np.minimum(-self._approach * room, share * most))
         # Retreating at c - a r, where c is the speed of the obstacle, takes an acceleration of at most a c.
         closing = -self._dt * near.rates
@@ -400,7 +400,6 @@ class Avoidance:
         faster = closing > speed
         sight = (1.0 - speed[faster] / closing[faster]) * CONSTRAINED_DISTANCE * self._length
         approach[faster] = np.minimum(approach[faster], closing[faster] / sight)
-        share = np.where(near.rates == 0.0, GAIN_SHARE, RETREAT_GAIN_SHARE)
         return ConstraintRows(matrix, np.minimum(closing - approach * room, share * most))
 
     def intrusion(self, state: ChainState) -> float:
