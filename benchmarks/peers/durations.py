@@ -9,6 +9,9 @@ them, at times at which limits bind throughout. Limits of all joints are 1 rad/s
 environment of its own, made when first needed) for the same path, from rest to rest. What the output takes of
 the limits is measured from the joint positions of the run.
 
+Paths between postures are also timed within limits of torque, 1.2 or 2 times what gravity takes on the path,
+and of speed, 3 or 10 rad/s; TOPP-RA has the same inverse dynamics (Pinocchio), and no reserve of 2 %.
+
 Single joints also have limits of jerk; their shortest time is that of Ruckig (package `ruckig`, as above).
 Ratios below 1 come from cycles: limits hold for differences between them, not for all times.
 """
@@ -39,8 +42,14 @@ CYCLE = 0.01
 LIMITS = ((1.0, 2.0), (1.0, 5.0), (1.0, 20.0), (1000.0, 5.0))
 """Limits of speed [rad/s] and acceleration [rad/s^2]."""
 
+EFFORTS = ((3.0, 1.2), (3.0, 2.0), (10.0, 1.2), (10.0, 2.0))
+"""Limits of speed [rad/s], and of torque in relation to the largest one that gravity takes on a path."""
+
 JERKS, DISTANCES = (20.0, 50.0, 200.0), (0.02, 0.1, 0.3, 1.0, 2.5)
 """Limits of jerk [rad/s^3], and distances that single joints move [rad]."""
+
+LONGEST_WITH_TORQUES = 100
+"""Most joints of an arm whose torques are limited."""
 
 BEND, POSTURES, ROWS, SAMPLES = 32.0, 5, 401, 4
 """Joint motion of postures, times the number of joints [rad]; postures and waypoints of a motion; and samples
@@ -87,15 +96,26 @@ def perform_postures(arm: pp.Arm, rng: np.random.Generator, limits: pp.Limits) -
     return Run(sample(path), motion.run.q, motion.run.status == "converged")
 
 
-def shortest_durations(runs: list[Run], limits: np.ndarray) -> list[float]:
-    """Return the shortest durations by TOPP-RA [s]."""
+def shortest_durations(
+    paths: list[np.ndarray], limits: list[np.ndarray], urdf: str | None = None
+) -> list[float]:
+    """Return the shortest durations by TOPP-RA [s].
+
+    Args:
+        paths: joint positions at equal distances, (s, n) each [rad].
+        limits: limits of speed, and of acceleration or of torque, (2, n) each.
+        urdf: the arm, for limits of torque.
+    """
     where = environments.prepare({"toppra"})["toppra"]
     if where.python is None:
         raise SystemExit(f"toppra cannot be installed: {where.reason}")
     with tempfile.TemporaryDirectory() as folder:
         source, output = Path(folder, "paths.npz"), Path(folder, "durations.json")
-        arrays = {f"path_{k}": run.path for k, run in enumerate(runs)}
-        np.savez(source, **arrays, **{f"limits_{k}": limits for k in range(len(runs))})
+        arrays = {f"path_{k}": path for k, path in enumerate(paths)}
+        arrays |= {f"limits_{k}": each for k, each in enumerate(limits)}
+        if urdf is not None:
+            arrays |= {f"urdf_{k}": np.array(urdf) for k in range(len(paths))}
+        np.savez(source, **arrays)
         script = ["-m", "benchmarks.peers.toppra_durations", str(source), str(output)]
         subprocess.run([where.python, *script], cwd=environments.ROOT, check=True)
         return [float(each) for each in json.loads(output.read_text())]
@@ -135,7 +155,8 @@ def measure(kind: str, joints: int, speed: float, acceleration: float, draws: in
     limits = pp.Limits(step=None, velocity=speed, acceleration=acceleration, dt=CYCLE)
     make = run_between if kind == "run" else perform_postures
     runs = [make(arm, np.random.default_rng(draw), limits) for draw in range(draws)]
-    least = shortest_durations(runs, np.tile([[speed], [acceleration]], arm.nv))
+    limited = np.tile([[speed], [acceleration]], arm.nv)
+    least = shortest_durations([run.path for run in runs], [limited] * draws)
     ratios = [CYCLE * (len(run.q) - 1) / best for run, best in zip(runs, least, strict=True)]
     rest, used = np.zeros((1, arm.nv)), [0.0, 0.0]
     for run in runs:
@@ -153,6 +174,41 @@ def measure(kind: str, joints: int, speed: float, acceleration: float, draws: in
         "largest_ratio": max(ratios),
         "speed_used": float(used[0] / speed),
         "acceleration_used": float(used[1] / acceleration),
+    }
+
+
+def measure_torques(joints: int, speed: float, effort: float, draws: int) -> dict[str, Any]:
+    """Return the figures of paths that are timed within limits of torque."""
+    arm = pp.Arm.from_template("RyRz", joints // 2, (1.0 / joints, 1.0 / joints))
+    limits = pp.Limits(step=None, velocity=speed, dt=CYCLE)
+    timed: list[pp.TimedPath] = []
+    bounds = []
+    used = 0.0
+    for draw in range(draws):
+        rng = np.random.default_rng(draw)
+        start, goal = (smooth_configuration(arm, rng, BEND / arm.nv) for _ in range(2))
+        path = pp.plan(arm.at(start), pp.Target.from_configuration(arm, goal), limits=limits)
+        held = [arm.at(q).gravity_torques for q in arm.integrate(path.start, sample(path) - path.start)]
+        strong = arm.with_effort(effort * float(np.abs(held).max()))
+        path = pp.plan(strong.at(start), pp.Target.from_configuration(strong, goal), limits=limits)
+        timed.append(pp.retime(path, limits, effort=True))
+        bounds.append(np.array([np.full(arm.nv, speed), strong.effort]))
+        rest = np.pad(timed[-1].path.smooth_offset(timed[-1].places), ((1, 1), (0, 0)), mode="edge")
+        steps = np.diff(rest, axis=0) / CYCLE
+        q = arm.integrate(path.start, rest[1:-1])
+        torques = strong.inverse_dynamics(q, (steps[1:] + steps[:-1]) / 2.0, np.diff(steps, axis=0) / CYCLE)
+        used = max(used, float(np.abs(torques / strong.effort).max()))
+    least = shortest_durations([sample(each.path) for each in timed], bounds, arm.urdf)
+    ratios = [each.duration / best for each, best in zip(timed, least, strict=True)]
+    return {
+        "kind": "torque",
+        "joints": joints,
+        "speed": speed,
+        "effort": effort,
+        "of": draws,
+        "ratio": float(np.median(ratios)),
+        "largest_ratio": max(ratios),
+        "effort_used": used,
     }
 
 
@@ -177,6 +233,18 @@ def main() -> None:
                 "{speed_used:.1%} of the speed, {acceleration_used:.1%} of the acceleration".format(**row),
                 flush=True,
             )
+    for joints in (each for each in given.joints if each <= LONGEST_WITH_TORQUES):
+        for speed, effort in EFFORTS:
+            row = measure_torques(joints, speed, effort, given.draws)
+            rows.append(row)
+            if not given.json:
+                print(
+                    "torque {joints:4d} joints, {speed:6g} rad/s, {effort:g} times gravity: {ratio:.3f} times the "
+                    "shortest (largest {largest_ratio:.3f}); at most {effort_used:.1%} of the torque".format(
+                        **row
+                    ),
+                    flush=True,
+                )
     for row in (row for jerk in JERKS for row in measure_jerk(jerk)):
         rows.append(row)
         if not given.json:

@@ -37,7 +37,7 @@ ENVIRONMENTS = {
     "pink": Recipe("peers", ("pin-pink", "qpsolvers", "daqp"), "pink"),
     "mink": Recipe("peers", ("mink", "mujoco", "qpsolvers", "daqp"), "mink"),
     "placo": Recipe("placo", ("placo",), "placo"),
-    "toppra": Recipe("toppra", ("toppra",), "toppra"),
+    "toppra": Recipe("toppra", ("toppra", "pin"), "toppra"),
     "ruckig": Recipe("ruckig", ("ruckig",), "ruckig"),
 }
 """Recipes by the names that `peers.Entry.environment` uses; those of a folder are installed in this order."""

@@ -21,6 +21,7 @@ from pinposture._validation import (
     as_generator,
     as_number,
     entries_beyond,
+    finite_array,
     finite_vector,
     require_instance,
     require_whole,
@@ -994,6 +995,36 @@ class Arm(ConfigurationSpace):
         if unknown and warns and not self._effort_checked:
             warn_caller(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
             self._effort_checked = True
+
+    def inverse_dynamics(self, q: ArrayLike, velocities: ArrayLike, accelerations: ArrayLike) -> Array:
+        """Compute the torques and forces with which the motors move the arm, by Pinocchio.
+
+        With what the arm carries and the armature of the description, without friction. Of coupled joints it
+        is the torque along the leader, by virtual work.
+
+        Args:
+            q: configurations, (k, nq).
+            velocities: joint velocities, (k, nv) [rad/s or m/s].
+            accelerations: joint accelerations, (k, nv) [rad/s^2 or m/s^2].
+
+        Returns:
+            Array (k, nv) [N m or N].
+
+        Raises:
+            InvalidValue: arrays of other shapes or not finite, or an arm of over 100 degrees of freedom.
+            WeightUnknown: masses that are not known; names the links.
+            URDFError: an impossible mass or inertia in the description; names the link.
+        """
+        at = finite_array("q", q, (None, self.nq))
+        for configuration in at:
+            self.checked(configuration, "q")
+        shape = (len(at), self.nv)
+        moving = finite_array("velocities", velocities, shape)
+        changing = finite_array("accelerations", accelerations, shape)
+        if self.frames is None:
+            raise InvalidValue("degrees of freedom", self.nv, f"at most {MAX_PINOCCHIO_DOF} for dynamics")
+        self.require_masses()
+        return self.frames.inverse_dynamics(at, moving, changing)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Arm.from_dict, (self.to_dict(),)

@@ -425,6 +425,14 @@ class FrameReader:
         """Compute the torques and forces that balance gravity, (nv,) [N m or N]; a copy."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._buffers()[0], q))
 
+    def inverse_dynamics(self, q: Array, velocities: Array, accelerations: Array) -> Array:
+        """Compute the torques and forces of motions, (k, nv) each, at configurations (k, nq)."""
+        data = self._buffers()[0]
+        torques = np.empty_like(velocities)
+        for k, motion in enumerate(zip(q, velocities, accelerations, strict=True)):
+            torques[k] = pin.rnea(self._model, data, *motion)
+        return torques
+
     def read(self, q: Array) -> Frames:
         """Compute the frames at a configuration (nq,); the arrays are copies."""
         data, placed, positions, orientations = self._buffers()

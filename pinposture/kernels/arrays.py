@@ -215,6 +215,25 @@ class NextSteps(NamedTuple):
     at_limit: Flags2
 
 
+class ProfileRows(NamedTuple):
+    """Limits |a u + b x + c| <= limit along a path, in K parts of constant path acceleration u.
+
+    x is the square of the path speed where a part begins. There are R quantities: the accelerations of all
+    joints, then those of torques, if these are limited.
+
+    Attributes:
+        a: three rows of each part, (K, 3, R); see `find_speed_profile`.
+        b: likewise.
+        c: likewise.
+        limit: the limits, (R,); may be infinite.
+    """
+
+    a: Array3
+    b: Array3
+    c: Array3
+    limit: Array1
+
+
 class TimedPathArrays(NamedTuple):
     """A path of nv joints through N + 1 waypoints, and the highest speed along it.
 
@@ -223,9 +242,7 @@ class TimedPathArrays(NamedTuple):
         slopes: change of it per waypoint, (N + 1, nv).
         start: joint positions at the start, (nv,) [rad or m].
         top: the highest speed at equidistant places, (K + 1,) [waypoints per step]; empty without a profile.
-        a: slopes of the K parts in between, (K, 3, nv); see `find_speed_profile`.
-        b: their bends, likewise.
-        brake: largest change between steps along the path, (nv,); may be infinite.
+        rows: the limits of the K parts in between.
         most: largest number of waypoints of one step; may be infinite.
         small: slope that counts as zero, relative to the largest.
     """
@@ -234,9 +251,7 @@ class TimedPathArrays(NamedTuple):
     slopes: Array2
     start: Array1
     top: Array1
-    a: Array3
-    b: Array3
-    brake: Array1
+    rows: ProfileRows
     most: float
     small: float
 

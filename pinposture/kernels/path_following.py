@@ -16,6 +16,7 @@ from pinposture.kernels.arrays import (
     PathMotion,
     PathTolerances,
     PointGoals,
+    ProfileRows,
     StepArrays,
     TimedPathArrays,
 )
@@ -87,11 +88,12 @@ def spline_slopes(x: Array2, slopes: Array2) -> None:
 # which the path acceleration u is constant, so that x = speed^2 is linear: x' = x + 2 h u. The joint
 # acceleration f = q'(s) u + q''(s) x(s) is quadratic there, and within a limit if its three Bernstein
 # coefficients are: f at both ends, and 2 f(middle) - (f(start) + f(end)) / 2. All have the form a u + b x.
+# So have torques, of which gravity takes c. They are not quadratic; between the three samples they are close.
 
 
 @subkernel
 def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3, steepest: Array2) -> None:
-    """Fill in a and b of each part, (N parts, 3, nv), and the largest |q'| on it, (N parts, nv)."""
+    """Fill in a and b of the joints, (N parts, 3, nv or more), and the largest |q'| on it, (N parts, nv)."""
     h = 1.0 / parts
     for i in range(len(offsets) - 1):
         for part in range(parts):
@@ -123,41 +125,42 @@ def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3
 
 @subkernel
 def _acceleration_range(
-    a: Array2, b: Array2, limit: Array1, tiny: float, x: float
+    rows: ProfileRows, part: int, tiny: float, x: float
 ) -> tuple[float, float, float, float]:
-    """Return the range of u in which |a u + b x| <= limit, and the derivatives of its ends by x."""
+    """Return the range of u in which |a u + b x + c| <= limit, and the derivatives of its ends by x."""
     low = -np.inf
     high = np.inf
     low_slope = 0.0
     high_slope = 0.0
-    for row in range(len(a)):
-        for j in range(a.shape[1]):
-            steep = abs(a[row, j])
-            if steep <= tiny:
+    for row in range(3):
+        for j in range(len(rows.limit)):
+            a = rows.a[part, row, j]
+            if abs(a) <= tiny:
                 continue
-            middle = -b[row, j] * x / a[row, j]
-            reach = limit[j] / steep
+            b = rows.b[part, row, j]
+            middle = -(b * x + rows.c[part, row, j]) / a
+            reach = rows.limit[j] / abs(a)
             if middle + reach < high:
                 high = middle + reach
-                high_slope = -b[row, j] / a[row, j]
+                high_slope = -b / a
             if middle - reach > low:
                 low = middle - reach
-                low_slope = -b[row, j] / a[row, j]
+                low_slope = -b / a
     return low, high, low_slope, high_slope
 
 
 @subkernel
-def _fastest_start(
-    a: Array2, b: Array2, limit: Array1, tiny: float, h: float, most: float, after: float
-) -> float:
+def _fastest_start(rows: ProfileRows, part: int, tiny: float, h: float, most: float, after: float) -> float:
     """Return the largest x, up to `most`, from which a part can be followed to an x of at most `after`."""
     x = most
-    for row in range(len(a)):
-        for j in range(a.shape[1]):
-            if abs(a[row, j]) <= tiny and abs(b[row, j]) * x > limit[j]:
-                x = limit[j] / abs(b[row, j])
+    for row in range(3):
+        for j in range(len(rows.limit)):
+            b = rows.b[part, row, j]
+            room = rows.limit[j] - np.copysign(1.0, b) * rows.c[part, row, j]
+            if abs(rows.a[part, row, j]) <= tiny and abs(b) * x > room:
+                x = max(room, 0.0) / abs(b)
     for _ in range(MAX_PROFILE_ITERATIONS):  # Newton's method on a convex function
-        low, high, low_slope, high_slope = _acceleration_range(a, b, limit, tiny, x)
+        low, high, low_slope, high_slope = _acceleration_range(rows, part, tiny, x)
         if (after - x) / (2.0 * h) < high:
             high = (after - x) / (2.0 * h)
             high_slope = -0.5 / h
@@ -181,12 +184,10 @@ def find_speed_profile(
     offsets: Array2,
     slopes: Array2,
     bound: Array1,
-    brake: Array1,
     start_speed: float,
     most: Array1,
     small: float,
-    a: Array3,
-    b: Array3,
+    rows: ProfileRows,
     top: Array1,
 ) -> None:
     """Compute the largest path speed from which all limits ahead can be kept, up to rest at the end.
@@ -195,21 +196,20 @@ def find_speed_profile(
         offsets: displacement of each waypoint from the first, (N + 1, nv), N > 0.
         slopes: change of it per waypoint, (N + 1, nv).
         bound: largest step of each joint, (nv,); may be infinite.
-        brake: largest change between steps, (nv,), > 0; may be infinite.
         start_speed: number of waypoints in the step before the first one.
         most: largest number of waypoints of one step between two of them, (N,); may be infinite.
         small: slope that counts as zero, relative to the largest.
-        a: filled with rows of the parts into which the waypoints are divided, (N parts, 3, nv).
-        b: likewise.
+        rows: limits of the parts into which the waypoints are divided. Filled are a and b of the joints, from
+            the start, the middle and the end of each part; those of torques are given.
         top: filled with the speed where they begin, and at the end, (N parts + 1,) [waypoints per step].
     """
-    count = len(a)
+    count = len(rows.a)
     joints = offsets.shape[1]
     parts = count // (len(offsets) - 1)
     h = 1.0 / parts
     tiny = 1e-100
     steepest = np.empty((count, joints))
-    _find_rows(offsets, slopes, parts, a, b, steepest)
+    _find_rows(offsets, slopes, parts, rows.a, rows.b, steepest)
     for i in range(count):
         for j in range(joints):
             tiny = max(tiny, small * steepest[i, j])
@@ -224,19 +224,19 @@ def find_speed_profile(
                 top[i] = min(top[i], fastest)
                 top[i + 1] = min(top[i + 1], fastest)
     stops = False
-    for j in range(joints):
-        stops = stops or np.isfinite(brake[j])
+    for j in range(len(rows.limit)):
+        stops = stops or np.isfinite(rows.limit[j])
     if stops:
-        gain = _acceleration_range(a[count - 1], b[count - 1], brake, tiny, 0.0)[1]
-        if np.sqrt(top[count]) > 0.5 * gain:  # else it can stop at once
+        loss = -_acceleration_range(rows, count - 1, tiny, 0.0)[0]
+        if np.sqrt(top[count]) > 0.5 * loss:  # else it can stop at once
             top[count] = 0.0
-        gain = _acceleration_range(a[0], b[0], brake, tiny, 0.0)[1]
+        gain = _acceleration_range(rows, 0, tiny, 0.0)[1]
         # Half a step, before the first half of the next.
         top[0] = min(top[0], (start_speed + 0.5 * gain) ** 2)
         for i in range(count - 1, -1, -1):
-            top[i] = _fastest_start(a[i], b[i], brake, tiny, h, top[i], top[i + 1])
+            top[i] = _fastest_start(rows, i, tiny, h, top[i], top[i + 1])
         for i in range(count):
-            high = _acceleration_range(a[i], b[i], brake, tiny, top[i])[1]
+            high = _acceleration_range(rows, i, tiny, top[i])[1]
             top[i + 1] = min(top[i + 1], max(top[i] + 2.0 * h * high, 0.0))
     for i in range(count + 1):
         top[i] = np.sqrt(top[i])
@@ -275,9 +275,7 @@ def next_path_speed(
     rate: float,
     small: float,
     most: float,
-    brake: Array1,
-    a: Array3,
-    b: Array3,
+    rows: ProfileRows,
     top: Array1,
     waypoints: int,
 ) -> float:
@@ -286,7 +284,7 @@ def next_path_speed(
     `rate` is that number in the previous step, and `most` the largest one. Other arguments are as for
     `find_speed_profile`; `waypoints` is N.
     """
-    count = len(a)
+    count = len(rows.a)
     parts = count // waypoints
     left = waypoints - place
     wanted = min(_travel(place, top, parts, True), most)
@@ -298,15 +296,15 @@ def next_path_speed(
     first = min(int(place * parts), count - 1)
     last = min(int((place + wanted) * parts), count - 1)
     for i in range(first, last + 1):
-        for j in range(a.shape[2]):
-            tiny = max(tiny, small * abs(a[i, 0, j]))
+        for j in range(len(rows.limit)):
+            tiny = max(tiny, small * abs(rows.a[i, 0, j]))
     gain = np.inf
     loss = np.inf
     for i in range(first, last + 1):
-        low, high, _, _ = _acceleration_range(a[i], b[i], brake, tiny, rate**2)
-        least = MIN_GAIN * _acceleration_range(a[i], b[i], brake, tiny, 0.0)[1]
-        gain = min(gain, max(high, least))
-        loss = min(loss, max(-low, least))
+        low, high, _, _ = _acceleration_range(rows, i, tiny, rate**2)
+        slowest, fastest, _, _ = _acceleration_range(rows, i, tiny, 0.0)
+        gain = min(gain, max(high, MIN_GAIN * fastest))
+        loss = min(loss, max(-low, -MIN_GAIN * slowest))
     fastest = min(wanted, rate + max(gain, wanted - before))
     return min(max(fastest, min(rate - max(loss, before - wanted), wanted + rate)), left)
 
@@ -606,9 +604,7 @@ def step_on_profile(
         the limits.
     """
     end = len(path.offsets) - 1.0
-    rate = next_path_speed(
-        place, speed, path.small, path.most, path.brake, path.a, path.b, path.top, len(path.offsets) - 1
-    )
+    rate = next_path_speed(place, speed, path.small, path.most, path.rows, path.top, len(path.offsets) - 1)
     wanted = min(rate, end - place)
     here = np.empty(len(dq))
     _smooth_offset(path.offsets, path.slopes, place, here)

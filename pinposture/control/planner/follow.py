@@ -205,7 +205,8 @@ class PathProgress(NamedTuple):
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return this progress on another path with as many waypoints, or within other limits."""
-        return self._replace(timed=retime(path, limits, self.timed.max_rate, initial_speed), ahead=None)
+        timed = retime(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
+        return self._replace(timed=timed, ahead=None)
 
     def bent_to(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
         """Return this progress on a bent path, retimed if the bend, as in the attribute, changed enough."""
@@ -229,7 +230,7 @@ class PathProgress(NamedTuple):
         squares = float(ahead @ ahead)
         speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
         speed = min(speed, path.end)
-        return cls(retime(path, timed.limits, timed.max_rate, speed), speed=speed)
+        return cls(retime(path, timed.limits, timed.max_rate, speed, timed.effort), speed=speed)
 
 
 class Goal(NamedTuple):
@@ -310,7 +311,7 @@ def fast_step(
     objective = path.objective
     if progress.arrived or objective.has_tasks:
         return None
-    if bounds.brake is not None and path.end == 1.0 and not timed.scheduled:
+    if bounds.brake is not None and path.end == 1.0 and not (timed.scheduled or timed.effort):
         return None  # each joint moves to the end on its own
     arm = state.arm
     ahead = progress.ahead
@@ -693,7 +694,7 @@ def _next_on_path(
     if tasks is not None and (path.end == 1.0 or here >= path.end):
         rest = _admitted(path, path.end, tasks, rest)
     left = float(np.abs(rest[columns] / units).max(initial=0.0))
-    if path.end == 1.0 and not timed.scheduled and bounds.brake is not None:
+    if path.end == 1.0 and not (timed.scheduled or timed.effort) and bounds.brake is not None:
         # On so short a path each joint moves to the end on its own, as fast as it can stop there.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import TimedPathArrays
+from pinposture.kernels.arrays import ProfileRows, TimedPathArrays
 
 Array = NDArray[np.float64]
 
@@ -225,8 +225,10 @@ class JointPath:
 
 SPEED_SHARE = 0.98
 ACCELERATION_SHARE = 0.97
-"""Shares of the velocity and acceleration limits that the profile uses; the rest is for corrections.
-Without it runs would be 2 % shorter."""
+EFFORT_SHARE = 0.98
+"""Shares of the limits of velocity, acceleration and torque that the profile uses; the rest is for
+corrections, and for differences between steps and a continuous motion. Without the first two runs would be
+2 % shorter."""
 
 LEAST_PARTS = 128
 """Smallest number of parts of a path with constant acceleration each. Half of it lengthened eight runs of 40
@@ -240,9 +242,7 @@ NO_PROFILE = TimedPathArrays(
     slopes=np.empty((0, 0)),
     start=np.empty(0),
     top=np.empty(0),
-    a=np.empty((0, 3, 0)),
-    b=np.empty((0, 3, 0)),
-    brake=np.empty(0),
+    rows=ProfileRows(np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty(0)),
     most=inf,
     small=ZERO_SLOPE,
 )
@@ -257,17 +257,21 @@ class SpeedProfile:
         bounds: the limits.
         max_rate: largest number of waypoints in one step; one number, or one for each piece, (N,).
         initial_speed: number of waypoints in the previous step, if the arm is moving.
+        effort: whether it keeps the torque limits of the arm, too.
 
     Attributes:
         top: the highest speed at equidistant places, (K + 1,) [waypoints per step].
-        slopes: slopes of the K parts in between, (K, 3, nv); see `kernels.find_speed_profile`.
-        bends: their bends, likewise.
-        brake: largest change between steps, (nv,) [rad or m]; may be infinite.
+        rows: the limits of the K parts in between.
         most: largest number of waypoints in one step.
     """
 
     def __init__(
-        self, path: JointPath, bounds: JointBounds, max_rate: float | Array = inf, initial_speed: float = 0.0
+        self,
+        path: JointPath,
+        bounds: JointBounds,
+        max_rate: float | Array = inf,
+        initial_speed: float = 0.0,
+        effort: bool = False,
     ) -> None:
         n = path.offsets.shape[1]
         self._waypoints = len(path.offsets) - 1
@@ -275,20 +279,21 @@ class SpeedProfile:
         self.most = float(rates.max())
         count = -(-LEAST_PARTS // self._waypoints) * self._waypoints
         brake = np.full(n, np.inf) if bounds.brake is None else ACCELERATION_SHARE * bounds.brake
-        self.brake = brake
-        self.slopes = np.empty((count, 3, n))
-        self.bends = np.empty((count, 3, n))
+        shape = (count, 3, n)
+        self.rows = ProfileRows(np.empty(shape), np.empty(shape), np.zeros(shape), brake)
+        if effort:
+            torques = torque_rows(path, bounds, count)
+            joined = [np.concatenate(parts, axis=-1) for parts in zip(self.rows, torques, strict=True)]
+            self.rows = ProfileRows._make(joined)
         self.top = np.empty(count + 1)
         kernels.find_speed_profile(
             path.offsets,
             path.slopes,
             SPEED_SHARE * np.array(bounds.bound),
-            brake,
             initial_speed,
             rates,
             ZERO_SLOPE,
-            self.slopes,
-            self.bends,
+            self.rows,
             self.top,
         )
 
@@ -305,12 +310,81 @@ class SpeedProfile:
             speed,
             ZERO_SLOPE,
             self.most,
-            self.brake,
-            self.slopes,
-            self.bends,
+            self.rows,
             self.top,
             self._waypoints,
         )
+
+
+def torque_rows(path: JointPath, bounds: JointBounds, count: int) -> ProfileRows:
+    """Return the rows of the torque limits of an arm in `count` equal parts of a path.
+
+    On the path, torques are M q' u + (M q'' + C q') x + g, with the mass matrix M, the Coriolis matrix C at
+    the joint velocity q', and gravity g: three evaluations of inverse dynamics at each sample. Dry friction,
+    and viscous friction at the velocity limit, count as if they always opposed the motors.
+
+    Raises:
+        InvalidValue: limits without cycle time, viscous friction without a velocity limit, an arm that is too
+            long, or a path that the motors cannot hold.
+        WeightUnknown: masses, or all torque limits, are not known.
+    """
+    arm = path.arm
+    arm.require_effort()
+    dt = bounds.dt
+    if dt is None:
+        raise InvalidValue("limits.dt", None, "a cycle time, as torques depend on it")
+    waypoints = len(path.offsets) - 1
+    parts = count // waypoints
+    h = 1.0 / parts
+    piece = np.repeat(np.arange(waypoints), 3 * parts)
+    t = np.tile((h * np.arange(parts)[:, None] + (0.0, 0.5 * h, h)).ravel(), waypoints)[:, None]
+    before = path.slopes[piece]
+    after = path.slopes[piece + 1]
+    whole = path.offsets[piece + 1] - path.offsets[piece]
+    square = 3.0 * whole - 2.0 * before - after
+    cubic = before + after - 2.0 * whole
+    offsets = path.offsets[piece] + t * (before + t * (square + t * cubic))
+    slopes = (before + t * (2.0 * square + t * 3.0 * cubic)) / dt
+    bends = (2.0 * square + 6.0 * t * cubic) / dt**2
+    q = arm.integrate(path.start, offsets)
+    rest = np.zeros_like(slopes)
+    c = arm.inverse_dynamics(q, rest, rest)
+    a = arm.inverse_dynamics(q, rest, slopes / dt) - c
+    b = arm.inverse_dynamics(q, slopes, bends) - c
+    limit = EFFORT_SHARE * arm.effort - _friction(arm, bounds)
+    _require_holdable(arm, np.abs(c), limit)
+    # At the scale of accelerations, and as the Bernstein coefficients of quadratic functions.
+    largest = float(np.abs(slopes).max()) * dt / max(float(np.abs(a).max()), 1e-300)
+    a, b, c = (largest * each.reshape(count, 3, -1) for each in (a, b, c))
+    a = a + (h * np.arange(3.0))[:, None] * b
+    for each in (a, b, c):
+        each[:, 1] = 2.0 * each[:, 1] - 0.5 * (each[:, 0] + each[:, 2])
+    return ProfileRows(a, b, c, largest * limit)
+
+
+def _friction(arm: Arm, bounds: JointBounds) -> Array:
+    """Return the torque that friction may take, (nv,) [N m or N]."""
+    viscous = np.asarray(arm.model.damping)
+    speed = np.where(viscous > 0.0, bounds.bound / cast(float, bounds.dt), 0.0)
+    if np.any(np.isinf(speed)):
+        joint = arm.joint_names[int(np.argmax(speed))]
+        raise InvalidValue("limits.velocity", inf, f"a limit for joint {joint!r}, which has viscous friction")
+    dry = np.maximum(arm.model.upperDryFrictionLimit, -np.asarray(arm.model.lowerDryFrictionLimit))
+    return np.asarray(dry + viscous * speed)
+
+
+def _require_holdable(arm: Arm, held: Array, limit: Array) -> None:
+    """Check the torques (s, nv) that hold an arm on its path, against their limits (nv,) [N m or N]."""
+    share = held / np.maximum(limit, 1e-300)
+    sample, joint = np.unravel_index(int(share.argmax()), share.shape)
+    if share[sample, joint] >= 1.0:
+        unit = "N" if arm.in_metres[joint] else "N m"
+        needed = f"{held[sample, joint]:.4g} {unit}"
+        allowed = (
+            f"a path that motors can hold: {100.0 * EFFORT_SHARE:g} % of the limit of joint "
+            f"{arm.joint_names[joint]!r}, less friction, are {limit[joint]:.4g} {unit}"
+        )
+        raise InvalidValue("torque at rest", needed, allowed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,6 +399,7 @@ class TimedPath:
             then goes as far as its slowest joint can.
         max_rate: largest number of waypoints in one step, as for `retime`; infinite on a path without a
             schedule.
+        effort: whether it keeps the torque limits of the arm.
     """
 
     path: JointPath
@@ -332,6 +407,7 @@ class TimedPath:
     bounds: JointBounds
     profile: SpeedProfile | None
     max_rate: float | Array = inf
+    effort: bool = False
 
     @cached_property
     def arrays(self) -> TimedPathArrays:
@@ -345,9 +421,7 @@ class TimedPath:
             slopes=path.slopes,
             start=path.positions,
             top=profile.top,
-            a=profile.slopes,
-            b=profile.bends,
-            brake=profile.brake,
+            rows=profile.rows,
             most=profile.most,
             small=ZERO_SLOPE,
         )
@@ -393,7 +467,11 @@ class TimedPath:
 
 
 def retime(
-    path: JointPath, limits: Limits | None = None, max_rate: float | Array = inf, initial_speed: float = 0.0
+    path: JointPath,
+    limits: Limits | None = None,
+    max_rate: float | Array = inf,
+    initial_speed: float = 0.0,
+    effort: bool = False,
 ) -> TimedPath:
     """Find the time parameterization of a path within limits: the second stage of `Geodesic`.
 
@@ -405,9 +483,14 @@ def retime(
         max_rate: largest number of waypoints in one step; one number, or one for each of the N pieces. Finite
             numbers make the waypoints a schedule: the target moves along the path.
         initial_speed: number of waypoints in the previous step, if the arm already moves along the path.
+        effort: whether the motors keep their torque limits, `Arm.effort`, on the whole path: by inverse
+            dynamics with masses, armature and friction of the description, and what the arm carries. For
+            arms of at most 100 degrees of freedom.
 
     Raises:
-        InvalidValue: not a path, limits that do not fit the arm, or a rate that is not positive.
+        InvalidValue: not a path, limits that do not fit the arm, or a rate that is not positive. With
+            `effort`, limits without `dt`, or a path that the motors cannot hold; names the joint.
+        WeightUnknown: with `effort`, masses or all torque limits are not known.
     """
     require_instance("path", path, JointPath, "a JointPath, as `plan` returns it")
     limits = require_limits(limits)
@@ -417,9 +500,10 @@ def retime(
     elif max_rate != inf:
         require_positive("max_rate", max_rate)
     require_positive("initial_speed", initial_speed, zero=True)
+    require_instance("effort", effort, bool, "True or False")
     bounds = limits.for_arm(path.arm)
     profile = None
-    if bounds.brake is not None or np.all(np.isfinite(max_rate)):
+    if bounds.brake is not None or effort or np.all(np.isfinite(max_rate)):
         path = path.within(bounds.edges)
-        profile = SpeedProfile(path, bounds, max_rate, initial_speed)
-    return TimedPath(path, limits, bounds, profile, max_rate)
+        profile = SpeedProfile(path, bounds, max_rate, initial_speed, effort)
+    return TimedPath(path, limits, bounds, profile, max_rate, effort)
