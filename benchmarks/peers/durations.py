@@ -238,13 +238,11 @@ def main() -> None:
             row = measure_torques(joints, speed, effort, given.draws)
             rows.append(row)
             if not given.json:
-                print(
-                    "torque {joints:4d} joints, {speed:6g} rad/s, {effort:g} times gravity: {ratio:.3f} times the "
-                    "shortest (largest {largest_ratio:.3f}); at most {effort_used:.1%} of the torque".format(
-                        **row
-                    ),
-                    flush=True,
+                words = (
+                    "torque {joints:4d} joints, {speed:g} rad/s, {effort:g} x gravity: {ratio:.3f} times the "
+                    "shortest (largest {largest_ratio:.3f}); at most {effort_used:.1%} of the torque"
                 )
+                print(words.format(**row), flush=True)
     for row in (row for jerk in JERKS for row in measure_jerk(jerk)):
         rows.append(row)
         if not given.json:
