@@ -408,7 +408,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "generate": ("RyRz", "--modules=3", "--output=made.urdf"),
     "inspect": ("arm.urdf",),
     "track": ("arm.urdf", "--curve=line", "--partial", "--steps=20", "--json"),
-    "reach": ("arm.urdf", "--to=0.1,0.03,0.03", "--budget=0.5", "--json"),
+    "reach": ("arm.urdf", "--to=0.1,0.03,0.03", "--budget=10", "--json"),
     "batch": ("arm.urdf", "--curve=line", "--partial", "--count=2", "--steps=10", "--jobs=1", "--json"),
     "run": ("small.toml", "--json"),
     "export": ("run.npz", "--output=out.csv"),

@@ -296,6 +296,8 @@ def _check(simulation: Simulation) -> None:
     for name in ("torque_limits", "clearance"):  # which may be infinite
         if np.isnan(given[name]).any():
             raise InvalidValue(name, math.nan, "numbers")
+    if not np.all(given["torque_limits"] > 0.0):
+        raise InvalidValue("torque_limits", float(given["torque_limits"].min()), "numbers > 0, or infinity")
     for name in ("dt", "timestep"):
         require_positive(name, given[name])
     for name in ("tolerance", "measured"):

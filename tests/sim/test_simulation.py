@@ -240,10 +240,10 @@ def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
         pp.load(path, sim.Simulation)
     with np.load(pp.save(opened, tmp_path / "sim.npz")) as stored:
         arrays = dict(stored)
-    arrays["torques"] = arrays["torques"][1:]
-    np.savez(path, **arrays)
-    with pytest.raises(FileError, match="torques"):
-        pp.load(path, sim.Simulation)
+    for name, array in (("torques", arrays["torques"][1:]), ("torque_limits", -arrays["torque_limits"])):
+        np.savez(path, **{**arrays, name: array})
+        with pytest.raises(FileError, match=name):
+            pp.load(path, sim.Simulation)
 
 
 @pytest.mark.parametrize("limits", [True, False])
