@@ -521,7 +521,7 @@ def search_branches(
         size: length of the arm.
         accepted: distance at which a point counts as reached.
         window: number of modules corrected together; with 1, q is valid only if all points are reached.
-        visits: number of module visits before giving up.
+        visits: number of module visits at which the search gives up.
         samples: fractions of the range of each joint to try, (S, n); the first is replaced by `near`.
         q: filled with the positions of the joints of the chain; if not all points were reached, with those
             that reached most, and the nearest for the other modules.
