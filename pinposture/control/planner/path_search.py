@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 
 WITHDRAWAL_STEP = 0.01
 NEAR_SHARE = 0.3
-"""Length of a withdrawal step, and of the part of the arm that takes up the slack, in arm lengths."""
+"""Length of a withdrawal step, and of the part of the arm that takes up the slack, in arm lengths. Half
+or twice the step hardly matters; with twice the part, 2 of 20 problems of clutter had no solution."""
 
 WITHDRAWAL_ERROR = 0.002
 """Mean distance from the curve at which a withdrawal step is accepted, in arm lengths."""
