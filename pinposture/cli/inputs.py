@@ -128,6 +128,24 @@ class ArmOptions:
             flags="--hard-limits",
         ),
     ] = False
+    effort: Annotated[
+        str | None,
+        ARM(
+            "Largest torque or force of every drive, in N m or N; default: that of the description.", "TORQUE"
+        ),
+    ] = None
+    payload: Annotated[
+        list[str] | None,
+        ARM(
+            "Mass that the arm carries, in kg or with a unit, at its tip or at the origin of a link: 0.5, "
+            "m04_l2=80g. May be repeated.",
+            "[LINK=]MASS",
+        ),
+    ] = None
+    density: Annotated[
+        str | None,
+        ARM("Density of the shapes of links to which the description gives no mass, in kg/m3.", "DENSITY"),
+    ] = None
 
     def read(self, urdf: str) -> Arm:
         """Load an arm as `Arm.load` does; "-" reads the URDF from stdin.
@@ -158,7 +176,7 @@ class ArmOptions:
             for name, text in read_pairs("--couple", self.couple, allowed).items()
             for leader, *numbers in [text.split(",")]
         }
-        return Arm.load(
+        arm = Arm.load(
             source,
             base=self.base,
             tip=self.tip,
@@ -169,6 +187,22 @@ class ArmOptions:
             xacro_args=read_pairs("--xacro-arg", self.xacro_arg, "NAME:=VALUE, each name once", ":="),
             hard_limits=self.hard_limits,
         )
+        return self._weighed(arm)
+
+    def _weighed(self, arm: Arm) -> Arm:
+        """Return an arm with the weight of the options."""
+        from pinposture.arm.weight import Mass
+        from pinposture.collision import weigh
+        from pinposture.schema import PositiveNumber
+
+        if self.density is not None:
+            arm = weigh(arm, read_option("--density", self.density, PositiveNumber))
+        for text in self.payload or ():
+            frame, found, mass = text.rpartition("=")
+            arm = arm.with_payload(
+                read_option("--payload", mass, Mass), frame=frame.strip() if found else None
+            )
+        return arm if self.effort is None else arm.with_effort(as_data(self.effort))
 
     def refuse(self, allowed: str) -> None:
         """Raise InvalidValue for any given option if the arm is defined elsewhere."""

@@ -335,5 +335,8 @@ def _report(motion: Trajectory | None, reason: str) -> tuple[str, str]:
         return f"the motion does not arrive at its last posture: {motion.run.reason}", "warning"
     if motion.deviations:
         return f"a motion of {motion.time[-1]:.4g} s; {motion.deviations[0]}", "warning"
+    heaviest = motion.run.heaviest
+    if heaviest is not None and heaviest.load.exceeded:
+        return f"a motion of {motion.time[-1]:.4g} s; {heaviest}", "warning"
     slower = f", {motion.slowdown}" if motion.slowdown else ""
     return f"a motion of {motion.time[-1]:.4g} s{slower}", "info"

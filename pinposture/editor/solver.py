@@ -97,7 +97,7 @@ def judge(
 
 def review(arm: Arm, keyframe: Keyframe, target: Target, scene: Scene | None) -> Verdict:
     """Return the verdict on a target that the arm can take; arguments as for `judge`."""
-    notes = [*_uncovered_rest(arm, target), *_joints_at_limits(arm, target)]
+    notes = [*_uncovered_rest(arm, target), *_joints_at_limits(arm, target), *_too_heavy(arm, target)]
     contacts = _contacts(arm, target, scene)
     tip = None if target.q is None else tip_off(keyframe.tip, target, arm.at(target.q))
     return Verdict(target, "", (*contacts, *notes), bool(contacts), target.distance_from_curve(arm), tip)
@@ -137,6 +137,12 @@ def _joints_at_limits(arm: Arm, target: Target) -> list[str]:
         return []
     more = f" and {len(names) - MAX_JOINTS_NAMED} more" if len(names) > MAX_JOINTS_NAMED else ""
     return [f"at the limit of {', '.join(names[:MAX_JOINTS_NAMED])}{more}"]
+
+
+def _too_heavy(arm: Arm, target: Target) -> list[str]:
+    """Say that a joint has not the torque to hold the arm there, if that is known."""
+    load = target.load(arm)
+    return [str(load)] if load is not None and load.exceeded else []
 
 
 def _contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:

@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.arm import Arm, ChainState, ControlPoints, Ellipsoid
+from pinposture.arm import Arm, ArmState, ControlPoints, Ellipsoid
 from pinposture.arm.weight import TORQUE_ROUNDING
 from pinposture.collision import Scene
 from pinposture.units import length_text
@@ -163,20 +163,27 @@ def _draw_axes(panel: PosturePanel, origins: Array, axes: Array, half: float) ->
             panel.line(points, label=label, zorder=5, **style)
 
 
-def _draw_loads(panel: PosturePanel, state: ChainState) -> None:
-    """Mark joints by the share of its torque limit that each needs."""
-    arm = panel.arm
+def load_levels(state: ArmState) -> NDArray[np.intp]:
+    """Return for each joint of the chain the row of `LOADS` that tells how much torque it needs, (k,).
+
+    Raises:
+        WeightUnknown: no torque limit, or not all masses are known.
+    """
+    arm = state.arm
     arm.require_effort(warns=False)
     shares = np.abs(state.gravity_torques) / arm.effort
-    known = np.isfinite(arm.effort)
-    of_joints = np.where(known, shares, np.inf)[arm.chain.columns]
-    before = -1.0
-    for most, color, marker, meaning in LOADS:
-        chosen = (of_joints > before) & (of_joints <= most)
+    of_joints = np.where(np.isfinite(arm.effort), shares, np.inf)[arm.chain.columns]
+    return np.searchsorted([most for most, *_ in LOADS], of_joints)
+
+
+def _draw_loads(panel: PosturePanel, state: ArmState) -> None:
+    """Mark joints by the share of its torque limit that each needs."""
+    levels = load_levels(state)
+    for level, (_, color, marker, meaning) in enumerate(LOADS):
+        chosen = levels == level
         style: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 8.0, "mec": palette.INK, "mew": 0.5}
         if np.any(chosen):
             panel.line(state.origins[chosen], color=color, label=meaning, zorder=6.6, **style)
-        before = most
 
 
 def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:

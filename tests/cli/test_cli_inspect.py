@@ -325,3 +325,22 @@ def test_it_tells_how_far_the_arm_is_held_out(command, arm_file):
     assert "held out wholly, in the worst direction, and 2.9" in strong
     bare = command("inspect", "-", input=weak.replace("inertial", "ignored")).out
     assert "masses of links 'm01_l1', 'm01_l2'" in " ".join(bare.split())
+
+
+def test_options_give_what_the_description_does_not_say(command, arm_file):
+    options = ("--effort", "50 N cm", "--payload", "0.1", "--payload", "m02_l2 = 80 g")
+    told = json.loads(command("inspect", arm_file, "--json", *options).out)["weight"]
+    arm = pp.Arm.load(arm_file).with_payload(0.1).with_payload(0.08, frame="m02_l2").with_effort(0.5)
+    assert told["held_out"]["length"] == arm.held_out().length
+    assert told["held_out"]["gives_up"] == arm.held_out().load.as_data()
+    shown = " ".join(command("inspect", arm_file, *options).out.split())
+    assert "carries 0.1 kg at the tip, 0.08 kg at m02_l2" in shown
+    bare = arm_file.with_name("bare.urdf")
+    bare.write_text(arm_file.read_text().replace("inertial", "ignored"))
+    weighed = json.loads(command("inspect", bare, "--json", "--density", "2700").out)["weight"]
+    assert weighed["mass"] == pytest.approx(
+        2.7 * sum(body.mass for body in pp.Arm.load(arm_file).model.inertias)
+    )
+    assert "from a density of 2700 kg/m" in command("inspect", bare, "--density", "2700").out
+    for wrong in (("--effort", "-1"), ("--payload", "hand=1"), ("--payload", "tip="), ("--density", "heavy")):
+        assert command("inspect", arm_file, *wrong).code == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +13,8 @@ from edited_tasks import L, bent_spline, six_modules, straight_line
 import pinposture as pp
 from pinposture.editor.solver import judge
 from pinposture.task import Keyframe
+from pinposture.viz import palette
+from pinposture.viz.palette import REGULAR, SINGULAR
 
 MODULE = L / 6  # two links of 25 mm each
 
@@ -133,6 +136,32 @@ def test_joints_at_limits_are_named() -> None:
     first = list(arm.chain.joints)[:3]
     more = len(arm.chain.joints) - 3
     assert verdict.notes[0] == f"at the limit of {', '.join(first)} and {more} more"
+
+
+def test_a_joint_without_the_torque_to_hold_the_shape_is_named() -> None:
+    arm = six_modules()
+    needed = float(np.abs(arm.at(arm.straight()).gravity_torques).max())
+    verdict = judge(arm.with_effort(0.9 * needed), Keyframe(straight_line()), None)
+    assert verdict.notes == (f"joint 'm01_j1_y' needs {needed:.4g} of {0.9 * needed:.4g} N m",)
+    assert judge(arm.with_effort(1.1 * needed), Keyframe(straight_line()), None).notes == ()
+
+
+def test_bodies_have_the_colours_of_their_torques_if_these_are_known() -> None:
+    pytest.importorskip("viser")
+    from pinposture.editor.ui.arm import COLORINGS, body_colors
+
+    arm = six_modules()
+    torques = np.abs(arm.at(arm.straight()).gravity_torques)
+    shades = np.full((12, 3), 7, dtype=np.uint8)
+    for weighed, known in ((arm.with_effort(0.9 * float(torques.max())), True), (arm, False)):
+        live = SimpleNamespace(arm=weighed, state=weighed.at(weighed.straight()))
+        found = body_colors(COLORINGS[3], live, shades)  # type: ignore[arg-type]
+        if not known:
+            np.testing.assert_array_equal(found, shades)
+            continue
+        red, green = (np.round(255.0 * np.array(palette.rgb(each))) for each in (SINGULAR, REGULAR))
+        np.testing.assert_array_equal(np.all(found == red, axis=1), torques > 0.9 * torques.max())
+        np.testing.assert_array_equal(np.all(found == green, axis=1), torques <= 0.45 * torques.max())
 
 
 def test_a_region_and_a_tip_are_part_of_it() -> None:

@@ -27,6 +27,7 @@ from pinposture.editor.ui.parts import (
 )
 from pinposture.units import length_text
 from pinposture.viz import palette
+from pinposture.viz.arm_figure import LOADS, load_levels
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius
 from pinposture.viz.postures import MIN_ELLIPSOID_RADIUS, drawn_length, principal_frame
@@ -34,7 +35,7 @@ from pinposture.viz.postures import MIN_ELLIPSOID_RADIUS, drawn_length, principa
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
-COLORINGS = ("joints at limits", "distance from singularity", "modules only")
+COLORINGS = ("joints at limits", "distance from singularity", "modules only", "torque at rest")
 NEAR_SINGULAR = 0.02  # manipulability index below which a stretch is near singular
 STRETCH_SHARE = 0.2  # of the arm that a stretch is
 MAX_STRETCHES_NAMED = 4
@@ -139,6 +140,8 @@ def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
         shown = [color(palette.index_color(float(index))) for index in indices]
         by_module: Colors = np.array(shown, dtype=np.uint8)
         return np.repeat(by_module, [len(joints) for joints in live.arm.module_joints], axis=0)
+    if coloring == COLORINGS[3] and live.arm.torques_known:
+        return np.array([color(LOADS[level][1]) for level in load_levels(live.state)], dtype=np.uint8)
     return shades
 
 
@@ -272,7 +275,8 @@ class ArmTab:
         jerk = gui.add_number("Jerk [rad/s³]", 0.0, min=0.0, step=10.0, hint=hint)
         speed.precision = acceleration.precision = jerk.precision = RATE_DIGITS
         at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
-        self._coloring = gui.add_dropdown("Colours", COLORINGS, hint="Red: at a limit, or near singular")
+        hint = "Red: at a limit, near singular, or beyond its torque"
+        self._coloring = gui.add_dropdown("Colours", COLORINGS, hint=hint)
         hint = "Manipulability; red and flat: singular"
         self._with_ellipsoids = gui.add_checkbox("Ellipsoids", False, hint=hint)
         self._choices = (
