@@ -108,3 +108,8 @@ def test_the_design_note_lists_all_modes_of_a_step() -> None:
     rows = [f"| {mode.name} | {mode.when} |" for mode in MODES]
     places = [page.index(row) for row in rows]
     assert places == sorted(places)
+
+
+def test_contributors_are_sent_to_all_design_notes() -> None:
+    listed = set(re.findall(r"`(\w+\.md)` \|$", (DOCS.parent / "CONTRIBUTING.md").read_text(), re.MULTILINE))
+    assert listed == {page.name for page in DOCS.glob("design/*.md")}
