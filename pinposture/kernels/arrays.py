@@ -576,6 +576,7 @@ class SearchSettings(NamedTuple):
         largest_error: bound to which errors are scaled down.
         largest_step: largest step of a joint, in units.
         damping_share: damping relative to the sum of squares.
+        stiffness_share: damping relative to the stiffness of the chain, which falls and rises as the other.
         least_damping: smallest damping relative to the stiffness of the chain.
         least_stiffness: lower bound of that stiffness.
         decrease: factor of the damping after a step that reduced the errors.
@@ -591,6 +592,7 @@ class SearchSettings(NamedTuple):
     largest_error: float
     largest_step: float
     damping_share: float
+    stiffness_share: float
     least_damping: float
     least_stiffness: float
     decrease: float

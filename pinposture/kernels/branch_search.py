@@ -691,7 +691,7 @@ def minimise_posture_errors(
             find_screws(chain, joints, units, axes, origins, ends, points, screws)
             objective = PointObjective(screws, ends, points.copy(), weights, chords)
             wanted = scale * errors
-            least = settings.least_damping * max(stiffness(objective), settings.least_stiffness)
+            stiff = max(stiffness(objective), settings.least_stiffness)
             for u in range(n):
                 here = positions[columns[joints[u]]]
                 lower[u] = min(max((edges[0, u] - here) / units[u], -settings.largest_step), 0.0)
@@ -701,7 +701,8 @@ def minimise_posture_errors(
             idle += factor > settings.most_factor
         if idle >= settings.idle or step == settings.steps:
             break
-        damping[:] = factor * settings.damping_share * scale**2 * squares + least
+        varied = settings.damping_share * scale**2 * squares + settings.stiffness_share * stiff
+        damping[:] = factor * varied + settings.least_damping * stiff
         sides[:] = 0
         minimise_in_box(objective, wanted, damping, centre, lower, upper, sides, x)
         for u in range(n):
