@@ -44,7 +44,7 @@ CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 189,  # 170
     "definitions": 4013,
-    "constants": 1211,
+    "constants": 1208,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
@@ -57,6 +57,7 @@ CEILINGS = {
     "codecs": 9,  # 6
     "control loops": 1,  # 1
     "least-squares loops": 8,  # 1
+    "chain descriptions": 1,  # 1
     "files of a step": 25,  # 12
     "files of a task": 80,  # 40
     "files of a drag": 43,  # 15
@@ -92,6 +93,7 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "kernels.path_relaxation.relax_waypoints",
         "placement.least_squares.FitProblem",
     ),
+    "chain descriptions": ("kernels.arrays.Joints",),
 }
 """The modules, classes and functions that do one job, by the job, without the name of the package."""
 

@@ -22,7 +22,7 @@ from pinposture import kernels
 from pinposture._validation import require_known
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import ChainArrays
+from pinposture.kernels.arrays import OTHERWISE, SLIDES, TURNS, ArmArrays, Joints
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -45,6 +45,66 @@ def neutral_placements(model: pin.Model) -> list[pin.SE3]:
     for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
         placements.append(placements[model.parents[joint]] * own[joint])
     return placements
+
+
+def read_joints(
+    model: pin.Model, placements: Sequence[pin.SE3], chain: Sequence[int] | None = None
+) -> Joints:
+    """Read joints of a model as kernels take them.
+
+    Args:
+        model: the model; its first joint is the world.
+        placements: those of its joints at the neutral configuration, from `neutral_placements`.
+        chain: the joints of a chain, from the world on; None: all, so that joint u carries frame u.
+    """
+    listed = list(model.joints)
+    numbers = list(range(1, model.njoints) if chain is None else chain)
+    parents = np.array([model.parents[number] for number in numbers], dtype=np.int64)
+    kinds = np.full(len(numbers), OTHERWISE, dtype=np.int64)
+    axes = np.zeros((len(numbers), 3))
+    ratios = np.ones(len(numbers))
+    names = [listed[number].shortname().removeprefix("JointModel") for number in numbers]
+    simple = [u for u, name in enumerate(names) if name == "Mimic" or (name[0] in "RP" and name != "Planar")]
+    if simple:
+        which = [numbers[u] for u in simple]
+        local, revolute = joint_axes(model, which)
+        kinds[simple] = np.where(revolute, TURNS, SLIDES)
+        rotations = np.array([placements[number].rotation for number in which])
+        axes[simple] = np.einsum("nij,nj->ni", rotations, local)
+        ratios[simple] = joint_ratios(model, which)
+    own = joint_placements(model)
+    shifts = [placements[model.parents[number]].rotation @ own[number].translation for number in numbers]
+    return Joints(
+        parents=parents if chain is None else np.arange(len(numbers), dtype=np.int64),
+        kinds=kinds,
+        axes=axes,
+        offsets=np.array(shifts).reshape(-1, 3),
+        columns=np.array([listed[number].idx_v for number in numbers], dtype=np.int64),
+        ratios=ratios,
+    )
+
+
+def chain_arrays(joints: Joints, ends: NDArray[np.int64], levers: Array, turns: Array) -> ArmArrays:
+    """Return a chain as kernels take it; its degrees of freedom are those of its joints, from the base on.
+
+    Args:
+        joints: the joints.
+        ends: as in `ArmArrays`, (m,).
+        levers: as in `ArmArrays`, (m, 3) [m].
+        turns: as in `ArmArrays`, (m, 3, 3).
+    """
+    columns = joints.columns.tolist()
+    inputs = {column: number for number, column in enumerate(dict.fromkeys(columns))}
+    numbers = np.array([inputs[column] for column in columns])
+    return ArmArrays(
+        joints=joints,
+        ends=np.array(ends, dtype=np.int64),
+        levers=np.ascontiguousarray(levers),
+        turns=np.ascontiguousarray(turns),
+        inputs=np.array(list(inputs), dtype=np.int64),
+        driven=np.argsort(numbers, kind="stable").astype(np.int64),
+        starts=np.searchsorted(np.sort(numbers), np.arange(len(inputs) + 1)).astype(np.int64),
+    )
 
 
 def frame_position(frame: pin.Frame, placements: Sequence[pin.SE3]) -> Array:
@@ -135,21 +195,21 @@ def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array
     """
     placements = neutral_placements(model)
     joints = [model.getJointId(name) for name in names]
-    axes, revolute = _world_axes(model, joints, placements)
+    chain = read_joints(model, placements, joints)
     end = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
     stations = np.vstack([*(placements[joint].translation for joint in joints), end])
-    columns = np.array([model.joints[joint].idx_v for joint in joints])
-    ratios = joint_ratios(model, joints)
-    low, high = np.sort([ratios * lower[columns], ratios * upper[columns]], axis=0)
-    return Skeleton(tuple(names), axes, revolute, stations, low, high, columns, ratios)
-
-
-def _world_axes(
-    model: pin.Model, joints: list[int], placements: Sequence[pin.SE3]
-) -> tuple[Array, BoolArray]:
-    axes, revolute = joint_axes(model, joints)
-    rotations = np.array([placements[joint].rotation for joint in joints])
-    return np.einsum("nij,nj->ni", rotations, axes), revolute
+    columns = chain.columns
+    low, high = np.sort([chain.ratios * lower[columns], chain.ratios * upper[columns]], axis=0)
+    return Skeleton(
+        names=tuple(names),
+        axes=chain.axes,
+        revolute=chain.kinds == TURNS,
+        stations=stations,
+        lower=low,
+        upper=high,
+        columns=columns,
+        ratios=chain.ratios,
+    )
 
 
 def without_repeats(line: Array, tolerance: float = 1e-9) -> Array:
@@ -332,14 +392,14 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
                 allowed = f"a place before or after all joints coupled to {names[u]!r}"
                 raise InvalidValue(f"control point {name!r}", "between coupled joints", allowed)
     placements = neutral_placements(model)
-    axes, revolute = _world_axes(model, support, placements)
+    selected = read_joints(model, placements, support)
     origins = np.array([placements[joint].translation for joint in support])
     return Chain(
         joints=names,
-        columns=np.array(columns, dtype=np.intp),
-        ratios=joint_ratios(model, support),
-        revolute=revolute,
-        axes=axes,
+        columns=selected.columns,
+        ratios=selected.ratios,
+        revolute=selected.kinds == TURNS,
+        axes=selected.axes,
         origins=origins,
         base=origins[0].copy(),
         points=np.array([frame_position(frame, placements) for frame in frames]),
@@ -474,6 +534,7 @@ class Kinematics:
     """The constants of a chain, in the order of its joints from base to tip.
 
     Attributes:
+        chain: the chain as it was read.
         columns: tangent-space columns of the degrees of freedom from base to tip, (n,).
         ends: number of degrees of freedom that carry each control point, (m,).
         endless: True for periodic joint positions, (nv,).
@@ -493,44 +554,34 @@ class Kinematics:
             InvalidValue: a joint neither turns about one axis nor slides along one.
         """
         joints = [model.getJointId(name) for name in chain.joints]
+        placements = neutral_placements(model)
+        own = read_joints(model, placements, joints)
         self.endless = np.zeros(model.nv, dtype=np.bool_)
-        for joint in (model.joints[joint] for joint in joints):
-            kind = joint.shortname().removeprefix("JointModel")
-            if kind[0] not in "PR" and not is_coupled(joint):
+        for number, kind in zip(joints, own.kinds, strict=True):
+            joint = model.joints[number]
+            if kind == OTHERWISE:
                 allowed = "a joint that turns about one axis, or slides along one"
-                raise InvalidValue(f"joint {model.names[joint.id]!r}", kind, allowed)
+                name = joint.shortname().removeprefix("JointModel")
+                raise InvalidValue(f"joint {model.names[number]!r}", name, allowed)
             self.endless[joint.idx_v] |= joint.nq == 2
         self.columns = chain.inputs.astype(np.int64)
         self.ends = chain.input_ends.astype(np.int64)
-        every = joint_placements(model)
-        placements = [every[joint] for joint in joints]
-        fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
-        axes, _ = joint_axes(model, joints)
-        points = [model.frames[frame] for frame in frames]
-        offsets = np.array([point.placement.translation for point in points])
-        rotations = np.array([point.placement.rotation for point in points])
-        columns = chain.columns.astype(np.int64)
-        numbers = chain.input_numbers
-        self.constants = ChainArrays(
-            slides=~chain.revolute,
-            columns=columns,
-            ratios=np.array(chain.ratios),
-            fixed=fixed,
-            axes=axes,
-            ends=np.array([part.stop for part in chain.module_slices], dtype=np.int64),
-            offsets=offsets,
-            turns=rotations,
-            inputs=self.columns,
-            driven=np.argsort(numbers, kind="stable").astype(np.int64),
-            starts=np.searchsorted(np.sort(numbers), np.arange(len(self.columns) + 1)).astype(np.int64),
+        ends = np.array([part.stop for part in chain.module_slices])
+        carriers = [placements[joints[end - 1]].rotation for end in ends]
+        points = [model.frames[frame].placement for frame in frames]
+        self.constants = chain_arrays(
+            joints=own,
+            ends=ends,
+            levers=np.array([r @ point.translation for r, point in zip(carriers, points, strict=True)]),
+            turns=np.array([r @ point.rotation for r, point in zip(carriers, points, strict=True)]),
         )
         self._model = model
-        self._chain = chain
+        self.chain = chain
         self._units = joint_units
 
     def forward(self, positions: Array) -> ForwardKinematics:
         """Compute all placements at joint positions (nv,) [rad or m]."""
-        k = len(self.constants.slides)
+        k = len(self.constants.joints.kinds)
         m = len(self.ends)
         axes = np.empty((k, 3))
         origins = np.empty((k, 3))
@@ -548,7 +599,9 @@ class Kinematics:
     def jacobians(self, forward: ForwardKinematics) -> Array:
         """Compute the position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
         jacobians = np.zeros((len(self.ends), 3, len(self.endless)))
-        kernels.jacobians(self.constants, forward.axes, forward.origins, forward.points, jacobians)
+        joints = self.constants.joints
+        ends = self.constants.ends
+        kernels.jacobians(joints, ends, forward.axes, forward.origins, forward.points, jacobians)
         return jacobians
 
     def gravity_torques(self, positions: Array, gravity: Array | None = None) -> Array:
@@ -568,17 +621,21 @@ class Kinematics:
         centers = np.empty((k, 3))
         torques = np.zeros(len(self.endless))
         kernels.placements(chain, positions, axes, origins, centers, np.empty((k, 3, 3)))
-        kernels.gravity_torques(chain, axes, origins, centers, masses, gravity, torques)
+        kernels.gravity_torques(chain.joints, axes, origins, centers, masses, gravity, torques)
         return torques
 
     @cached_property
-    def _weights(self) -> tuple[ChainArrays, Array, Array]:
+    def _weights(self) -> tuple[ArmArrays, Array, Array]:
         """The chain with centres of mass in place of control points, (k,) masses, and gravity, (3,)."""
-        bodies = [self._model.inertias[self._model.getJointId(name)] for name in self._chain.joints]
+        placements = neutral_placements(self._model)
+        joints = [self._model.getJointId(name) for name in self.chain.joints]
+        bodies = [self._model.inertias[joint] for joint in joints]
         k = len(bodies)
         chain = self.constants._replace(
             ends=np.arange(1, k + 1, dtype=np.int64),
-            offsets=np.array([body.lever for body in bodies]),
+            levers=np.array(
+                [placements[joint].rotation @ body.lever for joint, body in zip(joints, bodies, strict=True)]
+            ),
             turns=np.repeat(np.eye(3)[None], k, axis=0),
         )
         masses = np.array([body.mass for body in bodies])
@@ -589,7 +646,7 @@ class Kinematics:
         """The constants of joint screws and of task rows."""
         n = len(self.columns)
         m = len(self.ends)
-        plane = np.array(self._chain.plane)
+        plane = np.array(self.chain.plane)
         frame = plane if len(plane) == 3 else np.vstack([plane, np.cross(plane[0], plane[1])])
         return TaskConstants(
             joints=np.arange(n, dtype=np.int64),

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture import kernels
+from pinposture.arm.kinematics import chain_arrays
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import SLIDES, TURNS, ArmArrays, Joints
 
 Array = NDArray[np.float64]
 Chosen = TypeVar("Chosen", bound=Callable[..., object])
@@ -106,18 +110,27 @@ class ModuleJoints:
         """Number of degrees of freedom, k."""
         return len(self.lower)
 
+    @cached_property
+    def chain(self) -> ArmArrays:
+        """The joints as kernels take them, with the end as a control point; do not write to the arrays."""
+        n = len(self.names)
+        joints = Joints(
+            parents=np.arange(n, dtype=np.int64),
+            kinds=np.where(self.revolute, TURNS, SLIDES),
+            axes=self.axes,
+            offsets=np.diff(self.origins, axis=0, prepend=0.0),
+            columns=self.inputs,
+            ratios=self.ratios,
+        )
+        return chain_arrays(joints, np.array([n]), (self.end - self.origins[-1])[None], np.eye(3)[None])
+
     def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK by product of exponentials: position (3,) [m] and orientation (3, 3) of the end at q, (k,)."""
-        turn = np.eye(3)
-        place = np.zeros(3)
-        for u, amount in enumerate(self.ratios * np.asarray(q, dtype=float)[self.inputs]):
-            if not self.revolute[u]:
-                place = place + turn @ (amount * self.axes[u])
-                continue
-            own = np.asarray(pin.exp3(amount * self.axes[u]))
-            place = place + turn @ (self.origins[u] - own @ self.origins[u])
-            turn = turn @ own
-        return turn @ self.end + place, turn
+        """FK: position (3,) [m] and orientation (3, 3) of the end at joint positions q, (k,)."""
+        axes = np.empty((len(self.names), 3))
+        end = np.empty((1, 3))
+        turn = np.empty((1, 3, 3))
+        kernels.placements(self.chain, np.array(q, dtype=float), axes, np.empty_like(axes), end, turn)
+        return end[0], turn[0]
 
 
 def joints_in_base_frame(

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm.configurations import ConfigurationSpace
-from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
+from pinposture.arm.kinematics import neutral_placements, read_joints
 from pinposture.collision.solids import Piece, Solid, join_trees
-from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, Contacts, JointTree, Pairs
+from pinposture.kernels.arrays import BLOCK, INSIDE, OTHERWISE, PIECE, SEGMENT, Contacts, Pairs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -26,9 +26,11 @@ Indices = NDArray[np.int64]
 class Placements(NamedTuple):
     """Placements of the joints of a model at s configurations, world frame.
 
+    The frames are at the joints, and parallel to the world at the neutral configuration.
+
     Attributes:
-        rotations: orientations of the joint frames, (s, njoints, 3, 3).
-        origins: origins of the joint frames, (s, njoints, 3) [m].
+        rotations: orientations of the frames, (s, njoints, 3, 3).
+        origins: origins of the frames, (s, njoints, 3) [m].
     """
 
     rotations: Array
@@ -39,30 +41,18 @@ class TreeKinematics:
     """Forward kinematics of all joints of a model, on and off the chain.
 
     Attributes:
-        tree: the joints in the form that the kernels use.
+        joints: the joints as the kernels take them.
+        turns: orientations of the joint frames of the model at the neutral configuration, (njoints, 3, 3).
     """
 
     def __init__(self, model: pin.Model) -> None:
         """Extract the joints of a model."""
         self._model = model
         self._space = ConfigurationSpace(model)
-        count = model.njoints
-        kinds = np.full(count, 2, dtype=np.int64)
-        columns = np.zeros(count, dtype=np.int64)
-        axes = np.zeros((count, 3))
-        ratios = np.ones(count)
-        plain = [j for j in range(1, count) if _turns_or_slides(model, j)]
-        if plain:
-            axes[plain], turns = joint_axes(model, plain)
-            kinds[plain] = np.where(turns, 0, 1)
-            ratios[plain] = joint_ratios(model, plain)
-        for joint in range(1, count):
-            columns[joint] = model.joints[joint].idx_v
-        placements = joint_placements(model)
-        fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
-        parents = np.array(list(model.parents), dtype=np.int64)
-        self.tree = JointTree(parents, columns, ratios, kinds, fixed, axes)
-        self._others = [joint for joint in range(1, count) if kinds[joint] == 2]
+        placements = neutral_placements(model)
+        self.joints = read_joints(model, placements)
+        self.turns = np.array([placement.rotation for placement in placements])
+        self._others = (np.flatnonzero(self.joints.kinds == OTHERWISE) + 1).tolist()
 
     def place(self, q: Array, offsets: Array | None = None) -> Placements:
         """Compute the joint placements at one or several configurations.
@@ -75,23 +65,8 @@ class TreeKinematics:
         count = len(positions)
         joints = self._model.njoints
         found = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
-        kernels.place_joints(self.tree, positions, others, found.rotations, found.origins)
+        kernels.place_joints(self.joints, positions, others, found.rotations, found.origins)
         return found
-
-    def count_movers(self, columns: NDArray[np.intp]) -> Indices:
-        """Return how many of the given joints move each joint's bodies; see `CollisionModel`."""
-        tree = self.tree
-        own = np.isin(tree.columns, columns) & (tree.kinds < 2)
-        joints = np.flatnonzero(own)
-        # Of coupled joints, only the middle one counts: bodies beyond it move about as much as the last one.
-        order = joints[np.argsort(tree.columns[joints], kind="stable")]
-        begins = np.flatnonzero(np.diff(tree.columns[order], prepend=-1))
-        middle = order[(begins + np.append(begins[1:], len(order)) - 1) // 2]
-        counts = np.zeros(len(tree.parents), dtype=np.int64)
-        counts[middle] = 1
-        for joint in range(1, len(counts)):
-            counts[joint] += counts[tree.parents[joint]]
-        return counts
 
     def positions(self, q: Array, offsets: Array | None) -> tuple[Array, Array]:
         """Return joint positions, (s, nv), and the placements of other joints; see `place`."""
@@ -102,7 +77,9 @@ class TreeKinematics:
             for number, joint in enumerate(self._others):
                 data = self._model.joints[joint].createData()
                 self._model.joints[joint].calc(data, moved)
-                others[at, number] = [*data.M.rotation.ravel(), *data.M.translation]
+                turn = self.turns[joint]
+                rotation = turn @ data.M.rotation @ turn.T
+                others[at, number] = [*rotation.ravel(), *(turn @ data.M.translation)]
         return self._space.difference(self._space.origin, q) + offsets, others
 
     def differentiate(
@@ -119,7 +96,7 @@ class TreeKinematics:
         """
         jacobian = np.zeros((len(first), self._model.nv))
         kernels.differentiate_distances(
-            self.tree,
+            self.joints,
             placements.rotations[0],
             placements.origins[0],
             first,
@@ -145,20 +122,16 @@ class TreeKinematics:
         model = self._model.joints[joint]
         data = model.createData()
         model.calc(data, pin.neutral(self._model))
-        turn = placements.rotations[0, joint]
+        turn = placements.rotations[0, joint] @ self.turns[joint]
         origin = placements.origins[0, joint]
-        linear = turn @ np.array(data.S.matrix())[:3]
-        angular = turn @ np.array(data.S.matrix())[3:]
+        motions = np.array(data.S).reshape(6, -1)
+        linear = turn @ motions[:3]
+        angular = turn @ motions[3:]
         for k in range(len(points)):
             carried = [joint in self._model.supports[int(side[k])] for side in sides]
             velocity = linear + np.cross(angular.T, points[k] - origin).T
             columns = slice(model.idx_v, model.idx_v + model.nv)
             jacobian[k, columns] = (carried[0] - carried[1]) * (normals[k] @ velocity)
-
-
-def _turns_or_slides(model: pin.Model, joint: int) -> bool:
-    name = model.joints[joint].shortname().removeprefix("JointModel")
-    return is_coupled(model.joints[joint]) or (name.startswith(("R", "P")) and not name.startswith("Planar"))
 
 
 class Poses(NamedTuple):
@@ -314,7 +287,7 @@ class PairDistances:
         """Prepare the solids and sort the pairs into groups.
 
         Args:
-            bodies: the bodies, each in its joint frame.
+            bodies: the bodies, each in the frame of its joint, as in `Placements`.
             joints: the joints that carry them.
             fixed: the obstacles, world frame.
             pairs: indices as in `first` and `second`.
@@ -512,7 +485,7 @@ class PairDistances:
         while True:
             samples = np.empty((room, 6))
             best, pair, count = kernels.smallest_distance_on_motions(
-                kinematics.tree,
+                kinematics.joints,
                 self._carriers,
                 self._local,
                 self._arrays,
@@ -586,7 +559,7 @@ class PairDistances:
                 minima=minima,
             )
             count = kernels.contacts_along(
-                kinematics.tree,
+                kinematics.joints,
                 self._carriers,
                 self._local,
                 self._arrays,

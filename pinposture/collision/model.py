@@ -27,7 +27,7 @@ from pinposture.collision.scene import USUAL_MARGIN, Scene, split_velocity
 from pinposture.collision.shapes import Sphere
 from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.kernels.arrays import Contacts
+from pinposture.kernels.arrays import OTHERWISE, Contacts
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ class CollisionObjects(NamedTuple):
         arm: the arm.
         kinematics: the kinematics of its model.
         joints: index of the joint that carries each body.
-        solids: the bodies, each in its joint frame.
+        solids: the bodies, each in the frame of its joint, as in `Placements`.
         fixed: the obstacles, world frame.
     """
 
@@ -350,11 +350,12 @@ class _Choice(NamedTuple):
         named = [
             (name, each) for name, obstacle in scene.obstacles.items() for each in obstacle.geometry.solids()
         ]
+        kinematics = TreeKinematics(arm.model)
         objects = CollisionObjects(
             arm,
-            kinematics=TreeKinematics(arm.model),
+            kinematics=kinematics,
             joints=[body.joint for body in bodies],
-            solids=[body.shape.solid() for body in bodies],
+            solids=[body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies],
             fixed=[each for _, each in named],
         )
         own = tuple(body.name for body in bodies)
@@ -576,7 +577,17 @@ class CollisionModel:
         Args:
             columns: the Jacobian columns of the given joints.
         """
-        return self._kinematics.count_movers(columns)
+        joints = self._kinematics.joints
+        own = np.flatnonzero(np.isin(joints.columns, columns) & (joints.kinds != OTHERWISE))
+        # Of coupled joints, only the middle one counts: bodies beyond it move about as much as the last one.
+        order = own[np.argsort(joints.columns[own], kind="stable")]
+        begins = np.flatnonzero(np.diff(joints.columns[order], prepend=-1))
+        middle = order[(begins + np.append(begins[1:], len(order)) - 1) // 2]
+        counts = np.zeros(len(joints.kinds) + 1, dtype=np.int64)
+        counts[middle + 1] = 1
+        for u, parent in enumerate(joints.parents):
+            counts[u + 1] += counts[parent]
+        return counts
 
     def minimum(self, q: ArrayLike) -> Closest:
         """Return the smallest distance of all pairs at a configuration.

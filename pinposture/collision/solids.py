@@ -136,6 +136,16 @@ class Solid(NamedTuple):
         """The coal shape."""
         return self.shape[0].geometry(self.shape[1]) if isinstance(self.shape, tuple) else self.shape
 
+    def turned(self, turn: Array) -> Solid:
+        """Return the solid in a frame with the same origin, given the rotation to it, (3, 3)."""
+        return self._replace(
+            rotation=turn @ self.rotation,
+            position=turn @ self.position,
+            start=turn @ self.start,
+            end=turn @ self.end,
+            center=turn @ self.center,
+        )
+
 
 def z_along(axis: Array) -> Array:
     """Return a rotation (3, 3) that takes z to the direction of a vector (3,)."""

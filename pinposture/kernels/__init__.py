@@ -39,7 +39,9 @@ _KERNELS = {
     "constrained_step": "minimise_with_rows",
     "continuous_collision": "smallest_distance_on_motions",
     "joint_response": "watch_joints",
-    "kinematics": "carry_screws gravity_torques jacobians joints_along motions_along placements trace_points",
+    "kinematics": (
+        "carry_screws gravity_torques jacobians joints_along motions_along move_frame placements trace_points"
+    ),
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
     ),
@@ -56,7 +58,7 @@ _KERNELS = {
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "
         "spline_coefficients spline_values"
     ),
-    "target_point": "module_ends move_frame next_target_point",
+    "target_point": "next_target_point",
 }
 """The kernels called by other packages, by module."""
 

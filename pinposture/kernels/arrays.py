@@ -86,33 +86,55 @@ class LengthArrays(NamedTuple):
     series: Array2
 
 
-class ChainArrays(NamedTuple):
-    """The constants of a serial chain of k joints with n degrees of freedom and m control points.
+TURNS = 0
+SLIDES = 1
+OTHERWISE = 2
+"""How a joint moves what it carries: about its axis, along it, or otherwise; see `Joints`."""
+
+
+class Joints(NamedTuple):
+    """Joints of an arm, of a module or of a whole model, described with all of them at zero.
+
+    Frame 0 is the base, and joint u carries frame u + 1. The origin of that frame is at the joint; with all
+    joints at zero, its axes are parallel to those of the base. So a joint is an axis and an offset, without a
+    constant rotation, and a base far from the origin costs no digits. In a chain, frame u carries joint u.
+
+    Attributes:
+        parents: the frame that carries each joint, (k,); at most u.
+        kinds: TURNS, SLIDES or OTHERWISE, (k,).
+        axes: unit axis of each joint, (k, 3).
+        offsets: origin of each joint in the frame that carries it, (k, 3).
+        columns: index of its degree of freedom among all joint positions, (k,).
+        ratios: its position relative to its degree of freedom, (k,); 1 unless coupled.
+    """
+
+    parents: Ints1
+    kinds: Ints1
+    axes: Array2
+    offsets: Array2
+    columns: Ints1
+    ratios: Array1
+
+
+class ArmArrays(NamedTuple):
+    """A chain of k joints with n degrees of freedom and m control points.
 
     There are more joints than degrees of freedom if joints are coupled. Other kernels use "joint" for a
     degree of freedom, whose effect is the sum over its coupled joints.
 
     Attributes:
-        slides: True for a prismatic joint, (k,); others are revolute.
-        columns: index of the degree of freedom of each joint among all joint positions, (k,).
-        ratios: position of each joint relative to its degree of freedom, (k,).
-        fixed: placement of each joint in the frame of the previous one, rotation and translation, (k, 12).
-        axes: unit axis in the frame of the joint, (k, 3).
+        joints: the joints.
         ends: number of joints that carry each control point, (m,); increasing.
-        offsets: position of each control point in the frame of the last joint that carries it, (m, 3).
+        levers: position of each control point in the frame of the last joint that carries it, (m, 3).
         turns: orientation of each control point in that frame, (m, 3, 3).
         inputs: index of each degree of freedom among all joint positions, (n,).
         driven: joints sorted by degree of freedom, (k,).
         starts: index into `driven` of the first joint of each degree of freedom, and k, (n + 1,).
     """
 
-    slides: Flags1
-    columns: Ints1
-    ratios: Array1
-    fixed: Array2
-    axes: Array2
+    joints: Joints
     ends: Ints1
-    offsets: Array2
+    levers: Array2
     turns: Array3
     inputs: Ints1
     driven: Ints1
@@ -321,7 +343,7 @@ class PathProblem(NamedTuple):
         weight: mu^2, weight of joint motion against control point motion [m^2].
     """
 
-    chain: ChainArrays
+    chain: ArmArrays
     which: Ints1
     ends: Ints1
     units: Array1
@@ -363,33 +385,25 @@ class PathContacts(NamedTuple):
     normals: Array2
 
 
-class ScrewChain(NamedTuple):
-    """A chain as screws in its neutral posture, with each joint assigned to the first point it can move.
+class ModuleSearch(NamedTuple):
+    """Modules of a chain with n degrees of freedom, whose ends are to reach m points; see `branch_search`.
 
-    It has k joints with n degrees of freedom, fewer if joints are coupled.
+    Each joint belongs to the first point it can move.
 
     Attributes:
-        slides: True for a prismatic joint, (k,); others are revolute.
-        axes: unit joint axes, (k, 3).
-        origins: a point on each axis, (k, 3).
-        inputs: the degree of freedom of each joint, (k,).
-        ratios: motion of each joint relative to its degree of freedom, (k,).
-        points: the points that are carried, (m, 3).
-        joints: index of the first joint of each point, and the number of joints, (m + 1,).
-        begins: index of the first degree of freedom of each point, and their number, (m + 1,).
+        joints: the joints; their columns count the n degrees of freedom.
+        levers: the end of each module in the frame of its last joint, (m, 3).
+        starts: index of the first joint of each module, and the number of joints, (m + 1,).
+        begins: index of the first degree of freedom of each module, and their number, (m + 1,).
         sliding: True for a degree of freedom of prismatic joints, (n,).
         lower: lower limits, (n,).
         upper: upper limits, (n,).
         near: preferred joint positions, within the limits, (n,).
     """
 
-    slides: Flags1
-    axes: Array2
-    origins: Array2
-    inputs: Ints1
-    ratios: Array1
-    points: Array2
-    joints: Ints1
+    joints: Joints
+    levers: Array2
+    starts: Ints1
     begins: Ints1
     sliding: Flags1
     lower: Array1
@@ -397,50 +411,20 @@ class ScrewChain(NamedTuple):
     near: Array1
 
 
-class ModuleArrays(NamedTuple):
-    """The joints of a module in its base frame, with n joints and k degrees of freedom.
+class CurveModule(NamedTuple):
+    """A module with k degrees of freedom whose end is to reach a curve; see `target_point`.
 
     Attributes:
-        slides: True for a prismatic joint, (n,).
-        axes: unit joint axes, (n, 3).
-        origins: a point on each axis, (n, 3).
-        end: the end of the module, (3,).
-        inputs: degree of freedom of each joint, (n,).
-        ratios: motion of each joint relative to its degree of freedom, (n,).
+        chain: its joints, and its end as the only control point, in the frame of its base.
         units: unit motion of each degree of freedom, (k,).
         turning: True for a degree of freedom of revolute joints, (k,).
         reach: largest distance of the end from the base, (1,).
     """
 
-    slides: Flags1
-    axes: Array2
-    origins: Array2
-    end: Array1
-    inputs: Ints1
-    ratios: Array1
+    chain: ArmArrays
     units: Array1
     turning: Flags1
     reach: Array1
-
-
-class JointTree(NamedTuple):
-    """The joints of a model in its numbering: the first is the world, and parents precede children.
-
-    Attributes:
-        parents: parent of each joint, (njoints,).
-        columns: index of its position among all joint positions, (njoints,).
-        ratios: its position relative to its degree of freedom, (njoints,); 1 unless coupled.
-        kinds: 0 if revolute, 1 if prismatic, 2 otherwise, (njoints,).
-        fixed: placement in the frame of the parent joint, rotation and translation, (njoints, 12).
-        axes: unit axis in its own frame, (njoints, 3).
-    """
-
-    parents: Ints1
-    columns: Ints1
-    ratios: Array1
-    kinds: Ints1
-    fixed: Array2
-    axes: Array2
 
 
 class Trees(NamedTuple):
@@ -556,7 +540,7 @@ class PostureProblem(NamedTuple):
         normal: direction in which errors are ignored, (3,); zero for none.
     """
 
-    chain: ChainArrays
+    chain: ArmArrays
     joints: Ints1
     units: Array1
     edges: Array2

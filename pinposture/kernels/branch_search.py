@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import (
+    SLIDES,
     Array1,
     Array2,
     Array3,
     Ints1,
+    ModuleSearch,
     PointObjective,
     PostureProblem,
-    ScrewChain,
     SearchSettings,
 )
 from pinposture.kernels.chain_solver import (
@@ -22,11 +23,18 @@ from pinposture.kernels.chain_solver import (
     stiffness,
 )
 from pinposture.kernels.compiled import compiled, subkernel
-from pinposture.kernels.kinematics import placements, rotation_about, turn_row
+from pinposture.kernels.kinematics import (
+    carried,
+    find_sines,
+    load_frame,
+    place_chain,
+    placements,
+    point_velocity,
+    store_frame,
+)
 
-# The chain is given as screws in its neutral posture (a product of exponentials): the point carried by joints
-# 0 to u is exp(q_0) exp(q_1) ... exp(q_u) c. In the frame of a module's base, its joints solve the same
-# problem with only a few joints.
+# The base of a module is the frame that carries its first joint. In that frame, its joints solve the same
+# problem as the whole chain, with only a few joints.
 #
 # The last two hinges of a module are solved in closed form. A hinge b moves the point c on a circle, and a
 # hinge a before it preserves the height of a point along its axis and its distance from any point of the
@@ -48,42 +56,9 @@ MAX_WINDOW = 8  # maximum number of modules that are corrected together
 
 FULL_TURN = 2.0 * np.pi
 
-Bases = tuple[Array3, Array2]
-"""Orientations (m + 1, 3, 3) and origins (m + 1, 3) of the bases of all modules, and of the tip."""
-
-
-@subkernel
-def apply_joint(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, place: Array1) -> None:
-    """Multiply a frame, turn (3, 3) and place (3,), by the exponential of a joint's screw."""
-    x = axis[0]
-    y = axis[1]
-    z = axis[2]
-    if slide:
-        for i in range(3):
-            place[i] += q * (turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z)
-        return
-    e = rotation_about(x, y, z, np.cos(q), np.sin(q))
-    o0 = origin[0]
-    o1 = origin[1]
-    o2 = origin[2]
-    d0 = o0 - e[0] * o0 - e[1] * o1 - e[2] * o2
-    d1 = o1 - e[3] * o0 - e[4] * o1 - e[5] * o2
-    d2 = o2 - e[6] * o0 - e[7] * o1 - e[8] * o2
-    for i in range(3):
-        t0 = turn[i, 0]
-        t1 = turn[i, 1]
-        t2 = turn[i, 2]
-        place[i] += t0 * d0 + t1 * d1 + t2 * d2
-        turn[i, 0], turn[i, 1], turn[i, 2] = turn_row(t0, t1, t2, e)
-
-
-@subkernel
-def copy_frame(turn: Array2, place: Array1, to_turn: Array2, to_place: Array1) -> None:
-    """Copy a frame."""
-    for i in range(3):
-        to_place[i] = place[i]
-        for j in range(3):
-            to_turn[i, j] = turn[i, j]
+Placed = tuple[Array3, Array2, Array2, Array2]
+"""Orientations (m + 1, 3, 3) and origins (m + 1, 3) of the bases of all modules, and of the frame of the last
+joint; axes (k, 3) and origins (k, 3) of the joints."""
 
 
 @subkernel
@@ -98,7 +73,7 @@ def sort_indices(values: Array1, count: int, order: Ints1) -> None:
 
 
 @subkernel
-def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
+def wrap_into_limits(chain: ModuleSearch, u: int, q: float) -> float:
     """Return the position of a joint, modulo full turns, nearest to its preferred position.
 
     If none is within the limits, return the nearest limit.
@@ -120,18 +95,17 @@ def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
 
 
 @subkernel
-def solve_last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> float:
-    """Return the position of joint u that moves the point x nearest to a goal."""
-    a = chain.axes[u]
-    o = chain.origins[u]
-    if chain.slides[u]:
-        return a[0] * (goal[0] - x[0]) + a[1] * (goal[1] - x[1]) + a[2] * (goal[2] - x[2])
-    x0 = x[0] - o[0]
-    x1 = x[1] - o[1]
-    x2 = x[2] - o[2]
-    g0 = goal[0] - o[0]
-    g1 = goal[1] - o[1]
-    g2 = goal[2] - o[2]
+def solve_last_joint(chain: ModuleSearch, u: int, x: Array1, goal: Array1) -> float:
+    """Return the position of joint u that moves the point x nearest to a goal; both from its origin."""
+    a = chain.joints.axes[u]
+    x0 = x[0]
+    x1 = x[1]
+    x2 = x[2]
+    g0 = goal[0]
+    g1 = goal[1]
+    g2 = goal[2]
+    if chain.joints.kinds[u] == SLIDES:
+        return a[0] * (g0 - x0) + a[1] * (g1 - x1) + a[2] * (g2 - x2)
     along = (a[0] * x0 + a[1] * x1 + a[2] * x2) * (a[0] * g0 + a[1] * g1 + a[2] * g2)
     sine = a[0] * (x1 * g2 - x2 * g1) + a[1] * (x2 * g0 - x0 * g2) + a[2] * (x0 * g1 - x1 * g0)
     return np.arctan2(sine, x0 * g0 + x1 * g1 + x2 * g2 - along)
@@ -139,34 +113,30 @@ def solve_last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> floa
 
 @subkernel
 def solve_last_two(
-    chain: ScrewChain, u: int, near: float, c: Array1, goal: Array1, alone: bool, out: Array2
+    chain: ModuleSearch, u: int, near: float, c: Array1, goal: Array1, alone: bool, out: Array2
 ) -> int:
     """Find candidate positions of hinges u and u + 1 that move the point c to a goal, into out (4, 2).
 
-    The goal is in the frame at the base of the first. If `alone`, only the solution of both equations is
-    returned if it is unique. The second hinge is set to `near` if it does not move the point. Returns the
-    number of solutions.
+    The point is in the frame of the second, the goal in the frame that carries the first, from the origin of
+    that joint. If `alone`, only the solution of both equations is returned if it is unique. The second hinge
+    is set to `near` if it does not move the point. Returns the number of solutions.
     """
-    a = chain.axes[u]
-    oa = chain.origins[u]
-    b = chain.axes[u + 1]
-    ob = chain.origins[u + 1]
-    c0 = c[0] - ob[0]
-    c1 = c[1] - ob[1]
-    c2 = c[2] - ob[2]
-    along = b[0] * c0 + b[1] * c1 + b[2] * c2
-    w0 = c0 - along * b[0]
-    w1 = c1 - along * b[1]
-    w2 = c2 - along * b[2]
+    a = chain.joints.axes[u]
+    b = chain.joints.axes[u + 1]
+    between = chain.joints.offsets[u + 1]
+    along = b[0] * c[0] + b[1] * c[1] + b[2] * c[2]
+    w0 = c[0] - along * b[0]
+    w1 = c[1] - along * b[1]
+    w2 = c[2] - along * b[2]
     s0 = b[1] * w2 - b[2] * w1
     s1 = b[2] * w0 - b[0] * w2
     s2 = b[0] * w1 - b[1] * w0
-    g0 = ob[0] + along * b[0] - oa[0]
-    g1 = ob[1] + along * b[1] - oa[1]
-    g2 = ob[2] + along * b[2] - oa[2]
-    t0 = goal[0] - oa[0]
-    t1 = goal[1] - oa[1]
-    t2 = goal[2] - oa[2]
+    g0 = between[0] + along * b[0]
+    g1 = between[1] + along * b[1]
+    g2 = between[2] + along * b[2]
+    t0 = goal[0]
+    t1 = goal[1]
+    t2 = goal[2]
     radius = w0 * w0 + w1 * w1 + w2 * w2
     gg = g0 * g0 + g1 * g1 + g2 * g2
     # Cosine, sine, constant and scale: of the height along a, and of the squared distance from its origin.
@@ -209,87 +179,63 @@ def solve_last_two(
     for i in range(count):
         cosine = np.cos(out[i, 1])
         sine = np.sin(out[i, 1])
-        x[0] = oa[0] + g0 + cosine * w0 + sine * s0
-        x[1] = oa[1] + g1 + cosine * w1 + sine * s1
-        x[2] = oa[2] + g2 + cosine * w2 + sine * s2
+        x[0] = g0 + cosine * w0 + sine * s0
+        x[1] = g1 + cosine * w1 + sine * s1
+        x[2] = g2 + cosine * w2 + sine * s2
         out[i, 0] = solve_last_joint(chain, u, x, goal)
     return count
 
 
 @subkernel
 def measure_errors(
-    chain: ScrewChain, first: int, last: int, bases: Bases, points: Array2, q: Array1, e: Array2
+    chain: ModuleSearch, first: int, last: int, placed: Placed, points: Array2, q: Array1, e: Array2
 ) -> float:
     """Fill e (W, 3) with the errors of the ends of modules first to last at q; return their sum of squares.
 
-    The bases of the modules after the first are filled in.
+    The bases of the modules after the first are filled in, and axes and origins of their joints.
     """
-    turns, places = bases
+    turns, places, axes, origins = placed
     total = 0.0
     for k in range(first, last + 1):
-        turn = turns[k + 1]
-        place = places[k + 1]
-        copy_frame(turns[k], places[k], turn, place)
-        for u in range(chain.joints[k], chain.joints[k + 1]):
-            amount = chain.ratios[u] * q[chain.inputs[u]]
-            apply_joint(chain.slides[u], chain.axes[u], chain.origins[u], amount, turn, place)
-        c = chain.points[k]
+        start = chain.starts[k]
+        stop = chain.starts[k + 1]
+        find_sines(chain.joints, start, stop, q, axes)
+        frame = place_chain(chain.joints, start, stop, load_frame(turns[k], places[k]), axes, origins)
+        store_frame(frame, turns[k + 1], places[k + 1])
+        c = chain.levers[k]
+        x, y, z = carried(frame, c[0], c[1], c[2])
+        e[k - first, 0] = points[k, 0] - x
+        e[k - first, 1] = points[k, 1] - y
+        e[k - first, 2] = points[k, 2] - z
         for i in range(3):
-            at = turn[i, 0] * c[0] + turn[i, 1] * c[1] + turn[i, 2] * c[2] + place[i]
-            e[k - first, i] = points[k, i] - at
             total += e[k - first, i] ** 2
     return total
 
 
 @subkernel
-def fill_jacobian(chain: ScrewChain, first: int, last: int, bases: Bases, q: Array1, rows: Array2) -> None:
-    """Fill rows (3 W, n) with the Jacobian of the ends of modules first to last by their joints."""
-    turns, places = bases
+def fill_jacobian(chain: ModuleSearch, first: int, last: int, placed: Placed, rows: Array2) -> None:
+    """Fill rows (3 W, n) with the Jacobian of the ends of modules first to last by their joints.
+
+    It is that at the positions for which `measure_errors` was last called.
+    """
+    turns, places, axes, origins = placed
     rows[:] = 0.0
     begin = chain.begins[first]
-    modules = last - first + 1
-    turn = np.empty((3, 3))
-    place = np.empty(3)
-    ends = np.empty((modules, 3))
-    for k in range(modules):
-        c = chain.points[first + k]
-        for i in range(3):
-            t = turns[first + k + 1, i]
-            ends[k, i] = t[0] * c[0] + t[1] * c[1] + t[2] * c[2] + places[first + k + 1, i]
-    copy_frame(turns[first], places[first], turn, place)
-    for own in range(modules):
-        for u in range(chain.joints[first + own], chain.joints[first + own + 1]):
-            a = chain.axes[u]
-            o = chain.origins[u]
-            j = chain.inputs[u] - begin
-            ratio = chain.ratios[u]
-            a0 = turn[0, 0] * a[0] + turn[0, 1] * a[1] + turn[0, 2] * a[2]
-            a1 = turn[1, 0] * a[0] + turn[1, 1] * a[1] + turn[1, 2] * a[2]
-            a2 = turn[2, 0] * a[0] + turn[2, 1] * a[1] + turn[2, 2] * a[2]
-            o0 = turn[0, 0] * o[0] + turn[0, 1] * o[1] + turn[0, 2] * o[2] + place[0]
-            o1 = turn[1, 0] * o[0] + turn[1, 1] * o[1] + turn[1, 2] * o[2] + place[1]
-            o2 = turn[2, 0] * o[0] + turn[2, 1] * o[1] + turn[2, 2] * o[2] + place[2]
-            for k in range(own, modules):
-                if chain.slides[u]:
-                    m0 = a0
-                    m1 = a1
-                    m2 = a2
-                else:
-                    x = ends[k, 0] - o0
-                    y = ends[k, 1] - o1
-                    z = ends[k, 2] - o2
-                    m0 = a1 * z - a2 * y
-                    m1 = a2 * x - a0 * z
-                    m2 = a0 * y - a1 * x
-                rows[3 * k, j] += ratio * m0
-                rows[3 * k + 1, j] += ratio * m1
-                rows[3 * k + 2, j] += ratio * m2
-            apply_joint(chain.slides[u], a, o, ratio * q[chain.inputs[u]], turn, place)
+    for k in range(first, last + 1):
+        c = chain.levers[k]
+        x, y, z = carried(load_frame(turns[k + 1], places[k + 1]), c[0], c[1], c[2])
+        row = 3 * (k - first)
+        for u in range(chain.starts[first], chain.starts[k + 1]):
+            vx, vy, vz = point_velocity(chain.joints, u, axes, origins, x, y, z)
+            j = chain.joints.columns[u] - begin
+            rows[row, j] += vx
+            rows[row + 1, j] += vy
+            rows[row + 2, j] += vz
 
 
 @subkernel
 def correct(
-    chain: ScrewChain, first: int, last: int, bases: Bases, points: Array2, size: float, q: Array1
+    chain: ModuleSearch, first: int, last: int, placed: Placed, points: Array2, size: float, q: Array1
 ) -> float:
     """Move the ends of modules first to last to their points, by Levenberg-Marquardt steps within limits.
 
@@ -305,12 +251,12 @@ def correct(
     x = np.empty(r)
     tried = q.copy()
     held = np.zeros(n, dtype=np.bool_)
-    cost = measure_errors(chain, first, last, bases, points, q, e)
+    cost = measure_errors(chain, first, last, placed, points, q, e)
     damping = 1e-3
     for _ in range(MAX_CORRECTIONS):
         if cost <= (NO_DISTANCE * size) ** 2 or n == 0:
             break
-        fill_jacobian(chain, first, last, bases, q, rows)
+        fill_jacobian(chain, first, last, placed, rows)
         trace = 0.0
         for j in range(n):
             u = begin + j
@@ -344,7 +290,7 @@ def correct(
                 if not chain.sliding[u]:
                     step = min(max(step, -0.5), 0.5)
                 tried[u] = min(max(q[u] + step, chain.lower[u]), chain.upper[u])
-            found = measure_errors(chain, first, last, bases, points, tried, trial_e)
+            found = measure_errors(chain, first, last, placed, points, tried, trial_e)
             better = found < cost
             if better:
                 damping = max(damping * 0.1, 1e-6)
@@ -362,7 +308,7 @@ def correct(
         cost = found
         if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # converged to a nonzero distance
             break
-    measure_errors(chain, first, last, bases, points, q, e)
+    measure_errors(chain, first, last, placed, points, q, e)
     worst = 0.0
     for i in range(r // 3):
         worst = max(worst, e[i, 0] ** 2 + e[i, 1] ** 2 + e[i, 2] ** 2)
@@ -398,9 +344,9 @@ def keep_solution(
 
 @subkernel
 def solve_module(
-    chain: ScrewChain,
+    chain: ModuleSearch,
     k: int,
-    bases: Bases,
+    placed: Placed,
     points: Array2,
     size: float,
     accepted: float,
@@ -416,31 +362,28 @@ def solve_module(
     """
     first = chain.begins[k]
     stop = chain.begins[k + 1]
-    joint = chain.joints[k]
-    end = chain.joints[k + 1]
+    joint = chain.starts[k]
+    end = chain.starts[k + 1]
     n = stop - first
-    c = chain.points[k]
-    local = np.empty(3)
+    c = chain.levers[k]
+    goal = np.empty(3)
     pair = np.empty((4, 2))
     closed = 0  # number of joints solved in closed form, which coupled joints do not have
     if n > 0 and end - joint == n:
-        hinges = n > 1 and not chain.slides[end - 2] and not chain.slides[end - 1]
+        hinges = n > 1 and chain.joints.kinds[end - 2] != SLIDES and chain.joints.kinds[end - 1] != SLIDES
         closed = 2 if hinges else 1
-    turn = np.empty((3, 3))
-    place = np.empty(3)
     start = np.empty(n)
     e = np.empty((1, 3))
-    turns, places = bases
+    turns, places, axes, origins = placed
     count = 0
     if n > closed:  # solution nearest to the preferred positions
         for u in range(first, stop):
             q[u] = chain.near[u]
-        residual = correct(chain, k, k, bases, points, size, q)
+        residual = correct(chain, k, k, placed, points, size, q)
         count = keep_solution(residual, q, first, stop, residuals, found, count)
     for number in range(
         1 if n <= closed else min(len(samples), MAX_SAMPLES_OF_THREE) if n == 3 else len(samples)
     ):
-        copy_frame(turns[k], places[k], turn, place)
         for u in range(first, stop - closed):
             start[u - first] = chain.near[u]
             if number:
@@ -448,36 +391,41 @@ def solve_module(
                 low = max(chain.lower[u], chain.near[u] - half)
                 high = min(chain.upper[u], chain.near[u] + half)
                 start[u - first] = low + samples[number, u] * (high - low)
-            if closed:
-                at = joint + u - first
-                amount = start[u - first]
-                apply_joint(chain.slides[at], chain.axes[at], chain.origins[at], amount, turn, place)
-        for i in range(3):
-            local[i] = 0.0
-            for j in range(3):
-                local[i] += turn[j, i] * (points[k, j] - place[j])
+            q[u] = start[u - first]
+        if closed:  # the goal in the frame that carries the joints solved in closed form, from the first
+            at = end - closed
+            o = chain.joints.offsets[at]
+            find_sines(chain.joints, joint, at, q, axes)
+            frame = place_chain(chain.joints, joint, at, load_frame(turns[k], places[k]), axes, origins)
+            x, y, z = carried(frame, o[0], o[1], o[2])
+            x = points[k, 0] - x
+            y = points[k, 1] - y
+            z = points[k, 2] - z
+            goal[0] = frame[0] * x + frame[3] * y + frame[6] * z
+            goal[1] = frame[1] * x + frame[4] * y + frame[7] * z
+            goal[2] = frame[2] * x + frame[5] * y + frame[8] * z
         pairs = 1
         if closed == 1:
-            pair[0, 1] = solve_last_joint(chain, end - 1, c, local)
+            pair[0, 1] = solve_last_joint(chain, end - 1, c, goal)
         for attempt in range(2 if n <= closed else 0):  # the closed form has all exact solutions
             if closed == 2:
-                pairs = solve_last_two(chain, end - 2, chain.near[stop - 1], c, local, attempt == 0, pair)
+                pairs = solve_last_two(chain, end - 2, chain.near[stop - 1], c, goal, attempt == 0, pair)
             for i in range(pairs):
                 for u in range(first, stop):
                     q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
-                residual = np.sqrt(measure_errors(chain, k, k, bases, points, q, e))
+                residual = np.sqrt(measure_errors(chain, k, k, placed, points, q, e))
                 if residual <= accepted:
                     count = keep_solution(residual, q, first, stop, residuals, found, count)
             if count:
                 return count
         if closed == 2 and n > closed:
-            pairs = solve_last_two(chain, end - 2, chain.near[stop - 1], c, local, False, pair)
+            pairs = solve_last_two(chain, end - 2, chain.near[stop - 1], c, goal, False, pair)
         for i in range(pairs):
             for u in range(first, stop - closed):
                 q[u] = start[u - first]
             for u in range(stop - closed, stop):
                 q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
-            residual = correct(chain, k, k, bases, points, size, q)
+            residual = correct(chain, k, k, placed, points, size, q)
             if residual <= accepted:
                 for u in range(first, stop):
                     q[u] = wrap_into_limits(chain, u, q[u])
@@ -486,7 +434,7 @@ def solve_module(
 
 
 @subkernel
-def first_corrected(chain: ScrewChain, k: int, window: int) -> int:
+def first_corrected(chain: ModuleSearch, k: int, window: int) -> int:
     """Return the first of the modules that are corrected together with module k.
 
     The window is extended if its modules then have as many joints as their points have coordinates.
@@ -500,7 +448,7 @@ def first_corrected(chain: ScrewChain, k: int, window: int) -> int:
 
 @compiled
 def search_branches(
-    chain: ScrewChain,
+    chain: ModuleSearch,
     points: Array2,
     size: float,
     accepted: float,
@@ -533,8 +481,10 @@ def search_branches(
     widest = 0
     for k in range(m):
         widest = max(widest, chain.begins[k + 1] - chain.begins[first_corrected(chain, k, window)])
-    bases = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
-    bases[0][0] = np.eye(3)
+    axes = np.empty((len(chain.joints.kinds), 3))
+    origins = np.empty((len(chain.joints.kinds), 3))
+    placed = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3)), axes, origins
+    placed[0][0] = np.eye(3)
     choices = np.empty((m, MAX_SOLUTIONS, widest))
     order = np.zeros((m, MAX_SOLUTIONS), np.int64)
     number = np.zeros(m, np.int64)
@@ -556,7 +506,7 @@ def search_branches(
             visits -= 1
             first = chain.begins[k]
             stop = chain.begins[k + 1]
-            ends = solve_module(chain, k, bases, points, size, accepted, samples, q, residuals, found)
+            ends = solve_module(chain, k, placed, points, size, accepted, samples, q, residuals, found)
             sort_indices(residuals, ends, ranked)
             if k > deepest:
                 deepest = k
@@ -577,13 +527,13 @@ def search_branches(
                 for i in range(min(MAX_CORRECTED, ends)):
                     for u in range(low, stop):
                         q[u] = before[u] if u < first else found[ranked[i], u - first]
-                    if correct(chain, base[k], k, bases, points, size, q) <= accepted:
+                    if correct(chain, base[k], k, placed, points, size, q) <= accepted:
                         for u in range(low, stop):
                             choices[k, count, u - low] = q[u]
                         count += 1
                 for u in range(low, first):
                     q[u] = before[u]
-                measure_errors(chain, base[k], k, bases, points, q, e)
+                measure_errors(chain, base[k], k, placed, points, q, e)
             low = chain.begins[base[k]]
             for i in range(count):
                 scores[i] = 0.0
@@ -604,14 +554,14 @@ def search_branches(
                 for u in range(low, chain.begins[i + 1]):
                     q[u] = choices[i, order[i, next_choice[i] - 1], u - low]
             if k:
-                measure_errors(chain, 0, k - 1, bases, points, q, e)
+                measure_errors(chain, 0, k - 1, placed, points, q, e)
             continue
         low = chain.begins[base[k]]
         stop = chain.begins[k + 1]
         for u in range(low, stop):
             q[u] = choices[k, order[k, next_choice[k]], u - low]
         next_choice[k] += 1
-        measure_errors(chain, base[k], k, bases, points, q, e)
+        measure_errors(chain, base[k], k, placed, points, q, e)
         if k == m - 1:
             return m
         k += 1
@@ -624,11 +574,11 @@ def search_branches(
     for i in range(m):
         if i > deepest:
             first = chain.begins[i]
-            ends = solve_module(chain, i, bases, points, size, accepted, samples, q, residuals, found)
+            ends = solve_module(chain, i, placed, points, size, accepted, samples, q, residuals, found)
             sort_indices(residuals, ends, ranked)
             for u in range(first, chain.begins[i + 1]):
                 q[u] = found[ranked[0], u - first]
-        measure_errors(chain, i, i, bases, points, q, e)
+        measure_errors(chain, i, i, placed, points, q, e)
     return deepest
 
 
@@ -651,8 +601,8 @@ def minimise_posture_errors(
     p = len(indices)
     m = len(chain.ends)
     columns = chain.inputs
-    axes = np.empty((len(chain.slides), 3))
-    origins = np.empty((len(chain.slides), 3))
+    axes = np.empty((len(chain.joints.kinds), 3))
+    origins = np.empty((len(chain.joints.kinds), 3))
     every = np.empty((m, 3))
     rotations = np.empty((m, 3, 3))
     points = np.empty((p, 3))

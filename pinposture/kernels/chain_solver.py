@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import (
+    TURNS,
+    ArmArrays,
     Array1,
     Array2,
     Array3,
     Bytes1,
-    ChainArrays,
     Flags1,
     Ints1,
     PointObjective,
 )
 from pinposture.kernels.compiled import compiled, subkernel
-from pinposture.kernels.kinematics import difference
+from pinposture.kernels.kinematics import difference, point_velocity
 
 # The unknowns are the motions x of the joints. Point k moves by v_k, its body turns by w_k. The objective is
 #
@@ -346,7 +347,7 @@ def evaluate_gradient(problem: ChainProblem, x: Array1, slope: Array1, missed: A
 
 @compiled
 def find_screws(
-    chain: ChainArrays,
+    chain: ArmArrays,
     which: Ints1,
     units: Array1,
     axes: Array2,
@@ -368,14 +369,17 @@ def find_screws(
         filled: filled with linear and angular velocity, (n, 6).
     """
     k = 0
-    slides = chain.slides
-    ratios = chain.ratios
+    joints = chain.joints
     driven = chain.driven
     starts = chain.starts
     for i in range(len(which)):
         while k < len(ends) and ends[k] <= i:
             k += 1
         at = k if k < len(ends) else len(ends) - 1
+        x = points[at, 0]
+        y = points[at, 1]
+        z = points[at, 2]
+        unit = units[i]
         v0 = 0.0
         v1 = 0.0
         v2 = 0.0
@@ -384,24 +388,15 @@ def find_screws(
         w2 = 0.0
         for place in range(starts[which[i]], starts[which[i] + 1]):
             u = driven[place]
-            unit = units[i] * ratios[u]
-            a0 = unit * axes[u, 0]
-            a1 = unit * axes[u, 1]
-            a2 = unit * axes[u, 2]
-            if slides[u]:
-                v0 = v0 + a0
-                v1 = v1 + a1
-                v2 = v2 + a2
-            else:
-                x = points[at, 0] - origins[u, 0]
-                y = points[at, 1] - origins[u, 1]
-                z = points[at, 2] - origins[u, 2]
-                v0 = v0 + a1 * z - a2 * y
-                v1 = v1 + a2 * x - a0 * z
-                v2 = v2 + a0 * y - a1 * x
-                w0 = w0 + a0
-                w1 = w1 + a1
-                w2 = w2 + a2
+            vx, vy, vz = point_velocity(joints, u, axes, origins, x, y, z)
+            v0 = v0 + unit * vx
+            v1 = v1 + unit * vy
+            v2 = v2 + unit * vz
+            if joints.kinds[u] == TURNS:
+                turned = unit * joints.ratios[u]
+                w0 = w0 + turned * axes[u, 0]
+                w1 = w1 + turned * axes[u, 1]
+                w2 = w2 + turned * axes[u, 2]
         filled[i, 0] = v0
         filled[i, 1] = v1
         filled[i, 2] = v2

@@ -19,9 +19,11 @@ from pinposture.kernels.arrays import (
     BLOCK,
     BOX,
     INSIDE,
+    OTHERWISE,
     PIECE,
     PLANE,
     SEGMENT,
+    SLIDES,
     Array1,
     Array2,
     Array3,
@@ -29,8 +31,9 @@ from pinposture.kernels.arrays import (
     Contacts,
     Ints1,
     Ints2,
-    JointTree,
+    Joints,
     Pairs,
+    Three,
 )
 from pinposture.kernels.bounding_volumes import (
     MEETING_SQUARED,
@@ -40,7 +43,14 @@ from pinposture.kernels.bounding_volumes import (
     way_to_segment,
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
-from pinposture.kernels.kinematics import rotation_about, turn_row
+from pinposture.kernels.kinematics import (
+    BASE,
+    carried,
+    carried_on,
+    load_frame,
+    store_frame,
+    turn_row,
+)
 
 FLAT = 1e-13
 """Slope that counts as zero, relative to the numbers it is computed from."""
@@ -53,63 +63,56 @@ Contact = tuple[float, float, float, float, float, float, float]
 
 @compiled
 def place_joints(
-    tree: JointTree, positions: Array2, others: Array3, rotations: Array4, origins: Array3
+    joints: Joints, positions: Array2, others: Array3, rotations: Array4, origins: Array3
 ) -> None:
     """Compute the forward kinematics of all joints of a model, at several configurations.
 
     Args:
-        tree: the joints; the first is the world.
+        joints: the joints.
         positions: joint positions, (s, nv).
-        others: displacements of the joints of other kinds, rotation and translation, (s, number of them, 12).
-        rotations: filled with the orientations of the joint frames, (s, njoints, 3, 3), world frame.
-        origins: filled with their origins, (s, njoints, 3).
+        others: placements of the joints that move otherwise in the frames at their places with all joints at
+            zero, rotation and translation, (s, number of them, 12).
+        rotations: filled with the orientations of the frames, (s, k + 1, 3, 3).
+        origins: filled with their origins, (s, k + 1, 3).
     """
     for at in range(len(positions)):
-        place_joints_once(tree, positions[at], others[at], rotations[at], origins[at])
+        turns = rotations[at]
+        places = origins[at]
+        store_frame(BASE, turns[0], places[0])
+        number = 0
+        for u in range(len(joints.kinds)):
+            parent = joints.parents[u]
+            frame = load_frame(turns[parent], places[parent])
+            kind = joints.kinds[u]
+            if kind == OTHERWISE:
+                o = joints.offsets[u]
+                m = others[at, number]
+                number += 1
+                x, y, z = carried(frame, o[0] + m[9], o[1] + m[10], o[2] + m[11])
+                turn = (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+                r00, r01, r02 = turn_row(frame[0], frame[1], frame[2], turn)
+                r10, r11, r12 = turn_row(frame[3], frame[4], frame[5], turn)
+                r20, r21, r22 = turn_row(frame[6], frame[7], frame[8], turn)
+                frame = (r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z)
+            else:
+                q = joints.ratios[u] * positions[at, joints.columns[u]]
+                cosine = q if kind == SLIDES else np.cos(q)
+                sine = 0.0 if kind == SLIDES else np.sin(q)
+                frame, _ = carried_on(joints, u, cosine, sine, frame)
+            store_frame(frame, turns[u + 1], places[u + 1])
 
 
-@subkernel
-def place_joints_once(
-    tree: JointTree, positions: Array1, others: Array2, rotations: Array3, origins: Array2
-) -> None:
-    """`place_joints` at one configuration."""
-    rotations[0] = np.eye(3)
-    origins[0] = 0.0
-    number = 0
-    for joint in range(1, len(tree.parents)):
-        parent = tree.parents[joint]
-        fixed = tree.fixed[joint]
-        before = rotations[parent]
-        place = origins[parent]
-        turned = rotations[joint]
-        origin = origins[joint]
-        for i in range(3):
-            origin[i] = place[i]
-            for k in range(3):
-                origin[i] += before[i, k] * fixed[9 + k]
-            for j in range(3):
-                turned[i, j] = 0.0
-                for k in range(3):
-                    turned[i, j] += before[i, k] * fixed[3 * k + j]
-        axis = tree.axes[joint]
-        if tree.kinds[joint] == 2:  # any other joint
-            other = others[number]
-            number += 1
-            for i in range(3):
-                for k in range(3):
-                    origin[i] += turned[i, k] * other[9 + k]
-            moved = (other[0], other[1], other[2], other[3], other[4], other[5], other[6], other[7], other[8])
-        else:
-            position = tree.ratios[joint] * positions[tree.columns[joint]]
-            if tree.kinds[joint] == 1:  # it slides
-                for i in range(3):
-                    for k in range(3):
-                        origin[i] += turned[i, k] * axis[k] * position
-                continue
-            moved = rotation_about(axis[0], axis[1], axis[2], np.cos(position), np.sin(position))
-        for i in range(3):
-            row = turn_row(turned[i, 0], turned[i, 1], turned[i, 2], moved)
-            turned[i, 0], turned[i, 1], turned[i, 2] = row
+@inlined
+def frame_axis(joints: Joints, u: int, turn: Array2) -> Three:
+    """Return the axis of a joint, world frame, given the orientation of the frame that it carries."""
+    x = joints.axes[u, 0]
+    y = joints.axes[u, 1]
+    z = joints.axes[u, 2]
+    return (
+        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z,
+        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z,
+        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z,
+    )
 
 
 @compiled
@@ -117,33 +120,25 @@ def place_axes(carriers: Ints1, local: Array3, rotations: Array4, origins: Array
     """Place the axes of bodies.
 
     Args:
-        carriers: the joint that carries each body, (b,).
-        local: ends of the axes in the frames of these joints, (b, 2, 3).
-        rotations: orientations of the joint frames, (s, njoints, 3, 3).
-        origins: their origins, (s, njoints, 3).
+        carriers: the frame that carries each body, (b,).
+        local: ends of the axes in these frames, (b, 2, 3).
+        rotations: orientations of the frames, (s, k + 1, 3, 3).
+        origins: their origins, (s, k + 1, 3).
         ends: filled with the ends, (s, b, 2, 3), world frame.
     """
     for at in range(len(rotations)):
-        place_axes_once(carriers, local, rotations[at], origins[at], ends[at])
-
-
-@subkernel
-def place_axes_once(carriers: Ints1, local: Array3, rotations: Array3, origins: Array2, ends: Array3) -> None:
-    """`place_axes` at one configuration."""
-    for body in range(len(carriers)):
-        turn = rotations[carriers[body]]
-        place = origins[carriers[body]]
-        for end in range(2):
-            x = local[body, end, 0]
-            y = local[body, end, 1]
-            z = local[body, end, 2]
-            for i in range(3):
-                ends[body, end, i] = place[i] + turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
+        for body in range(len(carriers)):
+            frame = load_frame(rotations[at, carriers[body]], origins[at, carriers[body]])
+            for end in range(2):
+                x, y, z = carried(frame, local[body, end, 0], local[body, end, 1], local[body, end, 2])
+                ends[at, body, end, 0] = x
+                ends[at, body, end, 1] = y
+                ends[at, body, end, 2] = z
 
 
 @compiled
 def differentiate_distances(
-    tree: JointTree,
+    joints: Joints,
     rotations: Array3,
     origins: Array2,
     first: Ints1,
@@ -155,37 +150,35 @@ def differentiate_distances(
     """Compute the derivatives of distances by joint positions: d/dq of n . p for each joint that moves p.
 
     Args:
-        tree: the joints.
-        rotations: orientations of the joint frames, (njoints, 3, 3).
-        origins: their origins, (njoints, 3).
-        first: the joint that carries the first body of each contact, (k,).
-        second: that of the second; 0 for an obstacle, (k,).
-        points: the contacts, (k, 3).
-        normals: unit vectors from the second body to the first, (k, 3).
-        jacobian: zeros, filled with the derivatives, (k, nv); columns of joints of other kinds stay zero.
+        joints: the joints.
+        rotations: orientations of the frames, (k + 1, 3, 3).
+        origins: their origins, (k + 1, 3).
+        first: the frame that carries the first body of each contact, (c,).
+        second: that of the second; 0 for an obstacle, (c,).
+        points: the contacts, (c, 3).
+        normals: unit vectors from the second body to the first, (c, 3).
+        jacobian: zeros, filled with the derivatives, (c, nv); columns of joints that move otherwise stay
+            zero.
     """
     for k in range(len(first)):
         nx = normals[k, 0]
         ny = normals[k, 1]
         nz = normals[k, 2]
         for side in range(2):
-            joint, sign = (first[k], 1.0) if side == 0 else (second[k], -1.0)
-            while joint > 0:
-                if tree.kinds[joint] < 2:
-                    turn = rotations[joint]
-                    axis = tree.axes[joint]
-                    ax = turn[0, 0] * axis[0] + turn[0, 1] * axis[1] + turn[0, 2] * axis[2]
-                    ay = turn[1, 0] * axis[0] + turn[1, 1] * axis[1] + turn[1, 2] * axis[2]
-                    az = turn[2, 0] * axis[0] + turn[2, 1] * axis[1] + turn[2, 2] * axis[2]
-                    if tree.kinds[joint] == 1:
+            frame, sign = (first[k], 1.0) if side == 0 else (second[k], -1.0)
+            while frame > 0:
+                u = frame - 1
+                if joints.kinds[u] != OTHERWISE:
+                    ax, ay, az = frame_axis(joints, u, rotations[frame])
+                    if joints.kinds[u] == SLIDES:
                         moved = nx * ax + ny * ay + nz * az
                     else:
-                        x = points[k, 0] - origins[joint, 0]
-                        y = points[k, 1] - origins[joint, 1]
-                        z = points[k, 2] - origins[joint, 2]
+                        x = points[k, 0] - origins[frame, 0]
+                        y = points[k, 1] - origins[frame, 1]
+                        z = points[k, 2] - origins[frame, 2]
                         moved = nx * (ay * z - az * y) + ny * (az * x - ax * z) + nz * (ax * y - ay * x)
-                    jacobian[k, tree.columns[joint]] += sign * tree.ratios[joint] * moved
-                joint = tree.parents[joint]
+                    jacobian[k, joints.columns[u]] += sign * joints.ratios[u] * moved
+                frame = joints.parents[u]
 
 
 # One pair: distance of the surfaces, point on the axis of the first solid, normal from the second.
@@ -718,7 +711,7 @@ def near_pairs(
 
 @compiled
 def contacts_along(
-    tree: JointTree,
+    joints: Joints,
     carriers: Ints1,
     local: Array3,
     pairs: Pairs,
@@ -732,9 +725,9 @@ def contacts_along(
     Inexact pairs are measured by their enclosing shapes.
 
     Args:
-        tree: the joints.
-        carriers: the joint that carries each body, (b,).
-        local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
+        joints: the joints.
+        carriers: the frame that carries each body, (b,).
+        local: ends of the axes of the bodies in these frames, (b, 2, 3).
         pairs: the pairs.
         positions: joint positions, (s, nv).
         others: as in `place_joints`.
@@ -744,18 +737,19 @@ def contacts_along(
     Returns:
         Number of contacts; those beyond k were not stored.
     """
-    count = len(tree.parents)
+    count = len(joints.kinds) + 1
     bodies = len(carriers)
     room = len(contacts.samples)
-    rotations = np.empty((count, 3, 3))
-    origins = np.empty((count, 3))
-    ends = np.empty(local.shape)
+    rotations = np.empty((1, count, 3, 3))
+    origins = np.empty((1, count, 3))
+    axes = np.empty((1, bodies, 2, 3))
+    ends = axes[0]
     blocks = np.empty(((bodies + BLOCK - 1) // BLOCK, 4))
     found = 0
     for at in range(len(positions)):
         contacts.minima[at] = within
-        place_joints_once(tree, positions[at], others[at], rotations, origins)
-        place_axes_once(carriers, local, rotations, origins, ends)
+        place_joints(joints, positions[at : at + 1], others[at : at + 1], rotations, origins)
+        place_axes(carriers, local, rotations, origins, axes)
         bound_blocks(ends, pairs, blocks)
         for group in range(len(pairs.groups)):
             if group_bound(blocks, pairs, group) >= within:

@@ -14,24 +14,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import BLOCK, Array1, Array2, Array3, Ints1, JointTree, Pairs
+from pinposture.kernels.arrays import BLOCK, OTHERWISE, SLIDES, Array1, Array2, Array3, Ints1, Joints, Pairs
 from pinposture.kernels.collision import (
     bound_blocks,
+    frame_axis,
     group_bound,
     pair_bound,
     pair_contact,
-    place_axes_once,
-    place_joints_once,
+    place_axes,
+    place_joints,
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 MAX_DEPTH = 60  # maximum number of halvings of a motion
 
-Arm = tuple[JointTree, Ints1, Array3]
-"""The joints, the joint that carries each body, and the ends of the axes of the bodies in its frame."""
+Arm = tuple[Joints, Ints1, Array3]
+"""The joints, the frame that carries each body, and the ends of the axes of the bodies in it."""
 
 Placed = tuple[Array3, Array2, Array3]
-"""Orientations and origins of joint frames, and ends of the axes of bodies, world frame."""
+"""Orientations and origins of the frames, and ends of the axes of bodies, world frame."""
 
 Sample = tuple[int, float, float, int, float, float]
 """A row of `open_samples` of `smallest_distance_on_motions`."""
@@ -39,7 +40,7 @@ Sample = tuple[int, float, float, int, float, float]
 
 @compiled
 def smallest_distance_on_motions(
-    tree: JointTree,
+    joints: Joints,
     carriers: Ints1,
     local: Array3,
     pairs: Pairs,
@@ -55,12 +56,12 @@ def smallest_distance_on_motions(
     """Find the smallest distance on straight motions from each configuration to the next.
 
     Args:
-        tree: the joints.
-        carriers: the joint that carries each body, (b,).
-        local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
+        joints: the joints.
+        carriers: the frame that carries each body, (b,).
+        local: ends of the axes of the bodies in these frames, (b, 2, 3).
         pairs: the pairs.
         positions: joint positions at the ends of the motions, (N + 1, nv).
-        others: displacements of the joints of other kinds, which do not move, as in `place_joints`.
+        others: placements of the joints that move otherwise, but not on this motion, as in `place_joints`.
         drifts: additional translation of the arm, (N + 1, 3).
         below: bound of relevant distances; pairs that are not nearer may be skipped.
         enough: the search ends at the first distance smaller than this.
@@ -73,9 +74,9 @@ def smallest_distance_on_motions(
         The smallest distance found for exact pairs, and its pair: inf and -1 if there is none below; and the
         number of open samples, of which those beyond k were not stored.
     """
-    count = len(tree.parents)
+    count = len(joints.kinds) + 1
     bodies = len(carriers)
-    arm = (tree, carriers, local)
+    arm = (joints, carriers, local)
     ends = np.empty(local.shape)
     blocks = np.empty((-(-bodies // BLOCK), 4))
     placed = np.empty((count, 3, 3)), np.empty((count, 3)), ends
@@ -211,13 +212,17 @@ def _leave_open(samples: Array2, count: int, sample: Sample) -> int:
 @subkernel
 def _place_bodies(arm: Arm, positions: Array1, others: Array2, drift: Array1, placed: Placed) -> None:
     """Place joints and bodies at a configuration of an arm with an additional translation."""
-    tree, carriers, local = arm
+    joints, carriers, local = arm
     rotations, origins, ends = placed
-    place_joints_once(tree, positions, others, rotations, origins)
-    for joint in range(len(tree.parents)):
+    count = len(origins)
+    turns = rotations.reshape((1, count, 3, 3))
+    places = origins.reshape((1, count, 3))
+    here = positions.reshape((1, len(positions)))
+    place_joints(joints, here, others.reshape((1, len(others), 12)), turns, places)
+    for frame in range(len(origins)):
         for i in range(3):
-            origins[joint, i] += drift[i]
-    place_axes_once(carriers, local, rotations, origins, ends)
+            origins[frame, i] += drift[i]
+    place_axes(carriers, local, turns, places, ends.reshape((1, len(carriers), 2, 3)))
 
 
 @subkernel
@@ -235,7 +240,7 @@ def _spread(count: int) -> int:
 
 
 Motions = tuple[Array2, Array1, Array1]
-"""Motion of joints: velocity of the origin, angular velocity, bounds of the acceleration of the origin and of
+"""Motion of frames: velocity of the origin, angular velocity, bounds of the acceleration of the origin and of
 angular speed and acceleration; and bounds of the motion of bodies and of blocks."""
 
 
@@ -243,19 +248,20 @@ angular speed and acceleration; and bounds of the motion of bodies and of blocks
 def _bound_motions(
     arm: Arm, placed: Placed, move: Array1, drift: Array1, half: float, bounds: Motions
 ) -> None:
-    """Fill in the motion of joints, and bounds of how far bodies move until either end."""
-    tree, carriers, _ = arm
+    """Fill in the motion of frames, and bounds of how far bodies move until either end."""
+    joints, carriers, _ = arm
     rotations, origins, ends = placed
-    joints = bounds[0]
-    turned = np.empty(len(tree.parents))  # sums of |dq|
+    frames = bounds[0]
+    turned = np.empty(len(frames))  # sums of |dq|
     for i in range(9):
-        joints[0, i] = drift[i] if i < 3 else 0.0
+        frames[0, i] = drift[i] if i < 3 else 0.0
     turned[0] = 0.0
-    for joint in range(1, len(tree.parents)):
-        p = tree.parents[joint]
-        own = joints[joint]
-        v = joints[p]
-        origin = origins[joint]
+    for frame in range(1, len(frames)):
+        u = frame - 1
+        p = joints.parents[u]
+        own = frames[frame]
+        v = frames[p]
+        origin = origins[frame]
         before = origins[p]
         x, y, z = _difference(origin, before)
         own[0] = v[0] + v[4] * z - v[5] * y
@@ -268,30 +274,30 @@ def _bound_motions(
         spin = v[7]  # bound of the angular speed
         speed_up = v[8]  # bound of the angular acceleration
         size = 0.0
-        slides = tree.kinds[joint] == 1
-        if tree.kinds[joint] < 2:
-            dq = tree.ratios[joint] * move[tree.columns[joint]]
-            turn = rotations[joint]
-            axis = tree.axes[joint]
+        slides = joints.kinds[u] == SLIDES
+        if joints.kinds[u] != OTHERWISE:
+            dq = joints.ratios[u] * move[joints.columns[u]]
+            ax, ay, az = frame_axis(joints, u, rotations[frame])
             size = abs(dq)
-            for i in range(3):
-                along = turn[i, 0] * axis[0] + turn[i, 1] * axis[1] + turn[i, 2] * axis[2]
-                own[i if slides else 3 + i] += along * dq
+            at = 0 if slides else 3
+            own[at] += ax * dq
+            own[at + 1] += ay * dq
+            own[at + 2] += az * dq
         own[6] = v[6]
         if slides:
             own[6] += (length + half * size) * (speed_up + spin * spin) + 2.0 * spin * size
             size = 0.0
         else:
             own[6] += length * (speed_up + spin * spin)
-        turned[joint] = turned[p] + size
+        turned[frame] = turned[p] + size
         own[8] = speed_up + spin * size
         now = np.sqrt(own[3] ** 2 + own[4] ** 2 + own[5] ** 2)
-        own[7] = min(turned[joint], now + half * min(own[8], 0.5 * turned[joint] ** 2))
+        own[7] = min(turned[frame], now + half * min(own[8], 0.5 * turned[frame] ** 2))
     for body in range(len(carriers)):
-        joint = carriers[body]
+        frame = carriers[body]
         most = 0.0
-        own = joints[joint]
-        origin = origins[joint]
+        own = frames[frame]
+        origin = origins[frame]
         for end in range(2):
             x, y, z = _difference(ends[body, end], origin)
             vx = own[0] + own[4] * z - own[5] * y
@@ -318,35 +324,35 @@ def _relative_motion(arm: Arm, placed: Placed, move: Array1, half: float, one: i
 
     Infinite if the other does not carry it, or if joints slide between them.
     """
-    tree, carriers, _ = arm
+    joints, carriers, _ = arm
     rotations, origins, ends = placed
     base = carriers[other]
-    joint = carriers[one]
-    far = origins[joint]
+    frame = carriers[one]
+    far = origins[frame]
     velocity = np.zeros((2, 3))
     turned = 0.0
     length = 0.0
-    while joint > base:
-        origin = origins[joint]
+    while frame > base:
+        u = frame - 1
+        origin = origins[frame]
         length += np.sqrt((far[0] - origin[0]) ** 2 + (far[1] - origin[1]) ** 2 + (far[2] - origin[2]) ** 2)
         far = origin
-        if tree.kinds[joint] < 2:
-            dq = tree.ratios[joint] * move[tree.columns[joint]]
-            turn = rotations[joint]
-            axis = tree.axes[joint]
-            if tree.kinds[joint] == 1 and dq != 0.0:
+        if joints.kinds[u] != OTHERWISE:
+            dq = joints.ratios[u] * move[joints.columns[u]]
+            if joints.kinds[u] == SLIDES and dq != 0.0:
                 return np.inf
             turned += abs(dq)
-            wx = dq * (turn[0, 0] * axis[0] + turn[0, 1] * axis[1] + turn[0, 2] * axis[2])
-            wy = dq * (turn[1, 0] * axis[0] + turn[1, 1] * axis[1] + turn[1, 2] * axis[2])
-            wz = dq * (turn[2, 0] * axis[0] + turn[2, 1] * axis[1] + turn[2, 2] * axis[2])
+            ax, ay, az = frame_axis(joints, u, rotations[frame])
+            wx = dq * ax
+            wy = dq * ay
+            wz = dq * az
             for end in range(2):
                 x, y, z = _difference(ends[one, end], origin)
                 velocity[end, 0] += wy * z - wz * y
                 velocity[end, 1] += wz * x - wx * z
                 velocity[end, 2] += wx * y - wy * x
-        joint = tree.parents[joint]
-    if joint != base:
+        frame = joints.parents[u]
+    if frame != base:
         return np.inf
     most = 0.0
     origin = origins[carriers[one]]

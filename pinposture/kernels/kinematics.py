@@ -7,17 +7,25 @@ import numpy as np
 from pinposture.kernels.arrays import (
     FULL,
     LOCAL,
+    SLIDES,
+    ArmArrays,
     Array1,
     Array2,
     Array3,
-    ChainArrays,
     Ints1,
+    Joints,
     Nine,
     Rows,
     Screws,
     Three,
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
+
+Frame = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
+"""A frame: its rotation row by row, and its origin."""
+
+BASE: Frame = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""The frame of the base."""
 
 
 @subkernel
@@ -52,16 +60,140 @@ def turn_row(a: float, b: float, c: float, turn: Nine) -> Three:
     )
 
 
+@inlined
+def load_frame(turn: Array2, place: Array1) -> Frame:
+    """Return a frame, turn (3, 3) and place (3,), row by row and then its origin."""
+    r00 = turn[0, 0]
+    r01 = turn[0, 1]
+    r02 = turn[0, 2]
+    r10 = turn[1, 0]
+    r11 = turn[1, 1]
+    r12 = turn[1, 2]
+    r20 = turn[2, 0]
+    r21 = turn[2, 1]
+    r22 = turn[2, 2]
+    return r00, r01, r02, r10, r11, r12, r20, r21, r22, place[0], place[1], place[2]
+
+
+@inlined
+def store_frame(frame: Frame, turn: Array2, place: Array1) -> None:
+    """Fill turn (3, 3) and place (3,) with a frame."""
+    turn[0, 0], turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 1], turn[1, 2] = frame[:6]
+    turn[2, 0], turn[2, 1], turn[2, 2], place[0], place[1], place[2] = frame[6:]
+
+
+@inlined
+def carried(frame: Frame, x: float, y: float, z: float) -> Three:
+    """Return the position of a point of a frame."""
+    return (
+        frame[9] + frame[0] * x + frame[1] * y + frame[2] * z,
+        frame[10] + frame[3] * x + frame[4] * y + frame[5] * z,
+        frame[11] + frame[6] * x + frame[7] * y + frame[8] * z,
+    )
+
+
+@inlined
+def carried_on(joints: Joints, u: int, cosine: float, sine: float, frame: Frame) -> tuple[Frame, Three]:
+    """Return the frame and the axis of a joint that turns or slides, from the frame that carries it.
+
+    Args:
+        joints: the joints.
+        u: the joint.
+        cosine: of its position; of one that slides, its position.
+        sine: of its position.
+        frame: the frame that carries it.
+    """
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _ = frame
+    px, py, pz = carried(frame, joints.offsets[u, 0], joints.offsets[u, 1], joints.offsets[u, 2])
+    x = joints.axes[u, 0]
+    y = joints.axes[u, 1]
+    z = joints.axes[u, 2]
+    ax = r00 * x + r01 * y + r02 * z
+    ay = r10 * x + r11 * y + r12 * z
+    az = r20 * x + r21 * y + r22 * z
+    if joints.kinds[u] == SLIDES:
+        px = px + cosine * ax
+        py = py + cosine * ay
+        pz = pz + cosine * az
+    else:
+        turn = rotation_about(x, y, z, cosine, sine)
+        r00, r01, r02 = turn_row(r00, r01, r02, turn)
+        r10, r11, r12 = turn_row(r10, r11, r12, turn)
+        r20, r21, r22 = turn_row(r20, r21, r22, turn)
+    return (r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz), (ax, ay, az)
+
+
+@inlined
+def find_sines(joints: Joints, first: int, stop: int, positions: Array1, axes: Array2) -> None:
+    """Store in axes, (k, 3), the cosines and sines of joints first to stop - 1; of slides the positions.
+
+    Before `place_chain` and for all joints at once, because its loop would wait for each.
+    """
+    for u in range(first, stop):
+        q = joints.ratios[u] * positions[joints.columns[u]]
+        if joints.kinds[u] == SLIDES:
+            axes[u, 0] = q
+        else:
+            axes[u, 0] = np.cos(q)
+            axes[u, 1] = np.sin(q)
+
+
+@inlined
+def place_chain(joints: Joints, first: int, stop: int, frame: Frame, axes: Array2, origins: Array2) -> Frame:
+    """Compute the forward kinematics of joints first to stop - 1 of a chain.
+
+    Args:
+        joints: the joints of the chain.
+        first: the first of them to place.
+        stop: the one after the last.
+        frame: the frame that carries the first.
+        axes: what `find_sines` has stored; filled with their axes, (k, 3).
+        origins: filled with their origins, (k, 3).
+
+    Returns:
+        The frame that the last one carries.
+    """
+    for u in range(first, stop):
+        frame, axis = carried_on(joints, u, axes[u, 0], axes[u, 1], frame)
+        axes[u, 0] = axis[0]
+        axes[u, 1] = axis[1]
+        axes[u, 2] = axis[2]
+        origins[u, 0] = frame[9]
+        origins[u, 1] = frame[10]
+        origins[u, 2] = frame[11]
+    return frame
+
+
+@inlined
+def point_velocity(
+    joints: Joints, u: int, axes: Array2, origins: Array2, x: float, y: float, z: float
+) -> Three:
+    """Return the velocity of a point per motion of the degree of freedom of a joint that carries it.
+
+    It is a x (p - o), or a for a prismatic joint, times its ratio.
+    """
+    ratio = joints.ratios[u]
+    a0 = ratio * axes[u, 0]
+    a1 = ratio * axes[u, 1]
+    a2 = ratio * axes[u, 2]
+    if joints.kinds[u] == SLIDES:
+        return a0, a1, a2
+    x = x - origins[u, 0]
+    y = y - origins[u, 1]
+    z = z - origins[u, 2]
+    return a1 * z - a2 * y, a2 * x - a0 * z, a0 * y - a1 * x
+
+
 @compiled
 def placements(
-    chain: ChainArrays,
+    chain: ArmArrays,
     positions: Array1,
     joint_axes: Array2,
     joint_origins: Array2,
     points: Array2,
     rotations: Array3,
 ) -> None:
-    """Compute the forward kinematics.
+    """Compute the forward kinematics of an arm.
 
     Args:
         chain: the chain.
@@ -71,76 +203,33 @@ def placements(
         points: filled with the control points, (m, 3).
         rotations: filled with their orientations, (m, 3, 3).
     """
-    slides, columns, ratios, fixed, axes, ends, offsets, turns, _, _, _ = chain
-    r00 = 1.0
-    r01 = 0.0
-    r02 = 0.0
-    r10 = 0.0
-    r11 = 1.0
-    r12 = 0.0
-    r20 = 0.0
-    r21 = 0.0
-    r22 = 1.0
-    px = 0.0
-    py = 0.0
-    pz = 0.0
-    # Sines and cosines first, because the loop below would wait for each; they are stored in `joint_axes`.
-    for u in range(len(slides)):
-        q = ratios[u] * positions[columns[u]]
-        if slides[u]:
-            joint_axes[u, 0] = q
-        else:
-            joint_axes[u, 0] = np.cos(q)
-            joint_axes[u, 1] = np.sin(q)
-    k = 0
-    for u in range(len(slides)):
-        f = fixed[u]
-        c = joint_axes[u, 0]
-        s = joint_axes[u, 1]
-        px = px + r00 * f[9] + r01 * f[10] + r02 * f[11]
-        py = py + r10 * f[9] + r11 * f[10] + r12 * f[11]
-        pz = pz + r20 * f[9] + r21 * f[10] + r22 * f[11]
-        turn = (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
-        r00, r01, r02 = turn_row(r00, r01, r02, turn)
-        r10, r11, r12 = turn_row(r10, r11, r12, turn)
-        r20, r21, r22 = turn_row(r20, r21, r22, turn)
-        x = axes[u, 0]
-        y = axes[u, 1]
-        z = axes[u, 2]
-        ax = r00 * x + r01 * y + r02 * z
-        ay = r10 * x + r11 * y + r12 * z
-        az = r20 * x + r21 * y + r22 * z
-        joint_axes[u, 0] = ax
-        joint_axes[u, 1] = ay
-        joint_axes[u, 2] = az
-        if slides[u]:
-            px = px + c * ax
-            py = py + c * ay
-            pz = pz + c * az
-        else:
-            turn = rotation_about(x, y, z, c, s)
-            r00, r01, r02 = turn_row(r00, r01, r02, turn)
-            r10, r11, r12 = turn_row(r10, r11, r12, turn)
-            r20, r21, r22 = turn_row(r20, r21, r22, turn)
-        joint_origins[u, 0] = px
-        joint_origins[u, 1] = py
-        joint_origins[u, 2] = pz
-        while k < len(ends) and ends[k] == u + 1:
-            o = offsets[k]
-            t = turns[k]
-            points[k, 0] = px + r00 * o[0] + r01 * o[1] + r02 * o[2]
-            points[k, 1] = py + r10 * o[0] + r11 * o[1] + r12 * o[2]
-            points[k, 2] = pz + r20 * o[0] + r21 * o[1] + r22 * o[2]
-            for j in range(3):
-                rotations[k, 0, j] = r00 * t[0, j] + r01 * t[1, j] + r02 * t[2, j]
-                rotations[k, 1, j] = r10 * t[0, j] + r11 * t[1, j] + r12 * t[2, j]
-                rotations[k, 2, j] = r20 * t[0, j] + r21 * t[1, j] + r22 * t[2, j]
-            k += 1
+    joints = chain.joints
+    ends = chain.ends
+    levers = chain.levers
+    turns = chain.turns
+    n = len(joints.kinds)
+    m = len(ends)
+    find_sines(joints, 0, n, positions, joint_axes)
+    frame = BASE
+    first = 0
+    for k in range(m + 1):
+        stop = ends[k] if k < m else n
+        frame = place_chain(joints, first, stop, frame, joint_axes, joint_origins)
+        first = stop
+        if k == m:
+            break
+        points[k, 0], points[k, 1], points[k, 2] = carried(frame, levers[k, 0], levers[k, 1], levers[k, 2])
+        t = turns[k]
+        turned = rotations[k]
+        turn = (t[0, 0], t[0, 1], t[0, 2], t[1, 0], t[1, 1], t[1, 2], t[2, 0], t[2, 1], t[2, 2])
+        turned[0, 0], turned[0, 1], turned[0, 2] = turn_row(frame[0], frame[1], frame[2], turn)
+        turned[1, 0], turned[1, 1], turned[1, 2] = turn_row(frame[3], frame[4], frame[5], turn)
+        turned[2, 0], turned[2, 1], turned[2, 2] = turn_row(frame[6], frame[7], frame[8], turn)
 
 
 @compiled
 def gravity_torques(
-    chain: ChainArrays,
+    joints: Joints,
     joint_axes: Array2,
     joint_origins: Array2,
     centers: Array2,
@@ -151,7 +240,7 @@ def gravity_torques(
     """Compute the torques and forces of the degrees of freedom that balance gravity.
 
     Args:
-        chain: the chain.
+        joints: the joints of the chain.
         joint_axes: joint axes, world frame, (k, 3).
         joint_origins: origins of the joints, (k, 3).
         centers: centre of mass of the body after each joint, (k, 3).
@@ -175,7 +264,7 @@ def gravity_torques(
         y += masses[u] * (centers[u, 1] - o[1])
         z += masses[u] * (centers[u, 2] - o[2])
         a = joint_axes[u]
-        if chain.slides[u]:
+        if joints.kinds[u] == SLIDES:
             along = mass * (a[0] * gravity[0] + a[1] * gravity[1] + a[2] * gravity[2])
         else:
             along = (
@@ -183,11 +272,11 @@ def gravity_torques(
                 + a[1] * (z * gravity[0] - x * gravity[2])
                 + a[2] * (x * gravity[1] - y * gravity[0])
             )
-        filled[chain.columns[u]] -= chain.ratios[u] * along
+        filled[joints.columns[u]] -= joints.ratios[u] * along
 
 
 @compiled
-def trace_points(chain: ChainArrays, positions: Array2, points: Array3) -> None:
+def trace_points(chain: ArmArrays, positions: Array2, points: Array3) -> None:
     """Compute the control points at several configurations.
 
     Args:
@@ -195,7 +284,7 @@ def trace_points(chain: ChainArrays, positions: Array2, points: Array3) -> None:
         positions: joint positions, (s, nv).
         points: filled with the control points, (s, m, 3).
     """
-    n = len(chain.slides)
+    n = len(chain.joints.kinds)
     m = len(chain.ends)
     axes = np.empty((n, 3))
     origins = np.empty((n, 3))
@@ -205,37 +294,48 @@ def trace_points(chain: ChainArrays, positions: Array2, points: Array3) -> None:
 
 
 @compiled
-def jacobians(
-    chain: ChainArrays, joint_axes: Array2, joint_origins: Array2, points: Array2, filled: Array3
-) -> None:
-    """Compute the position Jacobians of all control points: a_u x (p_k - o_u), or a_u for a prismatic joint.
+def move_frame(joints: Joints, first: int, stop: int, positions: Array1, turn: Array2, place: Array1) -> None:
+    """Move a frame, turn (3, 3) and place (3,), from before joint `first` of a chain to after `stop - 1`.
 
     Args:
-        chain: the chain.
+        joints: the joints of the chain.
+        first: the first joint.
+        stop: the one after the last.
+        positions: joint positions, (nv,).
+        turn: axes of the frame that carries the first; filled with those of the frame that the last carries.
+        place: its origin; filled in the same way.
+    """
+    axes = np.empty((len(joints.kinds), 3))
+    origins = np.empty((len(joints.kinds), 3))
+    find_sines(joints, first, stop, positions, axes)
+    frame = place_chain(joints, first, stop, load_frame(turn, place), axes, origins)
+    store_frame(frame, turn, place)
+
+
+@compiled
+def jacobians(
+    joints: Joints, ends: Ints1, joint_axes: Array2, joint_origins: Array2, points: Array2, filled: Array3
+) -> None:
+    """Compute the position Jacobians of all control points.
+
+    Args:
+        joints: the joints of the chain.
+        ends: number of joints that carry each control point, (m,); increasing.
         joint_axes: joint axes, world frame, (k, 3).
         joint_origins: origins of the joints, (k, 3).
         points: control points, (m, 3).
         filled: zeros, filled with the Jacobians, (m, 3, nv).
     """
-    slides = chain.slides
-    columns = chain.columns
-    ends = chain.ends
-    ratios = chain.ratios
     for k in range(len(ends)):
+        x = points[k, 0]
+        y = points[k, 1]
+        z = points[k, 2]
         for u in range(ends[k]):
-            a = joint_axes[u]
-            j = columns[u]
-            ratio = ratios[u]
-            if slides[u]:
-                for i in range(3):
-                    filled[k, i, j] += ratio * a[i]
-            else:
-                x = points[k, 0] - joint_origins[u, 0]
-                y = points[k, 1] - joint_origins[u, 1]
-                z = points[k, 2] - joint_origins[u, 2]
-                filled[k, 0, j] += ratio * (a[1] * z - a[2] * y)
-                filled[k, 1, j] += ratio * (a[2] * x - a[0] * z)
-                filled[k, 2, j] += ratio * (a[0] * y - a[1] * x)
+            vx, vy, vz = point_velocity(joints, u, joint_axes, joint_origins, x, y, z)
+            j = joints.columns[u]
+            filled[k, 0, j] += vx
+            filled[k, 1, j] += vy
+            filled[k, 2, j] += vz
 
 
 @compiled

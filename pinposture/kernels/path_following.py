@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import (
+    ArmArrays,
     Array1,
     Array2,
     Array3,
-    ChainArrays,
     Flags1,
     Ints1,
     LimitArrays,
@@ -636,7 +636,7 @@ def step_on_profile(
 
 @compiled
 def look_ahead(
-    chain: ChainArrays,
+    chain: ArmArrays,
     positions: Array1,
     units: Array1,
     limits: Array2,
@@ -667,7 +667,7 @@ def look_ahead(
         Sum of the distances of the control points from their targets before the step and after it.
     """
     columns = chain.inputs
-    n = len(chain.slides)
+    n = len(chain.joints.kinds)
     m = len(chain.ends)
     for u in range(len(dq)):
         reached[u] = positions[u] + dq[u]
@@ -701,7 +701,7 @@ def sum_point_errors(points: Array2, targets: Array2, has_target: Flags1) -> flo
 
 @compiled
 def advance(
-    chain: ChainArrays,
+    chain: ArmArrays,
     endless: Flags1,
     limits: LimitArrays,
     positions: Array1,
@@ -823,7 +823,7 @@ def advance(
 
 @compiled
 def step_to(
-    chain: ChainArrays,
+    chain: ArmArrays,
     turns: Flags1,
     limits: LimitArrays,
     positions: Array1,

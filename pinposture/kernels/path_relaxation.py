@@ -136,7 +136,10 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
     m = len(chain.ends)
     last = len(x) - 1
     # Joint axes and origins of all waypoints, and last those of the trial waypoint.
-    lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
+    lines = (
+        np.empty((last + 2, len(chain.joints.kinds), 3)),
+        np.empty((last + 2, len(chain.joints.kinds), 3)),
+    )
     points = np.empty((last + 2, m, 3))
     errors = np.empty((m, 3))
     rotations = np.empty((m, 3, 3))
@@ -252,7 +255,11 @@ def _length_ratio(problem: PathProblem, x: Array2) -> float:
     units = problem.units
     m = len(chain.ends)
     last = len(x) - 1
-    frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))
+    frames = (
+        np.empty((len(chain.joints.kinds), 3)),
+        np.empty((len(chain.joints.kinds), 3)),
+        np.empty((m, 3, 3)),
+    )
     points = np.empty((3, m, 3))
     positions = start.copy()
     path = 0.0
@@ -334,8 +341,8 @@ def step_waypoints(
     n = len(which)
     m = len(chain.ends)
     last = len(x) - 1
-    axes = np.empty((len(chain.slides), 3))
-    origins = np.empty((len(chain.slides), 3))
+    axes = np.empty((len(chain.joints.kinds), 3))
+    origins = np.empty((len(chain.joints.kinds), 3))
     points = np.empty((last + 1, m, 3))
     screws = np.empty((last + 1, n, 6))
     rotations = np.empty((m, 3, 3))

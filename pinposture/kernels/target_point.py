@@ -7,16 +7,15 @@ import numpy as np
 from pinposture.kernels.arrays import (
     Array1,
     Array2,
-    Array3,
+    CurveModule,
     Flags1,
     Ints1,
     LengthArrays,
-    ModuleArrays,
     SplineArrays,
 )
-from pinposture.kernels.branch_search import apply_joint
 from pinposture.kernels.chain_solver import solve_cholesky
 from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.kinematics import jacobians, placements
 from pinposture.kernels.spline import parameter_at, span_at, value
 
 # Unknowns are the joint positions and the arc length of the point. The end of the module must be on the
@@ -45,69 +44,6 @@ STILL = 1e-7  # change of the unknowns below which the search ends
 ON_TARGET = 1e-11  # distance from the curve that counts as zero, relative to the reach
 AHEAD = 1e-6  # smallest distance ahead, relative to the reach
 FACING = 0.5 * np.pi  # motion of a hinge up to which a posture counts as facing the curve [rad]
-
-
-@compiled
-def move_frame(
-    slides: Flags1, axes: Array2, origins: Array2, amounts: Array1, turn: Array2, place: Array1
-) -> None:
-    """Move a frame, turn (3, 3) and place (3,), along joints that move by given amounts, (n,)."""
-    for u in range(len(amounts)):
-        apply_joint(slides[u], axes[u], origins[u], amounts[u], turn, place)
-
-
-@subkernel
-def end_and_jacobian(
-    module: ModuleArrays, q: Array1, turn: Array2, place: Array1, screws: Array3, end: Array1, columns: Array2
-) -> None:
-    """Fill end (3,) with the end of a module at q, (k,), and columns (3, k) with its Jacobian.
-
-    turn (3, 3), place (3,) and screws (n, 2, 3) are scratch.
-    """
-    turn[:] = 0.0
-    turn[0, 0] = turn[1, 1] = turn[2, 2] = 1.0
-    place[:] = 0.0
-    for u in range(len(module.slides)):
-        a = module.axes[u]
-        o = module.origins[u]
-        for i in range(3):
-            screws[u, 0, i] = turn[i, 0] * a[0] + turn[i, 1] * a[1] + turn[i, 2] * a[2]
-            screws[u, 1, i] = turn[i, 0] * o[0] + turn[i, 1] * o[1] + turn[i, 2] * o[2] + place[i]
-        apply_joint(module.slides[u], a, o, module.ratios[u] * q[module.inputs[u]], turn, place)
-    c = module.end
-    for i in range(3):
-        end[i] = turn[i, 0] * c[0] + turn[i, 1] * c[1] + turn[i, 2] * c[2] + place[i]
-    columns[:] = 0.0
-    for u in range(len(module.slides)):
-        a = screws[u, 0]
-        j = module.inputs[u]
-        ratio = module.ratios[u]
-        if module.slides[u]:
-            m0 = a[0]
-            m1 = a[1]
-            m2 = a[2]
-        else:
-            x = end[0] - screws[u, 1, 0]
-            y = end[1] - screws[u, 1, 1]
-            z = end[2] - screws[u, 1, 2]
-            m0 = a[1] * z - a[2] * y
-            m1 = a[2] * x - a[0] * z
-            m2 = a[0] * y - a[1] * x
-        columns[0, j] += ratio * m0
-        columns[1, j] += ratio * m1
-        columns[2, j] += ratio * m2
-
-
-@compiled
-def module_ends(module: ModuleArrays, positions: Array2, ends: Array2) -> None:
-    """Fill ends (s, 3) with the ends of a module at positions (s, k)."""
-    n = len(module.slides)
-    turn = np.empty((3, 3))
-    place = np.empty(3)
-    screws = np.empty((n, 2, 3))
-    columns = np.empty((3, positions.shape[1]))
-    for i in range(len(positions)):
-        end_and_jacobian(module, positions[i], turn, place, screws, ends[i], columns)
 
 
 @subkernel
@@ -220,7 +156,7 @@ def nearest_starts(
 
 @compiled
 def next_target_point(
-    module: ModuleArrays,
+    module: CurveModule,
     spline: SplineArrays,
     length: LengthArrays,
     base: Array2,
@@ -247,25 +183,25 @@ def next_target_point(
         upper: largest ones, (k,).
         preferred: positions to stay near, (k,).
         samples: start postures, (s, k).
-        ends: from `module_ends` for these, (s, 3).
+        ends: the ends of the module at these, (s, 3).
         found: filled with the positions, (k,).
 
     Returns:
         The arc length of the point; NaN if there is none, or -1 if the curve also ends within reach.
     """
     k = len(preferred)
-    n = len(module.slides)
+    n = len(module.chain.joints.kinds)
     reach = module.reach[0]
     total = length.lengths[-1]
     work = np.empty((6, 3))
     points = np.empty((MAX_CURVE_SAMPLES, 3))
     point = np.empty(3)
     tangent = np.empty(3)
-    end = np.empty(3)
-    turn = np.empty((3, 3))
-    place = np.empty(3)
-    screws = np.empty((n, 2, 3))
-    columns = np.empty((3, k))
+    axes = np.empty((n, 3))
+    origins = np.empty((n, 3))
+    moved = np.empty((1, 3))
+    turned = np.empty((1, 3, 3))
+    jacobian = np.empty((1, 3, k))
     rows = np.empty((3, k + 1))
     matrix = np.empty((3, 3))
     step = reach / CURVE_SAMPLES
@@ -325,14 +261,16 @@ def next_target_point(
             left -= 1
             for j in range(k):
                 q[j] = preferred[j] + z[j] * module.units[j]
-            end_and_jacobian(module, q, turn, place, screws, end, columns)
+            placements(module.chain, q, axes, origins, moved, turned)
+            jacobian[:] = 0.0
+            jacobians(module.chain.joints, module.chain.ends, axes, origins, moved, jacobian)
             curve_point(spline, length, base, z[k] * reach, work, point, tangent)
             distance = 0.0
             for i in range(3):
-                gap[i] = point[i] - end[i]
+                gap[i] = point[i] - moved[0, i]
                 distance += gap[i] ** 2
                 for j in range(k):
-                    rows[i, j] = columns[i, j] * module.units[j]
+                    rows[i, j] = jacobian[0, i, j] * module.units[j]
                 rows[i, k] = -tangent[i] * reach
             reached = distance <= (ON_TARGET * reach) ** 2
             if reached and not pulled:

@@ -25,7 +25,7 @@ from pinposture.arm.module_kinematics import (
 )
 from pinposture.curve import Curve
 from pinposture.errors import UnsupportedModule
-from pinposture.kernels.arrays import ModuleArrays, ScrewChain
+from pinposture.kernels.arrays import CurveModule, ModuleSearch
 from pinposture.kernels.modules import CIRCLE, ROLL_PITCH, TORUS
 
 # The RyRz module of the thesis rotates by q0 about y, translates by l1 along x, rotates by q1 about z and
@@ -271,7 +271,7 @@ class NumericModule:
         """Upper bound of the distance of the end from the base: lengths of links and extended slides [m]."""
         joints = self.joints
         line = np.vstack([np.zeros(3), joints.origins, joints.end])
-        farthest = np.maximum(np.abs(self._low), np.abs(self._high))[joints.inputs]
+        farthest = np.abs(self._range).max(axis=0)[joints.inputs]
         slides = np.abs(joints.ratios[~joints.revolute]) * farthest[~joints.revolute]
         return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() + slides.sum())
 
@@ -281,34 +281,23 @@ class NumericModule:
         return np.bincount(self.joints.inputs, self.joints.revolute, minlength=self.dof) > 0.0
 
     @cached_property
-    def _low(self) -> Array:
-        return self._bounds(self.joints.lower, -1.0)
+    def _range(self) -> tuple[Array, Array]:
+        """Limits of the search, (k,) each; if there are none, half a turn or a length from preferred."""
+        joints = self.joints
+        far = np.where(self._turning, np.pi, max(float(np.linalg.norm(joints.end)), 1e-9))
+        wide = joints.upper - joints.lower > np.where(self._turning, 100.0, 200.0 * far)
+        low = np.where(wide, self.preferred - far, joints.lower)
+        return low, np.where(wide, self.preferred + far, joints.upper)
 
     @cached_property
-    def _high(self) -> Array:
-        return self._bounds(self.joints.upper, 1.0)
-
-    def _bounds(self, limits: Array, side: float) -> Array:
-        """Return the limits; for unlimited joints half a turn or one module length from preferred, (k,)."""
-        far = np.where(self._turning, np.pi, max(float(np.linalg.norm(self.joints.end)), 1e-9))
-        none = self.preferred + side * far
-        wide = (self.joints.upper - self.joints.lower) > np.where(self._turning, 100.0, 200.0 * far)
-        return np.where(wide, none, limits)
-
-    @cached_property
-    def _arrays(self) -> ModuleArrays:
+    def _arrays(self) -> CurveModule:
         joints = self.joints
         turned = np.bincount(joints.inputs, np.abs(joints.ratios) * joints.revolute, minlength=self.dof)
         slid = np.bincount(joints.inputs, np.abs(joints.ratios) * ~joints.revolute, minlength=self.dof)
         length = float(np.linalg.norm(joints.end)) or 1.0
         units = np.where(turned > 0.0, 1.0 / np.maximum(turned, 1e-300), length / np.maximum(slid, 1e-300))
-        return ModuleArrays(
-            slides=~joints.revolute,
-            axes=joints.axes,
-            origins=joints.origins,
-            end=np.ascontiguousarray(joints.end),
-            inputs=joints.inputs,
-            ratios=joints.ratios,
+        return CurveModule(
+            chain=joints.chain,
             units=units,
             turning=turned > 0.0,
             reach=np.array([self.reach]),
@@ -318,8 +307,7 @@ class NumericModule:
     def _samples(self) -> tuple[Array, Array]:
         """Start postures, (s, k), the preferred one first, and their end positions, (s, 3) [m]."""
         k = self.dof
-        low = self._low
-        high = self._high
+        low, high = self._range
         if k <= 2:
             shares = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * k), axis=-1).reshape(-1, k)
         else:
@@ -328,9 +316,9 @@ class NumericModule:
             shares = qmc.Sobol(k, scramble=False).random(MANY_SAMPLES)
         inside = np.clip(self.preferred, low, high)
         samples = np.ascontiguousarray(np.vstack([inside, low + shares * (high - low)]))
-        ends = np.empty((len(samples), 3))
-        kernels.module_ends(self._arrays, samples, ends)
-        return samples, ends
+        ends = np.empty((len(samples), 1, 3))
+        kernels.trace_points(self.joints.chain, samples, ends)
+        return samples, ends.reshape(-1, 3)
 
     def forward(self, q: Array) -> tuple[Array, Array]:
         """FK: position (3,) [m] and orientation (3, 3) of the end at q, (k,), base frame."""
@@ -342,15 +330,11 @@ class NumericModule:
 
         joints = self.joints
         k = self.dof
-        found = np.clip(self.preferred, self._low, self._high)
-        chain = ScrewChain(
-            slides=~joints.revolute,
-            axes=joints.axes,
-            origins=joints.origins,
-            inputs=joints.inputs,
-            ratios=joints.ratios,
-            points=np.ascontiguousarray(joints.end[None]),
-            joints=np.array([0, len(joints.names)]),
+        found = np.clip(self.preferred, *self._range)
+        chain = ModuleSearch(
+            joints=joints.chain.joints,
+            levers=joints.chain.levers,
+            starts=np.array([0, len(joints.names)]),
             begins=np.array([0, k]),
             sliding=~self._turning,
             lower=np.array(joints.lower),
@@ -392,7 +376,7 @@ class NumericModule:
             samples = samples.copy()
             ends = ends.copy()
             samples[0] = inside
-            kernels.module_ends(self._arrays, samples[:1], ends[:1])
+            ends[0] = self.forward(inside)[0]
         spline, length = curve.measured
         s = kernels.next_target_point(
             self._arrays,

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import float_array, require_instance, require_positive
 from pinposture.arm import Arm
-from pinposture.arm.kinematics import Chain
+from pinposture.arm.kinematics import Kinematics
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
-from pinposture.kernels.arrays import PostureProblem, ScrewChain, SearchSettings
+from pinposture.kernels.arrays import ModuleSearch, PostureProblem, SearchSettings
 from pinposture.placement.least_squares import fit_curve
 from pinposture.placement.module_kinematics import after_last_mover
 from pinposture.placement.target import Target
@@ -98,7 +98,7 @@ def place_sequentially(
         Joint positions (nv,) [rad or m] within the limits, and whether they reach the points. If not, they
         reach as many points as possible from the base on, and the others as closely as each module can.
     """
-    chain, goals = _screw_chain(arm, points, has_target, near)
+    chain, goals = _module_search(arm, points, has_target, near)
     bounded = np.isfinite(chain.lower) & np.isfinite(chain.upper)
     low, high = (np.where(bounded, side, chain.near) for side in (chain.lower, chain.upper))
     center = 0.5 * low + 0.5 * high
@@ -148,7 +148,7 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
         Joint positions (nv,) [rad or m] within the limits; None if none are found, as for measured points, or
         if a module has more than two joints.
     """
-    chain, goals = _screw_chain(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
+    chain, goals = _module_search(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
     if np.diff(chain.begins).max() > 2:
         return None
     m = len(goals)
@@ -162,49 +162,51 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
     return positions
 
 
-def _screw_chain(
+def _module_search(
     arm: Arm, points: Array, has_target: NDArray[np.bool_], near: Array
-) -> tuple[ScrewChain, Array]:
-    """Return the chain as arrays for kernels, and the points to reach, (p, 3) [m]."""
+) -> tuple[ModuleSearch, Array]:
+    """Return the modules as kernels take them, and the points to reach, (p, 3) [m]."""
     chain = arm.chain
     columns = arm.columns
     lower = arm.limits.lower[columns]
     upper = arm.limits.upper[columns]
-    indices, joints, begins = _first_joints(chain, tuple(np.flatnonzero(has_target).tolist()))
+    indices = np.flatnonzero(has_target)
+    modules = _search_modules(arm.kinematics, tuple(indices.tolist()))
     goals = points[indices]
     carried = chain.points[indices]
     if arm.dimension == 2:  # errors normal to the plane cannot be reduced
         goals = carried + (goals - carried) @ arm.plane.T @ arm.plane
     preferred = np.clip(near[columns], lower, upper)
-    found = ScrewChain(
-        slides=~chain.revolute,
-        axes=chain.axes,
-        origins=chain.origins,
-        inputs=chain.input_numbers.astype(np.int64),
-        ratios=chain.ratios,
-        points=carried,
-        joints=joints,
-        begins=begins,
-        sliding=arm.slides[columns],
-        lower=lower,
-        upper=upper,
-        near=preferred,
-    )
+    found = modules._replace(lower=lower, upper=upper, near=preferred)
     return found, np.ascontiguousarray(goals)
 
 
 @lru_cache(maxsize=64)
-def _first_joints(chain: Chain, indices: tuple[int, ...]) -> tuple[Whole, Whole, Whole]:
-    """Return the control points to reach, (p,), and the first joint of each and the end, (p + 1,).
+def _search_modules(kinematics: Kinematics, indices: tuple[int, ...]) -> ModuleSearch:
+    """Divide a chain into modules, each of which ends at the next of some control points; without limits.
 
-    Also returns the first degree of freedom of each and their number, (p + 1,). A joint belongs to the first
-    point it can move: joints whose axes pass through a point belong to the next, unless they are coupled.
+    A joint belongs to the first point it can move: joints whose axes pass through a point belong to the next,
+    unless they are coupled.
     """
-    begins = [0]
+    chain = kinematics.chain
+    arrays = kinematics.constants
+    starts = [0]
     for k in indices:
-        begins.append(after_last_mover(chain, k, begins[-1]))
-    joints = np.array(begins, dtype=np.int64)
-    return np.array(indices, dtype=np.int64), joints, np.searchsorted(chain.leaders, joints).astype(np.int64)
+        starts.append(after_last_mover(chain, k, starts[-1]))
+    levers = arrays.levers[list(indices)]
+    for number, (k, stop) in enumerate(zip(indices, starts[1:], strict=True)):
+        levers[number] += arrays.joints.offsets[stop : arrays.ends[k]].sum(axis=0)
+    n = len(arrays.inputs)
+    return ModuleSearch(
+        joints=arrays.joints._replace(columns=chain.input_numbers.astype(np.int64)),
+        levers=levers,
+        starts=np.array(starts, dtype=np.int64),
+        begins=np.searchsorted(chain.leaders, starts).astype(np.int64),
+        sliding=~chain.revolute[chain.leaders],
+        lower=np.full(n, -np.inf),
+        upper=np.full(n, np.inf),
+        near=np.zeros(n),
+    )
 
 
 @lru_cache(maxsize=64)

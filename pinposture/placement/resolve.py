@@ -194,7 +194,8 @@ class Walk:
         self._carry(unit.joints.start)
         columns = self._arm.columns[unit.inputs]
         kinematics = unit.kinematics
-        base = pin.SE3(self._turn @ unit.frame, self._turn @ unit.base + self._place)
+        offset = unit.base - (self._arm.chain.origins[self._carried - 1] if self._carried else 0.0)
+        base = pin.SE3(self._turn @ unit.frame, self._turn @ offset + self._place)
         found: tuple[float, Array] | TargetError
         if isinstance(kinematics, ClosedForm):
             found = self._by_closed_form(unit, kinematics, base)
@@ -212,12 +213,8 @@ class Walk:
 
     def _carry(self, stop: int) -> None:
         """Advance the frame along the joints before an index."""
-        chain = self._arm.chain
-        own = slice(self._carried, stop)
-        amounts = np.ascontiguousarray(chain.ratios[own] * self.positions[chain.columns[own]])
-        kernels.move_frame(
-            ~chain.revolute[own], chain.axes[own], chain.origins[own], amounts, self._turn, self._place
-        )
+        joints = self._arm.kinematics.constants.joints
+        kernels.move_frame(joints, self._carried, stop, self.positions, self._turn, self._place)
         self._carried = stop
 
     def _by_closed_form(
@@ -580,11 +577,8 @@ def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
     axes = spans / np.maximum(np.linalg.norm(spans, axis=1), 1e-300)[:, None]
     for k, joints in enumerate(chain.module_slices):
         turn = np.eye(3)
-        place = np.zeros(3)
-        amounts = np.ascontiguousarray(chain.ratios[joints] * positions[chain.columns[joints]])
-        kernels.move_frame(
-            ~chain.revolute[joints], chain.axes[joints], chain.origins[joints], amounts, turn, place
-        )
+        own = arm.kinematics.constants.joints
+        kernels.move_frame(own, joints.start, joints.stop, positions, turn, np.zeros(3))
         before[k] = np.cross(axes[k], turn @ axes[k])
         after[k] = before[k] @ turn
     return before, after

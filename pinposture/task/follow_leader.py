@@ -22,6 +22,7 @@ from pinposture._validation import (
     require_positive,
 )
 from pinposture.arm import Arm
+from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import Capsule, Cylinder, Scene, Sphere
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.pipe import PIPE_MARGIN
@@ -197,9 +198,7 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     # No joint is left that moves the control point of a first module that is the feed alone.
     first = 1 if len(chain.module_starts) > 1 and chain.module_starts[1] == 1 else 0
     body = Arm.from_model(model, arm.control_points[first:])
-    places = [pin.SE3.Identity()]
-    for joint in range(1, model.njoints):
-        places.append(places[model.parents[joint]] * model.jointPlacements[joint])
+    places = neutral_placements(model)
     ends = [*body.chain.origins[1:], body.chain.points[-1]]
     names = []
     for name, begin, end in zip(body.chain.joints, body.chain.origins, ends, strict=True):

@@ -129,6 +129,18 @@ def test_configurations_add_up_as_pinocchio_does(seed):
         np.testing.assert_allclose(arm.positions(b), pin.difference(arm.model, pin.neutral(arm.model), b))
 
 
+@pytest.mark.parametrize("seed", seeds(4))
+def test_a_base_far_away_costs_no_digits(seed):
+    near = odd_arm(seed)
+    far = pp.Arm.from_model(near.model, near.control_points, pin.SE3(np.eye(3), np.array([1e8, -3e8, 2e8])))
+    ours = far.kinematics.constants
+    theirs = near.kinematics.constants
+    for name in ("axes", "offsets"):
+        np.testing.assert_array_equal(getattr(ours.joints, name)[1:], getattr(theirs.joints, name)[1:])
+    np.testing.assert_array_equal(ours.levers, theirs.levers)
+    np.testing.assert_array_equal(ours.turns, theirs.turns)
+
+
 @pytest.mark.long
 def test_long_arms_load_and_agree_with_shorter_ones():
     # The first 60 modules of a long arm are an arm that Pinocchio has memory for.

@@ -10,10 +10,10 @@ from collision.arms_with_bodies import single
 from collision.solids_by_hand import separation
 from hypothesis import given
 from hypothesis import strategies as st
-from sampling import examples
+from sampling import examples, seeds
 
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
-from pinposture.collision.distances import Narrow, PairDistances, Placements
+from pinposture.collision.distances import Narrow, PairDistances, Placements, TreeKinematics
 
 BODIES = {
     '<sphere radius="0.05"/>': Sphere((0.5, 0, 0), 0.05),
@@ -303,3 +303,75 @@ def test_a_turned_body_is_where_its_frame_says():
     assert CollisionModel(arm, Scene({"o": ball}, self_collision=False)).minimum(
         arm.neutral()
     ).distance == pytest.approx(separation(box, ball), abs=1e-7)
+
+
+def tree(seed: int) -> pin.Model:
+    """Joints of all kinds in random places, each on any of those before it."""
+    rng = np.random.default_rng(seed)
+    pin.seed(seed)
+    model = pin.Model()
+    axis = np.array([0.48, 0.6, 0.64])
+    kinds = (
+        pin.JointModelRX(),
+        pin.JointModelRUBY(),
+        pin.JointModelPZ(),
+        pin.JointModelRevoluteUnaligned(axis),
+        pin.JointModelPrismaticUnaligned(axis),
+        pin.JointModelSpherical(),
+        pin.JointModelPlanar(),
+        pin.JointModelFreeFlyer(),
+    )
+    for number in range(16):
+        parent = int(rng.integers(model.njoints))
+        model.addJoint(parent, kinds[number % len(kinds)], pin.SE3.Random(), f"j{number}")
+    return model
+
+
+@pytest.mark.parametrize("seed", seeds(6))
+def test_a_tree_of_joints_of_all_kinds_moves_as_in_pinocchio(seed):
+    model = tree(seed)
+    rng = np.random.default_rng(seed)
+    kinematics = TreeKinematics(model)
+    q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv))
+    offsets = rng.normal(size=(3, model.nv))
+    single = [joint.idx_v for joint in model.joints[1:] if joint.nv == 1]
+    offsets[:, np.setdiff1d(np.arange(model.nv), single)] = 0.0  # these turn in the frame of q
+    placed = kinematics.place(q, offsets)
+    data = model.createData()
+    for offset, rotations, origins in zip(offsets, *placed, strict=True):
+        pin.forwardKinematics(model, data, pin.integrate(model, q, offset))
+        for joint in range(model.njoints):
+            turn = rotations[joint] @ kinematics.turns[joint]
+            np.testing.assert_allclose(turn, data.oMi[joint].rotation, atol=1e-12)
+            np.testing.assert_allclose(origins[joint], data.oMi[joint].translation, atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", seeds(6))
+def test_distances_in_a_tree_change_as_those_of_its_points(seed):
+    model = tree(seed)
+    rng = np.random.default_rng(seed)
+    kinematics = TreeKinematics(model)
+    q = pin.neutral(model)  # where the motion of every kind of joint is that of its tangent space
+    first = rng.integers(1, model.njoints, 5)
+    second = rng.integers(0, model.njoints, 5)
+    points = rng.normal(size=(5, 3))
+    normals = rng.normal(size=(5, 3))
+    rows = kinematics.differentiate(kinematics.place(q), first, second, points, normals)
+
+    before = model.createData()
+    after = model.createData()
+    pin.forwardKinematics(model, before, q)
+
+    def heights(dq: np.ndarray) -> np.ndarray:
+        """Both points of each contact along its normal, apart, after a motion from q."""
+        pin.forwardKinematics(model, after, pin.integrate(model, q, dq))
+        sides = [
+            [after.oMi[int(j)].act(before.oMi[int(j)].actInv(p)) for j, p in zip(side, points, strict=True)]
+            for side in (first, second)
+        ]
+        return np.einsum("ij,ij->i", normals, np.array(sides[0]) - np.array(sides[1]))
+
+    step = 1e-6
+    for column, unit in enumerate(np.eye(model.nv)):
+        slope = (heights(step * unit) - heights(-step * unit)) / (2.0 * step)
+        np.testing.assert_allclose(rows[:, column], slope, atol=1e-7)

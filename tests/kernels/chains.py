@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.kernels.arrays import ChainArrays, PointObjective
+from pinposture.kernels.arrays import SLIDES, TURNS, ArmArrays, Joints, PointObjective
 
 Array = NDArray[np.float64]
 
@@ -75,14 +75,13 @@ def problem(rng: np.random.Generator, modules: int, damping: float, straight: bo
     )
 
 
-def chain_of(slides: np.ndarray) -> ChainArrays:
-    """Constants of a chain of which only the kinds of the joints are asked for."""
+def chain_of(slides: np.ndarray) -> ArmArrays:
+    """A chain of which only the kinds of the joints are asked for."""
     n = len(slides)
     none = np.zeros((0, 3))
     each = np.arange(n, dtype=np.int64)
     ends = np.zeros(0, dtype=np.int64)
-    fixed = np.zeros((n, 12))
-    axes = np.zeros((n, 3))
-    turns = np.zeros((0, 3, 3))
+    kinds = np.where(slides, SLIDES, TURNS)
+    joints = Joints(each, kinds, np.zeros((n, 3)), np.zeros((n, 3)), each, np.ones(n))
     starts = np.arange(n + 1, dtype=np.int64)
-    return ChainArrays(slides, each, np.ones(n), fixed, axes, ends, none, turns, each, each, starts)
+    return ArmArrays(joints, ends, none, np.zeros((0, 3, 3)), each, each, starts)
