@@ -924,7 +924,7 @@ class Arm(ConfigurationSpace):
         described = (self._described, self.urdf, self.weight)
         return tuple(links_without_mass(*described, self.chain, self.control_points))
 
-    def load_of(self, column: int, torque: float) -> JointLoad:
+    def _load_of(self, column: int, torque: float) -> JointLoad:
         """Return the load of the drive behind a degree of freedom.
 
         Args:
@@ -956,7 +956,7 @@ class Arm(ConfigurationSpace):
         shares = torques / self.effort[columns]
         weak = np.flatnonzero(shares > 1.0 + TORQUE_ROUNDING)
         first = int(weak[-1]) if len(weak) else int(shares.argmax())
-        load = self.load_of(int(columns[first]), float(torques[first]))
+        load = self._load_of(int(columns[first]), float(torques[first]))
         leaders = self.chain.leaders
         begin = 0 if not len(weak) else int([*leaders, len(self.chain.joints)][first + 1])
         line = np.vstack([state.origins, state.points[-1]])[begin:]
@@ -1214,7 +1214,7 @@ class ArmState(ABC):
             return None
         torques = np.abs(self._gravity_torques())
         worst = int((torques / arm.effort).argmax())
-        return arm.load_of(worst, float(torques[worst]))
+        return arm._load_of(worst, float(torques[worst]))
 
     @abstractmethod
     def _gravity_torques(self) -> Array:
