@@ -191,13 +191,18 @@ def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellip
     shades = palette.MODULES[: panel.arm.n_modules]
     for name, shade in zip(("odd modules", "even modules"), shades, strict=False):
         panel.ax.plot([], [], color=shade, lw=5.0, label=name)
-    style: dict[str, Any] = {"fontsize": 9, "frameon": False, "ncols": 8}
+    style: dict[str, Any] = {"fontsize": 9, "frameon": False}
     outside = "" if panel.spatial else "outside "
     handles, labels = panel.ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc=cast(Any, f"{outside}lower left"), **style)
+    for columns in range(len(labels), 0, -1):
+        place = cast(Any, f"{outside}lower left")
+        legend = figure.legend(handles, labels, loc=place, ncols=columns, **style)
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            break
+        legend.remove()
     if ellipsoids:
         text = f"manipulability ellipsoids, {scale_in_words(panel.arm, [one.point for one in ellipsoids])}"
-        style |= {"title": text, "title_fontsize": 9, "alignment": "left"}
+        style |= {"ncols": 8, "title": text, "title_fontsize": 9, "alignment": "left"}
         figure.legend(handles=ellipsoid_key(), loc=cast(Any, f"{outside}upper right"), **style)
 
 

@@ -53,3 +53,12 @@ def test_joints_without_limits_are_grey_and_arms_without_any_are_refused() -> No
     with pytest.raises(WeightUnknown, match="torque limits"):
         pp.plot_arm(arm, torques=True)
     assert drawn(pp.plot_arm(arm.with_effort(3.0))) == {}
+
+
+def test_a_long_legend_stays_within_the_figure() -> None:
+    arm = template_arm("RyRz", 12).with_effort(0.35)  # all five shares
+    figure = pp.plot_arm(arm, arm.straight(), torques=True)
+    figure.draw_without_rendering()
+    [legend] = figure.legends
+    assert len(legend.get_texts()) == 10
+    assert legend.get_window_extent().x1 <= figure.bbox.width
