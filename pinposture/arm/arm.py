@@ -1016,7 +1016,7 @@ class Arm(ConfigurationSpace):
             URDFError: an impossible mass or inertia in the description; names the link.
         """
         at = finite_array("q", q, (None, self.nq))
-        for configuration in at:
+        for configuration in () if self._flat else at:  # continuous joints need a cosine and a sine
             self.checked(configuration, "q")
         shape = (len(at), self.nv)
         moving = finite_array("velocities", velocities, shape)

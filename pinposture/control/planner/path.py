@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture._validation import require_instance, require_positive
-from pinposture.arm import Arm, ChainState
+from pinposture.arm import Arm, ChainState, JointLoad
 from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
@@ -343,10 +343,9 @@ def torque_rows(path: JointPath, bounds: JointBounds, count: int) -> ProfileRows
     whole = path.offsets[piece + 1] - path.offsets[piece]
     square = 3.0 * whole - 2.0 * before - after
     cubic = before + after - 2.0 * whole
-    offsets = path.offsets[piece] + t * (before + t * (square + t * cubic))
     slopes = (before + t * (2.0 * square + t * 3.0 * cubic)) / dt
     bends = (2.0 * square + 6.0 * t * cubic) / dt**2
-    q = arm.integrate(path.start, offsets)
+    q = arm.integrate(path.start, path.smooth_offset(np.asarray(piece + t[:, 0], dtype=np.float64)))
     rest = np.zeros_like(slopes)
     c = arm.inverse_dynamics(q, rest, rest)
     a = arm.inverse_dynamics(q, rest, slopes / dt) - c
@@ -378,13 +377,17 @@ def _require_holdable(arm: Arm, held: Array, limit: Array) -> None:
     share = held / np.maximum(limit, 1e-300)
     sample, joint = np.unravel_index(int(share.argmax()), share.shape)
     if share[sample, joint] >= 1.0:
-        unit = "N" if arm.in_metres[joint] else "N m"
-        needed = f"{held[sample, joint]:.4g} {unit}"
-        allowed = (
-            f"a path that motors can hold: {100.0 * EFFORT_SHARE:g} % of the limit of joint "
-            f"{arm.joint_names[joint]!r}, less friction, are {limit[joint]:.4g} {unit}"
+        load = JointLoad(
+            joint=arm.joint_names[joint],
+            needed=float(held[sample, joint]),
+            limit=float(limit[joint]),
+            slides=bool(arm.in_metres[joint]),
         )
-        raise InvalidValue("torque at rest", needed, allowed)
+        allowed = (
+            f"{100.0 * EFFORT_SHARE:g} % of each torque limit, less friction; plan another path, or raise "
+            "the limits with arm.with_effort(...)"
+        )
+        raise InvalidValue("holding the arm on the path", str(load), allowed)
 
 
 @dataclass(frozen=True, eq=False)
